@@ -1,0 +1,45 @@
+"""Look at the sample distributions behind a Monte Carlo image.
+
+The names below are loaded when first used, so that ``import chdstat`` stays light. No function
+shares its name with a submodule: importing the submodule would hide the function.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+_FUNCTIONS = {
+    "Samples": "samples",
+    "Scene": "scenes",
+    "analyze": "analysis",
+    "classify": "patterns",
+    "compare": "comparison",
+    "gaussianity": "normality",
+    "histogram": "histograms",
+    "load_scene": "scenes",
+    "modality": "modes",
+    "open": "samples",
+    "render": "capture",
+    "render_pixels": "capture",
+    "report": "reporting",
+    "summarize": "summary",
+}
+_MODULES = ("errors", "estimators", "fit", "metrics", "viz")
+
+__all__ = ["__version__", *sorted((*_FUNCTIONS, *_MODULES))]
+
+
+def __getattr__(name: str) -> Any:
+    if name in _FUNCTIONS:
+        return getattr(importlib.import_module(f"chdstat.{_FUNCTIONS[name]}"), name)
+    if name in _MODULES:
+        return importlib.import_module(f"chdstat.{name}")
+    message = f"module 'chdstat' has no attribute {name!r}"
+    raise AttributeError(message)
+
+
+def __dir__() -> list[str]:
+    return __all__

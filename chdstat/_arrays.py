@@ -1,0 +1,118 @@
+"""Sample arrays: what every statistic assumes of its input, checked in one place.
+
+Samples lie on the last axis; leading axes are a batch (pixels, channels).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.errors import InputError
+
+__all__ = ["LUMINANCE", "as_samples", "generator", "is_bad", "is_null", "luminance", "spans"]
+
+LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
+"""Weights of linear sRGB in luminance (ITU-R BT.709)."""
+
+
+def generator(seed: int | np.random.Generator | None) -> np.random.Generator:
+    """Turn a seed into a random generator; a generator passes through."""
+    return np.random.default_rng(seed)
+
+
+def as_samples(
+    x: npt.ArrayLike, *, minimum: int = 1, name: str = "x"
+) -> npt.NDArray[np.floating[Any]]:
+    """Return `x` as a floating-point array with at least `minimum` samples on its last axis.
+
+    float32 and float64 pass through uncopied; integers become float64.
+
+    Raises
+    ------
+    InputError
+        If `x` has no axis, is not real, or holds fewer than `minimum` samples.
+    """
+    array = np.asarray(x)
+    if array.dtype.kind not in "fiu":
+        message = f"{name} must hold real numbers, got dtype {array.dtype}"
+        raise InputError(message)
+    if array.ndim == 0:
+        message = f"{name} must have its samples on the last axis, got a single number"
+        raise InputError(message)
+    if array.shape[-1] < minimum:
+        message = (
+            f"{name} needs at least {minimum} sample(s) on its last axis, "
+            f"got shape {array.shape} with {array.shape[-1]}"
+        )
+        raise InputError(message)
+    return array if array.dtype in (np.float32, np.float64) else array.astype(np.float64)
+
+
+def is_bad(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
+    """Mark samples that no radiance can be: NaN, infinite or negative."""
+    return ~(np.isfinite(x) & (x >= 0))
+
+
+def is_null(x: npt.NDArray[np.floating[Any]], *, channel_axis: int = -2) -> npt.NDArray[np.bool_]:
+    """Mark null samples: those whose channels are all exactly zero.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample).
+    channel_axis
+        Where the channels are.
+
+    Returns
+    -------
+    ndarray of bool
+        Shape of `x` without the channel axis.
+    """
+    return np.asarray((x == 0).all(axis=channel_axis))
+
+
+def luminance(
+    x: npt.NDArray[np.floating[Any]], *, channel_axis: int = -2
+) -> npt.NDArray[np.floating[Any]]:
+    """Return the luminance of RGB samples, the channel itself where there is only one.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample), with 1 or 3 channels.
+    channel_axis
+        Where the channels are.
+
+    Returns
+    -------
+    ndarray
+        Shape of `x` without the channel axis.
+
+    Raises
+    ------
+    InputError
+        If there are neither 1 nor 3 channels.
+    """
+    channels = x.shape[channel_axis]
+    if channels == 1:
+        return np.asarray(x.take(0, axis=channel_axis))
+    if channels != 3:
+        message = f"luminance needs 1 or 3 channels, got {channels} in shape {x.shape}"
+        raise InputError(message)
+    return np.asarray(np.moveaxis(x, channel_axis, -1) @ LUMINANCE.astype(x.dtype))
+
+
+def spans(length: int, step: int) -> Iterator[slice]:
+    """Cut an axis into consecutive slices of `step`; the last may be shorter.
+
+    Examples
+    --------
+    >>> list(spans(5, 2))
+    [slice(0, 2, None), slice(2, 4, None), slice(4, 5, None)]
+    """
+    for start in range(0, length, step):
+        yield slice(start, min(start + step, length))

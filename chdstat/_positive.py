@@ -1,0 +1,183 @@
+"""Positive part: the samples that a distribution of radiance is fitted to, and what is left out.
+
+Nulls are a point mass at 0 and bad samples are no radiance; everything about the shape of a CHD
+(fits, tests, modes, tails) looks at the rest. Build a `PositivePart` once and share it: its sorted
+samples and its sums are computed when first used, and kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import as_samples, is_bad, is_null, spans
+from chdstat._reasons import Reason
+from chdstat.errors import InputError
+
+__all__ = ["CONSTANT_SPREAD", "Counts", "Floats", "LogStatistics", "Mask", "PositivePart"]
+
+Floats = npt.NDArray[np.float64]
+Counts = npt.NDArray[np.int64]
+Mask = npt.NDArray[np.bool_]
+
+CONSTANT_SPREAD = 1e-6
+"""Standard deviation of log x at or below which samples count as equal: 8 float32 spacings."""
+
+_CHUNK = 2**16
+"""Samples worked on at once: their float64 copies stay in the cache."""
+
+
+@dataclass(frozen=True)
+class LogStatistics:
+    """Sums that gamma and log-normal fits share, each of the batch's shape.
+
+    Attributes
+    ----------
+    n
+        Positive samples.
+    mean
+        Their mean.
+    gap
+        log(mean) - mean(log x) >= 0: sufficient, with the mean, for a gamma distribution.
+    log_variance
+        Variance of log x, with divisor n.
+    """
+
+    n: Counts
+    mean: Floats
+    gap: Floats
+    log_variance: Floats
+
+    @property
+    def log_mean(self) -> Floats:
+        """Mean of log x."""
+        return np.asarray(np.log(self.mean) - self.gap)
+
+    @property
+    def constant(self) -> Mask:
+        """Where the positive samples are equal, or too nearly so for double precision."""
+        return np.asarray((self.n > 0) & (self.log_variance <= CONSTANT_SPREAD**2))
+
+
+@dataclass(frozen=True)
+class PositivePart:
+    """Samples with the mask of those that are good, not null and larger than 0.
+
+    Attributes
+    ----------
+    x
+        All samples, shape (..., sample).
+    positive
+        Which of them count, same shape.
+    n, n_null, n_zero, n_bad
+        Positive samples; null ones; zeros of one channel of a sample that is not null; bad ones.
+        Shape (...). They add up to the samples that there are.
+    """
+
+    x: npt.NDArray[np.floating[Any]]
+    positive: Mask
+    n: Counts
+    n_null: Counts
+    n_zero: Counts
+    n_bad: Counts
+
+    @classmethod
+    def of(
+        cls, x: npt.ArrayLike, *, null: npt.ArrayLike | None = None, bad: Mask | None = None
+    ) -> PositivePart:
+        """Split samples, shape (..., sample).
+
+        `null` and `bad`, broadcastable to `x`, mark whole samples; without them, every exact 0 is
+        a null and every NaN, infinite or negative number is bad.
+        """
+        x = as_samples(x)
+        bad = is_bad(x) if bad is None else np.broadcast_to(bad, x.shape) | is_bad(x)
+        good = ~bad
+        zero = (x == 0) & good
+        null = zero if null is None else _mask(null, x.shape) & good
+        positive = good & ~zero & ~null
+        n, n_null, n_bad = (_count(mask) for mask in (positive, null, bad))
+        n_zero = np.asarray(x.shape[-1] - n - n_null - n_bad, dtype=np.int64)
+        return cls(x=x, positive=positive, n=n, n_null=n_null, n_zero=n_zero, n_bad=n_bad)
+
+    @classmethod
+    def of_pixels(cls, block: npt.NDArray[np.floating[Any]]) -> PositivePart:
+        """Split samples by whole samples, shape (..., channel, sample).
+
+        A sample is null where all its channels are 0, bad where any of them is bad.
+        """
+        null = is_null(block)[..., np.newaxis, :]
+        return cls.of(block, null=null, bad=is_bad(block).any(axis=-2, keepdims=True))
+
+    @property
+    def n_good(self) -> Counts:
+        """Good samples, null ones included."""
+        return np.asarray(self.n + self.n_null + self.n_zero)
+
+    @cached_property
+    def log_statistics(self) -> LogStatistics:
+        """Mean, log-mean and log-variance of the positive samples."""
+        samples = self.x.shape[-1]
+        rows, masks = self.x.reshape(-1, samples), self.positive.reshape(-1, samples)
+        sums = np.empty((3, len(rows)))
+        for part in spans(len(rows), max(1, _CHUNK // samples)):
+            sums[:, part] = _log_sums(rows[part], masks[part])
+        mean, gap, log_variance = sums.reshape(3, *self.n.shape)
+        return LogStatistics(n=self.n, mean=mean, gap=gap, log_variance=log_variance)
+
+    @cached_property
+    def sorted(self) -> npt.NDArray[np.floating[Any]]:
+        """Positive samples in ascending order, shape of `x`, padded with infinity."""
+        return np.sort(np.where(self.positive, self.x, np.inf), axis=-1)
+
+    @property
+    def valid(self) -> Mask:
+        """Which entries of `sorted` are samples: the first `n` of each row."""
+        return np.asarray(np.arange(self.x.shape[-1]) < self.n[..., np.newaxis])
+
+    def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
+        """Say which rows have no usable positive part, as `Reason` codes, shape (...)."""
+        cases = {
+            Reason.ALL_BAD: self.n_good == 0,
+            Reason.ALL_NULL: self.n == 0,
+            Reason.TOO_FEW: self.n < minimum,
+            Reason.CONSTANT: self.log_statistics.constant,
+        }
+        codes = [np.int8(code) for code in cases]
+        return np.asarray(np.select(list(cases.values()), codes, np.int8(Reason.OK)), dtype=np.int8)
+
+
+def _mask(mask: npt.ArrayLike, shape: tuple[int, ...]) -> Mask:
+    try:
+        return np.broadcast_to(np.asarray(mask, dtype=bool), shape)
+    except ValueError:
+        message = (
+            f"null must mark samples of x, broadcastable to {shape}, got shape {np.shape(mask)}"
+        )
+        raise InputError(message) from None
+
+
+def _count(mask: Mask) -> Counts:
+    return np.asarray(np.count_nonzero(mask, axis=-1), dtype=np.int64)
+
+
+def _log_sums(rows: npt.NDArray[Any], positive: Mask) -> tuple[Floats, Floats, Floats]:
+    n = np.count_nonzero(positive, axis=-1)
+    left_out = ~positive
+    # Ratios to the row's mean: their logs are small where samples are nearly equal, hence exact.
+    ratio = rows.astype(np.float64)
+    np.copyto(ratio, 0, where=left_out)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = ratio.sum(axis=-1) / n
+        ratio /= mean[:, np.newaxis]
+        np.copyto(ratio, 1, where=left_out)
+        log = np.log(ratio, out=ratio)
+        gap = -log.sum(axis=-1) / n
+        log += gap[:, np.newaxis]
+        np.copyto(log, 0, where=left_out)
+        log_variance = np.vecdot(log, log) / n
+    return mean, gap, log_variance

@@ -1,0 +1,41 @@
+"""Reason codes: why a pixel has no number.
+
+A pixel that cannot be computed is data: NaN in the result and one of these codes beside it.
+"""
+
+from __future__ import annotations
+
+import enum
+from typing import Any
+
+__all__ = ["Reason", "flag_attributes"]
+
+
+class Reason(enum.IntEnum):
+    """Why a value is missing; `OK` where it is not."""
+
+    OK = 0
+    ALL_NULL = 1
+    """Every good sample is null: there is nothing to fit."""
+    TOO_FEW = 2
+    """Fewer usable samples than the method needs."""
+    CONSTANT = 3
+    """The usable samples are equal, or too nearly so for the numbers at hand."""
+    NOT_CONVERGED = 4
+    """An iteration ended before its tolerance was met."""
+    ALL_BAD = 5
+    """Every sample is NaN, infinite or negative."""
+
+
+def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:
+    """Return CF-convention attributes that explain an integer-coded variable.
+
+    Examples
+    --------
+    >>> flag_attributes()["flag_meanings"].split()[:2]
+    ['ok', 'all_null']
+    """
+    return {
+        "flag_values": [int(code) for code in kind],
+        "flag_meanings": " ".join(code.name.lower() for code in kind),
+    }

@@ -1,0 +1,346 @@
+"""The renderer: one scene in one Mitsuba variant, giving single samples instead of averages.
+
+Random streams. Mitsuba seeds its generators with 32-bit integers. Hashing (tile, batch, pass) into
+one would repeat streams by the birthday rule, so every stream gets an integer of its own:
+
+* scalar: a pass draws one sample for each of the 64 x 64 pixels of a tile. Pass ``p`` owns the
+  streams ``4096 p`` to ``4096 p + 4095``; passes are numbered by (sample, tile).
+* llvm, cuda: one call draws a whole chunk. Each lane mixes the 32-bit number of the chunk with its
+  lane index; chunks are numbered by (batch, tile).
+
+The user's seed shifts that numbering by a multiple of the golden section of its range, which
+spreads small seeds evenly: images with seeds 0, 1, 2 ... share no stream until the range is full.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._store import BATCH, TILE, Chunk
+from chdstat.backend import BACKENDS, Verdict, activate
+from chdstat.errors import RenderError, SceneError
+from chdstat.scenes import Scene
+
+__all__ = ["Job", "Renderer", "max_spp"]
+
+_BLOCK = 32
+_PASS_BITS = 20
+_CHUNK_BITS = 31
+_FEATURE_SPP = 16
+_FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
+_GOLDEN = (math.sqrt(5) - 1) / 2
+
+Image = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that the samples depend on, without Mitsuba objects: it can travel to another process."""
+
+    scene: Scene
+    verdict: Verdict
+    size: tuple[int, int] | None = None
+    seed: int = 0
+    max_depth: int | None = None
+
+    @functools.cached_property
+    def key(self) -> tuple[Any, ...]:
+        """Identity of the job; jobs of equal key give equal samples."""
+        return (self.scene.hash, self.verdict.backend, self.size, self.seed, self.max_depth)
+
+
+def max_spp(backend: str, width: int, height: int) -> int:
+    """Return how many samples per pixel a backend can draw before random streams repeat."""
+    tiles = _tiles(width) * _tiles(height)
+    passes = 2**_PASS_BITS if backend == "scalar" else 2**_CHUNK_BITS * BATCH
+    return passes // tiles
+
+
+class Renderer:
+    """Renders chunks of samples of one job; safe to call from several threads."""
+
+    def __init__(self, job: Job) -> None:
+        with activate(job.verdict) as mi:
+            self._mi = mi
+            self._scalar = job.verdict.backend == "scalar"
+            self._seed = job.seed
+            self.notes: list[str] = []
+            state = job.scene.parse(BACKENDS[job.verdict.backend])
+            self._read_settings(state, job)
+            self._scene = self._instantiate(state, job.scene)
+            self._sensor_medium = self._scene.sensors()[0].get_medium()
+        self._local = threading.local()
+
+    def chunk(self, chunk: Chunk, *, stopped: Callable[[], bool] = lambda: False) -> Image:
+        """Draw the samples of one chunk, shape (y, x, channel, sample).
+
+        `stopped` is asked between passes; when it says so, the samples drawn so far are dropped
+        and an empty array is returned.
+        """
+        if self._scalar:
+            return self._chunk_scalar(chunk, stopped)
+        return self._chunk_wavefront(chunk)
+
+    def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, first: int = 0) -> Image:
+        """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample)."""
+        draw = self._pixel_scalar if self._scalar else self._pixel_wavefront
+        return np.stack([draw(int(y), int(x), spp, first) for y, x in pixels])
+
+    def features(self) -> dict[str, Image]:
+        """Render the first-hit features: albedo, shading normal, depth and position."""
+        aovs = ",".join(f"{name}:{kind}" for name, kind in _FEATURES.items())
+        integrator = self._mi.load_dict({"type": "aov", "aovs": aovs, "block_size": _BLOCK})
+        sensor = self._sensor((0, 0), self.size)
+        stack = np.array(integrator.render(self._scene, sensor, seed=0, spp=_FEATURE_SPP))
+        parts = dict(zip(_FEATURES, np.split(stack, (3, 6, 7), axis=-1), strict=True))
+        return {name: np.float32(p[..., 0] if p.shape[-1] == 1 else p) for name, p in parts.items()}
+
+    # --- settings -------------------------------------------------------------------------------
+
+    def _read_settings(self, state: Any, job: Job) -> None:
+        """Take sensor, film and integrator out of the parsed scene and note what is replaced."""
+        kinds = self._mi.ObjectType
+        nodes: dict[Any, list[Any]] = {}
+        for node in state.nodes:
+            nodes.setdefault(node.type, []).append(node.props)
+        if not nodes.get(kinds.Sensor):
+            message = f"scene {job.scene.name!r} has no sensor; add a <sensor> to it"
+            raise SceneError(message)
+        self._sensor_properties = nodes[kinds.Sensor][0]
+        film = (nodes.get(kinds.Film) or [self._mi.Properties("hdrfilm")])[0]
+        width, height = (int(film.get(side, n)) for side, n in (("width", 768), ("height", 576)))
+        self.size = job.size or (width, height)
+        self._note_replaced("filter", nodes.get(kinds.ReconstructionFilter, []), "box")
+        self._note_replaced("sampler", nodes.get(kinds.Sampler, []), "independent")
+        self._read_integrator(nodes.get(kinds.Integrator, []), job)
+
+    def _note_replaced(self, word: str, found: list[Any], used: str) -> None:
+        asked = {p.plugin_name() for p in found} - {used}
+        if asked:
+            self.notes.append(
+                f"the scene asks for the {', '.join(sorted(asked))} {word}; "
+                f"the {used} {word} is used, so that samples are independent and unmixed"
+            )
+
+    def _read_integrator(self, found: list[Any], job: Job) -> None:
+        properties = self._mi.Properties(found[0] if found else self._mi.Properties("path"))
+        for name in ("samples_per_pass", "timeout", "block_size"):
+            if name in properties:
+                del properties[name]
+        if job.max_depth is not None:
+            properties["max_depth"] = job.max_depth
+        kinds = self._mi.Properties.Type
+        nested = (kinds.Object, kinds.Reference, kinds.ResolvedReference)
+        plain = {k: v for k, v in properties.items() if properties.type(k) not in nested}
+        if len(plain) < len(list(properties.keys())):
+            message = (
+                f"integrator {properties.plugin_name()!r} wraps another integrator; "
+                "name the inner one (such as path or volpath) in the scene"
+            )
+            raise RenderError(message)
+        self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **plain}
+        properties["block_size"] = _BLOCK  # the default depends on the number of cores
+        self._integrator_properties = properties
+
+    def _instantiate(self, state: Any, scene: Scene) -> Any:
+        from chdstat.scenes.plain import resolving
+
+        config = self._mi.parser.ParserConfig(self._mi.variant())
+        config.unused_properties = self._mi.LogLevel.Warn
+        try:
+            with resolving(scene):
+                return self._mi.parser.instantiate(config, state)
+        except RuntimeError as error:
+            message = f"Mitsuba cannot build the scene {scene.name!r}: {_first_lines(error)}"
+            raise SceneError(message) from error
+
+    # --- Mitsuba objects ------------------------------------------------------------------------
+
+    def _sensor(self, offset: tuple[int, int], extent: tuple[int, int]) -> Any:
+        """Return the scene's sensor with a film that covers a part of the image."""
+        mi = self._mi
+        properties = mi.Properties(self._sensor_properties)
+        kinds = mi.Properties.Type
+        for name in list(properties.keys()):
+            if properties.type(name) in (kinds.Object, kinds.Reference, kinds.ResolvedReference):
+                del properties[name]
+        film = {
+            "type": "hdrfilm",
+            "width": self.size[0],
+            "height": self.size[1],
+            "crop_offset_x": offset[0],
+            "crop_offset_y": offset[1],
+            "crop_width": extent[0],
+            "crop_height": extent[1],
+            "pixel_format": "rgb",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        }
+        properties["film"] = mi.load_dict(film)
+        properties["sampler"] = mi.load_dict({"type": "independent"})
+        if self._sensor_medium is not None:
+            properties["medium"] = self._sensor_medium
+        return mi.PluginManager.instance().create_object(properties)
+
+    @property
+    def _integrator(self) -> Any:
+        """The integrator of the calling thread; it keeps state while it renders."""
+        if not hasattr(self._local, "integrator"):
+            create = self._mi.PluginManager.instance().create_object
+            self._local.integrator = create(self._mi.Properties(self._integrator_properties))
+            if not hasattr(self._local.integrator, "sample"):
+                message = (
+                    f"integrator {self.integrator['type']!r} does not sample pixel by pixel; "
+                    "use one that does, such as path, volpath or direct"
+                )
+                raise RenderError(message)
+        return self._local.integrator
+
+    # --- scalar ---------------------------------------------------------------------------------
+
+    def _chunk_scalar(self, chunk: Chunk, stopped: Callable[[], bool]) -> Image:
+        height, width, samples = chunk.shape
+        sensor = self._sensor((chunk.xs.start, chunk.ys.start), (width, height))
+        block = np.empty((samples, height, width, 3), np.float32)
+        tile = chunk.tile_y * _tiles(self.size[0]) + chunk.tile_x
+        tiles = _tiles(self.size[0]) * _tiles(self.size[1])
+        for i, sample in enumerate(range(chunk.ss.start, chunk.ss.stop)):
+            if stopped():
+                return np.empty(0, np.float32)
+            number = _number(self._seed, sample * tiles + tile, _PASS_BITS)
+            seed = _pass_seed(number, width * height)
+            block[i] = self._integrator.render(self._scene, sensor, seed=seed, spp=1)
+        return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
+
+    def _pixel_scalar(self, y: int, x: int, spp: int, first: int) -> Image:
+        mi, scene, integrator = self._mi, self._scene, self._integrator
+        sensor = self._sensor((0, 0), self.size)
+        sampler = sensor.sampler()
+        sampler.seed(self._pixel_number(y, x, first), 1)
+        corner, scale = np.array((x, y)), 1 / np.array(self.size)
+        result = np.empty((spp, 3), np.float32)
+        for i in range(spp):
+            position = (corner + np.array(sampler.next_2d())) * scale
+            time, lens = self._time_and_lens(sensor, sampler)
+            ray, weight = sensor.sample_ray_differential(time, 0.0, mi.Point2f(position), lens)
+            color, _, _ = integrator.sample(scene, sampler, ray, self._sensor_medium, True)
+            result[i] = weight * color
+        return result.T
+
+    # --- wavefront (llvm, cuda) -----------------------------------------------------------------
+
+    def _chunk_wavefront(self, chunk: Chunk) -> Image:
+        height, width, samples = chunk.shape
+        tile = chunk.tile_y * _tiles(self.size[0]) + chunk.tile_x
+        tiles = _tiles(self.size[0]) * _tiles(self.size[1])
+        number = _number(self._seed, chunk.batch * tiles + tile, _CHUNK_BITS)
+        corner = (chunk.xs.start, chunk.ys.start)
+        colors = self._wavefront(number, corner, (width, height), samples)
+        return np.ascontiguousarray(colors.reshape(3, samples, height, width).transpose(2, 3, 0, 1))
+
+    def _pixel_wavefront(self, y: int, x: int, spp: int, first: int) -> Image:
+        return self._wavefront(self._pixel_number(y, x, first), (x, y), (1, 1), spp)
+
+    def _wavefront(
+        self, number: int, corner: tuple[int, int], extent: tuple[int, int], samples: int
+    ) -> Image:
+        """Draw samples of a rectangle of pixels in one wavefront, shape (channel, lane).
+
+        Lanes run over pixels first, so that fewer samples are a prefix of more.
+        """
+        import drjit as dr
+
+        pixels = extent[0] * extent[1]
+        inputs = (number, *corner, extent[0], pixels)
+        opaque = [dr.opaque(self._mi.UInt32, value) for value in inputs]
+        return np.array(self._launch(*opaque, pixels * samples), dtype=np.float32)
+
+    def _launch(self, *inputs: Any) -> Any:
+        """Launch the kernel, frozen where it can be: tracing costs up to a third of a launch.
+
+        Dr.Jit refuses to freeze it while other scenes are alive in the process, since virtual
+        calls then reach objects that are not part of this one; the plain kernel gives the same.
+        """
+        if not hasattr(self._local, "kernel"):
+            import drjit as dr
+
+            sensor = self._sensor((0, 0), self.size)
+            objects = (self._scene, sensor, self._integrator)
+            self._local.kernel = self._wavefront_kernel(dr, sensor)
+            self._local.frozen = dr.freeze(self._local.kernel, state_fn=lambda *_, **__: objects)
+        try:
+            return self._local.frozen(*inputs)
+        except RuntimeError:
+            self._local.frozen = self._local.kernel
+            return self._local.kernel(*inputs)
+
+    def _wavefront_kernel(self, dr: Any, sensor: Any) -> Callable[..., Any]:
+        mi, scene, integrator, medium = self._mi, self._scene, self._integrator, self._sensor_medium
+        size = tuple(map(float, self.size))
+
+        def kernel(number: Any, left: Any, top: Any, width: Any, pixels: Any, lanes: int) -> Any:
+            sampler = sensor.sampler().clone()
+            sampler.seed(number, lanes)
+            index = dr.arange(mi.UInt32, lanes) % pixels
+            pixel = mi.Point2f(mi.Float(index % width + left), mi.Float(index // width + top))
+            position = (pixel + sampler.next_2d()) / mi.Point2f(*size)
+            time, lens = self._time_and_lens(sensor, sampler)
+            ray, weight = sensor.sample_ray_differential(time, 0.0, position, lens)
+            color, _, _ = integrator.sample(scene, sampler, ray, medium, True)
+            return weight * color
+
+        return kernel
+
+    # --- both -----------------------------------------------------------------------------------
+
+    def _time_and_lens(self, sensor: Any, sampler: Any) -> tuple[Any, Any]:
+        """Draw the time within the shutter interval and the point on the lens, where needed."""
+        time = sensor.shutter_open()
+        if sensor.shutter_open_time() > 0:
+            time = time + sampler.next_1d() * sensor.shutter_open_time()
+        lens = sampler.next_2d() if sensor.needs_aperture_sample() else self._mi.Point2f(0.5)
+        return time, lens
+
+    def _pixel_number(self, y: int, x: int, first: int) -> int:
+        """Return the number of a pixel's stream, apart from those of chunks."""
+        index = (first * self.size[1] + y) * self.size[0] + x
+        return 2**_CHUNK_BITS + _number(self._seed, index, _CHUNK_BITS)
+
+
+def _tiles(length: int) -> int:
+    return -(-length // TILE)
+
+
+def _number(seed: int, index: int, bits: int) -> int:
+    """Return the number of a block of streams under a user's seed; one to one with `index`."""
+    span = 2**bits
+    return (index + seed * round(_GOLDEN * span)) % span
+
+
+def _pass_seed(number: int, pixels: int) -> int:
+    """Return the seed that makes a scalar render use the streams 4096 n to 4096 n + 4095.
+
+    It multiplies the seed by the number of pixels of the film, modulo 2^32. A tile of 64 x 64 has
+    2^12 pixels; smaller ones at the border have 2^v m with v <= 12 and m odd, which is invertible.
+    """
+    power = (pixels & -pixels).bit_length() - 1
+    modulus = 2 ** (32 - power)
+    return (number * TILE * TILE >> power) * pow(pixels >> power, -1, modulus) % modulus
+
+
+def _first_lines(error: Exception) -> str:
+    return " ".join(line.strip() for line in str(error).splitlines()[:3])
+
+
+def describe(settings: Mapping[str, Any]) -> str:
+    """Return an integrator's settings as one line."""
+    rest = ", ".join(f"{k} {v}" for k, v in settings.items() if k != "type")
+    return f"{settings['type']}" + (f" ({rest})" if rest else "")

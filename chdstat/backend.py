@@ -1,0 +1,227 @@
+"""Backends: which Mitsuba variants really render on this machine.
+
+`scalar` needs nothing but the Mitsuba wheel. `llvm` and `cuda` depend on libraries outside it, and
+some versions of LLVM abort the process instead of raising. So each candidate is tried in a child
+process that renders one small picture; what it says is cached per library and Mitsuba version.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.metadata
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from chdstat.errors import InputError, RenderError
+
+__all__ = ["BACKENDS", "Backend", "Verdict", "activate", "probe", "resolve"]
+
+Backend = Literal["auto", "scalar", "llvm", "cuda"]
+
+BACKENDS = {"scalar": "scalar_rgb", "llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
+"""Mitsuba variant of each backend."""
+
+_LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
+_LIBRARY_FOLDERS = (
+    "/usr/lib/*-linux-gnu",
+    "/usr/lib64",
+    "/usr/lib/llvm-*/lib",
+    "/usr/local/lib",
+    "/opt/homebrew/opt/llvm*/lib",
+    "/usr/local/opt/llvm*/lib",
+)
+_TIMEOUT = 120.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What trying a backend in a child process has shown."""
+
+    backend: str
+    works: bool
+    detail: str
+    library: str | None = None
+
+
+def resolve(backend: Backend = "auto") -> Verdict:
+    """Return the backend to use: the one asked for, or the fastest that has proved itself.
+
+    Raises
+    ------
+    InputError
+        If the name is none of "auto", "scalar", "llvm", "cuda".
+    RenderError
+        If the backend asked for does not work here.
+    """
+    if backend == "auto":
+        verdicts = (probe(name) for name in ("cuda", "llvm", "scalar"))
+        return next(v for v in verdicts if v.works)
+    if backend not in BACKENDS:
+        message = f"backend must be one of auto, {', '.join(BACKENDS)}; got {backend!r}"
+        raise InputError(message)
+    verdict = probe(backend)
+    if not verdict.works:
+        message = f"the {backend} backend does not work here: {verdict.detail}. Use scalar or auto"
+        raise RenderError(message)
+    return verdict
+
+
+def probe(backend: str, *, fresh: bool = False) -> Verdict:
+    """Try a backend in a child process, or recall what an earlier trial has shown.
+
+    Parameters
+    ----------
+    backend
+        A key of `BACKENDS`.
+    fresh
+        Try again even where an answer is cached.
+    """
+    if backend == "scalar":
+        return Verdict("scalar", works=True, detail="built into Mitsuba")
+    if backend == "cuda":
+        return _probe_cuda(fresh=fresh)
+    return _probe_llvm(fresh=fresh)
+
+
+@contextlib.contextmanager
+def activate(verdict: Verdict) -> Iterator[Any]:
+    """Set the Mitsuba variant of a backend, yield the module, and restore what was set before."""
+    if verdict.library is not None:
+        os.environ.setdefault(_LIBRARY_VARIABLE, verdict.library)
+    import mitsuba as mi
+
+    previous = mi.variant()
+    mi.set_variant(BACKENDS[verdict.backend])
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        yield mi
+    finally:
+        if previous is not None:
+            mi.set_variant(previous)
+
+
+def llvm_libraries() -> list[str]:
+    """Return the LLVM libraries of this machine, newest first, each once.
+
+    A library named by the environment variable that Mitsuba itself heeds is the only candidate.
+    """
+    named = os.environ.get(_LIBRARY_VARIABLE)
+    if named:
+        return [named]
+    found = {
+        path.resolve()
+        for pattern in _LIBRARY_FOLDERS
+        for folder in Path("/").glob(pattern.lstrip("/"))
+        for path in (*folder.glob("libLLVM*.so*"), *folder.glob("libLLVM*.dylib"))
+        if re.match(r"libLLVM([-.]|$)", path.name)
+    }
+    return [str(path) for path in sorted(found, key=_version, reverse=True)]
+
+
+def _version(path: Path) -> tuple[int, ...]:
+    return tuple(int(number) for number in re.findall(r"\d+", path.name))
+
+
+def _probe_cuda(*, fresh: bool) -> Verdict:
+    if not any(
+        Path(p).exists() for p in ("/dev/nvidia0", "/dev/dxg", "C:/Windows/System32/nvcuda.dll")
+    ):
+        return Verdict("cuda", works=False, detail="no NVIDIA device")
+    return _trial("cuda", None, fresh=fresh)
+
+
+def _probe_llvm(*, fresh: bool) -> Verdict:
+    libraries = llvm_libraries()
+    if not libraries:
+        return Verdict("llvm", works=False, detail="no LLVM library found")
+    failures = []
+    for library in libraries:
+        verdict = _trial("llvm", library, fresh=fresh)
+        if verdict.works:
+            return verdict
+        failures.append(f"{Path(library).name}: {verdict.detail}")
+    return Verdict("llvm", works=False, detail="; ".join(failures))
+
+
+def _trial(backend: str, library: str | None, *, fresh: bool) -> Verdict:
+    """Return the cached answer for a library, or render with it in a child process."""
+    key = _cache_key(backend, library)
+    cache = _read_cache()
+    if not fresh and key in cache:
+        return Verdict(**cache[key])
+    verdict = _try_in_child(backend, library)
+    _write_cache({**cache, key: asdict(verdict)})
+    return verdict
+
+
+def _cache_key(backend: str, library: str | None) -> str:
+    changed = Path(library).stat().st_mtime_ns if library and Path(library).exists() else 0
+    return f"{backend}|{library}|{changed}|mitsuba {importlib.metadata.version('mitsuba')}"
+
+
+_CHILD = """
+import sys, mitsuba as mi, numpy as np
+mi.set_variant(sys.argv[1])
+scene = mi.load_dict(mi.cornell_box())
+image = np.array(mi.render(scene, spp=2))
+assert np.isfinite(image).all() and image.mean() > 0
+"""
+
+
+def _try_in_child(backend: str, library: str | None) -> Verdict:
+    environment = dict(os.environ)
+    if library is not None:
+        environment[_LIBRARY_VARIABLE] = library
+    command = [sys.executable, "-c", _CHILD, BACKENDS[backend]]
+    try:
+        done = subprocess.run(  # noqa: S603 - our own code in our own interpreter
+            command, env=environment, capture_output=True, text=True, timeout=_TIMEOUT, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return Verdict(
+            backend, works=False, detail=f"no picture in {_TIMEOUT:.0f} s", library=library
+        )
+    if done.returncode == 0:
+        return Verdict(backend, works=True, detail="rendered a picture", library=library)
+    return Verdict(backend, works=False, detail=_failure(done), library=library)
+
+
+def _failure(done: subprocess.CompletedProcess[str]) -> str:
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    telling = (
+        [line for line in lines if "rror" in line or "Cannot" in line] or lines or ["no output"]
+    )
+    ended = f"aborted by signal {-done.returncode}" if done.returncode < 0 else "raised"
+    return f"{ended} ({telling[0][:120]})"
+
+
+def _cache_file() -> Path:
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "chdstat" / "backends.json"
+
+
+@functools.cache
+def _read_cache() -> dict[str, Any]:
+    try:
+        cache = json.loads(_cache_file().read_text())
+    except (OSError, ValueError):
+        return {}
+    return cache if isinstance(cache, dict) else {}
+
+
+def _write_cache(cache: dict[str, Any]) -> None:
+    """Keep the answers; a home that cannot be written to only costs the next trial."""
+    with contextlib.suppress(OSError):
+        _cache_file().parent.mkdir(parents=True, exist_ok=True)
+        partial = _cache_file().with_suffix(f".{os.getpid()}.partial")
+        partial.write_text(json.dumps(cache, indent=1))
+        partial.replace(_cache_file())
+    _read_cache.cache_clear()

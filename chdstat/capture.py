@@ -1,0 +1,406 @@
+"""Capture: a scene to samples, chunk by chunk, every sample kept.
+
+`render` fills a store (or memory) and can be stopped and resumed at any moment; `render_pixels`
+draws samples of a few pixels on demand.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+import itertools
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._renderer import Job, Renderer, max_spp
+from chdstat._store import Chunk, Store, chunk_grid
+from chdstat.backend import Backend, activate, resolve
+from chdstat.errors import InputError, StoreError
+from chdstat.progress import track
+from chdstat.samples import Samples
+from chdstat.scenes import Scene, load_scene
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+__all__ = ["render", "render_pixels"]
+
+_log = logging.getLogger("chdstat")
+
+Image = npt.NDArray[np.float32]
+
+
+def render(
+    scene: str | Path | dict[str, Any] | Scene,
+    *,
+    spp: int = 256,
+    size: tuple[int, int] | None = None,
+    seed: int = 0,
+    max_depth: int | None = None,
+    out: str | Path | None = None,
+    backend: Backend = "auto",
+    client: Client | None = None,
+    progress: bool | None = None,
+) -> Samples:
+    """Render a scene and keep every sample.
+
+    The samples of a chunk (a tile of pixels times a batch of samples) depend only on scene,
+    backend, seed, tile and batch. So a render that was stopped resumes, more `spp` append, any
+    worker may render any chunk, and the result is the same to the bit.
+
+    Parameters
+    ----------
+    scene
+        Anything that `chdstat.load_scene` takes.
+    spp
+        Samples per pixel. Where `out` holds fewer, the missing ones are appended.
+    size
+        (width, height) in pixels; None takes the scene's own.
+    seed
+        Any non-negative integer; small seeds give independent images.
+    max_depth
+        Longest path in segments; None takes the scene's own.
+    out
+        Where to store the samples; None keeps them in memory.
+    backend
+        "auto" takes the fastest backend that has proved itself on this machine.
+    client
+        A Dask client; its workers render, one chunk a task.
+    progress
+        Show a progress bar; None shows it on a terminal.
+
+    Returns
+    -------
+    Samples
+        All samples, with first-hit features and provenance.
+
+    Raises
+    ------
+    InputError
+        If `spp`, `size` or `seed` is out of range.
+    SceneError, RenderError
+        If the scene cannot be read, or not be rendered as asked.
+    StoreError
+        If `out` holds something else, or cannot be written to.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> samples = chd.render("cornell-box", spp=2, size=(8, 8), backend="scalar")
+    >>> samples
+    <Samples 'cornell-box' 8 x 8 pixels, 3 channels, 2 spp, in memory>
+    """
+    loaded = load_scene(scene)
+    _check(spp, size, seed)
+    existing = _existing(out)
+    if existing is not None and backend == "auto":
+        backend = existing.attrs["backend"]
+    job = Job(loaded, resolve(backend), size, seed, max_depth)
+    with activate(job.verdict):
+        renderer = Renderer(job)
+        _check_streams(job, renderer, spp)
+        for note in renderer.notes:
+            _log.warning("%s", note)
+        attrs = _provenance(job, renderer, spp)
+        sink = (
+            _StoreSink.open(out, existing, attrs, renderer, spp)
+            if out
+            else _MemorySink(attrs, renderer, spp)
+        )
+        _fill(job, renderer, sink, client, progress)
+        return sink.finish()
+
+
+def render_pixels(
+    scene: str | Path | dict[str, Any] | Scene,
+    pixels: npt.ArrayLike,
+    *,
+    spp: int = 2048,
+    size: tuple[int, int] | None = None,
+    seed: int = 0,
+    max_depth: int | None = None,
+    backend: Backend = "scalar",
+) -> Image:
+    """Draw samples of a few pixels, without rendering the rest of the image.
+
+    Parameters
+    ----------
+    scene, size, seed, max_depth, backend
+        As for `render`. The samples are independent of those that `render` draws.
+    pixels
+        (y, x) of each pixel, shape (pixel, 2); a single pair is taken as one pixel.
+    spp
+        Samples per pixel.
+
+    Returns
+    -------
+    ndarray
+        Linear radiance, shape (pixel, channel, sample), float32.
+
+    Raises
+    ------
+    InputError
+        If a pixel lies outside the image, or `spp` or `seed` is out of range.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> chd.render_pixels("cornell-box", [(4, 4)], spp=16, size=(8, 8)).shape
+    (1, 3, 16)
+    """
+    _check(spp, size, seed)
+    job = Job(load_scene(scene), resolve(backend), size, seed, max_depth)
+    with activate(job.verdict):
+        renderer = Renderer(job)
+        return renderer.pixels(_checked_pixels(pixels, renderer.size), spp)
+
+
+# --- checks -------------------------------------------------------------------------------------
+
+
+def _check(spp: int, size: tuple[int, int] | None, seed: int) -> None:
+    if spp < 1:
+        message = f"spp must be at least 1, got {spp}"
+        raise InputError(message)
+    if size is not None and (len(size) != 2 or min(size) < 1):
+        message = f"size must be (width, height) in pixels, each at least 1, got {size}"
+        raise InputError(message)
+    if seed < 0:
+        message = f"seed must not be negative, got {seed}"
+        raise InputError(message)
+
+
+def _check_streams(job: Job, renderer: Renderer, spp: int) -> None:
+    most = max_spp(job.verdict.backend, *renderer.size)
+    if spp > most:
+        width, height = renderer.size
+        message = (
+            f"spp must be at most {most} for {width} x {height} pixels with the "
+            f"{job.verdict.backend} backend (then its random streams repeat), got {spp}"
+        )
+        raise InputError(message)
+
+
+def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray[np.intp]:
+    array = np.atleast_2d(np.asarray(pixels))
+    if array.ndim != 2 or array.shape[1] != 2 or array.dtype.kind not in "iu":
+        message = f"pixels must be integers (y, x), shape (pixel, 2), got shape {array.shape}"
+        raise InputError(message)
+    width, height = size
+    outside = (array < 0).any(axis=1) | (array[:, 0] >= height) | (array[:, 1] >= width)
+    if outside.any():
+        y, x = array[outside][0]
+        message = f"pixel (y={y}, x={x}) is outside the image of {width} x {height} pixels"
+        raise InputError(message)
+    return array.astype(np.intp)
+
+
+# --- where samples go ---------------------------------------------------------------------------
+
+
+def _provenance(job: Job, renderer: Renderer, spp: int) -> dict[str, Any]:
+    return {
+        "scene": job.scene.name,
+        "scene_hash": job.scene.hash,
+        "scene_source": str(job.scene.source) if isinstance(job.scene.source, Path) else "dict",
+        "scene_parameters": dict(job.scene.parameters),
+        "integrator": renderer.integrator,
+        "size": list(renderer.size),
+        "spp": spp,
+        "seed": job.seed,
+        "backend": job.verdict.backend,
+        "mitsuba_version": importlib.metadata.version("mitsuba"),
+        "chdstat_version": importlib.metadata.version("chdstat"),
+        "filter": "box",
+        "sampler": "independent",
+        "units": "linear radiance",
+        "notes": renderer.notes,
+        "render_seconds": 0.0,
+    }
+
+
+_IDENTITY = ("scene_hash", "integrator", "size", "seed", "backend", "mitsuba_version")
+"""Attributes that must agree before samples are added to a store."""
+
+
+def _existing(out: str | Path | None) -> Store | None:
+    """Return the store that is already at `out`, if any."""
+    if out is None or not Path(out).exists() or not (Path(out) / "zarr.json").exists():
+        return None
+    return Store.open(Path(out), writable=True)
+
+
+class _MemorySink:
+    """Samples kept in memory."""
+
+    def __init__(self, attrs: dict[str, Any], renderer: Renderer, spp: int) -> None:
+        width, height = renderer.size
+        self._attrs, self._features = attrs, renderer.features()
+        self._array = np.full((height, width, 3, spp), np.nan, np.float32)
+
+    def pending(self) -> list[Chunk]:
+        height, width, _, spp = self._array.shape
+        return list(chunk_grid(height, width, spp))
+
+    def write(self, chunk: Chunk, block: Image) -> None:
+        self._array[chunk.ys, chunk.xs, :, chunk.ss] = block
+
+    def spent(self, seconds: float) -> None:
+        self._attrs["render_seconds"] = round(seconds, 3)
+
+    def finish(self) -> Samples:
+        return Samples.from_array(self._array, features=self._features, **self._attrs)
+
+
+class _StoreSink:
+    """Samples kept in a store on disk."""
+
+    def __init__(self, store: Store) -> None:
+        self._store = store
+
+    @classmethod
+    def open(
+        cls,
+        out: str | Path,
+        existing: Store | None,
+        attrs: dict[str, Any],
+        renderer: Renderer,
+        spp: int,
+    ) -> _StoreSink:
+        """Open or create the store and make room for the samples asked for."""
+        width, height = renderer.size
+        if existing is None:
+            store = Store.create(
+                Path(out), height=height, width=width, channels=3, spp=spp, attrs=attrs
+            )
+            store.write_features(renderer.features())
+            return cls(store)
+        _check_identity(existing, attrs)
+        if spp > existing.shape[3]:
+            existing.extend(spp)
+            existing.group.attrs.update({"spp": spp})
+        return cls(existing)
+
+    def pending(self) -> list[Chunk]:
+        return self._store.pending()
+
+    def write(self, chunk: Chunk, block: Image) -> None:
+        self._store.write(chunk, block)
+
+    def spent(self, seconds: float) -> None:
+        before = float(self._store.attrs.get("render_seconds", 0.0))
+        self._store.group.attrs.update({"render_seconds": round(before + seconds, 3)})
+
+    def finish(self) -> Samples:
+        return Samples(store=self._store, attrs=self._store.attrs, spp=self._store.complete_spp())
+
+
+def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
+    """Refuse to mix samples of two scenes, seeds or settings in one store."""
+    held = store.attrs
+    differing = [name for name in _IDENTITY if held.get(name) != attrs[name]]
+    if differing:
+        detail = "; ".join(f"{n}: stored {held.get(n)}, asked for {attrs[n]}" for n in differing)
+        message = (
+            f"{store.path} holds other samples ({detail}). Nothing was changed; "
+            "give another output path, or the same settings to resume or append"
+        )
+        raise StoreError(message)
+
+
+# --- the work -----------------------------------------------------------------------------------
+
+
+def _fill(
+    job: Job,
+    renderer: Renderer,
+    sink: _MemorySink | _StoreSink,
+    client: Client | None,
+    progress: bool | None,
+) -> None:
+    """Render what is missing, writing each chunk as it arrives."""
+    chunks = sink.pending()
+    if not chunks:
+        return
+    start = time.monotonic()
+    with track(
+        f"rendering {job.scene.name}", sum(c.size for c in chunks), unit="S", show=progress
+    ) as advance:
+        try:
+            for chunk, block in _rendered(job, renderer, chunks, client):
+                sink.write(chunk, block)
+                advance(chunk.size)
+        finally:
+            sink.spent(time.monotonic() - start)
+
+
+def _rendered(
+    job: Job, renderer: Renderer, chunks: Sequence[Chunk], client: Client | None
+) -> Iterator[tuple[Chunk, Image]]:
+    """Yield chunks with their samples, in the order they are done."""
+    if client is not None:
+        remote = client.get_executor(pure=False)
+        window = 2 * max(1, sum(client.ncores().values()))
+        yield from _collect(lambda c: remote.submit(_render_remote, job, c), chunks, window)
+        return
+    stop = threading.Event()
+    workers = _workers(job)
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            draw = functools.partial(renderer.chunk, stopped=stop.is_set)
+            yield from _collect(lambda c: pool.submit(draw, c), chunks, workers + 1)
+        finally:
+            stop.set()
+
+
+def _workers(job: Job) -> int:
+    """Return how many chunks are rendered at once.
+
+    A scalar pass splits into four blocks, which Mitsuba's threads share; two or more passes in
+    flight keep all cores busy while one is being copied. A wavefront uses all cores by itself.
+    """
+    if job.verdict.backend != "scalar":
+        return 1
+    return max(2, (os.cpu_count() or 1) // 2)
+
+
+def _collect(
+    submit: Callable[[Chunk], Future[Image]],
+    chunks: Sequence[Chunk],
+    window: int,
+) -> Iterator[tuple[Chunk, Image]]:
+    """Keep at most `window` chunks in flight, so that memory stays bounded."""
+    waiting = iter(chunks)
+    running: dict[Future[Image], Chunk] = {submit(c): c for c in itertools.islice(waiting, window)}
+    try:
+        while running:
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield running.pop(future), future.result()
+            for chunk in itertools.islice(waiting, len(done)):
+                running[submit(chunk)] = chunk
+    finally:
+        for future in running:
+            future.cancel()
+
+
+_REMOTE: dict[tuple[Any, ...], Renderer] = {}
+"""The last renderer of a worker process: building a scene costs more than a chunk."""
+
+
+def _render_remote(job: Job, chunk: Chunk) -> Image:
+    """Render one chunk in a Dask worker."""
+    with activate(job.verdict):
+        if job.key not in _REMOTE:
+            _REMOTE.clear()
+            _REMOTE[job.key] = Renderer(job)
+        return _REMOTE[job.key].chunk(chunk)

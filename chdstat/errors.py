@@ -1,0 +1,29 @@
+"""Errors that a user can act on.
+
+Every error that chdstat raises on purpose derives from `ChdstatError`: its message states what was
+expected, what came, and what to do. The command line prints it without a traceback.
+"""
+
+from __future__ import annotations
+
+__all__ = ["ChdstatError", "InputError", "RenderError", "SceneError", "StoreError"]
+
+
+class ChdstatError(Exception):
+    """Base of all errors that chdstat raises on purpose."""
+
+
+class InputError(ChdstatError, ValueError):
+    """An argument has the wrong shape, type or range."""
+
+
+class SceneError(ChdstatError):
+    """A scene cannot be found, read or understood."""
+
+
+class RenderError(ChdstatError):
+    """A scene was understood but cannot be rendered as asked."""
+
+
+class StoreError(ChdstatError):
+    """A sample store is missing, damaged, incomplete or belongs to something else."""

@@ -1,0 +1,65 @@
+"""Model files: named arrays and JSON in a safetensors file, which holds data and no code."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from chdstat.errors import StoreError
+
+__all__ = ["read_model", "write_model"]
+
+_KEY = "chdstat"
+"""Header entry that marks a file as ours; what else a file holds is not looked at."""
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+def write_model(path: Path, arrays: Mapping[str, npt.NDArray[Any]], about: Any) -> None:
+    """Write a model file; an existing one is replaced as a whole or not at all.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written.
+    """
+    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    try:
+        save_file(contiguous, partial, metadata={_KEY: json.dumps(about, default=str)})
+        partial.replace(path)
+    except (OSError, SafetensorError) as error:
+        partial.unlink(missing_ok=True)
+        message = f"cannot write a model to {path}: {error}"
+        raise StoreError(message) from error
+
+
+def read_model(path: Path) -> tuple[Arrays, Any]:
+    """Read the arrays and the JSON of a model file.
+
+    Raises
+    ------
+    StoreError
+        If there is no such file, it is damaged, or chdstat has not written it.
+    """
+    if not path.is_file():
+        message = f"no model at {path}; train one with: chdstat train SCENE -o {path}"
+        raise StoreError(message)
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = file.metadata() or {}
+            if _KEY not in header:
+                message = f"{path} is a safetensors file, but not a chdstat model"
+                raise StoreError(message)
+            return {name: file.get_tensor(name) for name in file.keys()}, json.loads(header[_KEY])  # noqa: SIM118 - not a mapping
+    except (OSError, ValueError, SafetensorError) as error:
+        message = f"{path} is damaged or not a chdstat model ({error}); train or copy it again"
+        raise StoreError(message) from error

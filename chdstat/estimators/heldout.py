@@ -1,0 +1,183 @@
+"""Held-out protocol: what a learned estimator may see, and what it is judged by.
+
+The samples of a picture are cut into batches of n. The reference of a batch is the mean of all
+other samples of its pixel, so the noise of the batch is in the estimate and not in the reference.
+The pixels that train are drawn here; those that judge are the others.
+
+A batch with a bad sample has no reference (NaN): it neither trains nor judges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import generator, is_bad
+from chdstat.errors import InputError
+from chdstat.samples import Samples
+
+__all__ = ["Totals", "batches", "check_spp", "draw_pixels", "training_batches"]
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Sums over the good samples of every pixel.
+
+    Attributes
+    ----------
+    total
+        Sum of the radiance, float64, shape (..., channel).
+    count
+        Good samples, shape (...).
+    """
+
+    total: npt.NDArray[np.float64]
+    count: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, samples: Samples) -> Totals:
+        """Add up a picture in one walk through its blocks."""
+        height, width, channels, _ = samples.shape
+        total = np.zeros((height, width, channels))
+        count = np.zeros((height, width), np.int64)
+        for ys, xs, _, block in samples.blocks():
+            bad = np.asarray(is_bad(block).any(axis=2))
+            total[ys, xs] += _sum_of_good(block, bad)
+            count[ys, xs] += (~bad).sum(axis=-1)
+        return cls(total, count)
+
+    def __getitem__(self, pixels: Any) -> Totals:
+        """Return the sums of some pixels."""
+        return Totals(self.total[pixels], self.count[pixels])
+
+    def mean(self) -> npt.NDArray[np.float64]:
+        """Return the mean of the good samples, shape (..., channel); NaN where there is none."""
+        return _divide(self.total, self.count)
+
+    def mean_without(self, batch: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+        """Return the leave-batch-out mean, (total - sum of batch) / (count - n).
+
+        Parameters
+        ----------
+        batch
+            n samples that are part of these totals, shape (..., channel, n).
+
+        Returns
+        -------
+        ndarray
+            Shape (..., channel); NaN where the batch holds a bad sample or nothing remains.
+        """
+        bad = np.asarray(is_bad(batch).any(axis=-2))
+        rest = np.asarray(self.count - (~bad).sum(axis=-1))
+        reference = _divide(self.total - _sum_of_good(batch, bad), rest)
+        # The difference of two sums may fall below zero by rounding; a mean of radiance does not.
+        return np.where(bad.any(axis=-1, keepdims=True), np.nan, np.maximum(reference, 0))
+
+
+def batches(
+    samples: Samples, n: int, *, limit: int | None = None
+) -> Iterator[npt.NDArray[np.float32]]:
+    """Yield the picture with n consecutive samples at a time, shape (y, x, channel, n).
+
+    Samples that do not fill a batch are left over.
+    """
+    count = samples.spp // n if limit is None else min(limit, samples.spp // n)
+    for first in range(0, count * n, n):
+        yield samples.read(ss=slice(first, first + n))
+
+
+def check_spp(samples: Samples, n: int) -> None:
+    """Refuse samples that leave no reference beside a batch of n.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 2 n samples per pixel.
+    """
+    if samples.spp < 2 * n:
+        message = (
+            f"a batch of {n} samples and an equally large reference need at least {2 * n} spp, "
+            f"got {samples.spp}; render more samples per pixel"
+        )
+        raise InputError(message)
+
+
+def draw_pixels(
+    shape: tuple[int, int], count: int, *, seed: int | np.random.Generator | None
+) -> npt.NDArray[np.int64]:
+    """Draw the pixels that train: `count` of them, at most half of the picture, none twice.
+
+    Parameters
+    ----------
+    shape
+        Height and width of the picture.
+    count
+        How many are wanted.
+    seed
+        Where the draw starts; the same seed draws the same pixels.
+
+    Returns
+    -------
+    ndarray
+        Rows (y, x) in the order of the picture.
+
+    Examples
+    --------
+    >>> draw_pixels((2, 2), 6400, seed=0).shape
+    (2, 2)
+    """
+    height, width = shape
+    drawn = generator(seed).permutation(height * width)[: min(count, height * width // 2)]
+    return np.stack(np.unravel_index(np.sort(drawn), shape), axis=-1).astype(np.int64)
+
+
+def training_batches(
+    samples: Samples, pixels: npt.NDArray[np.int64], n: int
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
+    """Cut the samples of some pixels into batches with their leave-batch-out references.
+
+    Parameters
+    ----------
+    samples
+        The picture.
+    pixels
+        Rows (y, x).
+    n
+        Samples per batch.
+
+    Returns
+    -------
+    batches : ndarray
+        Shape (batch, channel, n); those with a bad sample are left out.
+    references : ndarray
+        Shape (batch, channel).
+    """
+    where = pixels[:, 0], pixels[:, 1]
+    totals = Totals.of(samples)[where]
+    found, references = [], []
+    for picture in batches(samples, n):
+        batch = picture[where]
+        reference = totals.mean_without(batch)
+        usable = np.isfinite(reference).all(axis=-1)
+        found.append(batch[usable])
+        references.append(reference[usable])
+    return np.concatenate(found), np.concatenate(references)
+
+
+def _sum_of_good(
+    block: npt.NDArray[np.floating[Any]], bad: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.float64]:
+    """Add up samples (..., channel, sample) where not `bad` (..., sample)."""
+    good = np.where(bad[..., np.newaxis, :], 0, block) if bad.any() else block
+    return np.asarray(good.sum(axis=-1, dtype=np.float64))
+
+
+def _divide(
+    total: npt.NDArray[np.float64], count: npt.NDArray[np.int64]
+) -> npt.NDArray[np.float64]:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(total / np.where(count > 0, count, np.nan)[..., np.newaxis])

@@ -1,0 +1,182 @@
+"""Registry of estimators: what there is, where it comes from and what it needs.
+
+A fixed estimator is a function of samples, ``x (..., sample) -> (...)``, entered with `register`.
+A learned one is entered with `register_learned` as a function that trains it on a scene and
+returns a `Model`. Both are found by name with `lookup`; `chdstat.compare` takes the names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import as_samples
+from chdstat.errors import InputError
+
+__all__ = [
+    "Estimator",
+    "LearnedEstimator",
+    "Model",
+    "forget",
+    "lookup",
+    "names",
+    "register",
+    "register_learned",
+]
+
+Array = npt.NDArray[Any]
+Function = TypeVar("Function", bound=Callable[..., Array])
+
+
+class Model(Protocol):
+    """What a trained estimator offers to those who apply or judge it."""
+
+    @property
+    def name(self) -> str:
+        """Registered name of the estimator that it is."""
+
+    @property
+    def inputs(self) -> int:
+        """Samples per estimate."""
+
+    @property
+    def train_pixels(self) -> npt.NDArray[np.int64]:
+        """Pixels that it has seen, rows (y, x); no judgement may use them."""
+
+    @property
+    def train_shape(self) -> tuple[int, int]:
+        """Height and width of the picture that `train_pixels` lie in."""
+
+    def predict(self, x: npt.ArrayLike) -> Array:
+        """Estimate from samples (..., inputs); the result has shape (...)."""
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """A fixed estimator: call it with samples (..., sample) for estimates (...).
+
+    Attributes
+    ----------
+    name
+        What it is called by.
+    function
+        The function itself.
+    source
+        Author, year, DOI.
+    minimum_samples
+        Fewest samples that it takes.
+    uses_neighbours
+        Whether it looks across pixels; then it takes a picture (y, x, channel, sample).
+    """
+
+    name: str
+    function: Callable[..., Array]
+    source: str
+    minimum_samples: int = 1
+    uses_neighbours: bool = False
+
+    def __call__(self, x: npt.ArrayLike, **options: Any) -> Array:
+        """Estimate the radiance that the samples `x` are draws of."""
+        return self.function(as_samples(x, minimum=self.minimum_samples), **options)
+
+
+@dataclass(frozen=True)
+class LearnedEstimator:
+    """An estimator that is trained on a scene before it estimates.
+
+    Attributes
+    ----------
+    name
+        What it is called by.
+    train
+        ``train(samples, *, seed, pixels, progress)`` returns a trained `Model`.
+    source
+        Author, year, DOI.
+    inputs
+        Samples per estimate; it takes neither more nor fewer.
+    pixels
+        Pixels that it wants to train on.
+    """
+
+    name: str
+    train: Callable[..., Model]
+    source: str
+    inputs: int
+    pixels: int
+
+
+Kind = Literal["fixed", "learned"]
+
+_ENTRIES: dict[str, Estimator | LearnedEstimator] = {}
+
+
+def register(
+    name: str, *, source: str, minimum_samples: int = 1, uses_neighbours: bool = False
+) -> Callable[[Function], Function]:
+    """Enter the decorated function as the estimator `name`.
+
+    Examples
+    --------
+    >>> from chdstat.estimators import registry
+    >>> @registry.register("first", source="this example")
+    ... def first(x):
+    ...     return x[..., 0]
+    >>> registry.lookup("first")([[1.0, 2.0], [3.0, 4.0]])
+    array([1., 3.])
+    >>> registry.forget("first")
+    """
+
+    def enter(function: Function) -> Function:
+        _enter(Estimator(name, function, source, minimum_samples, uses_neighbours))
+        return function
+
+    return enter
+
+
+def register_learned(entry: LearnedEstimator) -> None:
+    """Enter an estimator that has to be trained."""
+    _enter(entry)
+
+
+def forget(name: str) -> None:
+    """Take an estimator out again."""
+    lookup(name)
+    del _ENTRIES[name]
+
+
+def names(kind: Kind | None = None) -> tuple[str, ...]:
+    """Return the names of all estimators, or of one kind, in the order they were entered.
+
+    Examples
+    --------
+    >>> from chdstat import estimators
+    >>> "mean" in estimators.names("fixed"), "mean" in estimators.names("learned")
+    (True, False)
+    """
+    kinds = {"fixed": Estimator, "learned": LearnedEstimator, None: object}
+    return tuple(name for name, entry in _ENTRIES.items() if isinstance(entry, kinds[kind]))
+
+
+def lookup(name: str) -> Estimator | LearnedEstimator:
+    """Return the entry of an estimator.
+
+    Raises
+    ------
+    InputError
+        If there is no estimator of that name.
+    """
+    if name not in _ENTRIES:
+        message = f"no estimator is called {name!r}; there are {', '.join(_ENTRIES)}"
+        raise InputError(message)
+    return _ENTRIES[name]
+
+
+def _enter(entry: Estimator | LearnedEstimator) -> None:
+    if entry.name in _ENTRIES:
+        message = f"an estimator called {entry.name!r} is registered already; choose another name"
+        raise InputError(message)
+    _ENTRIES[entry.name] = entry

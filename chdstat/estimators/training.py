@@ -1,0 +1,182 @@
+"""Training: from a picture's samples to a trained network with its history and provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+import chdstat
+from chdstat._arrays import generator
+from chdstat.errors import InputError
+from chdstat.estimators.heldout import check_spp, draw_pixels, training_batches
+from chdstat.estimators.presets import Preset
+from chdstat.progress import track
+from chdstat.samples import Samples
+
+__all__ = ["History", "Trained", "train"]
+
+
+@dataclass(frozen=True)
+class History:
+    """How the training went; every field has shape (record,), errors are squared radiance.
+
+    Attributes
+    ----------
+    iteration
+        Iterations done.
+    train_loss
+        Mean loss of the minibatches since the record before.
+    validation_loss
+        Loss on (up to 16384 rows of) the validation part.
+    train_baseline, validation_baseline
+        Squared error of the sample mean on the same rows.
+    """
+
+    iteration: npt.NDArray[np.float64]
+    train_loss: npt.NDArray[np.float64]
+    validation_loss: npt.NDArray[np.float64]
+    train_baseline: npt.NDArray[np.float64]
+    validation_baseline: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trained:
+    """All that training leaves behind.
+
+    Attributes
+    ----------
+    weights
+        A matrix (in, out) and a bias (out,) per layer.
+    history
+        Rows of `History`.
+    train_pixels
+        Pixels used, rows (y, x).
+    train_shape
+        Height and width of the picture they lie in.
+    scale
+        Mean training reference; the network works in units of it.
+    provenance
+        Where it comes from, ready for JSON.
+    """
+
+    weights: list[npt.NDArray[np.float32]]
+    history: npt.NDArray[np.float64]
+    train_pixels: npt.NDArray[np.int64]
+    train_shape: tuple[int, int]
+    scale: float
+    provenance: Mapping[str, Any]
+
+
+def train(
+    preset: Preset,
+    samples: Samples,
+    *,
+    seed: int,
+    iterations: int | None = None,
+    pixels: npt.ArrayLike | None = None,
+    progress: bool | None = None,
+) -> Trained:
+    """Train a network on a part of a picture's pixels; see `MLP.train`."""
+    wanted = preset.iterations if iterations is None else iterations
+    if wanted < 1:
+        message = f"iterations must be at least 1, got {wanted}"
+        raise InputError(message)
+    check_spp(samples, preset.inputs)
+    shape = samples.shape[:2]
+    if pixels is None:
+        chosen = draw_pixels(shape, preset.pixels, seed=seed)
+    else:
+        chosen = _checked_pixels(pixels, shape)
+    batches, references = training_batches(samples, chosen, preset.inputs)
+    if len(batches) < 2:
+        message = (
+            f"training needs at least 2 batches without a bad sample, got {len(batches)} from "
+            f"{len(chosen)} pixels with {samples.spp} spp; give a larger picture or more samples"
+        )
+        raise InputError(message)
+    scale = float(references.mean())
+    weights, history = _fit(
+        preset,
+        *_scaled(batches, references, scale),
+        iterations=wanted,
+        rng=generator(seed).spawn(1)[0],
+        progress=progress,
+    )
+    history[:, 1:] *= scale**2
+    provenance = {
+        "scene": samples.name,
+        "samples": samples.attrs,
+        "samples_shape": list(samples.shape),
+        "seed": seed,
+        "pixels_wanted": preset.pixels if pixels is None else len(chosen),
+        "pixels_used": len(chosen),
+        "batches_used": len(batches),
+        "batches_excluded": len(chosen) * (samples.spp // preset.inputs) - len(batches),
+        "iterations": int(history[-1, 0]) if len(history) else 0,
+        "chdstat": chdstat.__version__,
+    }
+    return Trained(weights, history, chosen, shape, scale, provenance)
+
+
+def _scaled(
+    batches: npt.NDArray[np.float32], references: npt.NDArray[np.float64], scale: float
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Divide by the scene's mean; batches in place, for they are large. Black stays black."""
+    unit = scale or 1.0
+    batches /= np.float32(unit)
+    return batches, (references / unit).astype(np.float32)
+
+
+def _fit(
+    preset: Preset,
+    batches: npt.NDArray[np.float32],
+    references: npt.NDArray[np.float32],
+    *,
+    iterations: int,
+    rng: np.random.Generator,
+    progress: bool | None,
+) -> tuple[list[npt.NDArray[np.float32]], npt.NDArray[np.float64]]:
+    """Run the descent on batches (batch, channel, sample) and references (batch, channel)."""
+    from chdstat.estimators._network import TrainingSet, descend, initial_weights
+
+    count, channels, n = batches.shape
+    order = rng.permutation(count)
+    watching = max(1, round(count * preset.validation_share))
+    inputs, targets = batches.reshape(-1, n), references.reshape(-1)
+    data = TrainingSet(
+        inputs,
+        targets,
+        baseline=(inputs.mean(axis=1) - targets) ** 2,
+        train=_rows(order[watching:], channels),
+        validation=_rows(order[:watching], channels),
+    )
+    with track("training", iterations, unit="it", show=progress) as advance:
+        return descend(
+            initial_weights(preset.sizes, rng),
+            data,
+            iterations=iterations,
+            minibatch=preset.minibatch,
+            learning_rate=preset.learning_rate,
+            rng=rng,
+            advance=advance,
+        )
+
+
+def _rows(batches: npt.NDArray[np.int64], channels: int) -> npt.NDArray[np.int64]:
+    """Return the rows of batches: their channels stay together on one side of the split."""
+    return (batches[:, np.newaxis] * channels + np.arange(channels)).reshape(-1)
+
+
+def _checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+    chosen = np.asarray(pixels)
+    if chosen.ndim != 2 or chosen.shape[1] != 2 or chosen.dtype.kind not in "iu":
+        message = f"pixels must be integer rows (y, x), got {chosen.dtype} of shape {chosen.shape}"
+        raise InputError(message)
+    if ((chosen < 0) | (chosen >= shape)).any():
+        message = f"pixels must lie in the picture of {shape[1]} x {shape[0]} pixels (y, x)"
+        raise InputError(message)
+    return np.unique(chosen, axis=0).astype(np.int64)

@@ -1,0 +1,284 @@
+"""Samples: every radiance sample of an image, in memory or on disk, with the same methods.
+
+Index it with a pixel, read parts of it, walk it in constant memory with `Samples.blocks`, or map a
+function over its tiles with `Samples.map`; statistics elsewhere take it whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import as_samples, spans
+from chdstat.errors import InputError, StoreError
+from chdstat.progress import track
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from chdstat._store import Store
+
+__all__ = ["Samples", "open"]
+
+_MAP_BYTES = 64 * 2**20
+"""Size of the block that `Samples.map` hands out at most, unless one row of pixels is larger."""
+_MEMORY_TILE, _MEMORY_BATCH = 64, 64
+
+Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
+
+
+class Samples:
+    """All radiance samples of an image, dims (y, x, channel, sample), float32, linear radiance.
+
+    Make one with `chdstat.render`, `chdstat.open` or `Samples.from_array`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> samples = Samples.from_array(np.ones((4, 6, 3, 32)), scene="flat")
+    >>> samples
+    <Samples 'flat' 6 x 4 pixels, 3 channels, 32 spp, in memory>
+    >>> samples[0, 0].shape
+    (3, 32)
+    """
+
+    def __init__(
+        self,
+        *,
+        array: npt.NDArray[np.float32] | None = None,
+        store: Store | None = None,
+        attrs: Mapping[str, Any],
+        features: Mapping[str, npt.NDArray[np.float32]] | None = None,
+        spp: int | None = None,
+    ) -> None:
+        if (array is None) == (store is None):
+            message = "Samples holds either an array or a store; use Samples.from_array or open"
+            raise InputError(message)
+        self._array = array
+        self._store = store
+        self._attrs = dict(attrs)
+        self._features = features
+        self._spp = spp
+
+    @classmethod
+    def from_array(
+        cls,
+        array: npt.ArrayLike,
+        *,
+        features: Mapping[str, npt.NDArray[np.float32]] | None = None,
+        **attrs: Any,
+    ) -> Samples:
+        """Hold samples that are already in memory.
+
+        Parameters
+        ----------
+        array
+            Linear radiance, shape (y, x, channel, sample); (y, x, sample) gains one channel.
+        features
+            First-hit features by name, each (y, x) or (y, x, component).
+        **attrs
+            Provenance, such as ``scene="name"``.
+
+        Raises
+        ------
+        InputError
+            If the shape is not one of these, or an axis is empty.
+        """
+        data = as_samples(array, name="samples")
+        if data.ndim == 3:
+            data = data[:, :, np.newaxis, :]
+        if data.ndim != 4 or 0 in data.shape:
+            message = f"samples must have shape (y, x, channel, sample), got {data.shape}"
+            raise InputError(message)
+        return cls(array=data.astype(np.float32, copy=False), attrs=attrs, features=features)
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Provenance: scene, scene hash, integrator, seed, backend, Mitsuba version and so on."""
+        return dict(self._attrs)
+
+    @property
+    def name(self) -> str:
+        """Name of the scene, or 'samples' where none was given."""
+        return str(self._attrs.get("scene", "samples"))
+
+    @property
+    def path(self) -> Path | None:
+        """Where the store lies; None in memory."""
+        return self._store.path if self._store else None
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """(y, x, channel, sample)."""
+        height, width, channels, spp = (self._store or self._array).shape  # type: ignore[union-attr]
+        return height, width, channels, spp if self._spp is None else self._spp
+
+    @property
+    def spp(self) -> int:
+        """Samples per pixel."""
+        return self.shape[3]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels."""
+        count = self.shape[2]
+        return ("R", "G", "B") if count == 3 else tuple(f"channel{i}" for i in range(count))
+
+    @cached_property
+    def features(self) -> dict[str, npt.NDArray[np.float32]]:
+        """First-hit features by name: albedo, normal, position (y, x, component), depth (y, x)."""
+        if self._features is not None:
+            return dict(self._features)
+        return self._store.read_features() if self._store else {}
+
+    def __repr__(self) -> str:
+        height, width, channels, spp = self.shape
+        where = f"at {self.path}" if self.path else "in memory"
+        return (
+            f"<Samples {self.name!r} {width} x {height} pixels, "
+            f"{channels} channel{'s' if channels > 1 else ''}, {spp} spp, {where}>"
+        )
+
+    def __getitem__(self, pixel: tuple[int, int]) -> npt.NDArray[np.float32]:
+        """Return the samples of one pixel, shape (channel, sample)."""
+        y, x = pixel
+        height, width = self.shape[:2]
+        if not (-height <= y < height and -width <= x < width):
+            message = f"pixel (y={y}, x={x}) is outside the image of {width} x {height} pixels"
+            raise InputError(message)
+        y, x = y % height, x % width
+        pixels: npt.NDArray[np.float32] = self.read(slice(y, y + 1), slice(x, x + 1))[0, 0]
+        return pixels
+
+    def read(
+        self, ys: slice = slice(None), xs: slice = slice(None), ss: slice = slice(None)
+    ) -> npt.NDArray[np.float32]:
+        """Return a part of the samples, shape (y, x, channel, sample).
+
+        Raises
+        ------
+        StoreError
+            If the store on disk is damaged.
+        """
+        height, width, _, spp = self.shape
+        ys, xs, ss = (slice(*s.indices(n)) for s, n in ((ys, height), (xs, width), (ss, spp)))
+        if self._store is not None:
+            return self._store.read(ys, xs, ss)
+        return self._array[ys, xs, :, ss]  # type: ignore[index]
+
+    def blocks(self) -> Iterator[tuple[slice, slice, slice, npt.NDArray[np.float32]]]:
+        """Walk the samples in constant memory: tile by tile, and batch by batch within a tile.
+
+        Yields
+        ------
+        ys, xs, ss : slice
+            Where the block lies.
+        block : ndarray
+            Its samples, shape (y, x, channel, sample).
+        """
+        height, width, _, spp = self.shape
+        for ys in spans(height, _MEMORY_TILE):
+            for xs in spans(width, _MEMORY_TILE):
+                for ss in spans(spp, _MEMORY_BATCH):
+                    yield ys, xs, ss, self.read(ys, xs, ss)
+
+    def map(
+        self,
+        function: Callable[[npt.NDArray[np.float32]], Mapped],
+        *,
+        description: str = "analysing",
+        progress: bool | None = None,
+    ) -> xr.Dataset:
+        """Apply a function to tiles with all their samples and assemble the image.
+
+        Parameters
+        ----------
+        function
+            Takes samples (y, x, channel, sample) of a tile; returns, by variable name, the names
+            of the dims that follow (y, x) and an array of shape (y, x, ...).
+        description
+            What the progress bar says.
+        progress
+            Show a progress bar; None shows it on a terminal.
+
+        Returns
+        -------
+        xarray.Dataset
+            The variables over the whole image, with y, x and channel coordinates.
+        """
+        height, width, channels, spp = self.shape
+        edge = _MEMORY_TILE
+        while edge > 16 and edge * edge * channels * spp * 4 > _MAP_BYTES:
+            edge //= 2
+        results: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
+        with track(description, height * width, unit="px", show=progress) as advance:
+            for ys in spans(height, edge):
+                for xs in spans(width, edge):
+                    for name, (dims, part) in function(self.read(ys, xs)).items():
+                        if name not in results:
+                            whole = np.empty((height, width, *part.shape[2:]), part.dtype)
+                            results[name] = (("y", "x", *dims), whole)
+                        results[name][1][ys, xs] = part
+                    advance((ys.stop - ys.start) * (xs.stop - xs.start))
+        return self._dataset(results)
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return samples and features as a labelled dataset, lazily (dask) where on disk."""
+        import xarray as xr
+
+        dims = ("y", "x", "channel", "sample")
+        if self._store is None:
+            radiance = xr.DataArray(self._array, dims=dims)
+        else:
+            radiance = xr.open_zarr(self._store.path, consolidated=False)["radiance"]
+        radiance = radiance.isel(sample=slice(0, self.spp))
+        radiance.attrs = {"long_name": "linear radiance", "units": "W sr-1 m-2"}
+        features = {
+            name: (("y", "x", "component")[: image.ndim], image)
+            for name, image in self.features.items()
+        }
+        return self._dataset({**features, "radiance": radiance})
+
+    def _dataset(self, variables: Mapping[str, Any]) -> xr.Dataset:
+        import xarray as xr
+
+        height, width = self.shape[:2]
+        dataset = xr.Dataset(dict(variables), attrs=self.attrs)
+        dataset = dataset.assign_coords(y=np.arange(height), x=np.arange(width))
+        if "channel" in dataset.dims:
+            dataset = dataset.assign_coords(channel=np.array(self.channels, dtype=object))
+        return dataset
+
+
+def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open
+    """Open a store of samples.
+
+    A store that is still being rendered, or whose rendering was stopped, opens with the samples
+    that every pixel has; ``attrs["spp"]`` says how many were asked for.
+
+    Parameters
+    ----------
+    path
+        The store, as written by `chdstat.render` or ``chdstat render``.
+
+    Raises
+    ------
+    StoreError
+        If there is no store, it is damaged or of another schema, or it holds no complete batch.
+    """
+    from chdstat._store import Store
+
+    store = Store.open(Path(path))
+    spp = store.complete_spp()
+    if spp == 0:
+        message = (
+            f"{path} holds no sample that every pixel has: its rendering was stopped early. "
+            "Run the same 'chdstat render' again to resume it"
+        )
+        raise StoreError(message)
+    return Samples(store=store, attrs=store.attrs, spp=spp)

@@ -1,0 +1,97 @@
+"""Scenes: the built-in catalogue, Mitsuba XML files, and Mitsuba dicts.
+
+Use `load_scene` for all three; it returns a `Scene`, which `chdstat.render` takes.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from chdstat.errors import SceneError
+from chdstat.scenes.scene import Scene
+
+__all__ = ["BUILTIN", "Scene", "load_scene"]
+
+BUILTIN: dict[str, str] = {
+    "bathroom": "A closed room lit through one window: nulls, long tails, a penumbra, a mirror.",
+    "cornell-box": "The classic test box: seconds to render.",
+}
+"""Names of the built-in scenes and what each shows; one module each, dashes as underscores."""
+
+
+def load_scene(source: str | Path | Mapping[str, Any] | Scene, **parameters: object) -> Scene:
+    """Return a scene by built-in name, Mitsuba XML path, or Mitsuba dict.
+
+    Parameters
+    ----------
+    source
+        A name in `BUILTIN`, the path of a Mitsuba XML file, or a dict in Mitsuba's form. A
+        `Scene` passes through.
+    **parameters
+        Values for the ``$name`` parameters of an XML file, as ``-D`` gives them to Mitsuba.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        If the name is unknown (the nearest is suggested), the file is missing or is not XML, or
+        parameters are given to a scene that takes none.
+
+    Examples
+    --------
+    >>> from chdstat import load_scene
+    >>> load_scene("cornell-box").name
+    'cornell-box'
+    >>> load_scene("cornel-box")
+    Traceback (most recent call last):
+    chdstat.errors.SceneError: no built-in scene or file 'cornel-box'; did you mean 'cornell-box'...
+    """
+    if isinstance(source, Scene):
+        scene = source
+    elif isinstance(source, Mapping):
+        scene = Scene("scene", _checked_dict(source))
+    elif str(source) in BUILTIN:
+        module = importlib.import_module(f"chdstat.scenes.{str(source).replace('-', '_')}")
+        scene = Scene(str(source), module.build())
+    else:
+        return Scene(*_checked_file(Path(source)), {k: str(v) for k, v in parameters.items()})
+    if parameters:
+        message = (
+            f"scene {scene.name!r} takes no parameters (only XML files do), "
+            f"got {', '.join(sorted(parameters))}"
+        )
+        raise SceneError(message)
+    return scene
+
+
+def _checked_dict(source: Mapping[str, Any]) -> Mapping[str, Any]:
+    if source.get("type") != "scene":
+        message = f"a scene dict needs 'type': 'scene', got 'type': {source.get('type')!r}"
+        raise SceneError(message)
+    return source
+
+
+def _checked_file(path: Path) -> tuple[str, Path]:
+    """Return the name and the absolute path of an XML scene that exists."""
+    if path.is_dir() and (path / "scene.xml").is_file():
+        path = path / "scene.xml"
+    if not path.is_file():
+        near = difflib.get_close_matches(str(path), BUILTIN, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        message = (
+            f"no built-in scene or file {str(path)!r}; {hint}"
+            f"Built-in scenes: {', '.join(sorted(BUILTIN))}"
+        )
+        raise SceneError(message)
+    if path.suffix.lower() != ".xml":
+        message = f"a scene file must be Mitsuba XML (*.xml), got {str(path)!r}"
+        raise SceneError(message)
+    name = path.parent.name if path.stem == "scene" else path.stem
+    return name, path.resolve()

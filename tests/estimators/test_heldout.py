@@ -1,0 +1,108 @@
+"""Held-out protocol: references know nothing of their batch, and bad batches have none."""
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError
+from chdstat.estimators.heldout import (
+    Totals,
+    batches,
+    check_spp,
+    draw_pixels,
+    training_batches,
+)
+
+
+@pytest.fixture
+def samples():
+    rng = np.random.default_rng(0)
+    return chd.Samples.from_array(rng.gamma(0.7, size=(6, 5, 3, 75)))
+
+
+def test_the_reference_is_the_mean_of_all_other_samples(samples):
+    totals, x = Totals.of(samples), samples.read()
+    assert totals.mean() == pytest.approx(x.mean(axis=-1), rel=1e-6)
+    for k, batch in enumerate(batches(samples, 10)):
+        others = np.delete(x, np.s_[10 * k : 10 * k + 10], axis=-1)
+        assert totals.mean_without(batch) == pytest.approx(others.mean(axis=-1), rel=1e-6)
+    assert k == 6
+
+
+def _correlation_of_batch_and(reference, trials=4000):
+    """Correlate a batch's mean with its reference over pixels of one and the same distribution."""
+    rng = np.random.default_rng(1)
+    x = rng.gamma(2, size=(trials, 1, 1, 64))
+    samples = chd.Samples.from_array(x)
+    batch = next(batches(samples, 32))
+    y = reference(Totals.of(samples), batch)
+    return np.corrcoef(batch.mean(axis=-1).ravel(), y.ravel())[0, 1]
+
+
+# Under independence the correlation of 4000 pixels is normal with standard deviation 1/sqrt(4000) =
+# 0.016; five of them are exceeded with a probability of 6e-7.
+INDEPENDENT = 5 / np.sqrt(4000)
+
+
+def test_the_reference_is_independent_of_the_batch():
+    assert abs(_correlation_of_batch_and(Totals.mean_without)) < INDEPENDENT
+
+
+def test_a_leak_would_be_noticed():
+    leaky = _correlation_of_batch_and(lambda totals, _: totals.mean())
+    # Half of the samples shared: the correlation is 1/sqrt(2).
+    assert leaky == pytest.approx(np.sqrt(0.5), abs=INDEPENDENT)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
+def test_a_bad_sample_is_kept_out_as_a_whole_and_its_batch_has_no_reference(samples, bad):
+    x = samples.read().copy()
+    x[2, 3, 1, 15] = bad
+    spoilt = chd.Samples.from_array(x)
+    totals = Totals.of(spoilt)
+    assert totals.count[2, 3] == 74
+    first, second = list(batches(spoilt, 10))[:2]
+    assert np.isnan(totals.mean_without(second)[2, 3]).all()
+    others = np.delete(x[2, 3], [*range(10), 15], axis=-1).mean(axis=-1)
+    assert totals.mean_without(first)[2, 3] == pytest.approx(others, rel=1e-6)
+    assert np.isfinite(totals.mean_without(second)).sum() == 6 * 5 * 3 - 3
+
+
+def test_a_pixel_without_a_good_sample_is_nan():
+    totals = Totals.of(chd.Samples.from_array(np.full((1, 2, 3, 8), np.nan)))
+    assert np.isnan(totals.mean()).all()
+
+
+def test_nulls_alone_leave_a_black_reference():
+    samples = chd.Samples.from_array(np.zeros((2, 2, 3, 8)))
+    assert (Totals.of(samples).mean_without(next(batches(samples, 4))) == 0).all()
+
+
+def test_the_number_of_batches_can_be_limited(samples):
+    assert len(list(batches(samples, 10, limit=3))) == 3
+    assert len(list(batches(samples, 10, limit=300))) == 7
+
+
+def test_training_batches_are_those_of_the_pixels_named(samples):
+    x = samples.read()
+    found, references = training_batches(samples, np.array([[0, 0], [5, 4]]), 25)
+    assert found.shape == (6, 3, 25)
+    assert references.shape == (6, 3)
+    assert (found[1] == x[5, 4, :, :25]).all()
+    assert references[1] == pytest.approx(x[5, 4, :, 25:].mean(axis=-1), rel=1e-6)
+
+
+def test_pixels_are_drawn_once_each_and_leave_half_of_the_picture():
+    drawn = draw_pixels((9, 7), 6400, seed=0)
+    assert len(np.unique(drawn, axis=0)) == len(drawn) == 31
+    assert (drawn >= 0).all()
+    assert (drawn < (9, 7)).all()
+    assert len(draw_pixels((9, 7), 4, seed=0)) == 4
+    assert (draw_pixels((9, 7), 31, seed=0) == drawn).all()
+    assert (draw_pixels((9, 7), 31, seed=1) != drawn).any()
+
+
+def test_too_few_samples_are_refused_with_what_is_needed(samples):
+    check_spp(samples, 37)
+    with pytest.raises(InputError, match="at least 76 spp, got 75"):
+        check_spp(samples, 38)

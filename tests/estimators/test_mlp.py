@@ -1,0 +1,228 @@
+"""The learned estimator: it learns, repeats, never says NaN, and survives a round trip to disk."""
+
+import json
+import sys
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import save_file
+
+import chdstat as chd
+from chdstat.errors import InputError, StoreError
+from chdstat.estimators import MLP, PRESETS, Preset
+from chdstat.estimators._network import RECORD_EVERY, evaluate, initial_weights
+from chdstat.estimators.heldout import draw_pixels
+
+
+def picture(height=24, width=24, spp=128, seed=0):
+    """Return pixels of many brightnesses, half of their samples null: far from Gaussian."""
+    rng = np.random.default_rng(seed)
+    brightness = rng.lognormal(0, 1, size=(height, width, 1, 1)) * np.array([1, 0.8, 0.5])[:, None]
+    lit = rng.random((height, width, 1, spp)) < 0.5
+    return chd.Samples.from_array(
+        brightness * lit * rng.gamma(0.7, size=(height, width, 1, spp)), scene="made up"
+    )
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return MLP.preset("elek2019").train(picture(), seed=0, iterations=600)
+
+
+def test_the_preset_is_the_published_one():
+    preset = PRESETS["elek2019"]
+    assert preset.sizes == (32, 32, 32, 32, 1)
+    assert (preset.pixels, preset.iterations) == (6400, 30_000)
+    assert (preset.learning_rate, preset.validation_share) == (0.005, 0.1)
+
+
+def test_the_network_computes_what_its_layers_say():
+    rng = np.random.default_rng(0)
+    weights = initial_weights((5, 4, 1), rng)
+    x = rng.normal(size=(7, 5)).astype(np.float32)
+    expected = np.maximum(x @ weights[0] + weights[1], 0) @ weights[2] + weights[3]
+    assert evaluate(weights, x) == pytest.approx(expected[:, 0], rel=1e-5, abs=1e-6)
+
+
+def test_training_beats_the_mean_where_half_of_the_samples_are_null(trained):
+    history = trained.history
+    assert (history.iteration == np.arange(100, 601, RECORD_EVERY)).all()
+    assert history.train_loss[-1] < history.train_loss[0]
+    assert history.validation_baseline[0] > 0
+    # The baseline is in squared radiance: the error of a 32-sample mean of this picture.
+    x = picture().read()
+    noise = x.var(axis=-1).mean() / 32
+    assert history.validation_baseline[0] == pytest.approx(noise * (1 + 32 / 96), rel=0.5)
+
+
+def test_pixels_that_trained_are_exposed_and_at_most_half(trained):
+    assert len(trained.train_pixels) == 24 * 24 // 2
+    assert trained.train_shape == (24, 24)
+    assert trained.provenance["pixels_wanted"] == 6400
+    assert trained.provenance["pixels_used"] == 288
+    assert (trained.train_pixels == draw_pixels((24, 24), 6400, seed=0)).all()
+
+
+def test_the_same_seed_trains_the_same_network_and_another_does_not(trained):
+    x = picture(seed=5).read()[..., :32]
+    again = MLP.preset("elek2019").train(picture(), seed=0, iterations=600)
+    other = MLP.preset("elek2019").train(picture(), seed=1, iterations=600)
+    assert (again.predict(x) == trained.predict(x)).all()
+    assert (other.predict(x) != trained.predict(x)).any()
+
+
+def test_scaling_the_radiance_scales_the_estimate():
+    dim = picture(spp=64)
+    bright = chd.Samples.from_array(1024 * dim.read())
+    x = dim.read()[..., :32]
+    models = [MLP.preset("elek2019").train(s, iterations=200) for s in (dim, bright)]
+    assert models[1].predict(1024 * x) == pytest.approx(1024 * models[0].predict(x), rel=1e-3)
+
+
+def test_training_leaves_the_global_state_of_torch_alone():
+    threads, state = torch.get_num_threads(), torch.random.get_rng_state()
+    MLP.preset("elek2019").train(picture(spp=64), iterations=1)
+    assert torch.get_num_threads() == threads
+    assert torch.equal(torch.random.get_rng_state(), state)
+
+
+def test_leading_axes_are_a_batch(trained):
+    x = picture().read()[..., :32]
+    whole = trained.predict(x)
+    assert whole.shape == (24, 24, 3)
+    assert whole.dtype == np.float32
+    assert trained.predict(x[3, 4, 1]) == pytest.approx(whole[3, 4, 1], rel=1e-4, abs=1e-5)
+    assert trained.predict(np.empty((0, 32))).shape == (0,)
+
+
+def test_a_bad_sample_counts_as_the_mean_of_the_others(trained):
+    x = np.random.default_rng(0).gamma(1, size=32)
+    filled = x.copy()
+    filled[5] = np.delete(x, 5).mean()
+    for bad in (np.nan, np.inf, -1.0):
+        x[5] = bad
+        assert trained.predict(x) == pytest.approx(trained.predict(filled))
+    assert np.isnan(trained.predict(np.full(32, np.nan)))
+
+
+def test_an_estimate_that_overflows_is_the_mean(trained):
+    x = np.full(32, 3e38, np.float32)
+    assert np.isfinite(trained.predict(x))
+
+
+def test_a_black_scene_is_estimated_black():
+    model = MLP.preset("elek2019").train(
+        chd.Samples.from_array(np.zeros((4, 4, 3, 64))), iterations=10
+    )
+    assert (model.predict(np.zeros((2, 32))) == 0).all()
+
+
+def test_fireflies_beyond_all_bounds_leave_a_finite_network():
+    x = picture(spp=64).read().copy()
+    x[::2, :, :, 7] = 1e37
+    model = MLP.preset("elek2019").train(chd.Samples.from_array(x), iterations=200)
+    assert np.isfinite(model.predict(x[..., :32])).all()
+
+
+def test_batches_with_bad_samples_do_not_train_and_are_counted():
+    x = picture(spp=64).read().copy()
+    x[:, :, 1, 40] = np.nan
+    model = MLP.preset("elek2019").train(chd.Samples.from_array(x), iterations=10)
+    assert model.provenance["batches_used"] == model.provenance["batches_excluded"] == 288
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"iterations": 0}, "at least 1"),
+        ({"pixels": [[0.5, 0]]}, "integer rows"),
+        ({"pixels": [[0, 24]]}, "within|lie in"),
+        ({"pixels": [0, 1]}, "integer rows"),
+    ],
+)
+def test_training_refuses_what_it_cannot_use(options, match):
+    with pytest.raises(InputError, match=match):
+        MLP.preset("elek2019").train(picture(spp=64), **options)
+
+
+def test_training_says_how_many_samples_it_needs():
+    with pytest.raises(InputError, match="at least 64 spp, got 63"):
+        MLP.preset("elek2019").train(picture(spp=63))
+    with pytest.raises(InputError, match="at least 2 batches"):
+        MLP.preset("elek2019").train(chd.Samples.from_array(np.ones((1, 1, 3, 64))))
+
+
+def test_untrained_and_misfed_networks_say_so(trained):
+    with pytest.raises(InputError, match="not trained yet"):
+        MLP.preset("elek2019").predict(np.ones(32))
+    with pytest.raises(InputError, match="exactly 32 samples"):
+        trained.predict(np.ones((4, 31)))
+    with pytest.raises(InputError, match="elek2019"):
+        MLP.preset("elek")
+
+
+def test_a_saved_network_comes_back_the_same(trained, tmp_path):
+    trained.save(tmp_path / "model.safetensors")
+    loaded = MLP.load(tmp_path / "model.safetensors")
+    x = picture(seed=9).read()[..., :32]
+    assert (loaded.predict(x) == trained.predict(x)).all()
+    assert loaded.config == trained.config
+    assert loaded.provenance == trained.provenance
+    assert (loaded.train_pixels == trained.train_pixels).all()
+    assert (loaded.history.train_loss == trained.history.train_loss).all()
+    assert [p.name for p in tmp_path.iterdir()] == ["model.safetensors"]
+
+
+def test_a_truncated_file_is_refused(trained, tmp_path):
+    path = tmp_path / "model.safetensors"
+    trained.save(path)
+    whole = path.read_bytes()
+    for size in (0, 4, 100, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(StoreError, match="damaged or not a chdstat model"):
+            MLP.load(path)
+
+
+def test_foreign_files_are_refused_and_nothing_in_them_runs(tmp_path):
+    path = tmp_path / "model"
+    with pytest.raises(StoreError, match="no model at"):
+        MLP.load(path)
+    torch.save({"weights": torch.zeros(3)}, path)
+    with pytest.raises(StoreError, match="not a chdstat model"):
+        MLP.load(path)
+    save_file({"a": np.zeros(3)}, path)
+    with pytest.raises(StoreError, match="not a chdstat model"):
+        MLP.load(path)
+
+
+def test_a_file_with_parts_missing_or_of_the_wrong_shape_is_refused(tmp_path):
+    path = tmp_path / "model"
+    about = {"preset": {"name": "x", "source": "y", "hidden": [4]}, "train_shape": [2, 2]}
+    save_file({"weight0": np.zeros((32, 4))}, path, metadata={"chdstat": json.dumps(about)})
+    with pytest.raises(StoreError, match="whole network"):
+        MLP.load(path)
+    about |= {"scale": 1.0, "provenance": {}}
+    arrays = {f"weight{i}": np.full((4, 4), np.nan, np.float32) for i in range(4)}
+    arrays |= {"history": np.zeros((0, 5)), "train_pixels": np.zeros((0, 2), np.int64)}
+    save_file(arrays, path, metadata={"chdstat": json.dumps(about)})
+    with pytest.raises(StoreError, match="finite weights"):
+        MLP.load(path)
+
+
+def test_a_model_cannot_be_written_where_there_is_no_folder(trained, tmp_path):
+    with pytest.raises(StoreError, match="cannot write"):
+        trained.save(tmp_path / "nowhere" / "model")
+
+
+def test_presets_are_open_to_other_networks():
+    small = Preset(name="small", source="this test", inputs=8, hidden=(4,), iterations=20)
+    model = MLP(small).train(picture(spp=32))
+    assert model.predict(np.ones((3, 8))).shape == (3,)
+
+
+def test_estimators_come_without_torch():
+    import subprocess
+
+    code = "import sys, chdstat; chdstat.estimators.mean; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

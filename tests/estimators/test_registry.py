@@ -1,0 +1,63 @@
+"""The registry: what is entered is found, by name and as an attribute."""
+
+import numpy as np
+import pytest
+
+from chdstat import estimators
+from chdstat.errors import InputError
+from chdstat.estimators import registry
+
+
+@pytest.fixture
+def brightest():
+    @estimators.register("brightest", source="this test", minimum_samples=2)
+    def function(x):
+        return x.max(axis=-1)
+
+    yield function
+    registry.forget("brightest")
+
+
+def test_the_table_holds_what_is_there():
+    assert {"mean", "median_of_means"} <= set(estimators.names("fixed"))
+    assert "elek2019" in estimators.names("learned")
+    assert set(estimators.names()) == {*estimators.names("fixed"), *estimators.names("learned")}
+
+
+def test_every_entry_names_its_source():
+    assert all(estimators.lookup(name).source for name in estimators.names())
+
+
+@pytest.mark.parametrize("name", estimators.names("fixed"))
+def test_every_fixed_estimator_keeps_the_contract(name):
+    entry = estimators.lookup(name)
+    x = np.random.default_rng(0).gamma(1, size=(4, 5, 3, 32)).astype(np.float32)
+    estimate = entry(x)
+    assert estimate.shape == (4, 5, 3)
+    assert estimate.dtype == np.float32
+    assert entry(4 * x) == pytest.approx(4 * estimate)
+    x[0, 0, 0, 3] = np.nan
+    assert np.isfinite(entry(x)).all()
+
+
+def test_a_registered_estimator_is_an_attribute_until_forgotten(brightest):
+    assert estimators.brightest is brightest
+    registry.forget("brightest")
+    with pytest.raises(AttributeError, match="brightest"):
+        estimators.brightest  # noqa: B018
+    estimators.register("brightest", source="again")(brightest)
+
+
+def test_too_few_samples_are_refused_by_the_entry(brightest):
+    with pytest.raises(InputError, match="at least 2 sample"):
+        estimators.lookup("brightest")([[1.0]])
+
+
+def test_a_name_is_given_once(brightest):
+    with pytest.raises(InputError, match="registered already"):
+        estimators.register("brightest", source="twice")(brightest)
+
+
+def test_an_unknown_name_is_refused_with_what_there_is():
+    with pytest.raises(InputError, match=r"'men'.*mean"):
+        estimators.lookup("men")
