@@ -82,15 +82,14 @@ def test_channel_average_is_the_last_place(found):
     assert (mse.value < mse.high).all()
 
 
-def test_an_estimator_that_knows_the_batch_mean_gains_nothing_on_a_held_out_reference():
-    # An oracle that returns the mean of all samples of its pixel, as a leaky model might learn to,
-    # shows a negative correlation with no reference that holds its batch; against a reference
-    # that does, its error would be 0. Held out, what remains is the difference of the references.
+def test_an_estimate_that_holds_the_reference_of_a_leaky_protocol_is_not_free_of_error():
+    # The mean of all samples of a pixel is what a leaky protocol takes for the reference, so there
+    # its error would be 0. Here, with two batches of means a and b, (a + b)/2 is judged by b: half
+    # of the error a - b of the sample mean, a quarter when squared.
     samples = picture(spp=64)
     truth = samples.read().mean(axis=-1)
     leak = Estimator("leak", lambda x: truth[: x.shape[0]], source="this test")
     row = chd.compare(samples, [leak]).table()[0]
-    # Two batches a and b: (a + b)/2 against b is half of the mean's error a - b, squared a quarter.
     assert row["mse_ratio"] == pytest.approx(0.25, rel=1e-4)
 
 

@@ -102,19 +102,33 @@ def _room() -> Entry:
 
 
 def _left_wall() -> list[Mesh]:
-    """Return the wall around the window, and the sides of the opening through it."""
+    """Return the wall around the window, inside and outside, and the sides of the opening.
+
+    The outside is there to keep light out: a path that bounces in a corner of the room, closer
+    than rounding to the inside, would slip through a wall without thickness.
+    """
     (y0, y1), (z0, z1) = _WINDOW_Y, _WINDOW_Z
     wide, high, deep = (0, y1 - y0, 0), (0, 0, z1 - z0), (-_REVEAL, 0, 0)
     return [
-        quad((0, 0, 0), (0, y0, 0), (0, 0, _HEIGHT)),
-        quad((0, y1, 0), (0, _DEPTH - y1, 0), (0, 0, _HEIGHT)),
-        quad((0, y0, 0), wide, (0, 0, z0)),
-        quad((0, y0, z1), wide, (0, 0, _HEIGHT - z1)),
+        *_around_window(0.0, low=(0.0, 0.0), high=(_DEPTH, _HEIGHT)),
+        *_around_window(-_REVEAL, low=(-1.0, -1.0), high=(_DEPTH + 1.0, _HEIGHT + 1.0)),
         quad((-_REVEAL, y0, z0), (_REVEAL, 0, 0), wide),
         quad((0, y0, z1), deep, wide),
         quad((0, y0, z0), deep, high),
         quad((-_REVEAL, y1, z0), (_REVEAL, 0, 0), high),
     ]
+
+
+def _around_window(x: float, *, low: tuple[float, float], high: tuple[float, float]) -> list[Mesh]:
+    """Return the rectangle from `low` to `high` (y, z) at `x`, less the window."""
+    (y0, y1), (z0, z1) = _WINDOW_Y, _WINDOW_Z
+    pieces = [
+        ((low[0], low[1]), (y0, high[1])),
+        ((y1, low[1]), (high[0], high[1])),
+        ((y0, low[1]), (y1, z0)),
+        ((y0, z1), (y1, high[1])),
+    ]
+    return [quad((x, a, b), (0, c - a, 0), (0, 0, d - b)) for (a, b), (c, d) in pieces]
 
 
 def _window() -> Entry:

@@ -241,15 +241,14 @@ def loft(outlines: Sequence[Array], heights: Sequence[float], *, crease: float =
 
 def rounded_rectangle(width: float, depth: float, radius: float, *, arc: int = 8) -> Array:
     """Return a closed outline about the origin, counterclockwise, shape (4 `arc` + 5, 2)."""
-    corner = radius * np.array([[np.cos(a), np.sin(a)] for a in np.linspace(0, np.pi / 2, arc + 1)])
-    corner += np.array([width, depth]) / 2 - radius
-    # Turned by a quarter, a corner's own half-extents swap.
+    turn = np.linspace(0, np.pi / 2, arc + 1)
     half = np.array([width, depth]) / 2 - radius
-    arcs = []
-    for k in range(4):
-        c, s = ((1, 0), (0, 1), (-1, 0), (0, -1))[k]
-        turned = (corner - half) @ np.array([[c, s], [-s, c]])
-        arcs.append(turned + half * ((1, 1), (-1, 1), (-1, -1), (1, -1))[k])
+    arcs = [
+        half * sign + radius * np.column_stack([np.cos(turn + start), np.sin(turn + start)])
+        for sign, start in zip(
+            ((1, 1), (-1, 1), (-1, -1), (1, -1)), np.pi / 2 * np.arange(4), strict=True
+        )
+    ]
     return np.concatenate([*arcs, arcs[0][:1]])
 
 
@@ -313,12 +312,23 @@ def _at_height(points: Array, z: float) -> Array:
 
 
 def _smooth_normals(mesh: Mesh) -> Array:
-    """Sum the face normals, by area, at every position, so that seams and poles are smooth."""
+    """Sum the face normals at every position, weighted by the angle that a face has there.
+
+    Vertices that share a position share the normal, so seams and poles are smooth; weights by
+    angle, unlike by area, do not depend on how the surface is cut into triangles (Thuermer and
+    Wuethrich 1998).
+    """
     _, position = np.unique(mesh.vertices.round(7), axis=0, return_inverse=True)
+    corners = mesh.vertices[mesh.faces]
+    ahead = _unit(np.roll(corners, -1, axis=1) - corners)
+    behind = -np.roll(ahead, 1, axis=1)
+    angle = np.arccos(np.clip((ahead * behind).sum(axis=-1), -1, 1))
     total = np.zeros((position.max() + 1, 3))
-    np.add.at(total, position.ravel()[mesh.faces].ravel(), np.repeat(mesh.face_normals, 3, axis=0))
+    np.add.at(
+        total, position.ravel()[mesh.faces], angle[..., None] * _unit(mesh.face_normals)[:, None]
+    )
     length = np.linalg.norm(total, axis=-1, keepdims=True)
-    # A vertex in no face (a pole's spare copies never are) needs some unit normal.
+    # A position in no face needs some unit normal, too.
     normals = np.where(length > 0, total / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
     return np.asarray(normals[position.ravel()])
 

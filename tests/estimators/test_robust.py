@@ -91,8 +91,8 @@ TABLE = [
 
 @pytest.mark.parametrize(("draw", "truth", "rmse", "bias"), TABLE)
 def test_toy_table(draw, truth, rmse, bias):
-    # Over 40 repeats of 3000 trials the ratio varied by 1.2 % to 1.6 % (5.7 % for the log-normal) and
-    # the bias by at most 0.007. The bounds are four such deviations of the table's own error (our
+    # Over 40 repeats of 3000 trials the ratio varied by 1.2 % to 1.6 % (log-normal: 5.7 %) and the
+    # bias by at most 0.007. The bounds are four such deviations of the table's own error (our
     # 20000 trials add 7 % to it) plus the rounding of its two digits: all eight checks together
     # fail wrongly with a probability below 1e-3. The seed is fixed.
     x = draw(np.random.default_rng(7), (20_000, 32))

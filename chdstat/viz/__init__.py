@@ -1,0 +1,34 @@
+"""Drawing: arrays and results in, Matplotlib figures out.
+
+Nothing here computes statistics, and nothing is saved or shown: every function returns a `Figure`
+to save, or draws into given `Axes`. One style holds for all (`style`); colours stay apart for
+colour-blind readers.
+"""
+
+from __future__ import annotations
+
+from chdstat.viz.chd import Curve, Panel, chd_axes, chd_grid
+from chdstat.viz.curves import averages, error_bars, training
+from chdstat.viz.image import Mark, pictures, tonemap, with_marks
+from chdstat.viz.maps import categorical_map, map_grid, value_map
+from chdstat.viz.style import CHANNELS, PALETTE, style
+
+__all__ = [
+    "CHANNELS",
+    "PALETTE",
+    "Curve",
+    "Mark",
+    "Panel",
+    "averages",
+    "categorical_map",
+    "chd_axes",
+    "chd_grid",
+    "error_bars",
+    "map_grid",
+    "pictures",
+    "style",
+    "tonemap",
+    "training",
+    "value_map",
+    "with_marks",
+]

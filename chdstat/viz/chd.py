@@ -1,0 +1,163 @@
+"""CHD panels: linear and log10 histograms of a pixel's samples per channel, with their fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from chdstat.errors import InputError
+from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
+
+__all__ = ["Curve", "Panel", "chd_axes", "chd_grid"]
+
+Array = npt.NDArray[Any]
+Scale = Literal["linear", "log"]
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A histogram as densities, with the fit that goes over it.
+
+    Parameters
+    ----------
+    edges
+        Edges of the bins in radiance, shape (bin + 1,).
+    density
+        Share of the samples per unit of radiance (linear) or per decade (log), shape (bin,).
+    fit
+        Density of the fitted family in the same unit, shape (bin,); None draws none.
+    """
+
+    edges: Array
+    density: Array
+    fit: Array | None = None
+
+
+@dataclass(frozen=True)
+class Panel:
+    """The CHD of one pixel.
+
+    Parameters
+    ----------
+    name
+        Title.
+    linear, log
+        Histograms by channel name.
+    mean
+        Mean radiance by channel name, drawn as a tick.
+    note
+        A line of text in the log panel, such as the share of nulls and the fitted family.
+    """
+
+    name: str
+    linear: Mapping[str, Curve]
+    log: Mapping[str, Curve]
+    mean: Mapping[str, float] = field(default_factory=dict)
+    note: str = ""
+
+
+def chd_axes(axes: Axes, curves: Mapping[str, Curve], *, scale: Scale) -> None:
+    """Draw the histograms of all channels into one panel.
+
+    Parameters
+    ----------
+    axes
+        Where to draw.
+    curves
+        By channel name; R, G and B have their colours.
+    scale
+        "linear", or "log" for a log10 axis of radiance.
+    """
+    for i, (channel, curve) in enumerate(curves.items()):
+        color = CHANNELS.get(channel, PALETTE[i % len(PALETTE)])
+        if np.isfinite(curve.edges).all() and np.isfinite(curve.density).all():
+            axes.stairs(curve.density, curve.edges, color=color, fill=True, alpha=0.22)
+            axes.stairs(curve.density, curve.edges, color=color, linewidth=0.7, label=channel)
+            if curve.fit is not None:
+                axes.plot(_centers(curve.edges, scale), curve.fit, color=color, linewidth=1.3)
+    if scale == "log":
+        axes.set_xscale("log")
+    axes.set_xlim(*_limits(curves, scale))
+    axes.set_ylim(bottom=0)
+    axes.set_yticks([])
+    axes.spines["left"].set_visible(False)
+
+
+def _centers(edges: Array, scale: Scale) -> Array:
+    low, high = edges[:-1], edges[1:]
+    return np.asarray(np.sqrt(low * high) if scale == "log" else (low + high) / 2)
+
+
+def _limits(curves: Mapping[str, Curve], scale: Scale) -> tuple[float, float]:
+    """Return the span of radiance that holds samples, in whole decades on a log axis."""
+    spans = []
+    for curve in curves.values():
+        filled = np.flatnonzero(np.nan_to_num(curve.density) > 0)
+        if filled.size and np.isfinite(curve.edges).all():
+            spans.append((curve.edges[filled[0]], curve.edges[filled[-1] + 1]))
+    if not spans:
+        return (1e-5, 1e5) if scale == "log" else (0.0, 1.0)
+    low, high = min(s[0] for s in spans), max(s[1] for s in spans)
+    if scale == "linear":
+        return min(0.0, float(low)), float(high)
+    return 10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high))
+
+
+def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
+    """Draw linear and log10 CHDs of several pixels, each framed in the colour of its region.
+
+    Parameters
+    ----------
+    panels
+        In the order of the marks in the picture, so that colours agree.
+    columns
+        Pixels side by side; each takes two panels.
+
+    Raises
+    ------
+    InputError
+        If there is no panel.
+    """
+    if not panels:
+        message = "chd_grid needs at least one panel, got none"
+        raise InputError(message)
+    rows = -(-len(panels) // columns)
+    with style():
+        figure = Figure(figsize=(WIDTH, 1.42 * rows + 0.25), layout="constrained")
+        figure.get_layout_engine().set(wspace=0.02, hspace=0.04)  # type: ignore[union-attr,call-arg]
+        axes = figure.subplots(rows, 2 * columns, squeeze=False)
+        for cell in axes.flat[2 * len(panels) :]:
+            cell.set_axis_off()
+        for i, panel in enumerate(panels):
+            row, column = divmod(i, columns)
+            pair = axes[row, 2 * column : 2 * column + 2]
+            _pair(pair[0], pair[1], panel, number=i + 1)
+            if row == rows - 1 or i + columns >= len(panels):
+                pair[0].set_xlabel("radiance")
+                pair[1].set_xlabel("radiance (log scale)")
+        axes[0, 0].legend(loc="upper right", handlelength=1, borderaxespad=0)
+    return figure
+
+
+def _pair(linear: Axes, log: Axes, panel: Panel, *, number: int) -> None:
+    color = PALETTE[(number - 1) % len(PALETTE)]
+    chd_axes(linear, panel.linear, scale="linear")
+    chd_axes(log, panel.log, scale="log")
+    for axes in (linear, log):
+        axes.spines["bottom"].set(color=color, linewidth=2.2)
+        _mean_ticks(axes, panel.mean)
+    linear.set_title(f"{number} {panel.name}", loc="left", fontsize=8, fontweight="bold", pad=3)
+    log.set_title(panel.note, loc="right", fontsize=7, pad=3, color="#444444")
+
+
+def _mean_ticks(axes: Axes, means: Mapping[str, float]) -> None:
+    for channel, mean in means.items():
+        if np.isfinite(mean) and mean > 0:
+            color = CHANNELS.get(channel, "black")
+            axes.axvline(mean, 0, 0.92, color=color, linewidth=0.8, linestyle=(0, (3, 2)))

@@ -1,0 +1,130 @@
+"""Curves: how averages become Gaussian, how training goes, how estimators err."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from chdstat.viz.style import PALETTE, WIDTH, style
+
+__all__ = ["averages", "error_bars", "training"]
+
+Array = npt.NDArray[Any]
+
+
+def averages(
+    sizes: npt.ArrayLike,
+    rejected: Mapping[str, npt.ArrayLike],
+    skewness: npt.ArrayLike,
+    predicted: npt.ArrayLike,
+    *,
+    alpha: float,
+) -> Figure:
+    """Draw how far averages of N samples are from Gaussian.
+
+    Parameters
+    ----------
+    sizes
+        N, shape (size,).
+    rejected
+        By name of the subject, the share of pixels whose averages are told from Gaussian,
+        shape (size,).
+    skewness
+        Quartiles over the pixels of the skewness of averages, shape (3, size).
+    predicted
+        Median over the pixels of the skewness that the central limit theorem promises, (size,).
+    alpha
+        The false-discovery rate, drawn as a line.
+    """
+    n = np.asarray(sizes)
+    low, middle, high = np.asarray(skewness, dtype=float)
+    with style():
+        figure = Figure(figsize=(WIDTH, 2.3), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        for i, (name, share) in enumerate(rejected.items()):
+            color, marker = PALETTE[4 + i % 4], "os^D"[i % 4]
+            left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=name)
+        left.axhline(alpha, color="#888888", linewidth=0.8, linestyle=":")
+        left.set(ylim=(0, 1.02), ylabel="share of pixels told from Gaussian")
+        left.legend(loc="best")
+        right.fill_between(n, low, high, color=PALETTE[1], alpha=0.35, linewidth=0)
+        right.plot(n, middle, marker="o", markersize=3.5, color=PALETTE[4], label="measured")
+        right.plot(n, np.asarray(predicted), color=PALETTE[5], linestyle="--", label="CLT")
+        right.set(ylabel="skewness of averages")
+        right.legend(loc="upper right")
+        for axes in (left, right):
+            axes.set_xscale("log", base=2)
+            axes.set_xticks(n, [str(v) for v in n])
+            axes.minorticks_off()
+            axes.set_xlabel("samples in an average, N")
+    return figure
+
+
+def training(
+    iterations: npt.ArrayLike,
+    losses: Mapping[str, npt.ArrayLike],
+    baseline: Mapping[str, float],
+) -> Figure:
+    """Draw a model's loss over its training against the error of the sample mean.
+
+    Parameters
+    ----------
+    iterations
+        Shape (record,).
+    losses
+        Squared error by name ("training", "validation"), shape (record,).
+    baseline
+        Squared error of the sample mean on the same batches, by the same names.
+    """
+    with style():
+        figure = Figure(figsize=(WIDTH * 0.62, 2.2), layout="constrained")
+        axes = figure.subplots()
+        for i, (name, values) in enumerate(losses.items()):
+            color = (PALETTE[1], PALETTE[4])[i % 2]
+            axes.plot(np.asarray(iterations), np.asarray(values), color=color, label=name)
+            if name in baseline:
+                axes.axhline(baseline[name], color=color, linewidth=0.9, linestyle="--")
+                axes.annotate(
+                    f"sample mean, {name}",
+                    (1.0, baseline[name]),
+                    xycoords=("axes fraction", "data"),
+                    ha="right",
+                    va="bottom" if i else "top",
+                    fontsize=6.5,
+                    color=color,
+                )
+        axes.set(xlabel="iteration", ylabel="squared error", yscale="log")
+        axes.set_xlim(left=0)
+        axes.legend(loc="upper right")
+    return figure
+
+
+def error_bars(
+    names: Sequence[str], measures: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]]
+) -> Figure:
+    """Draw estimators side by side: one panel a measure, points with intervals.
+
+    Parameters
+    ----------
+    names
+        Estimators, top to bottom.
+    measures
+        By title: value, lower and upper end of the interval, each of shape (estimator,).
+    """
+    rank = np.arange(len(names))[::-1]
+    with style():
+        figure = Figure(figsize=(WIDTH, 0.55 + 0.3 * len(names)), layout="constrained")
+        panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
+        for axes, (title, parts) in zip(panels, measures.items(), strict=True):
+            value, low, high = (np.asarray(part, dtype=float) for part in parts)
+            axes.hlines(rank, low, high, color=PALETTE[4], linewidth=1.6)
+            axes.plot(value, rank, "o", color=PALETTE[4], markersize=4)
+            axes.set_title(title)
+            axes.set_ylim(-0.6, len(names) - 0.4)
+            axes.grid(axis="x", linewidth=0.4, color="#DDDDDD")
+        panels[0].set_yticks(rank, list(names))
+    return figure

@@ -1,0 +1,223 @@
+"""Pictures: linear radiance shown as a person would see it, with marks, insets and errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from chdstat.errors import InputError
+from chdstat.viz.style import PALETTE, WIDTH, style
+
+__all__ = ["Mark", "pictures", "tonemap", "with_marks"]
+
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A region to mark in a picture.
+
+    Parameters
+    ----------
+    name
+        What is written beside it.
+    ys, xs
+        Rows and columns of the region, in pixels.
+    pixel
+        (y, x) of the pixel in it whose distribution is shown.
+    """
+
+    name: str
+    ys: slice
+    xs: slice
+    pixel: tuple[int, int]
+
+
+def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArray[np.float64]:
+    """Return display values for linear radiance: exposure, then the sRGB curve, clipped to [0, 1].
+
+    Parameters
+    ----------
+    image
+        Linear radiance, shape (y, x, channel) with 1 or 3 channels.
+    exposure
+        Stops. None puts the 90th percentile of luminance near white, which suits interiors.
+
+    Returns
+    -------
+    ndarray
+        Shape (y, x, 3), in [0, 1]; pixels that are not finite are magenta, to be seen.
+
+    Raises
+    ------
+    InputError
+        If the shape is not (y, x, 1) or (y, x, 3).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> tonemap(np.full((1, 1, 3), 1.0), exposure=-1).round(3)
+    array([[[0.735, 0.735, 0.735]]])
+    """
+    linear = np.asarray(image, dtype=np.float64)
+    if linear.ndim != 3 or linear.shape[2] not in {1, 3}:
+        message = f"a picture must have shape (y, x, 1) or (y, x, 3), got {linear.shape}"
+        raise InputError(message)
+    linear = np.broadcast_to(linear, (*linear.shape[:2], 3))
+    finite = np.asarray(np.isfinite(linear).all(axis=-1))
+    scale = 2.0**exposure if exposure is not None else _auto_scale(linear[finite])
+    value = np.clip(np.where(finite[..., None], linear, 0) * scale, 0, 1)
+    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.where(finite[..., None], curve, (1.0, 0.0, 1.0))
+
+
+def _auto_scale(values: Array) -> float:
+    bright = float(np.percentile(values, 90)) if values.size else 0.0
+    return 0.8 / bright if bright > 0 else 1.0
+
+
+def with_marks(
+    image: npt.ArrayLike, marks: Sequence[Mark] = (), *, exposure: float | None = None
+) -> Figure:
+    """Draw a picture with coloured marks and, beside it, each marked region magnified.
+
+    Parameters
+    ----------
+    image
+        Linear radiance, shape (y, x, channel).
+    marks
+        Regions; each has its colour of `chdstat.viz.PALETTE`, in order.
+    exposure
+        As in `tonemap`; picture and insets share it.
+    """
+    shown = tonemap(image, exposure=exposure)
+    columns = 2 if marks else 0
+    rows = max(1, -(-len(marks) // 2))
+    with style():
+        figure = Figure(figsize=(WIDTH, WIDTH * (0.64 if marks else 1.0)), layout="constrained")
+        grid = figure.add_gridspec(rows, 1 + columns, width_ratios=[4.2, *[1] * columns])
+        main = figure.add_subplot(grid[:, 0])
+        _picture(main, shown)
+        for i, mark in enumerate(marks):
+            color = PALETTE[i % len(PALETTE)]
+            _mark(main, mark, color, number=i + 1)
+            _inset(figure.add_subplot(grid[i % rows, 1 + i // rows]), shown, mark, color, i + 1)
+    return figure
+
+
+def _picture(axes: Axes, shown: Array) -> None:
+    axes.imshow(shown, interpolation="nearest")
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+
+
+def _mark(axes: Axes, mark: Mark, color: str, *, number: int) -> None:
+    height, width = mark.ys.stop - mark.ys.start, mark.xs.stop - mark.xs.start
+    corner = (mark.xs.start - 0.5, mark.ys.start - 0.5)
+    axes.add_patch(Rectangle(corner, width, height, fill=False, edgecolor="black", linewidth=2.4))
+    axes.add_patch(Rectangle(corner, width, height, fill=False, edgecolor=color, linewidth=1.4))
+    axes.annotate(
+        str(number),
+        (mark.xs.start - 0.5, mark.ys.start - 0.5),
+        xytext=(-1, 1),
+        textcoords="offset points",
+        ha="right",
+        va="bottom",
+        fontsize=7,
+        fontweight="bold",
+        color="black",
+        bbox={"boxstyle": "round,pad=0.15", "facecolor": color, "edgecolor": "none"},
+        annotation_clip=True,
+    )
+
+
+def _inset(axes: Axes, shown: Array, mark: Mark, color: str, number: int) -> None:
+    """Show the surroundings of a mark, about three times its size, with its pixel."""
+    y, x = mark.pixel
+    half = max(4, mark.ys.stop - mark.ys.start, mark.xs.stop - mark.xs.start)
+    axes.imshow(shown, interpolation="nearest")
+    axes.set(
+        xlim=(x - half - 0.5, x + half + 0.5),
+        ylim=(y + half + 0.5, y - half - 0.5),
+        xticks=[],
+        yticks=[],
+        facecolor="#EEEEEE",
+    )
+    axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=color, linewidth=1.2))
+    axes.spines[:].set(visible=True, color=color, linewidth=2)
+    axes.set_title(f"{number} {mark.name}", fontsize=7, pad=2)
+
+
+def pictures(
+    images: Mapping[str, npt.ArrayLike],
+    *,
+    errors: Mapping[str, npt.ArrayLike] | None = None,
+    exposure: float | None = None,
+    crop: tuple[slice, slice] | None = None,
+) -> Figure:
+    """Draw pictures side by side under one exposure, each with its squared error below.
+
+    Parameters
+    ----------
+    images
+        Linear radiance (y, x, channel) by title; the last sets the exposure where none is given.
+    errors
+        Squared error (y, x) by the same titles; drawn on one logarithmic colour scale.
+    exposure
+        As in `tonemap`.
+    crop
+        Rows and columns to show.
+
+    Raises
+    ------
+    InputError
+        If there is no picture.
+    """
+    if not images:
+        message = "pictures needs at least one image, got none"
+        raise InputError(message)
+    if exposure is None:
+        last = np.asarray(list(images.values())[-1])
+        exposure = float(np.log2(_auto_scale(last[np.isfinite(last)])))
+    ys, xs = crop or (slice(None), slice(None))
+    rows = 2 if errors else 1
+    with style():
+        each = WIDTH / len(images)
+        figure = Figure(figsize=(WIDTH, each * (2.05 if errors else 1.12)), layout="constrained")
+        axes = figure.subplots(rows, len(images), squeeze=False)
+        for column, (title, image) in zip(axes.T, images.items(), strict=True):
+            _picture(column[0], tonemap(np.asarray(image)[ys, xs], exposure=exposure))
+            column[0].set_title(title)
+        if errors:
+            _error_row(figure, list(axes[1]), list(images), errors, (ys, xs))
+    return figure
+
+
+def _error_row(
+    figure: Figure,
+    axes: list[Axes],
+    titles: list[str],
+    errors: Mapping[str, npt.ArrayLike],
+    crop: tuple[slice, slice],
+) -> None:
+    """Draw squared errors as decades on one colour scale."""
+    with np.errstate(divide="ignore"):
+        decades = {k: np.log10(np.asarray(v, dtype=float)[crop]) for k, v in errors.items()}
+    finite = np.concatenate([d[np.isfinite(d)] for d in decades.values()] or [np.zeros(0)])
+    low, high = np.percentile(finite, (2, 99.5)) if finite.size else (-1.0, 0.0)
+    drawn = None
+    for ax, title in zip(axes, titles, strict=True):
+        ax.set(xticks=[], yticks=[])
+        ax.spines[:].set_visible(False)
+        if title in decades:
+            drawn = ax.imshow(decades[title], vmin=low, vmax=high, cmap="magma")
+    if drawn is not None:
+        bar = figure.colorbar(drawn, ax=axes, orientation="vertical", fraction=0.03, pad=0.01)
+        bar.set_label("log10 squared error")

@@ -1,0 +1,143 @@
+"""Maps: one value or one label per pixel, with the scale that reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from chdstat.viz.style import PALETTE, WIDTH, sequential, style
+
+__all__ = ["categorical_map", "map_grid", "value_map"]
+
+Draw = Callable[[Axes], None]
+
+
+def value_map(
+    values: npt.ArrayLike,
+    *,
+    title: str,
+    unit: str = "",
+    limits: tuple[float, float] | None = None,
+) -> Draw:
+    """Return a drawing of one number per pixel, for `map_grid`.
+
+    Parameters
+    ----------
+    values
+        Shape (y, x); NaN is shown in grey.
+    title, unit
+        What is shown, and its unit for the colour bar.
+    limits
+        Ends of the colour scale; None takes the 1st and 99th percentile.
+    """
+    array = np.asarray(values, dtype=float)
+
+    def draw(axes: Axes) -> None:
+        low, high = limits or _percentiles(array)
+        image = axes.imshow(array, cmap=sequential(), vmin=low, vmax=high, interpolation="nearest")
+        _bare(axes, title)
+        extend = _extend(array, low, high)
+        bar = axes.figure.colorbar(image, ax=axes, shrink=0.82, pad=0.02, extend=extend)
+        bar.outline.set_visible(False)
+        if unit:
+            bar.set_label(unit, fontsize=7)
+
+    return draw
+
+
+def categorical_map(
+    codes: npt.ArrayLike, names: Mapping[int, str], *, title: str, colors: Sequence[str] = PALETTE
+) -> Draw:
+    """Return a drawing of one label per pixel, for `map_grid`.
+
+    Parameters
+    ----------
+    codes
+        Integer labels, shape (y, x).
+    names
+        Name of each label; those that occur are in the legend with their share of the pixels.
+    title
+        What is shown.
+    colors
+        One colour for each label, in the order of `names`.
+    """
+    array = np.asarray(codes)
+    order = list(names)
+
+    def draw(axes: Axes) -> None:
+        rank = np.full(array.shape, np.nan)
+        for i, code in enumerate(order):
+            rank[array == code] = i
+        palette = ListedColormap([colors[i % len(colors)] for i in range(len(order))])
+        palette.set_bad("#DDDDDD")
+        norm = BoundaryNorm(np.arange(len(order) + 1) - 0.5, len(order))
+        axes.imshow(rank, cmap=palette, norm=norm, interpolation="nearest")
+        _bare(axes, title)
+        patches = [
+            Patch(color=colors[i % len(colors)], label=f"{names[code]} {_percent(share)}")
+            for i, code in enumerate(order)
+            if (share := float((array == code).mean())) > 0
+        ]
+        axes.legend(
+            handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=2,
+            fontsize=6.5, handlelength=0.9, columnspacing=0.9, borderaxespad=0.2,
+        )  # fmt: skip
+
+    return draw
+
+
+def map_grid(maps: Sequence[Draw], *, columns: int = 3, aspect: float = 1.0) -> Figure:
+    """Arrange maps in a grid that fills the width of a page.
+
+    Parameters
+    ----------
+    maps
+        Drawings made by `value_map` and `categorical_map`.
+    columns
+        Maps in a row.
+    aspect
+        Height of the image over its width.
+    """
+    rows = -(-len(maps) // columns)
+    with style():
+        height = WIDTH / columns * (0.80 * aspect + 0.22) * rows
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False)
+        for cell in axes.flat[len(maps) :]:
+            cell.set_axis_off()
+        for cell, draw in zip(axes.flat, maps, strict=False):
+            draw(cell)
+    return figure
+
+
+def _bare(axes: Axes, title: str) -> None:
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+    axes.set_title(title)
+
+
+def _percentiles(array: npt.NDArray[Any]) -> tuple[float, float]:
+    finite = array[np.isfinite(array)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, (1, 99))
+    return (float(low), float(high)) if high > low else (float(low) - 0.5, float(low) + 0.5)
+
+
+def _extend(array: npt.NDArray[Any], low: float, high: float) -> str:
+    with np.errstate(invalid="ignore"):
+        below, above = bool((array < low).any()), bool((array > high).any())
+    return {(False, False): "neither", (True, False): "min", (False, True): "max"}.get(
+        (below, above), "both"
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.01 else "< 1 %"
