@@ -54,7 +54,7 @@ def as_samples(
 
 def is_bad(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
     """Mark samples that no radiance can be: NaN, infinite or negative."""
-    return ~(np.isfinite(x) & (x >= 0))
+    return np.asarray(~(np.isfinite(x) & (x >= 0)))
 
 
 def is_null(x: npt.NDArray[np.floating[Any]], *, channel_axis: int = -2) -> npt.NDArray[np.bool_]:

@@ -20,8 +20,8 @@ __all__ = ["BINS", "TwoGaussians", "fit_two", "log_histogram"]
 BINS = 100
 """Bins of a log histogram, as many as in the paper."""
 
-_ITERATIONS = 200
-_TOLERANCE = 1e-3
+_ITERATIONS = 100
+_TOLERANCE = 3e-3
 """Change per step, in bins, at which a row has converged."""
 _ROWS = 512
 """Rows worked on at once: their bins stay in the cache."""
@@ -63,11 +63,11 @@ def log_histogram(
 
 def fit_two(counts: npt.NDArray[np.float32]) -> TwoGaussians:
     """Fit one and two Gaussians to binned data, shape (row, bin), by maximum likelihood."""
-    pieces = [_fit_piece(counts[part].astype(np.float64)) for part in spans(len(counts), _ROWS)]
-    weights, means, deviations, two, one = (
-        np.concatenate(field) for field in zip(*pieces, strict=True)
-    )
-    return TwoGaussians(weights, means, deviations, two, one)
+    result = np.empty((8, len(counts)))
+    for part in spans(len(counts), _ROWS):
+        result[:, part] = _fit_piece(counts[part].astype(np.float64))
+    weights, means, deviations = result[:6].reshape(3, 2, -1).transpose(0, 2, 1)
+    return TwoGaussians(weights, means, deviations, *result[6:])
 
 
 def _count(
@@ -84,7 +84,8 @@ def _count(
     return flat.reshape(len(ascending), BINS + 1)[:, :BINS]
 
 
-def _fit_piece(counts: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+def _fit_piece(counts: Floats) -> Floats:
+    """Return weights, means, deviations (two each) and both log-likelihoods, shape (8, row)."""
     moments = counts @ _POWERS
     one = _components(moments)
     state = _otsu(counts)
@@ -101,13 +102,8 @@ def _fit_piece(counts: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     pairs = np.stack([np.stack([1 - weight, weight]), state[1:3], state[3:5]])
     darker_first = np.argsort(pairs[1], axis=0)
     weights, means, deviations = np.take_along_axis(pairs, darker_first[np.newaxis], axis=1)
-    return (
-        weights.T,
-        means.T,
-        deviations.T,
-        _log_likelihood(counts, state),
-        _log_likelihood_of_one(counts, *one),
-    )
+    log_likelihoods = _log_likelihood(counts, state), _log_likelihood_of_one(counts, *one)
+    return np.concatenate([weights, means, deviations, log_likelihoods])
 
 
 def _otsu(counts: Floats) -> Floats:

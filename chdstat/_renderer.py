@@ -7,6 +7,7 @@ one would repeat streams by the birthday rule, so every stream gets an integer o
   streams ``4096 p`` to ``4096 p + 4095``; passes are numbered by (sample, tile).
 * llvm, cuda: one call draws a whole chunk. Each lane mixes the 32-bit number of the chunk with its
   lane index; chunks are numbered by (batch, tile).
+* single pixels drawn on demand own the topmost 2^28 numbers, which neither of the above reaches.
 
 The user's seed shifts that numbering by a multiple of the golden section of its range, which
 spreads small seeds evenly: images with seeds 0, 1, 2 ... share no stream until the range is full.
@@ -29,11 +30,13 @@ from chdstat.backend import BACKENDS, Verdict, activate
 from chdstat.errors import RenderError, SceneError
 from chdstat.scenes import Scene
 
-__all__ = ["Job", "Renderer", "max_spp"]
+__all__ = ["Job", "Renderer", "film_size", "max_spp"]
 
 _BLOCK = 32
-_PASS_BITS = 20
-_CHUNK_BITS = 31
+_PIXELS = 2**28
+"""How many numbers, the topmost of the 2^32, are kept for single pixels."""
+_PASSES = (2**32 - _PIXELS) // TILE**2
+_CHUNKS = 2**31
 _FEATURE_SPP = 16
 _FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
 _GOLDEN = (math.sqrt(5) - 1) / 2
@@ -60,8 +63,19 @@ class Job:
 def max_spp(backend: str, width: int, height: int) -> int:
     """Return how many samples per pixel a backend can draw before random streams repeat."""
     tiles = _tiles(width) * _tiles(height)
-    passes = 2**_PASS_BITS if backend == "scalar" else 2**_CHUNK_BITS * BATCH
-    return passes // tiles
+    return _PASSES // tiles if backend == "scalar" else _CHUNKS // tiles * BATCH
+
+
+def film_size(job: Job) -> tuple[int, int]:
+    """Return the (width, height) of the film that the scene of a job describes."""
+    with activate(job.verdict) as mi:
+        nodes = job.scene.parse(BACKENDS[job.verdict.backend]).nodes
+        return _film_size(next((n.props for n in nodes if n.type == mi.ObjectType.Film), {}))
+
+
+def _film_size(properties: Any) -> tuple[int, int]:
+    """Return (width, height) of a film's properties, with Mitsuba's own defaults."""
+    return int(properties.get("width", 768)), int(properties.get("height", 576))
 
 
 class Renderer:
@@ -77,7 +91,8 @@ class Renderer:
             self._read_settings(state, job)
             self._scene = self._instantiate(state, job.scene)
             self._sensor_medium = self._scene.sensors()[0].get_medium()
-        self._local = threading.local()
+            self._local = threading.local()
+            _ = self._integrator  # one that cannot be used is refused before any work
 
     def chunk(self, chunk: Chunk, *, stopped: Callable[[], bool] = lambda: False) -> Image:
         """Draw the samples of one chunk, shape (y, x, channel, sample).
@@ -101,7 +116,8 @@ class Renderer:
         sensor = self._sensor((0, 0), self.size)
         stack = np.array(integrator.render(self._scene, sensor, seed=0, spp=_FEATURE_SPP))
         parts = dict(zip(_FEATURES, np.split(stack, (3, 6, 7), axis=-1), strict=True))
-        return {name: np.float32(p[..., 0] if p.shape[-1] == 1 else p) for name, p in parts.items()}
+        images = {name: p.astype(np.float32) for name, p in parts.items()}
+        return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in images.items()}
 
     # --- settings -------------------------------------------------------------------------------
 
@@ -115,9 +131,7 @@ class Renderer:
             message = f"scene {job.scene.name!r} has no sensor; add a <sensor> to it"
             raise SceneError(message)
         self._sensor_properties = nodes[kinds.Sensor][0]
-        film = (nodes.get(kinds.Film) or [self._mi.Properties("hdrfilm")])[0]
-        width, height = (int(film.get(side, n)) for side, n in (("width", 768), ("height", 576)))
-        self.size = job.size or (width, height)
+        self.size = job.size or _film_size((nodes.get(kinds.Film) or [{}])[0])
         self._note_replaced("filter", nodes.get(kinds.ReconstructionFilter, []), "box")
         self._note_replaced("sampler", nodes.get(kinds.Sampler, []), "independent")
         self._read_integrator(nodes.get(kinds.Integrator, []), job)
@@ -196,7 +210,7 @@ class Renderer:
         if not hasattr(self._local, "integrator"):
             create = self._mi.PluginManager.instance().create_object
             self._local.integrator = create(self._mi.Properties(self._integrator_properties))
-            if not hasattr(self._local.integrator, "sample"):
+            if not isinstance(self._local.integrator, self._mi.SamplingIntegrator):
                 message = (
                     f"integrator {self.integrator['type']!r} does not sample pixel by pixel; "
                     "use one that does, such as path, volpath or direct"
@@ -215,7 +229,7 @@ class Renderer:
         for i, sample in enumerate(range(chunk.ss.start, chunk.ss.stop)):
             if stopped():
                 return np.empty(0, np.float32)
-            number = _number(self._seed, sample * tiles + tile, _PASS_BITS)
+            number = _number(self._seed, sample * tiles + tile, _PASSES)
             seed = _pass_seed(number, width * height)
             block[i] = self._integrator.render(self._scene, sensor, seed=seed, spp=1)
         return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
@@ -241,7 +255,7 @@ class Renderer:
         height, width, samples = chunk.shape
         tile = chunk.tile_y * _tiles(self.size[0]) + chunk.tile_x
         tiles = _tiles(self.size[0]) * _tiles(self.size[1])
-        number = _number(self._seed, chunk.batch * tiles + tile, _CHUNK_BITS)
+        number = _number(self._seed, chunk.batch * tiles + tile, _CHUNKS)
         corner = (chunk.xs.start, chunk.ys.start)
         colors = self._wavefront(number, corner, (width, height), samples)
         return np.ascontiguousarray(colors.reshape(3, samples, height, width).transpose(2, 3, 0, 1))
@@ -312,16 +326,15 @@ class Renderer:
     def _pixel_number(self, y: int, x: int, first: int) -> int:
         """Return the number of a pixel's stream, apart from those of chunks."""
         index = (first * self.size[1] + y) * self.size[0] + x
-        return 2**_CHUNK_BITS + _number(self._seed, index, _CHUNK_BITS)
+        return 2**32 - _PIXELS + _number(self._seed, index, _PIXELS)
 
 
 def _tiles(length: int) -> int:
     return -(-length // TILE)
 
 
-def _number(seed: int, index: int, bits: int) -> int:
+def _number(seed: int, index: int, span: int) -> int:
     """Return the number of a block of streams under a user's seed; one to one with `index`."""
-    span = 2**bits
     return (index + seed * round(_GOLDEN * span)) % span
 
 
@@ -332,8 +345,9 @@ def _pass_seed(number: int, pixels: int) -> int:
     2^12 pixels; smaller ones at the border have 2^v m with v <= 12 and m odd, which is invertible.
     """
     power = (pixels & -pixels).bit_length() - 1
-    modulus = 2 ** (32 - power)
-    return (number * TILE * TILE >> power) * pow(pixels >> power, -1, modulus) % modulus
+    modulus = 1 << (32 - power)
+    inverse: int = pow(pixels >> power, -1, modulus)
+    return (number * TILE * TILE >> power) * inverse % modulus
 
 
 def _first_lines(error: Exception) -> str:

@@ -17,7 +17,7 @@ from __future__ import annotations
 import itertools
 import math
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,6 +40,8 @@ BATCH = 64
 """Samples of a pixel in one chunk."""
 _BLOCK = 16
 _FEATURES = ("albedo", "normal", "depth", "position")
+_READ_ERRORS = (OSError, ValueError, RuntimeError, KeyError, zarr.errors.BaseZarrError)
+_ALL = slice(None)
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ class Store:
     """An open store; `radiance` reads and writes like an array."""
 
     path: Path
-    group: zarr.Group
+    group: Any
     radiance: Any
     ledger: npt.NDArray[np.int32]
 
@@ -96,22 +98,30 @@ class Store:
         channels: int,
         spp: int,
         attrs: Mapping[str, Any],
+        features: Mapping[str, npt.NDArray[np.float32]] | None = None,
     ) -> Store:
-        """Create an empty store; the folder must not exist or be empty."""
+        """Create a store without samples; the folder must not exist or be empty.
+
+        It is made beside its place and moved there at once, so that a store is never seen half
+        made, whenever its maker is killed.
+        """
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             message = (
                 f"{path} exists and is not a chdstat store; nothing was overwritten. "
                 "Give another path or move it away"
             )
             raise StoreError(message)
+        partial = path.with_name(f".{path.name}.partial")
         try:
-            group = zarr.open_group(path, mode="w-", zarr_format=3)
+            group = zarr.open_group(partial, mode="w", zarr_format=3)
             _create_arrays(group, (height, width, channels, spp))
+            _create_features(group, features or {})
             group.attrs.update({"schema_version": SCHEMA_VERSION, **attrs})
+            partial.replace(path)
         except OSError as error:
             message = f"cannot create a store at {path}: {error.strerror or error}"
             raise StoreError(message) from error
-        return cls(path, group, group["radiance"], _read(group["ledger"]))
+        return cls.open(path, writable=True)
 
     @classmethod
     def open(cls, path: Path, *, writable: bool = False) -> Store:
@@ -121,8 +131,11 @@ class Store:
             raise StoreError(message)
         try:
             group = zarr.open_group(path, mode="r+" if writable else "r", zarr_format=3)
-            version = group.attrs.get("schema_version")
-            radiance, ledger = group["radiance"], _read(group["ledger"])
+            version = group.attrs["schema_version"]
+            # A chunk of nothing but NaN is a result; unless told at each opening, zarr drops it.
+            with zarr.config.set({"array.write_empty_chunks": True}):
+                radiance = group["radiance"]
+            ledger = _read(group["ledger"])
         except (
             FileNotFoundError,
             KeyError,
@@ -151,17 +164,21 @@ class Store:
     def pending(self) -> list[Chunk]:
         """Chunks that are not safely stored yet, in the order to render them."""
         height, width, _, spp = self.shape
-        return [c for c in chunk_grid(height, width, spp) if not self._holds(c)]
+        return [c for c in chunk_grid(height, width, spp) if self._stored(c) < c.shape[2]]
 
     def complete_spp(self) -> int:
         """Return the number of leading samples that every pixel has."""
-        height, width, _, spp = self.shape
-        missing = [c.ss.start + int(self.ledger[c.index]) for c in self.pending()]
-        return min(missing, default=spp) if height * width else 0
+        ends = (c.ss.start + self._stored(c) for c in self.pending())
+        return min(ends, default=self.shape[3])
 
-    def _holds(self, chunk: Chunk) -> bool:
-        present = self.ledger[chunk.index] >= chunk.shape[2]
-        return bool(present) and self.chunk_file(chunk).exists()
+    def _stored(self, chunk: Chunk) -> int:
+        """Return how many samples of a chunk are safely on disk."""
+        return int(self.ledger[chunk.index]) if self._exists(chunk) else 0
+
+    def _exists(self, chunk: Chunk) -> bool:
+        file = self.chunk_file(chunk)
+        # A machine that lost power can leave an empty file behind.
+        return file.exists() and file.stat().st_size > 0
 
     def chunk_file(self, chunk: Chunk) -> Path:
         """Return the file that holds a chunk."""
@@ -191,9 +208,9 @@ class Store:
         height, width, channels, old = self.shape
         if spp <= old:
             return
-        batches = -(-spp // BATCH)
+        # The ledger first: were this stopped between the two, it would only be too long.
+        self.group["ledger"].resize((*self.ledger.shape[:2], -(-spp // BATCH)))
         self.radiance.resize((height, width, channels, spp))
-        self.group["ledger"].resize((*self.ledger.shape[:2], batches))
         self.ledger = _read(self.group["ledger"])
 
     def read(self, ys: slice, xs: slice, ss: slice) -> npt.NDArray[np.float32]:
@@ -202,47 +219,38 @@ class Store:
         Raises
         ------
         StoreError
-            If a chunk is damaged or gone; the message names how to repair it.
+            If a chunk is damaged; the message names its file and how to repair it.
         """
         try:
-            return np.asarray(self.radiance[ys, xs, :, ss], dtype=np.float32)
-        except (OSError, ValueError, RuntimeError, KeyError, zarr.errors.BaseZarrError) as error:
+            return self._read(ys, xs, ss)
+        except _READ_ERRORS as error:
+            files = ", ".join(map(str, self.damaged(ys, xs, ss))) or self.path
             message = (
-                f"{self.path} is damaged ({_brief(error)}); remove the damaged files named by "
-                "'chdstat info --verify' and run the same 'chdstat render' again to repair it"
+                f"cannot read {files} ({_brief(error)}); delete the damaged file (all are listed "
+                "by 'chdstat info --verify') and run the same 'chdstat render' again to repair it"
             )
             raise StoreError(message) from error
 
-    def damaged(self) -> list[Path]:
-        """Read every stored chunk and return the files that fail their checksum."""
-        height, width, _, spp = self.shape
-        bad = []
-        for chunk in chunk_grid(height, width, spp):
-            if self.ledger[chunk.index] == 0:
-                continue
-            try:
-                block = self.read(chunk.ys, chunk.xs, chunk.ss)
-            except StoreError:
-                bad.append(self.chunk_file(chunk))
-            else:
-                if not self.chunk_file(chunk).exists() and np.isnan(block).all():
-                    bad.append(self.chunk_file(chunk))
-        return bad
+    def _read(self, ys: slice, xs: slice, ss: slice) -> npt.NDArray[np.float32]:
+        return np.asarray(self.radiance[ys, xs, :, ss], dtype=np.float32)
 
-    def write_features(self, features: Mapping[str, npt.NDArray[np.float32]]) -> None:
-        """Store first-hit features: (y, x) or (y, x, component) each."""
-        folder = self.group.require_group("features")
-        for name, image in features.items():
-            dims = ("y", "x", "component")[: image.ndim]
-            array = folder.create_array(
-                name, shape=image.shape, dtype="float32", dimension_names=dims, overwrite=True
-            )
-            array[...] = image
+    def damaged(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> list[Path]:
+        """Read every stored chunk in a part and return the files that are gone or damaged."""
+        height, width, _, spp = self.shape
+        part = [s.indices(n)[:2] for s, n in ((ys, height), (xs, width), (ss, spp))]
+        chunks = (c for c in chunk_grid(height, width, spp) if self.ledger[c.index])
+        return [self.chunk_file(c) for c in chunks if _overlaps(c, part) and not self._reads(c)]
+
+    def _reads(self, chunk: Chunk) -> bool:
+        try:
+            self._read(chunk.ys, chunk.xs, chunk.ss)
+        except _READ_ERRORS:
+            return False
+        # What is not there reads as NaN.
+        return self._exists(chunk)
 
     def read_features(self) -> dict[str, npt.NDArray[np.float32]]:
         """Return the first-hit features that are stored, by name."""
-        if "features" not in self.group:
-            return {}
         folder = self.group["features"]
         return {name: _read(folder[name]) for name in _FEATURES if name in folder}
 
@@ -262,8 +270,6 @@ def _create_arrays(group: zarr.Group, shape: tuple[int, int, int, int]) -> None:
         compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="shuffle"), Crc32cCodec()],
         fill_value=float("nan"),
         dimension_names=("y", "x", "channel", "sample"),
-        # A tile of nulls is a result, not an absence.
-        config={"write_empty_chunks": True},
     )
     grid = (-(-height // TILE), -(-width // TILE), -(-spp // BATCH))
     group.create_array(
@@ -274,6 +280,17 @@ def _create_arrays(group: zarr.Group, shape: tuple[int, int, int, int]) -> None:
         fill_value=0,
         dimension_names=("tile_y", "tile_x", "batch"),
     )
+
+
+def _create_features(group: zarr.Group, features: Mapping[str, npt.NDArray[np.float32]]) -> None:
+    folder = group.create_group("features")
+    for name, image in features.items():
+        folder.create_array(name, data=image, dimension_names=("y", "x", "component")[: image.ndim])
+
+
+def _overlaps(chunk: Chunk, part: Sequence[tuple[int, int]]) -> bool:
+    axes = zip((chunk.ys, chunk.xs, chunk.ss), part, strict=True)
+    return all(s.start < stop and start < s.stop for s, (start, stop) in axes)
 
 
 def _read(array: Any) -> Any:

@@ -64,9 +64,6 @@ def resolve(backend: Backend = "auto") -> Verdict:
     if backend == "auto":
         verdicts = (probe(name) for name in ("cuda", "llvm", "scalar"))
         return next(v for v in verdicts if v.works)
-    if backend not in BACKENDS:
-        message = f"backend must be one of auto, {', '.join(BACKENDS)}; got {backend!r}"
-        raise InputError(message)
     verdict = probe(backend)
     if not verdict.works:
         message = f"the {backend} backend does not work here: {verdict.detail}. Use scalar or auto"
@@ -83,7 +80,15 @@ def probe(backend: str, *, fresh: bool = False) -> Verdict:
         A key of `BACKENDS`.
     fresh
         Try again even where an answer is cached.
+
+    Raises
+    ------
+    InputError
+        If there is no such backend.
     """
+    if backend not in BACKENDS:
+        message = f"backend must be one of auto, {', '.join(BACKENDS)}; got {backend!r}"
+        raise InputError(message)
     if backend == "scalar":
         return Verdict("scalar", works=True, detail="built into Mitsuba")
     if backend == "cuda":
@@ -155,8 +160,10 @@ def _trial(backend: str, library: str | None, *, fresh: bool) -> Verdict:
     """Return the cached answer for a library, or render with it in a child process."""
     key = _cache_key(backend, library)
     cache = _read_cache()
-    if not fresh and key in cache:
-        return Verdict(**cache[key])
+    if not fresh:
+        # Not tried yet, or written by a version whose verdicts had other fields.
+        with contextlib.suppress(KeyError, TypeError):
+            return Verdict(**cache[key])
     verdict = _try_in_child(backend, library)
     _write_cache({**cache, key: asdict(verdict)})
     return verdict

@@ -6,6 +6,7 @@ draws samples of a few pixels on demand.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib.metadata
 import itertools
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._renderer import Job, Renderer, max_spp
+from chdstat._renderer import Job, Renderer, film_size, max_spp
 from chdstat._store import Chunk, Store, chunk_grid
 from chdstat.backend import Backend, activate, resolve
 from chdstat.errors import InputError, StoreError
@@ -32,7 +33,7 @@ from chdstat.scenes import Scene, load_scene
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["render", "render_pixels"]
+__all__ = ["render", "render_pixels", "scene_size"]
 
 _log = logging.getLogger("chdstat")
 
@@ -164,6 +165,19 @@ def render_pixels(
         return renderer.pixels(_checked_pixels(pixels, renderer.size), spp)
 
 
+def scene_size(scene: str | Path | dict[str, Any] | Scene) -> tuple[int, int]:
+    """Return the (width, height) in pixels that a scene's own film has.
+
+    Examples
+    --------
+    >>> from chdstat.capture import scene_size
+    >>> scene_size("cornell-box")
+    (256, 256)
+    """
+    job = Job(load_scene(scene), resolve("scalar"))
+    return film_size(job)
+
+
 # --- checks -------------------------------------------------------------------------------------
 
 
@@ -211,7 +225,7 @@ def _provenance(job: Job, renderer: Renderer, spp: int) -> dict[str, Any]:
     return {
         "scene": job.scene.name,
         "scene_hash": job.scene.hash,
-        "scene_source": str(job.scene.source) if isinstance(job.scene.source, Path) else "dict",
+        "scene_source": job.scene.origin,
         "scene_parameters": dict(job.scene.parameters),
         "integrator": renderer.integrator,
         "size": list(renderer.size),
@@ -280,14 +294,19 @@ class _StoreSink:
         width, height = renderer.size
         if existing is None:
             store = Store.create(
-                Path(out), height=height, width=width, channels=3, spp=spp, attrs=attrs
+                Path(out),
+                height=height,
+                width=width,
+                channels=3,
+                spp=spp,
+                attrs=attrs,
+                features=renderer.features(),
             )
-            store.write_features(renderer.features())
             return cls(store)
         _check_identity(existing, attrs)
         if spp > existing.shape[3]:
-            existing.extend(spp)
             existing.group.attrs.update({"spp": spp})
+            existing.extend(spp)
         return cls(existing)
 
     def pending(self) -> list[Chunk]:
@@ -298,7 +317,9 @@ class _StoreSink:
 
     def spent(self, seconds: float) -> None:
         before = float(self._store.attrs.get("render_seconds", 0.0))
-        self._store.group.attrs.update({"render_seconds": round(before + seconds, 3)})
+        # A full disk has been reported by `write`; the time spent is not worth another error.
+        with contextlib.suppress(OSError):
+            self._store.group.attrs.update({"render_seconds": round(before + seconds, 3)})
 
     def finish(self) -> Samples:
         return Samples(store=self._store, attrs=self._store.attrs, spp=self._store.complete_spp())
@@ -395,12 +416,15 @@ def _collect(
 
 _REMOTE: dict[tuple[Any, ...], Renderer] = {}
 """The last renderer of a worker process: building a scene costs more than a chunk."""
+_REMOTE_LOCK = threading.Lock()
 
 
 def _render_remote(job: Job, chunk: Chunk) -> Image:
     """Render one chunk in a Dask worker."""
     with activate(job.verdict):
-        if job.key not in _REMOTE:
-            _REMOTE.clear()
-            _REMOTE[job.key] = Renderer(job)
-        return _REMOTE[job.key].chunk(chunk)
+        with _REMOTE_LOCK:
+            if job.key not in _REMOTE:
+                _REMOTE.clear()
+                _REMOTE[job.key] = Renderer(job)
+            renderer = _REMOTE[job.key]
+        return renderer.chunk(chunk)

@@ -59,8 +59,9 @@ class Modality:
         Share of samples that are equal to another one. Ties were moved apart at random by less than
         float32 can tell, as the test is one of continuous samples.
     modes
-        1 or 2: 2 where two Gaussians are much better than one (`delta_bic` > 10) and their sum has
-        two maxima. 0 where `reason` says why.
+        1 or 2: 2 where two Gaussians are much better than one (`delta_bic` > 10) and their sum
+        falls, between its two maxima, below half of the lower one: a flat top is one mode. 0 where
+        `reason` says why.
     delta_bic
         BIC of one Gaussian minus that of two. Positive for skewed samples, too.
     ashman_d
@@ -145,42 +146,39 @@ def modality(
     return _finish(x.map(of_block, description="counting modes", progress=progress))
 
 
-def modality_of_part(
-    part: PositivePart, *, seed: int | np.random.Generator | None = 0
-) -> Modality:
+def modality_of_part(part: PositivePart, *, seed: int | np.random.Generator | None = 0) -> Modality:
     """Test samples that are already split."""
     reason = part.reason(_MINIMUM)
     ok = reason == Reason.OK
-    shape = part.n.shape
-    dip, p_value, tied, delta_bic, ashman = np.full((5, *shape), np.nan)
-    weights, means, deviations = np.full((3, *shape, 2), np.nan)
-    modes = np.zeros(shape, dtype=np.int8)
-    if ok.any():
-        ascending, n = part.sorted[ok], part.n[ok]
-        tied[ok] = _tied_share(ascending, n)
-        dip[ok], p_value[ok] = _dips(_untied(ascending, n, tied[ok] > 0, generator(seed)), n)
-        counts, low, width = log_histogram(ascending, n)
-        two = fit_two(counts)
-        gain = 2 * (two.log_likelihood - two.log_likelihood_of_one)
-        delta_bic[ok] = gain - _PARAMETERS * np.log(n)
-        ashman[ok] = _ashman(two)
-        modes[ok] = np.where((delta_bic[ok] > _STRONG) & _two_maxima(two), 2, 1)
-        weights[ok] = two.weights
-        means[ok] = low[:, np.newaxis] + width[:, np.newaxis] * two.means
-        deviations[ok] = width[:, np.newaxis] * two.deviations
+    ascending, n = part.sorted[ok], part.n[ok]
+    tied_share = _tied_share(ascending, n)
+    dip, p_value = _dips(_untied(ascending, n, tied_share > 0, generator(seed)))
+    counts, low, width = log_histogram(ascending, n)
+    two = fit_two(counts)
+    gain = 2 * (two.log_likelihood - two.log_likelihood_of_one)
+    delta_bic = gain - _PARAMETERS * np.log(n)
+    modes = np.zeros(ok.shape, dtype=np.int8)
+    modes[ok] = np.where((delta_bic > _STRONG) & _valley(two), 2, 1)
     return Modality(
-        dip=dip,
-        dip_p_value=p_value,
-        tied_share=tied,
+        dip=_spread_out(dip, ok),
+        dip_p_value=_spread_out(p_value, ok),
+        tied_share=_spread_out(tied_share, ok),
         modes=modes,
-        delta_bic=delta_bic,
-        ashman_d=ashman,
-        weights=weights,
-        means=means,
-        deviations=deviations,
+        delta_bic=_spread_out(delta_bic, ok),
+        ashman_d=_spread_out(_ashman(two), ok),
+        weights=_spread_out(two.weights, ok),
+        means=_spread_out(low[:, np.newaxis] + width[:, np.newaxis] * two.means, ok),
+        deviations=_spread_out(width[:, np.newaxis] * two.deviations, ok),
         n=part.n,
         reason=reason,
     )
+
+
+def _spread_out(values: Floats, ok: Mask) -> Floats:
+    """Put the values of usable rows where they belong, NaN elsewhere."""
+    whole = np.full((*ok.shape, *values.shape[1:]), np.nan)
+    whole[ok] = values
+    return whole
 
 
 def _tied_share(ascending: npt.NDArray[Any], n: Counts) -> Floats:
@@ -206,10 +204,11 @@ def _untied(
     return rows
 
 
-def _dips(rows: list[Floats], n: Counts) -> tuple[Floats, Floats]:
-    # The package has no batch form; the dip of a row is a sequential algorithm.
-    results = np.array([diptest.diptest(row, sort_x=False) for row in rows])
-    return results[:, 0], np.maximum(results[:, 1], _P_FLOOR)
+def _dips(rows: list[Floats]) -> tuple[Floats, Floats]:
+    # The package has no batch form: the dip of a row is a sequential algorithm.
+    dips = [diptest.diptest(row, sort_x=False) for row in rows]
+    dip, p_value = np.array(dips, dtype=np.float64).reshape(-1, 2).T
+    return dip, np.maximum(p_value, _P_FLOOR)
 
 
 def _ashman(two: TwoGaussians) -> Floats:
@@ -217,14 +216,17 @@ def _ashman(two: TwoGaussians) -> Floats:
     return np.asarray(np.sqrt(2) * apart / np.sqrt((two.deviations**2).sum(axis=-1)))
 
 
-def _two_maxima(two: TwoGaussians) -> Mask:
-    bins = np.arange(-0.5, BINS + 1.0, 0.5)
-    z = (bins - two.means[..., np.newaxis]) / two.deviations[..., np.newaxis]
-    heights = two.weights / two.deviations
-    density = (heights[..., np.newaxis] * np.exp(-0.5 * z**2)).sum(axis=1)
-    inner = density[:, 1:-1]
-    maxima = (inner > density[:, :-2]) & (inner >= density[:, 2:])
-    return np.asarray(np.count_nonzero(maxima, axis=-1) >= 2)
+def _valley(two: TwoGaussians) -> Mask:
+    """Say whether the mixture falls below half its lower maximum, between the two means."""
+    share = np.linspace(0, 1, BINS + 1)
+    places = two.means[:, :1] + share * np.diff(two.means, axis=-1)
+    z = (places[:, np.newaxis] - two.means[..., np.newaxis]) / two.deviations[..., np.newaxis]
+    heights = (two.weights / two.deviations)[..., np.newaxis]
+    density = (heights * np.exp(-0.5 * z**2)).sum(axis=1)
+    bottom = density.argmin(axis=-1)[:, np.newaxis]
+    sides = np.arange(BINS + 1) <= bottom, np.arange(BINS + 1) >= bottom
+    lower_top = np.minimum(*(np.where(side, density, 0).max(axis=-1) for side in sides))
+    return np.asarray(density.min(axis=-1) < 0.5 * lower_top)
 
 
 def _variables(result: Modality) -> Mapped:

@@ -6,6 +6,7 @@ function over its tiles with `Samples.map`; statistics elsewhere take it whole.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -170,6 +171,17 @@ class Samples:
         if self._store is not None:
             return self._store.read(ys, xs, ss)
         return self._array[ys, xs, :, ss]  # type: ignore[index]
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the samples in memory, in bytes."""
+        return 4 * math.prod(self.shape)
+
+    def load(self) -> Samples:
+        """Return the same samples held in memory: worth it before several analyses."""
+        if self._array is not None:
+            return self
+        return Samples(array=self.read(), attrs=self.attrs, features=self.features)
 
     def blocks(self) -> Iterator[tuple[slice, slice, slice, npt.NDArray[np.float32]]]:
         """Walk the samples in constant memory: tile by tile, and batch by batch within a tile.

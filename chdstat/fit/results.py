@@ -168,4 +168,4 @@ def label_fit(dataset: xr.Dataset, family: str) -> xr.Dataset:
 
 
 def _expand(value: npt.NDArray[Any], trailing: int) -> npt.NDArray[Any]:
-    return np.asarray(value).reshape(*np.shape(value), *(1,) * trailing)
+    return np.asarray(value).reshape((*np.shape(value), *(1,) * trailing))

@@ -164,7 +164,7 @@ def tail_index(
 def tail_of_part(part: PositivePart, *, share: float = 0.1, tested: float = 0.25) -> Tail:
     """Estimate the tail index of samples that are already split."""
     reason = part.reason()
-    n = np.floor(share * part.n).astype(np.int64)
+    n = np.asarray(np.floor(share * part.n), dtype=np.int64)
     reason[(reason == Reason.OK) & (n < MINIMUM_EXCESSES)] = Reason.TOO_FEW
     usable = reason == Reason.OK
     values = np.full((4, *part.n.shape), np.nan)
@@ -193,9 +193,7 @@ def tail_of_part(part: PositivePart, *, share: float = 0.1, tested: float = 0.25
     )
 
 
-def _top(
-    ascending: npt.NDArray[Any], n: Counts, k: Counts
-) -> tuple[Floats, Floats]:
+def _top(ascending: npt.NDArray[Any], n: Counts, k: Counts) -> tuple[Floats, Floats]:
     """Return the sample below the k largest, and those, largest first, padded with it."""
     rank = np.arange(k.max())
     places = np.maximum(n[:, np.newaxis] - 1 - rank, (n - 1 - k)[:, np.newaxis])

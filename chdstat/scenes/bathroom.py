@@ -10,6 +10,8 @@ washbasin at the back, the tub at the right, and the camera at the front.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from chdstat.scenes import furniture, textures
@@ -23,6 +25,7 @@ _WIDTH, _DEPTH, _HEIGHT = 2.6, 3.7, 2.5
 _WINDOW_Y, _WINDOW_Z = (1.55, 3.2), (0.9, 2.25)
 _REVEAL = 0.16
 
+_BLACK = matte(rgb(0.0, 0.0, 0.0))
 _PLASTER = matte(rgb(0.88, 0.865, 0.83))
 _LACQUER = glossy(rgb(0.80, 0.79, 0.76), roughness=0.15)
 
@@ -59,16 +62,17 @@ def _outside() -> Entry:
     sun = middle + np.array([-3.6, 0.18, 2.7])
     return {
         "sky": {
-            **_sky(radius=6.0).moved(translate(0, middle[1], 0)).shape(_PLASTER),
-            "emitter": {"type": "area", "radiance": rgb(1.9, 2.05, 2.25)},
+            **_sky(radius=6.0).moved(translate(0, middle[1], 0)).shape(_BLACK),
+            "emitter": {"type": "area", "radiance": rgb(2.6, 2.8, 3.05)},
         },
         "sun": {
             "type": "disk",
             "to_world": look_at(sun, middle) @ scale(0.2, 0.2, 1.0),
+            "bsdf": _BLACK,
             # Chosen half as often as the sky: less of the room sees it.
             "emitter": {
                 "type": "area",
-                "radiance": rgb(2600.0, 2210.0, 1690.0),
+                "radiance": rgb(3500.0, 2980.0, 2280.0),
                 "sampling_weight": 0.5,
             },
         },
@@ -80,7 +84,8 @@ def _sky(*, radius: float) -> Mesh:
     azimuth = np.deg2rad(np.linspace(262, 118, 14))
     height = np.deg2rad(np.linspace(-8, 42, 7))[:, None]
     level = np.stack(np.broadcast_arrays(np.cos(azimuth), np.sin(azimuth), np.tan(height)), axis=-1)
-    return surface(radius * np.cos(height)[..., None] * level)
+    # Flat: Mitsuba takes the shading normal of a smooth emitter for its true one, which is biased.
+    return replace(surface(radius * np.cos(height)[..., None] * level), normals=None)
 
 
 def _room() -> Entry:

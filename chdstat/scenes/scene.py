@@ -42,6 +42,11 @@ class Scene:
     source: Path | Mapping[str, Any]
     parameters: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def origin(self) -> str:
+        """Where the scene comes from: its file, or 'chdstat' for one described in Python."""
+        return str(self.source) if isinstance(self.source, Path) else "chdstat"
+
     @functools.cached_property
     def hash(self) -> str:
         """SHA-256 of everything the picture depends on: description, parameters, files."""

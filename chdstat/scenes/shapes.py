@@ -103,7 +103,13 @@ class Mesh:
 
 
 def join(*meshes: Mesh) -> Mesh:
-    """Return one mesh of several that are either all smooth or all flat."""
+    """Return one mesh of several that are either all smooth or all flat.
+
+    Raises
+    ------
+    InputError
+        If some are smooth and some flat.
+    """
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
     normals = [mesh.normals for mesh in meshes if mesh.normals is not None]
     if normals and len(normals) != len(meshes):
@@ -140,6 +146,11 @@ def box(
 
     Texture coordinates are metres, u along the axis `grain` on the faces that contain it.
 
+    Raises
+    ------
+    InputError
+        If a side is not longer than twice the bevel.
+
     Examples
     --------
     >>> round(box((0, 0, 0), (1, 2, 3)).volume, 12)
@@ -170,27 +181,18 @@ def surface(points: npt.ArrayLike, *, crease: float = 180.0) -> Mesh:
         Positions, shape (rows, columns, 3).
     crease
         Rows across which the sheet bends by more than this angle, in degrees, stay sharp.
+
+    Raises
+    ------
+    InputError
+        If `points` is not a grid of at least 2 x 2 positions.
     """
     grid = np.asarray(points, dtype=float)
     if grid.ndim != 3 or grid.shape[2] != 3 or min(grid.shape[:2]) < 2:
         message = f"points must have shape (rows >= 2, columns >= 2, 3), got {grid.shape}"
         raise InputError(message)
-    if crease < 180.0:
-        pieces = np.split(grid, _sharp_rows(grid, crease))
-        ends = [piece[:1] for piece in pieces[1:]]
-        whole = [np.concatenate([p, e]) for p, e in zip(pieces, [*ends, grid[:0]], strict=True)]
-        return join(*(surface(piece) for piece in whole))
-    rows, columns = grid.shape[:2]
-    index = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (
-        i.ravel() for i in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1])
-    )
-    faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
-    v, u = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
-    mesh = Mesh(grid.reshape(-1, 3), faces, np.stack([u.ravel(), v.ravel()], axis=-1))
-    # At a pole one triangle of each quadrilateral has no area.
-    mesh = replace(mesh, faces=faces[np.linalg.norm(mesh.face_normals, axis=-1) > 1e-12])
-    return replace(mesh, normals=_smooth_normals(mesh))
+    cuts = [0, *_sharp_rows(grid, crease).tolist(), len(grid) - 1]
+    return join(*(_smooth_sheet(grid[a : b + 1]) for a, b in itertools.pairwise(cuts)))
 
 
 def revolve(profile: npt.ArrayLike, *, segments: int = 48, crease: float = 50.0) -> Mesh:
@@ -309,6 +311,19 @@ def _turn(segments: int) -> Array:
 
 def _at_height(points: Array, z: float) -> Array:
     return np.concatenate([points, np.full((*points.shape[:-1], 1), z)], axis=-1)
+
+
+def _smooth_sheet(grid: Array) -> Mesh:
+    rows, columns = grid.shape[:2]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    below, above = index[:-1], index[1:]
+    a, b, c, d = (i.ravel() for i in (below[:, :-1], below[:, 1:], above[:, 1:], above[:, :-1]))
+    faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+    v, u = np.meshgrid(np.linspace(0, 1, rows), np.linspace(0, 1, columns), indexing="ij")
+    mesh = Mesh(grid.reshape(-1, 3), faces, np.stack([u.ravel(), v.ravel()], axis=-1))
+    # At a pole one triangle of each quadrilateral has no area.
+    mesh = replace(mesh, faces=faces[np.linalg.norm(mesh.face_normals, axis=-1) > 1e-12])
+    return replace(mesh, normals=_smooth_normals(mesh))
 
 
 def _smooth_normals(mesh: Mesh) -> Array:

@@ -16,6 +16,8 @@ from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
 
 __all__ = ["Curve", "Panel", "chd_axes", "chd_grid"]
 
+_UNIT = r"W$\,$sr$^{-1}\,$m$^{-2}$"
+
 Array = npt.NDArray[Any]
 Scale = Literal["linear", "log"]
 
@@ -129,7 +131,7 @@ def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
         raise InputError(message)
     rows = -(-len(panels) // columns)
     with style():
-        figure = Figure(figsize=(WIDTH, 1.42 * rows + 0.25), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 1.38 * rows + 0.3), layout="constrained")
         figure.get_layout_engine().set(wspace=0.02, hspace=0.04)  # type: ignore[union-attr,call-arg]
         axes = figure.subplots(rows, 2 * columns, squeeze=False)
         for cell in axes.flat[2 * len(panels) :]:
@@ -139,8 +141,9 @@ def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
             pair = axes[row, 2 * column : 2 * column + 2]
             _pair(pair[0], pair[1], panel, number=i + 1)
             if row == rows - 1 or i + columns >= len(panels):
-                pair[0].set_xlabel("radiance")
-                pair[1].set_xlabel("radiance (log scale)")
+                pair[0].set_xlabel(f"radiance ({_UNIT})")
+                pair[1].set_xlabel(f"radiance ({_UNIT}), log scale")
+            pair[0].set_ylabel("density", fontsize=7)
         axes[0, 0].legend(loc="upper right", handlelength=1, borderaxespad=0)
     return figure
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from chdstat.viz.style import PALETTE, WIDTH, style
+from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
 
 __all__ = ["averages", "error_bars", "training"]
 
@@ -46,10 +46,10 @@ def averages(
         figure = Figure(figsize=(WIDTH, 2.3), layout="constrained")
         left, right = figure.subplots(1, 2)
         for i, (name, share) in enumerate(rejected.items()):
-            color, marker = PALETTE[4 + i % 4], "os^D"[i % 4]
+            color, marker = CHANNELS.get(name, PALETTE[4 + i % 4]), "os^D"[i % 4]
             left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=name)
         left.axhline(alpha, color="#888888", linewidth=0.8, linestyle=":")
-        left.set(ylim=(0, 1.02), ylabel="share of pixels told from Gaussian")
+        left.set(ylim=(0, 1.02), ylabel="share told from Gaussian")
         left.legend(loc="best")
         right.fill_between(n, low, high, color=PALETTE[1], alpha=0.35, linewidth=0)
         right.plot(n, middle, marker="o", markersize=3.5, color=PALETTE[4], label="measured")
@@ -104,7 +104,10 @@ def training(
 
 
 def error_bars(
-    names: Sequence[str], measures: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]]
+    names: Sequence[str],
+    measures: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]],
+    *,
+    references: Mapping[str, float] | None = None,
 ) -> Figure:
     """Draw estimators side by side: one panel a measure, points with intervals.
 
@@ -113,16 +116,21 @@ def error_bars(
     names
         Estimators, top to bottom.
     measures
-        By title: value, lower and upper end of the interval, each of shape (estimator,).
+        By title: value, lower and upper end of the interval, each of shape (estimator,); NaN is
+        left out.
+    references
+        By title: a value to compare with, drawn as a dashed line.
     """
     rank = np.arange(len(names))[::-1]
     with style():
-        figure = Figure(figsize=(WIDTH, 0.55 + 0.3 * len(names)), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 0.6 + 0.26 * len(names)), layout="constrained")
         panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
         for axes, (title, parts) in zip(panels, measures.items(), strict=True):
             value, low, high = (np.asarray(part, dtype=float) for part in parts)
             axes.hlines(rank, low, high, color=PALETTE[4], linewidth=1.6)
             axes.plot(value, rank, "o", color=PALETTE[4], markersize=4)
+            if references and title in references:
+                axes.axvline(references[title], color="#888888", linewidth=0.9, linestyle="--")
             axes.set_title(title)
             axes.set_ylim(-0.6, len(names) - 0.4)
             axes.grid(axis="x", linewidth=0.4, color="#DDDDDD")

@@ -152,7 +152,7 @@ def _inset(axes: Axes, shown: Array, mark: Mark, color: str, number: int) -> Non
     )
     axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=color, linewidth=1.2))
     axes.spines[:].set(visible=True, color=color, linewidth=2)
-    axes.set_title(f"{number} {mark.name}", fontsize=7, pad=2)
+    axes.set_title(f"{number} {mark.name}", fontsize=7.5, pad=4)
 
 
 def pictures(

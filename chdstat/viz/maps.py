@@ -35,7 +35,8 @@ def value_map(
     title, unit
         What is shown, and its unit for the colour bar.
     limits
-        Ends of the colour scale; None takes the 1st and 99th percentile.
+        Ends of the colour scale; None takes the 1st and 99th percentile. Values beyond an end
+        have its colour.
     """
     array = np.asarray(values, dtype=float)
 
@@ -43,8 +44,7 @@ def value_map(
         low, high = limits or _percentiles(array)
         image = axes.imshow(array, cmap=sequential(), vmin=low, vmax=high, interpolation="nearest")
         _bare(axes, title)
-        extend = _extend(array, low, high)
-        bar = axes.figure.colorbar(image, ax=axes, shrink=0.82, pad=0.02, extend=extend)
+        bar = axes.figure.colorbar(image, ax=axes, fraction=0.046, pad=0.03)
         bar.outline.set_visible(False)
         if unit:
             bar.set_label(unit, fontsize=7)
@@ -107,7 +107,7 @@ def map_grid(maps: Sequence[Draw], *, columns: int = 3, aspect: float = 1.0) -> 
     """
     rows = -(-len(maps) // columns)
     with style():
-        height = WIDTH / columns * (0.80 * aspect + 0.22) * rows
+        height = WIDTH / columns * (0.86 * aspect + 0.2) * rows
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False)
         for cell in axes.flat[len(maps) :]:
@@ -129,14 +129,6 @@ def _percentiles(array: npt.NDArray[Any]) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = np.percentile(finite, (1, 99))
     return (float(low), float(high)) if high > low else (float(low) - 0.5, float(low) + 0.5)
-
-
-def _extend(array: npt.NDArray[Any], low: float, high: float) -> str:
-    with np.errstate(invalid="ignore"):
-        below, above = bool((array < low).any()), bool((array > high).any())
-    return {(False, False): "neither", (True, False): "min", (False, True): "max"}.get(
-        (below, above), "both"
-    )
 
 
 def _percent(share: float) -> str:

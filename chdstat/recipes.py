@@ -1,0 +1,233 @@
+"""Recipes: how a study renders a scene, and the regions that it looks at.
+
+A recipe is a TOML file in ``renders/``, one for each study scene. For a scene without one,
+`choose_regions` finds a region for every pattern of the classified image.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from chdstat.errors import InputError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["PHENOMENA", "Recipe", "Region", "choose_regions", "find_recipe", "load_recipe"]
+
+SCHEMA = 1
+PHENOMENA = (
+    "diffuse",
+    "glossy",
+    "noisy-reflection",
+    "direct",
+    "indirect",
+    "penumbra",
+    "texture",
+    "firefly",
+    "highlight",
+)
+"""What a region may show, in the words of the case study of Elek et al. 2019."""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the image that shows one phenomenon.
+
+    Parameters
+    ----------
+    name
+        A short name.
+    phenomenon
+        One of `PHENOMENA`, or the name of a pattern for a region that the library chose.
+    rectangle
+        Left, top, right, bottom as fractions of the image, origin at the top left.
+    note
+        What is to be seen there.
+    """
+
+    name: str
+    phenomenon: str
+    rectangle: tuple[float, float, float, float]
+    note: str = ""
+
+    def pixels(self, height: int, width: int) -> tuple[slice, slice]:
+        """Return the rows and columns that the region covers, at least one of each.
+
+        Examples
+        --------
+        >>> Region("wall", "diffuse", (0.5, 0.25, 0.75, 0.5)).pixels(8, 16)
+        (slice(2, 4, None), slice(8, 12, None))
+        """
+        left, top, right, bottom = self.rectangle
+        return _covered(top, bottom, height), _covered(left, right, width)
+
+    def center(self, height: int, width: int) -> tuple[int, int]:
+        """Return (y, x) of the pixel in the middle."""
+        ys, xs = self.pixels(height, width)
+        return (ys.start + ys.stop - 1) // 2, (xs.start + xs.stop - 1) // 2
+
+
+def _covered(low: float, high: float, length: int) -> slice:
+    start = min(round(low * length), length - 1)
+    return slice(start, min(max(round(high * length), start + 1), length))
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a study renders a scene, and where it looks.
+
+    Parameters
+    ----------
+    scene
+        What `chdstat.load_scene` takes.
+    size, spp, seed, max_depth
+        As for `chdstat.render`.
+    regions
+        What to look at, in the order of the report.
+    """
+
+    scene: str
+    size: tuple[int, int]
+    spp: int
+    seed: int
+    max_depth: int | None
+    regions: tuple[Region, ...]
+
+
+def find_recipe(scene: str) -> Recipe | None:
+    """Return the recipe of a built-in scene, or None where there is none."""
+    for folder in _folders():
+        path = folder / f"{scene}.toml"
+        if path.is_file():
+            return load_recipe(path)
+    return None
+
+
+def _folders() -> Iterator[Path]:
+    """Yield where recipes lie: in the installed package, and beside it in a source checkout."""
+    package = Path(__file__).parent
+    yield package / "renders"
+    yield package.parent / "renders"
+
+
+def load_recipe(path: str | Path) -> Recipe:
+    """Read a recipe.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not TOML, or a key is missing or out of range; the message names
+        file and key.
+    """
+    path = Path(path)
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        message = f"cannot read recipe {path}: {error.strerror}"
+        raise InputError(message) from error
+    except tomllib.TOMLDecodeError as error:
+        message = f"recipe {path} is not valid TOML: {error}"
+        raise InputError(message) from error
+    try:
+        return _recipe(content)
+    except InputError as error:
+        message = f"recipe {path}: {error}"
+        raise InputError(message) from error
+
+
+def _recipe(content: Mapping[str, Any]) -> Recipe:
+    _expect(content.get("schema") == SCHEMA, "schema", SCHEMA, content.get("schema"))
+    size = _key(content, "size", list)
+    _expect(len(size) == 2 and min(size) >= 1, "size", "[width, height]", size)
+    integrator = content.get("integrator", {})
+    _expect(isinstance(integrator, Mapping), "integrator", "a table", integrator)
+    regions = content.get("regions", [])
+    names = [r.get("name") for r in regions]
+    _expect(len(set(names)) == len(names), "regions", "distinct names", names)
+    return Recipe(
+        scene=_key(content, "scene", str),
+        size=(int(size[0]), int(size[1])),
+        spp=_key(content, "spp", int),
+        seed=_key(content, "seed", int),
+        max_depth=integrator.get("max_depth"),
+        regions=tuple(_region(i, region) for i, region in enumerate(regions)),
+    )
+
+
+def _region(index: int, content: Mapping[str, Any]) -> Region:
+    where = f"regions[{index}]."
+    rectangle = _key(content, "rectangle", list, where)
+    inside = len(rectangle) == 4 and all(0 <= float(v) <= 1 for v in rectangle)
+    ordered = inside and rectangle[0] < rectangle[2] and rectangle[1] < rectangle[3]
+    _expect(ordered, f"{where}rectangle", "0 <= left < right <= 1, top < bottom alike", rectangle)
+    phenomenon = _key(content, "phenomenon", str, where)
+    known = ", ".join(PHENOMENA)
+    _expect(phenomenon in PHENOMENA, f"{where}phenomenon", f"one of {known}", phenomenon)
+    name = _key(content, "name", str, where)
+    left, top, right, bottom = (float(v) for v in rectangle)
+    return Region(name, phenomenon, (left, top, right, bottom), content.get("note", ""))
+
+
+def _key(content: Mapping[str, Any], name: str, kind: type, where: str = "") -> Any:
+    value = content.get(name)
+    _expect(isinstance(value, kind), f"{where}{name}", f"a {kind.__name__}", value)
+    return value
+
+
+def _expect(holds: bool, key: str, expected: object, got: object) -> None:
+    if not holds:
+        message = f"{key} must be {expected}, got {got!r}"
+        raise InputError(message)
+
+
+def choose_regions(patterns: xr.Dataset, *, edge: int = 5, most: int = 8) -> tuple[Region, ...]:
+    """Choose one region for every pattern of an image, where the pattern is purest.
+
+    That is the window of `edge` x `edge` pixels with the most pixels of the label; of equal ones,
+    the one deepest inside its patch, so that marks do not sit on borders.
+
+    Parameters
+    ----------
+    patterns
+        What `chdstat.classify` returns: `label` (y, x) with its flag meanings.
+    edge
+        Edge of a region in pixels; less in smaller images.
+    most
+        Regions at most; the most frequent labels come first.
+    """
+    label = patterns["label"]
+    codes = np.asarray(label.values)
+    meanings = dict(
+        zip(label.attrs["flag_values"], str(label.attrs["flag_meanings"]).split(), strict=True)
+    )
+    edge = min(edge, *codes.shape)
+    found = [code for code in meanings if (codes == code).any()]
+    found.sort(key=lambda code: -np.count_nonzero(codes == code))
+    return tuple(
+        Region(
+            meanings[code].replace("_", "-"),
+            meanings[code].replace("_", "-"),
+            _purest(codes == code, edge),
+            f"{(codes == code).mean():.0%} of the pixels have this label",
+        )
+        for code in found[:most]
+    )
+
+
+def _purest(mask: npt.NDArray[np.bool_], edge: int) -> tuple[float, float, float, float]:
+    height, width = mask.shape
+    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    score = ndimage.uniform_filter(mask.astype(float), edge, mode="constant") + 1e-3 * depth
+    y, x = np.unravel_index(np.argmax(np.where(mask, score, -1)), mask.shape)
+    top = int(np.clip(y - edge // 2, 0, height - edge))
+    left = int(np.clip(x - edge // 2, 0, width - edge))
+    return left / width, top / height, (left + edge) / width, (top + edge) / height

@@ -1,0 +1,169 @@
+"""Content of the report: from datasets and results to words, tables and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from chdstat.analysis import Overview
+from chdstat.comparison import Comparison
+from chdstat.estimators import MLP
+from chdstat.recipes import Region
+from chdstat.reporting import figures
+from chdstat.reporting.findings import findings
+from chdstat.reporting.text import NAMES, between, number, percent
+from chdstat.reporting.typeset import Document
+from chdstat.samples import Samples
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+__all__ = ["Study", "document"]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is known about a scene.
+
+    Parameters
+    ----------
+    samples, dataset, overview
+        The samples, what `chdstat.analyze` says of them, and its summary.
+    regions
+        What to look at.
+    chosen
+        Whether the library chose the regions.
+    comparison
+        Estimators; None where there are too few samples to judge by.
+    """
+
+    samples: Samples
+    dataset: xr.Dataset
+    overview: Overview
+    regions: tuple[Region, ...]
+    chosen: bool
+    comparison: Comparison | None
+
+
+def document(study: Study) -> Document:
+    """Return the report on a scene, ready to typeset."""
+    marks = figures.marks_of(study.regions, study.samples)
+    panels = [figures.panel_of(study.samples, mark) for mark in marks]
+    content: dict[str, Any] = {
+        "title": study.samples.name,
+        "regions_chosen": study.chosen,
+        "regions": [_region(study, i) for i in range(len(marks))],
+        "provenance": _provenance(study.samples),
+        "findings": [vars(f) for f in findings(study.overview, study.comparison)],
+        "alpha": percent(float(study.dataset.attrs["false_discovery_rate"])),
+        "thresholds": _thresholds(study.dataset),
+        "n_means": int(study.dataset.attrs.get("n_means", 0)),
+        "spp": study.samples.spp,
+    }
+    drawn: dict[str, Figure] = {
+        "study": figures.study(study.dataset["mean"].values, marks),
+        "maps": figures.maps(study.dataset),
+    }
+    if panels:
+        drawn["chds"] = figures.chds(panels)
+    if study.overview.averages:
+        drawn["averages"] = figures.averages(study.dataset, study.overview)
+    if study.comparison is not None:
+        content["estimators"] = _estimators(study.comparison)
+        drawn |= _estimator_figures(study.comparison)
+    return Document("report.typ", content, drawn)
+
+
+def _estimator_figures(comparison: Comparison) -> Mapping[str, Figure]:
+    drawn = {
+        "estimates": figures.estimates(comparison),
+        "measures": figures.measures(comparison),
+    }
+    for model in comparison.models.values():
+        if isinstance(model, MLP):
+            drawn["training"] = figures.training(model.history)
+    return drawn
+
+
+def _provenance(samples: Samples) -> list[tuple[str, str]]:
+    """Return what one needs to know to render the same samples again."""
+    attrs = samples.attrs
+    height, width, channels, spp = samples.shape
+    integrator = dict(attrs.get("integrator") or {})
+    settings = ", ".join(f"{k} {v}" for k, v in integrator.items() if k != "type")
+    kind = str(integrator.get("type", "unknown"))
+    seconds = float(attrs.get("render_seconds") or 0)
+    rows = {
+        "Scene": f"{samples.name} ({attrs.get('scene_source', 'samples given')})",
+        "Scene hash": str(attrs.get("scene_hash", ""))[:16],
+        "Integrator": f"{kind} ({settings})" if settings else kind,
+        "Image": f"{width} × {height} pixels, {channels} channels, {spp} samples per pixel",
+        "Random numbers": f"independent sampler, seed {attrs.get('seed', 'unknown')}",
+        "Filter": str(attrs.get("filter", "unknown")),
+        "Renderer": f"Mitsuba {attrs.get('mitsuba_version', '')} {attrs.get('backend', '')}",
+        "Rendering time": f"{seconds:.0f} s" if seconds else "",
+        "Note": "; ".join(attrs.get("notes") or []),
+    }
+    return [(name, value) for name, value in rows.items() if value]
+
+
+def _region(study: Study, index: int) -> dict[str, str]:
+    """Return one row of the table of regions."""
+    region, (height, width) = study.regions[index], study.samples.shape[:2]
+    pixel = dict(zip("yx", region.center(height, width), strict=True))
+    found = study.dataset.isel(pixel)
+    return {
+        "name": region.name,
+        "phenomenon": region.phenomenon,
+        "pixel": f"({pixel['x']}, {pixel['y']})",
+        "note": region.note,
+        "color": figures.color_of(index),
+        "radiance": ", ".join(number(v) for v in np.atleast_1d(found["mean"].values)),
+        "nulls": percent(float(found["null_share"])),
+        "variation": number(float(found["coefficient_of_variation"])),
+        "tail": between(float(found["long_tail_statistic"]), 2 * float(found["tail_index_se"])),
+        "family": figures.names_of(found["family"])[int(found["family"])],
+        "label": figures.names_of(found["label"])[int(found["label"])],
+    }
+
+
+def _thresholds(dataset: xr.Dataset) -> dict[str, str]:
+    prefix = "threshold_"
+    return {
+        str(name).removeprefix(prefix): number(float(value))
+        for name, value in dataset.attrs.items()
+        if str(name).startswith(prefix)
+    }
+
+
+def _estimators(comparison: Comparison) -> dict[str, Any]:
+    rows = [
+        {
+            "name": NAMES.get(row["estimator"], row["estimator"]),
+            "mse": number(row["mse"]),
+            "mse_ratio": _with_interval(row, "mse_ratio"),
+            "relmse_ratio": _with_interval(row, "relmse_ratio"),
+            "improved": "" if row["estimator"] == "mean" else percent(row["improved"]),
+            "bias": percent(row["bias"], sign=True),
+        }
+        for row in comparison.table()
+    ]
+    trained = [m for m in comparison.models.values() if isinstance(m, MLP)]
+    return {
+        "rows": rows,
+        "n": comparison.n,
+        "batches": comparison.batches,
+        "excluded": comparison.excluded,
+        "test_pixels": int(comparison.test_pixels.sum()),
+        "iterations": int(trained[0].history.iteration[-1]) if trained else 0,
+        "train_pixels": int((~comparison.test_pixels).sum()),
+    }
+
+
+def _with_interval(row: Mapping[str, Any], name: str) -> str:
+    low, high = number(row[f"{name}_low"]), number(row[f"{name}_high"])
+    return f"{number(row[name])} [{low}, {high}]"

@@ -1,0 +1,201 @@
+"""Figures of the report: results handed to `chdstat.viz`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat import viz
+from chdstat._arrays import is_bad, is_null
+from chdstat.analysis import Overview
+from chdstat.comparison import Comparison
+from chdstat.fit import select
+from chdstat.histograms import Histogram, histogram
+from chdstat.recipes import Region
+from chdstat.reporting.text import NAMES, percent
+from chdstat.samples import Samples
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+    from chdstat.estimators.training import History
+    from chdstat.fit import Fit
+
+__all__ = [
+    "averages",
+    "chds",
+    "color_of",
+    "estimates",
+    "maps",
+    "marks_of",
+    "measures",
+    "names_of",
+    "panel_of",
+    "study",
+    "training",
+]
+
+_LABEL_COLORS = {
+    "undetermined": "#DDDDDD",
+    "black": "#222222",
+    "constant": "#999999",
+    "bimodal": "#CC79A7",
+    "long tail": "#D55E00",
+    "null heavy": "#0072B2",
+    "gamma like": "#56B4E9",
+    "lognormal like": "#009E73",
+}
+
+
+def color_of(index: int) -> str:
+    """Return the colour of a region by its place."""
+    return viz.PALETTE[index % len(viz.PALETTE)]
+
+
+def names_of(variable: xr.DataArray) -> dict[int, str]:
+    """Return the names of an integer-coded variable's values."""
+    names = str(variable.attrs["flag_meanings"]).split()
+    return {
+        int(code): name.replace("_", " ")
+        for code, name in zip(variable.attrs["flag_values"], names, strict=True)
+    }
+
+
+def marks_of(regions: Sequence[Region], samples: Samples) -> list[viz.Mark]:
+    """Return the marks of regions in the picture."""
+    height, width = samples.shape[:2]
+    return [viz.Mark(r.name, *r.pixels(height, width), r.center(height, width)) for r in regions]
+
+
+def study(mean: npt.NDArray[Any], marks: Sequence[viz.Mark]) -> Figure:
+    """Draw the picture with its regions."""
+    return viz.with_marks(mean, marks)
+
+
+def panel_of(samples: Samples, mark: viz.Mark) -> viz.Panel:
+    """Return the CHD of a mark's pixel: histograms, best fits, share of nulls."""
+    x = samples[mark.pixel]
+    null = np.broadcast_to(is_null(x), x.shape)
+    bad = np.broadcast_to(is_bad(x).any(axis=0), x.shape)
+    selection = select(x, null=null)
+    fits = [selection.fits[name] if name else None for name in np.atleast_1d(selection.names)]
+    linear = histogram(x, scale="linear", null=null, bad=bad)
+    log = histogram(x, scale="log", null=null, bad=bad)
+    named = dict.fromkeys(NAMES.get(n, n) for n in np.atleast_1d(selection.names) if n)
+    with np.errstate(invalid="ignore"):
+        mean = np.where(bad, 0, x).sum(axis=-1) / np.maximum((~bad).sum(axis=-1), 1)
+    return viz.Panel(
+        name=mark.name,
+        linear=_curves(linear, fits, samples.channels),
+        log=_curves(log, fits, samples.channels),
+        mean=dict(zip(samples.channels, mean.tolist(), strict=True)),
+        note=f"{percent(float(null[0].mean()))} null, {' / '.join(named) or 'no fit'}",
+    )
+
+
+def _curves(
+    counted: Histogram, fits: Sequence[Fit | None], channels: Sequence[str]
+) -> dict[str, viz.Curve]:
+    curves = {}
+    bins = counted.counts.shape[-1]
+    edges = np.broadcast_to(counted.edges, (len(channels), bins + 1))
+    centers = np.broadcast_to(counted.centers, (len(channels), bins))
+    for i, (channel, fit) in enumerate(zip(channels, fits, strict=True)):
+        density = None if fit is None else _density(fit, i, centers[i], counted.scale)
+        curves[channel] = viz.Curve(edges[i], counted.density[i], density)
+    return curves
+
+
+def _density(fit: Fit, channel: int, x: npt.NDArray[Any], scale: str) -> npt.NDArray[Any]:
+    """Return a fit's density per unit of radiance, or per decade."""
+    with np.errstate(all="ignore"):
+        density = np.where(x > 0, fit.pdf(np.where(x > 0, x, 1))[channel], 0)
+    return density * x * np.log(10) if scale == "log" else density
+
+
+def chds(panels: Sequence[viz.Panel]) -> Figure:
+    """Draw the CHDs of all regions."""
+    return viz.chd_grid(panels)
+
+
+def maps(found: xr.Dataset) -> Figure:
+    """Draw the maps of the image."""
+    height, width = found.sizes["y"], found.sizes["x"]
+    draw = [
+        viz.value_map(found["null_share"], title="Share of null samples", limits=(0, 1)),
+        viz.value_map(found["coefficient_of_variation"], title="Coefficient of variation"),
+        viz.value_map(found["long_tail_statistic"], title="Tail index ξ", limits=(-0.5, 1.0)),
+        _categories(found["family"], "Best family"),
+        viz.value_map(
+            found["log_normality_skewness"].mean("channel"), title="Skewness of log samples"
+        ),
+        _categories(found["label"], "Primary pattern"),
+    ]
+    return viz.map_grid(draw, columns=3, aspect=height / width)
+
+
+def _categories(variable: xr.DataArray, title: str) -> Any:
+    names = names_of(variable)
+    shown = {code: NAMES.get(name, name) for code, name in names.items()}
+    palette = [_LABEL_COLORS.get(name, viz.PALETTE[i % 8]) for i, name in enumerate(names.values())]
+    return viz.categorical_map(variable.values, shown, title=title, colors=palette)
+
+
+def averages(found: xr.Dataset, scene: Overview) -> Figure:
+    """Draw how averages become Gaussian."""
+    shares = found["averages_rejected_share"]
+    by_channel = {str(c): shares.sel(channel=c).values for c in found["channel"].values}
+    return viz.averages(
+        list(scene.averages),
+        by_channel,
+        scene.skewness,
+        scene.predicted_skewness,
+        alpha=float(found.attrs["false_discovery_rate"]),
+    )
+
+
+def estimates(comparison: Comparison) -> Figure:
+    """Draw every estimate of the picture, and its error, beside the reference."""
+    names = [NAMES.get(name, name) for name in comparison.estimators]
+    images: dict[str, npt.ArrayLike] = dict(zip(names, comparison.estimates, strict=True))
+    errors: dict[str, npt.ArrayLike] = {
+        name: error.mean(axis=-1)
+        for name, error in zip(names, comparison.squared_error, strict=True)
+    }
+    return viz.pictures(images | {"reference": comparison.reference}, errors=errors)
+
+
+def measures(comparison: Comparison) -> Figure:
+    """Draw the measures of all estimators with their intervals."""
+    titles = {
+        "mse_ratio": "MSE ratio",
+        "relmse_ratio": "relMSE ratio",
+        "improved": "improved share",
+        "bias": "bias",
+    }
+    names = comparison.estimators
+    hidden = {"improved": [n == "mean" for n in names]}  # the mean does not improve on itself
+    drawn = {}
+    for measure, title in titles.items():
+        of_all = comparison.measures[measure][:, -1]
+        parts = (of_all.value, of_all.low, of_all.high)
+        hide = hidden.get(measure, [False] * len(names))
+        drawn[title] = tuple(np.where(hide, np.nan, part) for part in parts)
+    references = dict(zip(titles.values(), (1.0, 1.0, 0.5, 0.0), strict=True))
+    return viz.error_bars([NAMES.get(n, n) for n in names], drawn, references=references)  # type: ignore[arg-type]
+
+
+def training(history: History) -> Figure:
+    """Draw a training curve against the error of the sample mean."""
+    return viz.training(
+        history.iteration,
+        {"training": history.train_loss, "validation": history.validation_loss},
+        {
+            "training": float(history.train_baseline[-1]),
+            "validation": float(history.validation_baseline[-1]),
+        },
+    )

@@ -1,0 +1,62 @@
+"""Numbers as a reader wants them."""
+
+from __future__ import annotations
+
+import math
+
+__all__ = ["NAMES", "between", "number", "percent"]
+
+NAMES = {
+    "mean": "sample mean",
+    "median_of_means": "median of means",
+    "elek2019": "Elek et al. 2019",
+    "gamma": "gamma",
+    "lognormal": "log-normal",
+}
+"""Names of estimators and families in running text."""
+
+
+def number(value: float) -> str:
+    """Return a number with three digits, and a real minus sign.
+
+    Examples
+    --------
+    >>> number(0.012345), number(1234.5), number(-2.0), number(float("nan"))
+    ('0.0123', '1230', '−2.00', '—')
+    """
+    if not math.isfinite(value):
+        return "—"
+    if value == 0:
+        return "0"
+    digits = max(0, 2 - math.floor(math.log10(abs(value))))
+    rounded = round(value, 2 - math.floor(math.log10(abs(value))))
+    text = f"{rounded:.{min(digits, 6)}f}" if abs(value) >= 1e-4 else f"{value:.1e}"
+    return text.replace("-", "−")
+
+
+def percent(share: float, *, sign: bool = False) -> str:
+    r"""Return a share in per cent, which no line break splits.
+
+    Examples
+    --------
+    >>> percent(0.574), percent(0.0012), percent(-0.031, sign=True), percent(0.0)
+    ('57\xa0%', '0.1\xa0%', '−3.1\xa0%', '0\xa0%')
+    """
+    if not math.isfinite(share):
+        return "—"
+    digits = 0 if abs(share) >= 0.0995 or share == 0 else 1
+    text = f"{100 * share:{'+' if sign and share else ''}.{digits}f}\N{NO-BREAK SPACE}%"
+    return text.replace("-", "−")
+
+
+def between(value: float, margin: float) -> str:
+    """Return a value with its margin of error.
+
+    Examples
+    --------
+    >>> between(0.31, 0.2)
+    '0.31 ± 0.20'
+    """
+    if not (math.isfinite(value) and math.isfinite(margin)):
+        return "—"
+    return f"{value:.2f} ± {margin:.2f}".replace("-", "−")

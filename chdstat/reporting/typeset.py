@@ -1,0 +1,79 @@
+"""Typesetting: a document of text, tables and figures to PDF, with Typst."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from chdstat.errors import ChdstatError
+from chdstat.viz import style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["Document", "typeset"]
+
+
+@dataclass(frozen=True)
+class Document:
+    """What a template is filled with.
+
+    Parameters
+    ----------
+    template
+        Name of a file in ``templates/``.
+    content
+        Text, numbers and tables, ready for JSON.
+    figures
+        Figures by name; the template finds them as ``<name>.svg``.
+    """
+
+    template: str
+    content: Mapping[str, Any]
+    figures: Mapping[str, Figure]
+
+
+def typeset(document: Document, folder: Path, target: Path) -> Path:
+    """Write a document as PDF.
+
+    Parameters
+    ----------
+    document
+        What to typeset.
+    folder
+        An empty folder for the parts.
+    target
+        The PDF; it is replaced only when the new one is complete.
+
+    Raises
+    ------
+    ChdstatError
+        If Typst refuses the document, or the PDF cannot be written.
+    """
+    import typst
+
+    for part in (resources.files("chdstat.reporting") / "templates").iterdir():
+        (folder / part.name).write_text(part.read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "content.json").write_text(
+        json.dumps({**document.content, "figures": sorted(document.figures)}), encoding="utf-8"
+    )
+    with style():
+        for name, figure in document.figures.items():
+            figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+    partial = target.with_suffix(".partial.pdf")
+    try:
+        typst.compile(folder / document.template, output=partial)
+        partial.replace(target)
+    except (RuntimeError, typst.TypstError) as error:
+        message = f"typesetting the report failed: {error}"
+        raise ChdstatError(message) from error
+    except OSError as error:
+        message = f"cannot write {target}: {error.strerror or error}"
+        raise ChdstatError(message) from error
+    finally:
+        partial.unlink(missing_ok=True)
+    return target

@@ -1,0 +1,55 @@
+"""Make chd.png, the picture in the README: two pixels of the bathroom and what is behind them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+import chdstat as chd
+from chdstat import viz
+from chdstat.recipes import find_recipe
+
+SIZE = (160, 160)
+NAMES = ("wall", "floor-shadow")
+
+
+def main() -> None:
+    recipe = find_recipe("bathroom")
+    regions = {region.name: region for region in recipe.regions} if recipe else {}
+    pixels = [regions[name].center(*SIZE) for name in NAMES]
+    picture = chd.render("bathroom", spp=256, size=SIZE, seed=1).read().mean(axis=-1)
+    x = chd.render_pixels("bathroom", pixels, spp=65536, size=SIZE, seed=2)
+    with viz.style():
+        figure = Figure(figsize=(6.7, 2.7), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=[1, 1.25])
+        main_axes = figure.add_subplot(grid[:, 0])
+        main_axes.imshow(viz.tonemap(picture))
+        main_axes.set_axis_off()
+        for i, (y, x_) in enumerate(pixels):
+            color = viz.PALETTE[i]
+            main_axes.add_patch(Circle((x_, y), 4, fill=False, edgecolor=color, linewidth=1.6))
+            draw(figure.add_subplot(grid[i, 1]), x[i], NAMES[i], color)
+        figure.axes[1].legend(["green samples", "gamma", "log-normal"], loc="upper left")
+        figure.axes[2].set_xlabel("radiance (log scale)")
+        figure.savefig(Path(__file__).with_name("chd.png"), dpi=180)
+
+
+def draw(axes: Axes, x: np.ndarray, name: str, color: str) -> None:
+    null = (x == 0).all(axis=0)
+    histogram = chd.histogram(x[1], null=null)
+    viz.chd_axes(axes, {"G": viz.Curve(histogram.edges, histogram.density)}, scale="log")
+    found = chd.fit.select(x[1], null=null)
+    for family, line in zip(found.families, viz.PALETTE[4:], strict=False):
+        density = found.fits[family].pdf(histogram.centers) * histogram.centers * np.log(10)
+        axes.plot(histogram.centers, density, color=line, label=family)
+    axes.set_xlim(1e-4, 1e1)
+    axes.spines["bottom"].set(color=color, linewidth=2.2)
+    axes.set_title(f"{name}: {null.mean():.0%} of the samples are null", loc="left")
+
+
+if __name__ == "__main__":
+    main()

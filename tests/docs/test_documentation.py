@@ -1,0 +1,82 @@
+"""What the documentation promises: its commands are run, and every public name is explained."""
+
+from __future__ import annotations
+
+import ast
+import re
+import tomllib
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+import chdstat as chd
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def code_blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+def pinned() -> dict[str, str]:
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    pins = [line.split("==") for line in lines if line and not line.startswith("#")]
+    return {re.sub(r"[-_.]+", "-", name).lower(): version for name, version in pins}
+
+
+def test_both_commands_are_single_lines_for_a_fresh_clone() -> None:
+    run, test = code_blocks(README, "sh")[:2]
+    for command in (run, test):
+        assert command.count("\n") == 1
+        assert command.startswith("python3.11 -m venv .venv && . .venv/bin/activate && pip install")
+    assert run.rstrip().endswith("chdstat report bathroom -o report.pdf")
+    assert test.rstrip().endswith("pytest")
+
+
+def test_ci_runs_the_test_command_of_the_readme() -> None:
+    script = (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+    assert "<!-- ci: test -->" in script
+    assert "pip install" not in script  # else the two could drift apart
+    after_marker = README.split("<!-- ci: test -->")[1]
+    assert code_blocks(after_marker, "sh")[0] == code_blocks(README, "sh")[1]
+
+
+def test_python_in_the_readme_is_python_and_its_names_exist() -> None:
+    (block,) = code_blocks(README, "python")
+    used = [
+        node.attr
+        for node in ast.walk(ast.parse(block))
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "chd"
+    ]
+    assert used
+    assert set(used) <= set(chd.__all__)
+
+
+@pytest.mark.parametrize("name", sorted(set(chd.__all__) - {"__version__"}))
+def test_every_public_name_is_on_the_api_page(name: str) -> None:
+    page = (ROOT / "docs" / "api.rst").read_text(encoding="utf-8")
+    assert re.search(rf"^   {name}$", page, re.MULTILINE)
+
+
+def test_every_dependency_is_pinned_within_its_range() -> None:
+    from packaging.requirements import Requirement
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    versions = pinned()
+    for text in [*project["dependencies"], *extras["test"], *extras["docs"]]:
+        requirement = Requirement(text)
+        version = versions[re.sub(r"[-_.]+", "-", requirement.name).lower()]
+        assert requirement.specifier.contains(version), f"{text} is pinned to {version}"
+
+
+def test_versions_agree() -> None:
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"version: {chd.__version__}\n" in citation
+    assert f"## {chd.__version__}" in changelog
+    assert metadata.version("chdstat") == chd.__version__

@@ -1,0 +1,224 @@
+"""Maximum likelihood: SciPy's answers, laws of the fit, and what happens to unusable pixels."""
+
+import numpy as np
+import pytest
+from scipy import integrate, special, stats
+from statsmodels.stats.proportion import proportion_confint
+
+import chdstat as chd
+from chdstat._reasons import Reason
+from chdstat.errors import InputError
+from chdstat.fit.families import FAMILIES, _gamma_shape
+
+FAMILY_NAMES = sorted(FAMILIES)
+
+
+def scipy_fit(family, x):
+    if family == "gamma":
+        shape, _, scale = stats.gamma.fit(x, floc=0)
+        return {"shape": shape, "scale": scale}
+    sigma, _, scale = stats.lognorm.fit(x, floc=0)
+    return {"mu": np.log(scale), "sigma": sigma}
+
+
+def scipy_log_density(family, x, p):
+    if family == "gamma":
+        return stats.gamma.logpdf(x, p["shape"], scale=p["scale"])
+    return stats.lognorm.logpdf(x, p["sigma"], scale=np.exp(p["mu"]))
+
+
+def sparse(rng, shape, nulls=0.4):
+    return np.where(rng.random(shape) < nulls, 0, rng.gamma(0.8, 3.0, size=shape))
+
+
+@pytest.mark.parametrize("shape", [0.05, 0.3, 0.9, 2.0, 7.0, 60.0, 3000.0])
+def test_gamma_equals_scipy(shape):
+    x = np.random.default_rng(int(100 * shape)).gamma(shape, 2.5, size=400)
+    fit, expected = chd.fit.gamma(x), scipy_fit("gamma", x)
+    for name, value in expected.items():
+        assert fit.parameters[name] == pytest.approx(value, rel=1e-6)
+
+
+@pytest.mark.parametrize("sigma", [0.05, 1.0, 4.0])
+def test_lognormal_equals_scipy(sigma):
+    x = np.random.default_rng(3).lognormal(-2, sigma, size=400)
+    fit, expected = chd.fit.lognormal(x), scipy_fit("lognormal", x)
+    for name, value in expected.items():
+        assert fit.parameters[name] == pytest.approx(value, rel=1e-9)
+
+
+@pytest.mark.parametrize("k", [1e-3, 0.1, 1.0, 30.0, 990.0, 1010.0, 1e4])
+def test_gamma_equation_is_solved(k):
+    gap = np.array(np.log(k) - special.digamma(k))
+    solution, converged = _gamma_shape(gap)
+    assert converged
+    assert solution == pytest.approx(k, rel=1e-8)
+
+
+def test_gamma_shape_of_nearly_equal_samples():
+    # The relative spread of gamma samples is 1/sqrt(shape): here SciPy's solver has no digits left.
+    x = 1 + 1e-5 * stats.norm.ppf((np.arange(2000) + 0.5) / 2000)
+    expected = x.mean() ** 2 / x.var()
+    assert chd.fit.gamma(x).parameters["shape"] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_log_likelihood_is_that_of_all_good_samples(family):
+    x = np.concatenate([np.zeros(30), np.random.default_rng(5).gamma(0.7, 2, size=70)])
+    fit = chd.fit.fit(x, family)
+    density = scipy_log_density(family, x[30:], fit.parameters).sum()
+    expected = density + 30 * np.log(0.3) + 70 * np.log(0.7)
+    assert fit.log_likelihood == pytest.approx(expected, rel=1e-12)
+    assert fit.aic == pytest.approx(2 * 3 - 2 * expected)
+    assert fit.bic == pytest.approx(3 * np.log(100) - 2 * expected)
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_no_other_parameters_are_likelier(family):
+    x = np.random.default_rng(6).gamma(0.7, 2, size=200)
+    best = chd.fit.fit(x, family).parameters
+    peak = scipy_log_density(family, x, best).sum()
+    for name in best:
+        for factor in (0.99, 1.01):
+            moved = {**best, name: best[name] * factor}
+            assert scipy_log_density(family, x, moved).sum() < peak
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_standard_errors_are_those_of_repeated_fits(family):
+    # The ratio of two deviations has a deviation of 1/sqrt(2 * 2000) = 1.6 %, plus asymptotics:
+    # 8 % is beyond 4.5 of them (false failure below 1e-5).
+    rng = np.random.default_rng(7)
+    draw = {
+        "gamma": lambda: rng.gamma(1.5, 2.0, size=(2000, 500)),
+        "lognormal": lambda: rng.lognormal(3.0, 0.7, size=(2000, 500)),
+    }[family]
+    fit = chd.fit.fit(draw(), family)
+    for name, values in fit.parameters.items():
+        ratio = fit.standard_errors[name].mean() / values.std()
+        assert ratio == pytest.approx(1, abs=0.08)
+
+
+def test_radiance_scales_the_scale():
+    x = sparse(np.random.default_rng(8), (5, 300))
+    one, thousand = chd.fit.gamma(x), chd.fit.gamma(1000 * x)
+    np.testing.assert_allclose(thousand.parameters["shape"], one.parameters["shape"], rtol=1e-10)
+    np.testing.assert_allclose(thousand.parameters["scale"], 1000 * one.parameters["scale"])
+    mu = chd.fit.lognormal(1000 * x).parameters["mu"] - chd.fit.lognormal(x).parameters["mu"]
+    np.testing.assert_allclose(mu, np.log(1000))
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_batch_equals_its_rows(family):
+    x = sparse(np.random.default_rng(9), (2, 3, 200))
+    batch = chd.fit.fit(x, family)
+    assert batch.null_interval.shape == (2, 3, 2)
+    for index in np.ndindex(2, 3):
+        row = chd.fit.fit(x[index], family)
+        for name, value in row.parameters.items():
+            assert value.shape == ()
+            assert batch.parameters[name][index] == pytest.approx(float(value), rel=1e-12)
+        assert batch.bic[index] == pytest.approx(float(row.bic), rel=1e-12)
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_float32_equals_float64(family):
+    x = sparse(np.random.default_rng(10), (4, 500)).astype(np.float32)
+    single, double = chd.fit.fit(x, family), chd.fit.fit(x.astype(np.float64), family)
+    for name, value in double.parameters.items():
+        np.testing.assert_allclose(single.parameters[name], value, rtol=1e-12)
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_unusable_pixels_are_data(family):
+    x = np.array([[0.0] * 6, [np.nan] * 6, [0, 0, 0, 0, 0, 3], [2] * 6, [1, 2, 3, 4, -1, np.inf]])
+    fit = chd.fit.fit(x, family)
+    expected = [Reason.ALL_NULL, Reason.ALL_BAD, Reason.TOO_FEW, Reason.CONSTANT, Reason.OK]
+    np.testing.assert_array_equal(fit.reason, expected)
+    for value in (*fit.parameters.values(), fit.log_likelihood, fit.bic, fit.mean()):
+        np.testing.assert_array_equal(np.isnan(value), fit.reason != Reason.OK)
+    np.testing.assert_array_equal(fit.converged, fit.reason == Reason.OK)
+    np.testing.assert_array_equal(fit.n_bad, [0, 6, 0, 0, 2])
+    np.testing.assert_array_equal(fit.null_share, [1, np.nan, 5 / 6, 0, 0])
+    assert np.isnan(fit.cdf([1.0])[:4]).all()
+
+
+def test_null_share_has_wilsons_interval():
+    x = np.concatenate([np.zeros(13), np.random.default_rng(11).gamma(1, size=27)])
+    fit = chd.fit.gamma(x)
+    expected = proportion_confint(13, 40, method="wilson")
+    np.testing.assert_allclose(fit.null_interval, expected, rtol=1e-12)
+    np.testing.assert_array_equal(chd.fit.gamma(x[13:]).null_interval[0], 0)
+    assert np.isnan(chd.fit.gamma([np.nan, np.nan]).null_interval).all()
+
+
+def test_a_null_mask_tells_zeros_of_a_channel_apart():
+    x = np.array([0.0, 0.0, 0.0, 1.0, 2.0, 4.0])
+    assert int(chd.fit.gamma(x).n_null) == 3
+    masked = chd.fit.gamma(x, null=[True, False, False, False, False, False])
+    assert (int(masked.n_null), int(masked.n_zero), int(masked.n)) == (1, 2, 3)
+    assert float(masked.zero_share) == 0.5
+    assert float(masked.mean()) == pytest.approx(x.mean())
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_distribution_functions_agree(family):
+    fit = chd.fit.fit(sparse(np.random.default_rng(12), (3, 400)), family)
+    for row in range(3):
+        density = lambda x, row=row: fit.pdf(x)[row]  # noqa: E731
+        total, _ = integrate.quad(density, 0, 1)
+        tail, _ = integrate.quad(density, 1, np.inf)
+        assert total + tail == pytest.approx(1, abs=1e-6)
+    q = np.array([0.5, 0.7, 0.99])
+    quantiles = fit.ppf(q)
+    assert quantiles.shape == (3, 3)
+    for row in range(3):
+        np.testing.assert_allclose(fit.cdf(quantiles[row])[row], q)
+    np.testing.assert_array_equal(fit.ppf(0.1), 0)
+    np.testing.assert_array_equal(fit.cdf(-1.0), 0)
+    np.testing.assert_allclose(fit.cdf(0.0), fit.zero_share)
+
+
+def test_gamma_model_has_the_mean_of_the_samples():
+    x = sparse(np.random.default_rng(13), (6, 300))
+    np.testing.assert_allclose(chd.fit.gamma(x).mean(), x.mean(axis=-1), rtol=1e-9)
+
+
+def test_draws_follow_the_model_they_come_from():
+    # Kolmogorov-Smirnov at 1e-4 on the positive part, z-test at 4 sigma on the nulls.
+    fit = chd.fit.gamma(sparse(np.random.default_rng(14), 500))
+    draws = fit.rvs(20_000, seed=1)
+    zero = float(fit.zero_share)
+    assert abs((draws == 0).mean() - zero) < 4 * np.sqrt(zero * (1 - zero) / draws.size)
+    shape, scale = (float(fit.parameters[name]) for name in ("shape", "scale"))
+    positive = draws[draws > 0]
+    assert stats.kstest(positive, stats.gamma(shape, scale=scale).cdf).pvalue > 1e-4
+    assert stats.kstest(positive, stats.gamma(1.3 * shape, scale=scale).cdf).pvalue < 1e-4
+
+
+def test_image_counts_nulls_and_bad_samples_by_whole_samples():
+    rng = np.random.default_rng(15)
+    radiance = rng.gamma(1.0, size=(2, 2, 3, 50)).astype(np.float32)
+    radiance[0, 0, :, :10] = 0
+    radiance[0, 0, 2, 10:15] = 0
+    radiance[0, 0, 1, 20] = np.nan
+    dataset = chd.fit.gamma(chd.Samples.from_array(radiance), progress=False)
+    pixel = dataset.isel(y=0, x=0)
+    np.testing.assert_array_equal(pixel["n_null"], [10, 10, 10])
+    np.testing.assert_array_equal(pixel["n_zero"], [0, 0, 5])
+    np.testing.assert_array_equal(pixel["n_bad"], [1, 1, 1])
+    np.testing.assert_array_equal(pixel["n"], [39, 39, 34])
+    assert dataset["gamma_shape"].dims == ("y", "x", "channel")
+    assert dataset["gamma_scale"].attrs["units"] == "W sr-1 m-2"
+    assert "all_null" in dataset["gamma_reason"].attrs["flag_meanings"]
+    for variable in dataset.data_vars.values():
+        assert {"long_name", "units"} <= set(variable.attrs)
+    alone = chd.fit.gamma(radiance[1, 1])
+    np.testing.assert_allclose(dataset["gamma_shape"][1, 1], alone.parameters["shape"])
+
+
+def test_wrong_input_is_refused():
+    with pytest.raises(InputError, match="family must be one of gamma, lognormal, got 'cauchy'"):
+        chd.fit.fit([1.0, 2.0], "cauchy")
+    with pytest.raises(InputError, match="broadcastable"):
+        chd.fit.gamma([1.0, 2.0], null=[True, False, True])

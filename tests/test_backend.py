@@ -1,0 +1,190 @@
+from __future__ import annotations
+
+import json
+import os
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from chdstat import backend
+from chdstat.backend import Verdict, activate, llvm_libraries, probe, resolve
+from chdstat.errors import InputError, RenderError
+
+LIBRARY = "/nowhere/libLLVM.so.99"
+
+
+@pytest.fixture
+def no_cache(tmp_path, monkeypatch):
+    """Start with an empty cache and one pretended LLVM library; return the cache's file."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", LIBRARY)
+    backend._read_cache.cache_clear()
+    yield tmp_path / "chdstat" / "backends.json"
+    backend._read_cache.cache_clear()
+
+
+@pytest.fixture
+def child(monkeypatch):
+    """Replace what the child process runs."""
+
+    def use(code: str) -> None:
+        monkeypatch.setattr(backend, "_CHILD", code)
+
+    return use
+
+
+def test_scalar_needs_no_trial(no_cache, child):
+    child("raise SystemExit(1)")
+    assert probe("scalar").works
+    assert resolve("scalar").backend == "scalar"
+    assert not no_cache.exists()
+
+
+def test_answers_are_cached_until_asked_afresh(no_cache, child):
+    child("pass")
+    first = probe("llvm")
+    assert first == Verdict("llvm", works=True, detail="rendered a picture", library=LIBRARY)
+    assert len(json.loads(no_cache.read_text())) == 1
+    child("raise SystemExit('broken since')")
+    assert probe("llvm") == first
+    backend._read_cache.cache_clear()
+    assert probe("llvm") == first
+    assert not probe("llvm", fresh=True).works
+    assert not probe("llvm").works
+
+
+def test_another_library_is_tried_anew(no_cache, child, monkeypatch):
+    child("pass")
+    assert probe("llvm").works
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/nowhere/libLLVM.so.15")
+    child("raise SystemExit(1)")
+    assert not probe("llvm").works
+
+
+def test_a_library_that_aborts_the_process_is_a_verdict(no_cache, child):
+    child("import os, sys; print('LLVM ERROR: Cannot select', file=sys.stderr); os.abort()")
+    verdict = probe("llvm")
+    assert not verdict.works
+    assert "aborted by signal 6 (LLVM ERROR: Cannot select)" in verdict.detail
+    with pytest.raises(RenderError, match="llvm backend does not work here: .*Cannot select.*Use"):
+        resolve("llvm")
+    assert resolve("auto").backend == "scalar"
+
+
+def test_an_exception_is_a_verdict(no_cache, child):
+    child("raise ImportError('no libLLVM')")
+    assert "raised (ImportError: no libLLVM)" in probe("llvm").detail
+
+
+def test_a_child_that_hangs_is_a_verdict(no_cache, child, monkeypatch):
+    monkeypatch.setattr(backend, "_TIMEOUT", 0.2)
+    child("import time; time.sleep(60)")
+    assert "no picture in" in probe("llvm").detail
+
+
+def test_the_child_gets_the_library_and_the_variant(no_cache, child):
+    child(
+        "import os, sys\n"
+        f"assert os.environ['DRJIT_LIBLLVM_PATH'] == {LIBRARY!r}\n"
+        "assert sys.argv[1] == 'llvm_ad_rgb'"
+    )
+    assert probe("llvm").works
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"llvm": 3}'])
+def test_a_broken_cache_only_costs_the_trial(no_cache, child, content):
+    no_cache.parent.mkdir()
+    no_cache.write_text(content)
+    child("pass")
+    assert probe("llvm").works
+
+
+def test_answers_of_another_version_only_cost_the_trial(no_cache, child):
+    child("pass")
+    probe("llvm")
+    cache = {key: {"works": True, "speed": 3} for key in json.loads(no_cache.read_text())}
+    no_cache.write_text(json.dumps(cache))
+    backend._read_cache.cache_clear()
+    assert probe("llvm").works
+
+
+def test_a_home_that_cannot_be_written_to_only_costs_the_trial(tmp_path, monkeypatch, child):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", LIBRARY)
+    backend._read_cache.cache_clear()
+    child("pass")
+    assert probe("llvm").works
+    backend._read_cache.cache_clear()
+
+
+def test_unknown_names_are_refused():
+    with pytest.raises(
+        InputError, match="must be one of auto, scalar, llvm, cuda; got 'metal'"
+    ):
+        resolve("metal")
+    with pytest.raises(InputError, match="got 'metal'"):
+        probe("metal")
+
+
+def test_without_a_library_there_is_no_llvm(no_cache, monkeypatch):
+    monkeypatch.setattr(backend, "llvm_libraries", list)
+    assert probe("llvm") == Verdict("llvm", works=False, detail="no LLVM library found")
+
+
+def test_the_newest_library_that_works_is_taken(no_cache, child, monkeypatch):
+    libraries = [f"/nowhere/libLLVM.so.{version}" for version in (20, 19, 14)]
+    monkeypatch.setattr(backend, "llvm_libraries", lambda: libraries)
+    child("import os; assert not os.environ['DRJIT_LIBLLVM_PATH'].endswith('20')")
+    assert probe("llvm").library == libraries[1]
+
+
+def test_libraries_are_found_newest_first(tmp_path, monkeypatch):
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    folder = tmp_path / "lib"
+    folder.mkdir()
+    for name in ("libLLVM-14.so.1", "libLLVM.so.19.1", "libLLVMExtra.so", "libLLVM.so.9"):
+        (folder / name).write_text("")
+    (folder / "libLLVM-19.so").symlink_to(folder / "libLLVM.so.19.1")
+    monkeypatch.setattr(backend, "_LIBRARY_FOLDERS", (str(folder),))
+    assert [Path(p).name for p in llvm_libraries()] == [
+        "libLLVM.so.19.1",
+        "libLLVM-14.so.1",
+        "libLLVM.so.9",
+    ]
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", LIBRARY)
+    assert llvm_libraries() == [LIBRARY]
+
+
+def test_activating_restores_the_variant():
+    import mitsuba as mi
+
+    before = mi.variant()
+    mi.set_variant("scalar_spectral")
+    try:
+        with activate(probe("scalar")) as active:
+            assert active.variant() == "scalar_rgb"
+        assert mi.variant() == "scalar_spectral"
+        with pytest.raises(ZeroDivisionError), activate(probe("scalar")):
+            raise ZeroDivisionError
+        assert mi.variant() == "scalar_spectral"
+    finally:
+        mi.set_variant(before or "scalar_rgb")
+
+
+def test_activating_reaches_other_threads():
+    names = []
+    with activate(probe("scalar")) as mi:
+        thread = threading.Thread(target=lambda: names.append(mi.variant()))
+        thread.start()
+        thread.join()
+    assert names == ["scalar_rgb"]
+
+
+def test_activating_names_the_library_but_heeds_the_user(monkeypatch):
+    verdict = replace(probe("scalar"), library=LIBRARY)
+    monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/my/own.so")
+    with activate(verdict):
+        assert os.environ["DRJIT_LIBLLVM_PATH"] == "/my/own.so"

@@ -1,0 +1,514 @@
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zarr
+
+import chdstat as chd
+from chdstat import capture
+from chdstat._arrays import is_bad, luminance
+from chdstat._renderer import Renderer, max_spp
+from chdstat._store import Store
+from chdstat.backend import activate, probe
+from chdstat.errors import InputError, RenderError, SceneError, StoreError
+from chdstat.scenes import load_scene
+
+SIZE = (72, 40)
+
+XML = """
+<scene version="3.0.0">
+  <default name="depth" value="3"/>
+  <default name="glow" value="1"/>
+  <integrator type="path"><integer name="max_depth" value="$depth"/></integrator>
+  {sensor}
+  <shape type="sphere"><emitter type="area"><rgb name="radiance" value="$glow"/></emitter></shape>
+</scene>
+"""
+SENSOR = """
+  <sensor type="perspective">
+    <transform name="to_world"><lookat origin="0, 0, -4" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <film type="hdrfilm">
+      <integer name="width" value="12"/>
+      <integer name="height" value="10"/>
+      <rfilter type="{rfilter}"/>
+    </film>
+    <sampler type="{sampler}"/>
+  </sensor>
+"""
+
+
+def render(scene: Any = "cornell-box", **options: Any) -> chd.Samples:
+    return chd.render(scene, **{"backend": "scalar", "size": (8, 8), "spp": 4, **options})
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(path)): p.read_bytes() for p in path.rglob("*") if p.is_file()}
+
+
+def constant(value: float, **more: Any) -> dict[str, Any]:
+    """Return a scene of nothing but an evenly shining sky."""
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [value] * 3}}
+    return {"type": "scene", "sensor": {"type": "perspective"}, "sky": sky, **more}
+
+
+@pytest.fixture
+def xml(tmp_path) -> Path:
+    file = tmp_path / "ball.xml"
+    file.write_text(XML.format(sensor=SENSOR.format(rfilter="box", sampler="independent")))
+    return file
+
+
+# --- what comes out -----------------------------------------------------------------------------
+
+
+def test_the_same_samples_in_memory_and_on_disk(tmp_path):
+    path = tmp_path / "s.zarr"
+    held = render(size=SIZE, spp=70)
+    stored = render(size=SIZE, spp=70, out=path)
+    assert stored.path == path
+    assert held.shape == stored.shape == chd.open(path).shape == (40, 72, 3, 70)
+    assert np.array_equal(held.read(), stored.read())
+    assert np.array_equal(held.read(), chd.open(path).read())
+    assert held.features.keys() == {"albedo", "normal", "depth", "position"}
+    for name, image in held.features.items():
+        assert image.shape[:2] == (40, 72)
+        assert np.array_equal(image, chd.open(path).features[name])
+    assert not is_bad(held.read()).any()
+
+
+def test_provenance(tmp_path):
+    attrs = render(seed=3, max_depth=5, out=tmp_path / "s.zarr").attrs
+    expected = {
+        "scene": "cornell-box",
+        "scene_hash": load_scene("cornell-box").hash,
+        "integrator": {"type": "path", "max_depth": 5},
+        "size": [8, 8],
+        "spp": 4,
+        "seed": 3,
+        "backend": "scalar",
+        "filter": "box",
+        "sampler": "independent",
+        "notes": [],
+        "schema_version": 1,
+    }
+    assert {name: attrs.get(name) for name in expected} == expected
+    assert attrs["mitsuba_version"].split(".")[0] == "3"
+    assert attrs["render_seconds"] >= 0
+
+
+def test_seeds_give_other_samples():
+    a, b = (render(seed=seed)[4, 4] for seed in (0, 1))
+    assert not (a == b)[a > 0].any()
+
+
+def test_the_depth_of_paths_is_heeded():
+    # Paths of one segment see the lamp or nothing.
+    red = render(max_depth=1, spp=32).read()[:, :, 0]
+    assert np.unique(red.round(3)).tolist() == [0, 17]
+    assert len(np.unique(render(max_depth=2, spp=32).read())) > 100
+
+
+def test_the_sum_of_all_light_is_the_sky():
+    assert (render(constant(2.0)).read() == 2).all()
+
+
+def test_a_scene_without_light_is_all_null(tmp_path):
+    path = tmp_path / "dark.zarr"
+    dark = {"type": "scene", "sensor": {"type": "perspective"}, "ball": {"type": "sphere"}}
+    assert (render(dark, size=(70, 20), spp=65, out=path).read() == 0).all()
+    assert chd.open(path).spp == 65
+    assert Store.open(path).damaged() == []
+    before = contents(path)
+    render(dark, size=(70, 20), spp=65, out=path)
+    assert contents(path) == before
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_bad_samples_are_kept(tmp_path, value):
+    samples = render(constant(value), out=tmp_path / "s.zarr")
+    assert np.array_equal(samples.read(), np.full((8, 8, 3, 4), value), equal_nan=True)
+    assert chd.open(samples.path).spp == 4
+    assert render(constant(value), out=samples.path, spp=70).spp == 70
+    assert Store.open(samples.path).damaged() == []
+
+
+def test_xml_scenes_take_parameters(xml):
+    plain = chd.render(load_scene(xml), spp=2, backend="scalar")
+    assert plain.shape == (10, 12, 3, 2)
+    assert plain.attrs["integrator"] == {"type": "path", "max_depth": 3}
+    assert plain.attrs["scene_source"] == str(xml)
+    deeper = chd.render(load_scene(xml, glow=5, depth=4), spp=2, backend="scalar")
+    assert deeper.attrs["integrator"]["max_depth"] == 4
+    assert deeper.attrs["scene_parameters"] == {"glow": "5", "depth": "4"}
+    assert deeper.attrs["scene_hash"] != plain.attrs["scene_hash"]
+    assert plain[5, 6].max() == 1
+    assert deeper[5, 6].max() == 5
+
+
+def test_another_filter_and_sampler_are_replaced_and_named(xml, caplog):
+    asked = XML.format(sensor=SENSOR.format(rfilter="gaussian", sampler="stratified"))
+    plain = chd.render(xml, spp=8, backend="scalar")
+    xml.write_text(asked)
+    with caplog.at_level(logging.WARNING, logger="chdstat"):
+        samples = chd.render(xml, spp=8, backend="scalar")
+    assert np.array_equal(samples.read(), plain.read())
+    notes = samples.attrs["notes"]
+    assert [record.getMessage() for record in caplog.records] == notes
+    assert "gaussian filter; the box filter is used" in notes[0]
+    assert "stratified sampler; the independent sampler is used" in notes[1]
+    assert plain.attrs["notes"] == []
+
+
+def test_the_variant_of_the_user_is_restored(tmp_path):
+    with activate(probe("scalar")) as mi:
+        mi.set_variant("scalar_spectral")
+        render()
+        assert mi.variant() == "scalar_spectral"
+        with pytest.raises(RenderError):
+            render(constant(1.0, integrator={"type": "ptracer"}))
+        assert mi.variant() == "scalar_spectral"
+
+
+# --- stopping, resuming, appending --------------------------------------------------------------
+
+
+def stop_after(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    """Let a store take `count` chunks and then act as if the user pressed Ctrl-C."""
+    write, written = Store.write, []
+
+    def interrupted(store: Store, chunk: Any, block: Any) -> None:
+        if len(written) == count:
+            raise KeyboardInterrupt
+        written.append(chunk)
+        write(store, chunk, block)
+
+    monkeypatch.setattr(Store, "write", interrupted)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_a_stopped_render_resumes_to_the_same_bits(tmp_path, monkeypatch, count):
+    job = {"size": SIZE, "spp": 200, "out": tmp_path / "s.zarr"}
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_after(patch, count)
+        render(**job)
+    assert len(Store.open(job["out"]).pending()) == 8 - count
+    if count > 1:
+        partial = chd.open(job["out"])
+        assert partial.spp == 64 * (count // 2)
+        assert partial.attrs["spp"] == 200
+    assert render(**job).spp == 200
+    assert np.array_equal(chd.open(job["out"]).read(), render(size=SIZE, spp=200).read())
+
+
+def test_a_killed_render_resumes_to_the_same_bits(tmp_path):
+    path, whole = tmp_path / "killed.zarr", tmp_path / "whole.zarr"
+    job = {"spp": 8192, "size": (8, 8), "backend": "scalar"}
+    code = f"import chdstat as chd; chd.render('cornell-box', out={str(path)!r}, **{job!r})"
+    child = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE)
+    try:
+        deadline = time.monotonic() + 60
+        while len(list(path.glob("radiance/c/0/0/0/*"))) < 3:
+            assert child.poll() is None, child.stderr.read()
+            assert time.monotonic() < deadline
+            time.sleep(0.001)
+    finally:
+        child.send_signal(signal.SIGKILL)
+        child.wait()
+        child.stderr.close()
+    assert child.returncode == -signal.SIGKILL
+    assert 0 < len(Store.open(path).pending()) < 128
+    chd.render("cornell-box", out=path, **job)
+    chd.render("cornell-box", out=whole, **job)
+    assert np.array_equal(chd.open(path).read(), chd.open(whole).read())
+    chunks = {name: data for name, data in contents(whole).items() if "/c/" in name}
+    killed = contents(path)
+    assert {name: killed[name] for name in chunks} == chunks
+
+
+@pytest.mark.parametrize(("old", "new"), [(64, 128), (40, 100), (1, 65)])
+def test_more_samples_are_appended_to_the_same_bits(tmp_path, old, new):
+    path = tmp_path / "s.zarr"
+    first = render(size=SIZE, spp=old, out=path).read()
+    more = render(size=SIZE, spp=new, out=path)
+    assert more.spp == chd.open(path).spp == new
+    assert more.attrs["spp"] == new
+    assert np.array_equal(more.read()[..., :old], first)
+    assert np.array_equal(more.read(), render(size=SIZE, spp=new).read())
+
+
+def test_a_finished_store_is_not_touched(tmp_path, monkeypatch):
+    path = tmp_path / "s.zarr"
+    render(out=path)
+    before = contents(path)
+    monkeypatch.setattr(Renderer, "chunk", None)
+    assert render(out=path).spp == 4
+    assert render(out=path, spp=2).spp == 4
+    assert contents(path) == before
+
+
+def test_resuming_takes_the_backend_of_the_store(tmp_path):
+    path = tmp_path / "s.zarr"
+    render(out=path, backend="scalar")
+    assert render(out=path, backend="auto", spp=8).attrs["backend"] == "scalar"
+
+
+def test_a_damaged_chunk_is_rendered_again_to_the_same_bits(tmp_path):
+    path = tmp_path / "s.zarr"
+    expected = render(size=SIZE, spp=70, out=path).read()
+    file = path / "radiance/c/0/1/0/0"
+    file.write_bytes(file.read_bytes()[:1000])
+    with pytest.raises(StoreError, match=f"cannot read {file}"):
+        chd.open(path).read()
+    (damaged,) = Store.open(path).damaged()
+    damaged.unlink()
+    assert np.array_equal(render(size=SIZE, spp=70, out=path).read(), expected)
+
+
+def test_a_full_disk_is_reported_and_the_render_resumes(tmp_path, monkeypatch):
+    path = tmp_path / "s.zarr"
+    write, written = zarr.Array.__setitem__, []
+
+    def full(array: zarr.Array, *args: object) -> None:
+        if array.path == "radiance":
+            written.append(array)
+        if len(written) > 3:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(array, *args)
+
+    def full_for_attributes(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    job = {"spp": 256, "size": SIZE, "out": path}
+    with monkeypatch.context() as patch:
+        patch.setattr(zarr.Array, "__setitem__", full)
+        patch.setattr(zarr.core.attributes.Attributes, "update", full_for_attributes)
+        with pytest.raises(StoreError, match="cannot create a store at .*No space left"):
+            render(**job)
+        assert not path.exists()
+        patch.undo()
+        patch.setattr(zarr.Array, "__setitem__", full)
+        with pytest.raises(StoreError, match="cannot write to .*No space left.*resume"):
+            render(**job)
+    assert chd.open(path).spp == 64
+    assert np.array_equal(render(**job).read(), render(size=SIZE, spp=256).read())
+
+
+def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
+    path = tmp_path / "s.zarr"
+    render(out=path)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    store = Store.open(path, writable=True)
+    sink = capture._StoreSink(store)
+    monkeypatch.setattr(zarr.core.attributes.Attributes, "update", full)
+    sink.spent(1.0)
+    assert store.attrs["render_seconds"] < 1
+
+
+# --- what else may lie at the path --------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"scene": constant(1.0)}, "scene_hash: stored .*, asked for"),
+        ({"seed": 1}, "seed: stored 0, asked for 1"),
+        ({"size": (8, 9)}, r"size: stored \[8, 8\], asked for \[8, 9\]"),
+        ({"max_depth": 3}, "integrator: stored .*8.*, asked for .*3"),
+    ],
+)
+@pytest.mark.parametrize("spp", [4, 128])
+def test_other_samples_are_not_mixed_in(tmp_path, change, named, spp):
+    path = tmp_path / "s.zarr"
+    render(out=path)
+    before = contents(path)
+    with pytest.raises(StoreError, match=f"holds other samples .*{named}.*Nothing was changed"):
+        render(out=path, spp=spp, **change)
+    assert contents(path) == before
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "zarr"])
+def test_what_is_no_store_is_not_overwritten(tmp_path, kind):
+    path = tmp_path / "mine"
+    if kind == "file":
+        path.write_text("mine")
+    elif kind == "folder":
+        path.mkdir()
+        (path / "notes.txt").write_text("mine")
+    else:
+        zarr.open_group(path, mode="w")
+    before = contents(tmp_path)
+    with pytest.raises(StoreError, match="not a (complete )?chdstat store"):
+        render(out=path)
+    assert contents(tmp_path) == before
+
+
+# --- errors -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"spp": 0}, "spp must be at least 1, got 0"),
+        ({"seed": -1}, "seed must not be negative, got -1"),
+        ({"size": (0, 8)}, r"size must be \(width, height\) in pixels.* got \(0, 8\)"),
+        ({"size": (8,)}, r"got \(8,\)"),
+        (
+            {"spp": max_spp("scalar", 8, 8) + 1},
+            "spp must be at most [0-9]+ for 8 x 8 pixels with the scalar backend",
+        ),
+        ({"backend": "metal"}, "backend must be one of auto, scalar"),
+    ],
+)
+def test_arguments_out_of_range(tmp_path, options, message):
+    with pytest.raises(InputError, match=message):
+        render(out=tmp_path / "s.zarr", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("pixels", "message"),
+    [
+        ([(8, 0)], r"pixel \(y=8, x=0\) is outside the image of 8 x 8"),
+        ([(0, 0), (0, -1)], r"pixel \(y=0, x=-1\) is outside"),
+        ([(0.5, 1.0)], "must be integers"),
+        ([(1, 2, 3)], r"shape \(pixel, 2\), got shape \(1, 3\)"),
+    ],
+)
+def test_pixels_outside(pixels, message):
+    with pytest.raises(InputError, match=message):
+        chd.render_pixels("cornell-box", pixels, spp=1, size=(8, 8))
+
+
+def test_single_pixels():
+    pixels = [(0, 0), (7, 3), (0, 0)]
+    x = chd.render_pixels("cornell-box", pixels, spp=20, size=(8, 8))
+    assert x.shape == (3, 3, 20)
+    assert x.dtype == np.float32
+    assert np.array_equal(x[0], x[2])
+    assert np.array_equal(
+        x[1], chd.render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8))[0]
+    )
+    other = chd.render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8), seed=1)[0]
+    assert not np.array_equal(x[1], other)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("cornel-box", "no built-in scene or file 'cornel-box'; did you mean 'cornell-box'"),
+        ("nowhere/scene.xml", "no built-in scene or file 'nowhere/scene.xml'; Built-in scenes:"),
+        ({"shape": {"type": "sphere"}}, "needs 'type': 'scene', got 'type': None"),
+        (constant(1.0, ball={"type": "sphare"}), "cannot .* the scene 'scene': .*sphare"),
+    ],
+)
+def test_scenes_that_are_not_there(name, message):
+    with pytest.raises(SceneError, match=message):
+        render(name)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<scene version='3.0.0'><sensor", "cannot read the scene 'bad': .*bad.xml"),
+        (XML.format(sensor=""), "scene 'bad' has no sensor"),
+        ("", "cannot read the scene 'bad'"),
+    ],
+)
+def test_xml_that_is_no_scene(tmp_path, text, message):
+    file = tmp_path / "bad.xml"
+    file.write_text(text)
+    with pytest.raises(SceneError, match=message):
+        render(file, out=tmp_path / "s.zarr")
+    assert not (tmp_path / "s.zarr").exists()
+
+
+def test_parameters_that_the_scene_does_not_use(xml):
+    with pytest.raises(SceneError, match=r"unused parameters: .*glitter"):
+        render(load_scene(xml, glitter=1))
+    with pytest.raises(SceneError, match="takes no parameters .* got glitter"):
+        load_scene("cornell-box", glitter=1)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "message"),
+    [
+        ({"type": "aov", "aovs": "d:depth", "img": {"type": "path"}}, "'aov' wraps another integ"),
+        ({"type": "moment", "nested": {"type": "path"}}, "'moment' wraps another .*inner one"),
+        ({"type": "ptracer"}, "'ptracer' does not sample pixel by pixel; use .* such as path"),
+    ],
+)
+def test_integrators_that_do_not_sample_radiance(tmp_path, integrator, message):
+    with pytest.raises(RenderError, match=message):
+        render(constant(1.0, integrator=integrator), out=tmp_path / "s.zarr")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_while_rendering_is_raised_and_the_rest_is_kept(tmp_path, monkeypatch):
+    path, draw = tmp_path / "s.zarr", Renderer.chunk
+
+    def failing(renderer: Renderer, chunk: Any, **options: Any) -> Any:
+        if chunk.batch == 2:
+            message = "lost"
+            raise RuntimeError(message)
+        return draw(renderer, chunk, **options)
+
+    with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="lost"):
+        patch.setattr(Renderer, "chunk", failing)
+        render(spp=256, out=path)
+    assert np.array_equal(render(spp=256, out=path).read(), render(spp=256).read())
+
+
+# --- Dask ---------------------------------------------------------------------------------------
+
+
+def test_workers_of_a_cluster_render_the_same_bits(tmp_path):
+    from distributed import Client, LocalCluster
+
+    local = {"n_workers": 1, "threads_per_worker": 2, "processes": False}
+    with LocalCluster(dashboard_address=None, **local) as cluster, Client(cluster) as client:
+        samples = render(size=SIZE, spp=130, out=tmp_path / "s.zarr", client=client)
+    assert np.array_equal(samples.read(), render(size=SIZE, spp=130).read())
+
+
+@pytest.mark.slow
+def test_worker_processes_render_the_same_bits():
+    from distributed import Client, LocalCluster
+
+    local = {"n_workers": 1, "threads_per_worker": 1, "processes": True}
+    with LocalCluster(dashboard_address=None, **local) as cluster, Client(cluster) as client:
+        samples = render(size=SIZE, spp=70, client=client)
+    assert np.array_equal(samples.read(), render(size=SIZE, spp=70).read())
+
+
+# --- real scenes --------------------------------------------------------------------------------
+
+
+@pytest.mark.external
+@pytest.mark.parametrize(
+    ("folder", "null_share", "variation"), [("bathroom", 0.54, 3.1), ("white-room", 0.07, 1.4)]
+)
+def test_real_scenes_have_the_nulls_and_the_spread_measured_elsewhere(
+    scenes_folder, folder, null_share, variation
+):
+    scene = load_scene(scenes_folder / folder / "scene.xml", resx=64, resy=64)
+    x = chd.render(scene, spp=64, backend="scalar").read()
+    assert (x == 0).all(axis=2).mean() == pytest.approx(null_share, abs=0.05)
+    y = luminance(x.astype(np.float64))
+    mean = y.mean(axis=-1)
+    lit = mean > 0
+    median = np.median(y.std(axis=-1, ddof=1)[lit] / mean[lit])
+    # 64 samples of a long tail miss its end: the estimate is low, by more where the tail is longer.
+    assert 0.65 * variation < median < 1.1 * variation

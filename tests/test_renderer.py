@@ -1,0 +1,275 @@
+"""Random streams of the renderer, and its samples against Mitsuba's own averages.
+
+Statistical tests compare many pixels at once: with the Sidak correction each of them fails falsely
+with probability `ALPHA`, if it were run with a new seed. Seeds are fixed, so they fail never or
+always; each has a negative control that must fail.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+
+import chdstat as chd
+from chdstat import _renderer
+from chdstat._arrays import luminance
+from chdstat._renderer import Job, Renderer, max_spp
+from chdstat._store import TILE
+from chdstat.backend import activate, probe
+from chdstat.scenes import load_scene
+
+ALPHA = 1e-3
+SIZE = (16, 16)
+
+RANDOM_NUMBERS = {
+    "type": "scene",
+    "integrator": {"type": "random_numbers"},
+    "sensor": {"type": "perspective"},
+}
+"""A scene whose radiance is the next three random numbers, whatever the pixel."""
+
+
+@pytest.fixture(scope="module", params=["scalar", "llvm"])
+def streams(request) -> str:
+    """Make the integrator of `RANDOM_NUMBERS` known to a backend and return its name."""
+    backend = request.param if request.param == "scalar" else request.getfixturevalue("llvm")
+    with activate(probe(backend)) as mi:
+
+        class RandomNumbers(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
+            def sample(self, scene, sampler, ray, medium=None, active=True):
+                numbers = [sampler.next_1d(active) for _ in range(3)]
+                return mi.Color3f(*numbers), True, []
+
+        mi.register_integrator("random_numbers", RandomNumbers)
+    return backend
+
+
+@pytest.fixture(scope="module")
+def box() -> chd.Samples:
+    """Return 1024 spp of the Cornell box."""
+    return chd.render("cornell-box", spp=1024, size=SIZE, backend="scalar")
+
+
+def brighter(source: Mapping[str, Any], factor: float) -> dict[str, Any]:
+    """Return the Cornell box with more light."""
+    scene = copy.deepcopy(dict(source))
+    value = scene["light"]["emitter"]["radiance"]["value"]
+    scene["light"]["emitter"]["radiance"]["value"] = [factor * v for v in value]
+    return scene
+
+
+def vectors(x: np.ndarray) -> np.ndarray:
+    """Return samples (..., channel, sample) as rows of three channels."""
+    return np.moveaxis(x, -2, -1).reshape(-1, 3)
+
+
+def repeats(x: np.ndarray) -> int:
+    rows = vectors(x)
+    return len(rows) - len(np.unique(rows, axis=0))
+
+
+def agree(p: np.ndarray) -> bool:
+    """Tell whether no p-value is too small for so many of them (Sidak)."""
+    return bool(p.min() > -np.expm1(np.log1p(-ALPHA) / p.size))
+
+
+# --- numbering ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("span", [_renderer._PASSES, _renderer._CHUNKS, _renderer._PIXELS])
+@pytest.mark.parametrize("seed", [0, 1, 12345, 2**40])
+def test_numbers_are_one_to_one(span, seed):
+    index = np.array([0, 1, 2, span // 2, span - 1])
+    number = np.array([_renderer._number(seed, int(i), span) for i in index])
+    assert ((number >= 0) & (number < span)).all()
+    assert np.array_equal((number - number[0]) % span, index)
+
+
+@pytest.mark.parametrize(
+    ("seeds", "size", "spp"), [(2, 1024, 1024), (10, 512, 512), (10, 128, 8192), (100, 128, 1024)]
+)
+def test_small_seeds_have_streams_of_their_own(seeds, size, spp):
+    span = _renderer._PASSES
+    starts = np.sort([_renderer._number(seed, 0, span) for seed in range(seeds)])
+    gaps = np.diff(starts, append=starts[0] + span)
+    passes = spp * (size // TILE) ** 2
+    assert gaps.min() >= passes
+
+
+def test_a_pass_owns_its_streams_for_every_size_of_a_tile():
+    # Mitsuba multiplies the seed by the number of pixels, modulo 2^32.
+    last = _renderer._PASSES - 1
+    for pixels in {h * w for h in range(1, 65) for w in range(1, 65)}:
+        for number in (0, 1, 77_777, last):
+            seed = _renderer._pass_seed(number, pixels)
+            assert 0 <= seed < 2**32
+            assert seed * pixels % 2**32 == number * TILE**2
+
+
+def test_passes_chunks_and_single_pixels_share_no_number():
+    assert _renderer._PASSES * TILE**2 <= 2**32 - _renderer._PIXELS
+    assert _renderer._CHUNKS <= 2**32 - _renderer._PIXELS
+    for seed in (0, 1, 55, 10_945):
+        renderer = Renderer(Job(load_scene("cornell-box"), probe("scalar"), (8, 8), seed))
+        numbers = [renderer._pixel_number(y, x, 0) for y in range(8) for x in range(8)]
+        assert len(set(numbers)) == 64
+        assert 2**32 - _renderer._PIXELS <= min(numbers) <= max(numbers) < 2**32
+
+
+def test_the_most_samples_before_streams_repeat():
+    assert max_spp("scalar", 64, 64) == _renderer._PASSES
+    assert max_spp("scalar", 65, 64) == _renderer._PASSES // 2
+    assert max_spp("llvm", 1024, 1024) >= 2**28
+    # Enough for a film frame at the 2048 spp of the paper's histograms.
+    assert max_spp("scalar", 1024, 1024) >= 2048
+
+
+# --- streams ------------------------------------------------------------------------------------
+
+
+def test_no_random_number_is_drawn_twice(streams):
+    # 100 000 triples of 23 random bits each: two are equal by chance with probability 1e-11.
+    drawn = [
+        chd.render(RANDOM_NUMBERS, spp=66, size=(72, 10), seed=seed, backend=streams).read()
+        for seed in (0, 1)
+    ]
+    pixels = [(y, x) for y in range(10) for x in (0, 40, 71)]
+    single = chd.render_pixels(RANDOM_NUMBERS, pixels, spp=100, size=(72, 10), backend=streams)
+    rows = np.concatenate([vectors(x) for x in (*drawn, single)])
+    assert repeats(rows.T) == 0
+    assert repeats(np.concatenate([rows, rows[:1]]).T) == 1
+
+
+def test_random_numbers_are_uniform_and_independent(streams):
+    x = chd.render(RANDOM_NUMBERS, spp=128, size=(24, 24), seed=3, backend=streams).read()
+    p = scipy.stats.kstest(x.reshape(24 * 24, -1), "uniform", axis=-1).pvalue
+    assert agree(p)
+    centred = (x - 0.5) * np.sqrt(12)
+    neighbours = {
+        "pixel": centred[:, 1:] * centred[:, :-1],
+        "row": centred[1:] * centred[:-1],
+        "sample": centred[..., 1:] * centred[..., :-1],
+        "batch": centred[..., 64:] * centred[..., :64],
+        "channel": centred[:, :, 1:] * centred[:, :, :-1],
+    }
+    z = np.array([v.mean() * np.sqrt(v.size) for v in neighbours.values()])
+    assert agree(2 * scipy.stats.norm.sf(abs(z)))
+    itself = (centred * centred).mean() * np.sqrt(x.size)
+    assert not agree(2 * scipy.stats.norm.sf(np.array([itself])))
+
+
+def batch_spread(x: np.ndarray, size: int) -> float:
+    """Return how far batch means spread beyond independent ones, in standard errors.
+
+    The variance of means of n independent samples is 1/n of the samples' variance; the excess,
+    relative to it, is averaged over pixels, whose scatter gives its standard error.
+    """
+    means = x.reshape(*x.shape[:-1], -1, size).mean(axis=-1)
+    variance = x.var(axis=-1, ddof=1)
+    excess = (size * means.var(axis=-1, ddof=1) / variance - 1).ravel()
+    return float(excess.mean() / (excess.std() / np.sqrt(excess.size)))
+
+
+def test_samples_are_independent(box):
+    # A fresh seed would fail with probability 7e-6 (4.5 standard errors, 256 pixels).
+    x = luminance(box.read().astype(np.float64))
+    assert abs(batch_spread(x, 32)) < 4.5
+    assert batch_spread(np.repeat(x[..., :512], 2, axis=-1), 32) > 4.5
+
+
+# --- agreement with Mitsuba's averages ----------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def moments() -> tuple[np.ndarray, np.ndarray, int]:
+    """Mean and second moment of luminance by Mitsuba's `moment` integrator, and its spp."""
+    spp = 1024
+    source = dict(load_scene("cornell-box").source)
+    film = {**source["sensor"]["film"], "width": SIZE[0], "height": SIZE[1]}
+    scene = load_scene({**source, "sensor": {**source["sensor"], "film": film}})
+    with activate(probe("scalar")) as mi:
+        config = mi.parser.ParserConfig(mi.variant())
+        built = mi.parser.instantiate(config, scene.parse(mi.variant()))
+        moment = mi.load_dict({"type": "moment", "nested": source["integrator"]})
+        # Layers: R, G, B, X, Y, Z, then the second moments of X, Y, Z.
+        image = np.array(moment.render(built, seed=100_000, spp=spp), np.float64)
+    return image[..., 4], image[..., 7], spp
+
+
+def p_of_equal_means(x: np.ndarray, mean: np.ndarray, spp: int) -> np.ndarray:
+    """Return p-values of a Z-test per pixel: samples against another mean of `spp` samples."""
+    error = x.std(axis=-1, ddof=1) * np.sqrt(1 / x.shape[-1] + 1 / spp)
+    return 2 * scipy.stats.norm.sf(abs(x.mean(axis=-1) - mean) / error)
+
+
+def test_moments_agree_with_mitsuba(box, moments):
+    x = luminance(box.read().astype(np.float64))
+    mean, second, spp = moments
+    assert agree(p_of_equal_means(x, mean, spp))
+    assert agree(p_of_equal_means(x**2, second, spp))
+
+
+def test_a_tenth_more_light_is_noticed(moments):
+    source = brighter(load_scene("cornell-box").source, 1.1)
+    more = chd.render(source, spp=1024, size=SIZE, backend="scalar")
+    x = luminance(more.read().astype(np.float64))
+    mean, second, spp = moments
+    assert not agree(p_of_equal_means(x, mean, spp))
+    assert not agree(p_of_equal_means(x**2, second, spp))
+
+
+# --- single pixels ------------------------------------------------------------------------------
+
+PIXELS = [(0, 0), (3, 12), (8, 8), (12, 4), (15, 15)]
+
+
+@pytest.mark.parametrize("backend", ["scalar", "llvm"])
+def test_single_pixels_have_the_distribution_of_the_image(box, request, backend):
+    if backend == "llvm":
+        request.getfixturevalue("llvm")
+    single = chd.render_pixels("cornell-box", PIXELS, spp=1024, size=SIZE, backend=backend)
+    stored = np.stack([box[pixel] for pixel in PIXELS])
+    a, b = (luminance(x.astype(np.float64)) for x in (single, stored))
+    assert agree(p_of_equal_means(a, b.mean(axis=-1), 1024))
+    assert agree(scipy.stats.ks_2samp(a, b, axis=-1, method="asymp").pvalue)
+    lit = vectors(np.concatenate([single, stored]))
+    lit = lit[(lit > 0).any(axis=1)]
+    assert repeats(lit.T) == 0
+    # Other pixels have other distributions.
+    assert not agree(scipy.stats.ks_2samp(a, b[::-1], axis=-1, method="asymp").pvalue)
+
+
+# --- LLVM ---------------------------------------------------------------------------------------
+
+
+def test_llvm_agrees_with_scalar(box, llvm):
+    x, y = (
+        luminance(s.read().astype(np.float64))
+        for s in (box, chd.render("cornell-box", spp=1024, size=SIZE, seed=9, backend=llvm))
+    )
+    assert agree(p_of_equal_means(x, y.mean(axis=-1), y.shape[-1]))
+    assert agree(p_of_equal_means(x**2, (y**2).mean(axis=-1), y.shape[-1]))
+    assert abs(batch_spread(y, 32)) < 4.5
+    assert not agree(p_of_equal_means(x, 1.1 * y.mean(axis=-1), y.shape[-1]))
+
+
+def test_llvm_repeats_to_the_bit_and_fewer_samples_are_a_prefix(llvm):
+    draw = {"size": (72, 20), "seed": 4, "backend": llvm}
+    most = chd.render("cornell-box", spp=100, **draw).read()
+    assert np.array_equal(chd.render("cornell-box", spp=100, **draw).read(), most)
+    for spp in (7, 64, 65):
+        assert np.array_equal(chd.render("cornell-box", spp=spp, **draw).read(), most[..., :spp])
+
+
+def test_llvm_gives_the_same_beside_another_scene(llvm):
+    alone = chd.render("cornell-box", spp=8, size=SIZE, backend=llvm).read()
+    with activate(probe("llvm")) as mi:
+        other = mi.load_dict(mi.cornell_box())
+        beside = chd.render("cornell-box", spp=8, size=SIZE, backend=llvm).read()
+        assert np.isfinite(np.array(mi.render(other, spp=1))).all()
+    assert np.array_equal(beside, alone)

@@ -1,0 +1,210 @@
+from __future__ import annotations
+
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat import Samples
+from chdstat._store import Store
+from chdstat.errors import InputError, StoreError
+
+SHAPE = (70, 66, 3, 70)
+
+
+@pytest.fixture(scope="module")
+def x() -> np.ndarray:
+    return np.random.default_rng(3).gamma(0.5, size=SHAPE).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def depth() -> np.ndarray:
+    return np.arange(70 * 66, dtype=np.float32).reshape(70, 66)
+
+
+@pytest.fixture(scope="module", params=["memory", "disk"])
+def samples(request, x, depth, tmp_path_factory) -> Samples:
+    """Return the same samples, once in memory and once on disk."""
+    if request.param == "memory":
+        return Samples.from_array(x, features={"depth": depth}, scene="test", seed=5)
+    height, width, channels, spp = SHAPE
+    store = Store.create(
+        tmp_path_factory.mktemp("samples") / "s.zarr",
+        height=height,
+        width=width,
+        channels=channels,
+        spp=spp,
+        attrs={"scene": "test", "seed": 5},
+        features={"depth": depth},
+    )
+    for chunk in store.pending():
+        store.write(chunk, x[chunk.ys, chunk.xs, :, chunk.ss])
+    return chd.open(store.path)
+
+
+def test_what_samples_say_of_themselves(samples):
+    assert samples.shape == SHAPE
+    assert samples.spp == 70
+    assert samples.channels == ("R", "G", "B")
+    assert samples.name == "test"
+    assert samples.attrs["seed"] == 5
+    where = f"at {samples.path}" if samples.path else "in memory"
+    assert repr(samples) == f"<Samples 'test' 66 x 70 pixels, 3 channels, 70 spp, {where}>"
+
+
+def test_attributes_cannot_be_changed_from_outside(samples):
+    samples.attrs["seed"] = 6
+    assert samples.attrs["seed"] == 5
+
+
+@pytest.mark.parametrize("pixel", [(0, 0), (69, 65), (-1, -66), (64, 63)])
+def test_a_pixel_is_channel_by_sample(samples, x, pixel):
+    assert np.array_equal(samples[pixel], x[pixel])
+
+
+@pytest.mark.parametrize("pixel", [(70, 0), (0, 66), (-71, 0), (0, -67)])
+def test_a_pixel_outside_is_an_error(samples, pixel):
+    y, x = pixel
+    with pytest.raises(InputError, match=rf"\(y={y}, x={x}\) is outside the image of 66 x 70 pix"):
+        samples[pixel]
+
+
+def test_parts(samples, x):
+    assert np.array_equal(samples.read(), x)
+    assert np.array_equal(
+        samples.read(slice(60, 99), slice(-3, None), slice(63, 65)), x[60:, -3:, :, 63:65]
+    )
+    assert samples.read(slice(5, 5)).shape == (0, 66, 3, 70)
+
+
+def test_blocks_give_every_sample_once_in_stored_order(samples, x):
+    seen = np.zeros(SHAPE, int)
+    order = []
+    for ys, xs, ss, block in samples.blocks():
+        assert np.array_equal(block, x[ys, xs, :, ss])
+        seen[ys, xs, :, ss] += 1
+        order.append((ys.start, xs.start, ss.start))
+    assert (seen == 1).all()
+    assert order == sorted(order)
+
+
+def test_map_assembles_tiles_into_named_images(samples, x):
+    def function(block):
+        return {
+            "mean": (("channel",), block.mean(axis=-1)),
+            "range": (("end",), np.stack([block.min((2, 3)), block.max((2, 3))], axis=-1)),
+            "count": ((), np.full(block.shape[:2], block.shape[-1], np.int32)),
+        }
+
+    result = samples.map(function)
+    assert result["mean"].dims == ("y", "x", "channel")
+    assert np.array_equal(result["mean"], x.mean(axis=-1))
+    assert np.array_equal(result["range"].isel(end=1), x.max((2, 3)))
+    assert result["count"].dtype == np.int32
+    assert (result["count"] == 70).all()
+    assert list(result["channel"].values) == ["R", "G", "B"]
+    assert result["y"].size == 70
+    assert result.attrs["scene"] == "test"
+
+
+def test_map_hands_out_smaller_tiles_where_there_are_many_samples():
+    many = Samples.from_array(np.ones((64, 64, 1, 8192), np.float32))
+    sizes = []
+
+    def function(block):
+        sizes.append(block.nbytes)
+        return {"first": ((), block[..., 0, 0])}
+
+    assert (many.map(function)["first"] == 1).all()
+    assert max(sizes) <= 64 * 2**20
+    assert sum(sizes) == 64 * 64 * 8192 * 4
+
+
+def test_walking_a_store_takes_no_more_memory_for_more_samples(tmp_path):
+    peaks = []
+    for spp in (64, 640):
+        store = Store.create(
+            tmp_path / f"{spp}.zarr", height=16, width=64, channels=3, spp=spp, attrs={}
+        )
+        for chunk in store.pending():
+            store.write(chunk, np.ones((16, 64, 3, 64), np.float32))
+        samples = chd.open(store.path)
+        tracemalloc.start()
+        assert all(block.all() for *_, block in samples.blocks())
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.5 * peaks[0]
+    # A reader that held the image would hold ten blocks more.
+    assert peaks[1] < 10 * 16 * 64 * 3 * 64 * 4
+
+
+def test_as_a_labelled_dataset(samples, x, depth):
+    dataset = samples.to_dataset()
+    assert dataset["radiance"].dims == ("y", "x", "channel", "sample")
+    assert np.array_equal(dataset["radiance"], x)
+    assert dataset["radiance"].attrs.keys() == {"long_name", "units"}
+    assert np.array_equal(dataset["depth"], depth)
+    # On disk it is lazy.
+    assert (dataset["radiance"].chunks is not None) == (samples.path is not None)
+
+
+def test_features(samples, depth):
+    assert samples.features.keys() == {"depth"}
+    assert np.array_equal(samples.features["depth"], depth)
+
+
+# --- from an array ------------------------------------------------------------------------------
+
+
+def test_gray_images_gain_a_channel():
+    samples = Samples.from_array(np.ones((4, 6, 32)))
+    assert samples.shape == (4, 6, 1, 32)
+    assert samples.channels == ("channel0",)
+    assert samples.read().dtype == np.float32
+    assert samples.features == {}
+
+
+def test_float32_is_not_copied():
+    x = np.ones((2, 2, 3, 4), np.float32)
+    assert np.shares_memory(Samples.from_array(x).read(), x)
+
+
+def test_bad_samples_are_kept_apart():
+    x = np.ones((1, 1, 3, 4), np.float32)
+    x[0, 0, 0] = np.nan, np.inf, -1, 1
+    assert np.array_equal(Samples.from_array(x)[0, 0], x[0, 0], equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.ones(4), r"must have shape \(y, x, channel, sample\), got \(4,\)"),
+        (np.ones((2, 2, 0, 4)), r"got \(2, 2, 0, 4\)"),
+        (np.ones((2, 2, 3, 0)), "at least 1 sample"),
+        (np.ones((1, 2, 2, 3, 4)), r"got \(1, 2, 2, 3, 4\)"),
+        (np.full((2, 2, 3, 4), "a"), "must hold real numbers"),
+    ],
+)
+def test_other_arrays_are_refused(array, message):
+    with pytest.raises(InputError, match=message):
+        Samples.from_array(array)
+
+
+def test_samples_hold_an_array_or_a_store():
+    with pytest.raises(InputError, match="either an array or a store"):
+        Samples(attrs={})
+
+
+def test_damage_shows_when_it_is_read(x, tmp_path):
+    store = Store.create(
+        tmp_path / "s.zarr", height=70, width=66, channels=3, spp=70, attrs={"scene": "test"}
+    )
+    for chunk in store.pending():
+        store.write(chunk, x[chunk.ys, chunk.xs, :, chunk.ss])
+    file = store.path / "radiance/c/1/0/0/0"
+    file.write_bytes(file.read_bytes()[:-100])
+    samples = chd.open(store.path)
+    assert np.array_equal(samples[0, 0], x[0, 0])
+    with pytest.raises(StoreError, match=f"cannot read {file}"):
+        samples[69, 0]
