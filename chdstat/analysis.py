@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from chdstat._arrays import is_bad, luminance
 from chdstat._moments import Moments
+from chdstat.errors import StoreError
 from chdstat.fit import select
 from chdstat.normality import gaussianity, gaussianity_of_means
 from chdstat.patterns import classify
@@ -20,7 +22,7 @@ from chdstat.summary import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Overview", "analyze", "overview"]
+__all__ = ["Overview", "analyze", "overview", "save"]
 
 _MEANS = 16
 """Averages of each size that are tested: so few, so that N reaches spp / 16."""
@@ -75,6 +77,26 @@ def analyze(samples: Samples, *, progress: bool | None = None) -> xr.Dataset:
     return merged.assign_attrs(samples.attrs)
 
 
+def save(found: xr.Dataset, path: str | Path) -> Path:
+    """Write a dataset of maps to a new zarr store.
+
+    Raises
+    ------
+    StoreError
+        If something is there already, or it cannot be written.
+    """
+    target = Path(path)
+    if target.exists():
+        message = f"{target} exists; nothing was overwritten. Give another path or move it away"
+        raise StoreError(message)
+    try:
+        found.to_zarr(target, mode="w-", consolidated=False)
+    except OSError as error:
+        message = f"cannot write {target}: {error.strerror or error}"
+        raise StoreError(message) from error
+    return target
+
+
 @dataclass(frozen=True)
 class Overview:
     """A scene in a few numbers, from what `analyze` says of its pixels.
@@ -127,6 +149,21 @@ class Overview:
     averages: dict[int, float]
     skewness: npt.NDArray[np.float64]
     predicted_skewness: npt.NDArray[np.float64]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers ready for JSON; what could not be computed is None."""
+        return {name: _plain(value) for name, value in vars(self).items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (tuple, list, np.ndarray)):
+        return [_plain(item) for item in value]
+    number = float(value)
+    if not np.isfinite(number):
+        return None
+    return int(value) if isinstance(value, (int, np.integer)) else number
 
 
 def overview(found: xr.Dataset) -> Overview:

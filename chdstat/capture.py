@@ -65,7 +65,7 @@ def render(
     spp
         Samples per pixel. Where `out` holds fewer, the missing ones are appended.
     size
-        (width, height) in pixels; None takes the scene's own.
+        (width, height) in pixels; None takes that of `out`, else the scene's own.
     seed
         Any non-negative integer; small seeds give independent images.
     max_depth
@@ -103,8 +103,9 @@ def render(
     loaded = load_scene(scene)
     _check(spp, size, seed)
     existing = _existing(out)
-    if existing is not None and backend == "auto":
-        backend = existing.attrs["backend"]
+    if existing is not None:
+        backend = existing.attrs["backend"] if backend == "auto" else backend
+        size = size or tuple(existing.attrs["size"])
     job = Job(loaded, resolve(backend), size, seed, max_depth)
     with activate(job.verdict):
         renderer = Renderer(job)

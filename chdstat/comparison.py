@@ -144,9 +144,9 @@ class Comparison:
         return xr.Dataset(
             variables,
             {
-                "estimator": list(self.estimators),
-                "part": [*self.channels, "mean"],
-                "channel": list(self.channels),
+                "estimator": np.array(self.estimators, dtype=object),
+                "part": np.array([*self.channels, "mean"], dtype=object),
+                "channel": np.array(self.channels, dtype=object),
                 "y": np.arange(height),
                 "x": np.arange(width),
             },

@@ -281,7 +281,7 @@ def _describe(dataset: xr.Dataset) -> xr.Dataset:
     )
     dataset["label"].attrs.update(flag_attributes(Label))
     dataset["reason"].attrs.update(flag_attributes())
-    return dataset.assign_coords(bound=["low", "high"])
+    return dataset.assign_coords(bound=np.array(["low", "high"], dtype=object))
 
 
 def _explain(dataset: xr.Dataset, name: str, text: str) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from chdstat._store import Store
 
-__all__ = ["Samples", "open"]
+__all__ = ["Samples", "inspect", "open"]
 
 _MAP_BYTES = 64 * 2**20
 """Size of the block that `Samples.map` hands out at most, unless one row of pixels is larger."""
@@ -294,3 +294,37 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
         )
         raise StoreError(message)
     return Samples(store=store, attrs=store.attrs, spp=spp)
+
+
+def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
+    """Return what a store holds, ready for JSON, whether it is finished or not.
+
+    Parameters
+    ----------
+    path
+        The store.
+    verify
+        Read everything and check its checksums; ``damaged`` then lists the files that fail.
+
+    Raises
+    ------
+    StoreError
+        If there is no store.
+    """
+    from chdstat._store import Store
+
+    store = Store.open(Path(path))
+    height, width, channels, spp = store.shape
+    files = [f for f in store.path.rglob("*") if f.is_file()]
+    found = {
+        **store.attrs,
+        "path": str(store.path),
+        "shape": {"y": height, "x": width, "channel": channels, "sample": spp},
+        "complete_spp": store.complete_spp(),
+        "pending_chunks": len(store.pending()),
+        "features": sorted(store.read_features()),
+        "bytes": sum(f.stat().st_size for f in files),
+    }
+    if verify:
+        found["damaged"] = [str(file) for file in store.damaged()]
+    return found

@@ -1,4 +1,4 @@
-"""Configuration of the documentation; build it with ``sphinx-build -W -b html docs docs/_build/html``."""
+"""Configuration of the documentation: ``sphinx-build -W -b html docs docs/_build/html``."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ extensions = [
     "numpydoc",
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
+    "commands",
     "figures",
     "public_names",
     "reasons",
@@ -54,6 +55,7 @@ sphinx_gallery_conf = {
     "remove_config_comments": True,
     "min_reported_time": 1,
     "plot_gallery": "True",
+    "thumbnail_size": (480, 320),
 }
 
 html_theme = "pydata_sphinx_theme"

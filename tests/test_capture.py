@@ -68,16 +68,23 @@ def xml(tmp_path) -> Path:
     return file
 
 
+@pytest.fixture(scope="module")
+def whole() -> np.ndarray:
+    """Samples of a render that was never stopped; those of fewer spp are a prefix of them."""
+    return render(size=SIZE, spp=200).read()
+
+
 # --- what comes out -----------------------------------------------------------------------------
 
 
-def test_the_same_samples_in_memory_and_on_disk(tmp_path):
+def test_the_same_samples_in_memory_and_on_disk(tmp_path, whole):
     path = tmp_path / "s.zarr"
     held = render(size=SIZE, spp=70)
     stored = render(size=SIZE, spp=70, out=path)
     assert stored.path == path
     assert held.shape == stored.shape == chd.open(path).shape == (40, 72, 3, 70)
     assert np.array_equal(held.read(), stored.read())
+    assert np.array_equal(held.read(), whole[..., :70])
     assert np.array_equal(held.read(), chd.open(path).read())
     assert held.features.keys() == {"albedo", "normal", "depth", "position"}
     for name, image in held.features.items():
@@ -196,7 +203,7 @@ def stop_after(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 5])
-def test_a_stopped_render_resumes_to_the_same_bits(tmp_path, monkeypatch, count):
+def test_a_stopped_render_resumes_to_the_same_bits(tmp_path, monkeypatch, whole, count):
     job = {"size": SIZE, "spp": 200, "out": tmp_path / "s.zarr"}
     with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
         stop_after(patch, count)
@@ -207,12 +214,12 @@ def test_a_stopped_render_resumes_to_the_same_bits(tmp_path, monkeypatch, count)
         assert partial.spp == 64 * (count // 2)
         assert partial.attrs["spp"] == 200
     assert render(**job).spp == 200
-    assert np.array_equal(chd.open(job["out"]).read(), render(size=SIZE, spp=200).read())
+    assert np.array_equal(chd.open(job["out"]).read(), whole)
 
 
 def test_a_killed_render_resumes_to_the_same_bits(tmp_path):
     path, whole = tmp_path / "killed.zarr", tmp_path / "whole.zarr"
-    job = {"spp": 8192, "size": (8, 8), "backend": "scalar"}
+    job = {"spp": 4096, "size": (8, 8), "backend": "scalar"}
     code = f"import chdstat as chd; chd.render('cornell-box', out={str(path)!r}, **{job!r})"
     child = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE)
     try:
@@ -226,7 +233,7 @@ def test_a_killed_render_resumes_to_the_same_bits(tmp_path):
         child.wait()
         child.stderr.close()
     assert child.returncode == -signal.SIGKILL
-    assert 0 < len(Store.open(path).pending()) < 128
+    assert 0 < len(Store.open(path).pending()) < 64
     chd.render("cornell-box", out=path, **job)
     chd.render("cornell-box", out=whole, **job)
     assert np.array_equal(chd.open(path).read(), chd.open(whole).read())
@@ -236,14 +243,14 @@ def test_a_killed_render_resumes_to_the_same_bits(tmp_path):
 
 
 @pytest.mark.parametrize(("old", "new"), [(64, 128), (40, 100), (1, 65)])
-def test_more_samples_are_appended_to_the_same_bits(tmp_path, old, new):
+def test_more_samples_are_appended_to_the_same_bits(tmp_path, whole, old, new):
     path = tmp_path / "s.zarr"
     first = render(size=SIZE, spp=old, out=path).read()
     more = render(size=SIZE, spp=new, out=path)
     assert more.spp == chd.open(path).spp == new
     assert more.attrs["spp"] == new
     assert np.array_equal(more.read()[..., :old], first)
-    assert np.array_equal(more.read(), render(size=SIZE, spp=new).read())
+    assert np.array_equal(more.read(), whole[..., :new])
 
 
 def test_a_finished_store_is_not_touched(tmp_path, monkeypatch):
@@ -262,16 +269,16 @@ def test_resuming_takes_the_backend_of_the_store(tmp_path):
     assert render(out=path, backend="auto", spp=8).attrs["backend"] == "scalar"
 
 
-def test_a_damaged_chunk_is_rendered_again_to_the_same_bits(tmp_path):
+def test_a_damaged_chunk_is_rendered_again_to_the_same_bits(tmp_path, whole):
     path = tmp_path / "s.zarr"
-    expected = render(size=SIZE, spp=70, out=path).read()
+    render(size=SIZE, spp=70, out=path)
     file = path / "radiance/c/0/1/0/0"
     file.write_bytes(file.read_bytes()[:1000])
     with pytest.raises(StoreError, match=f"cannot read {file}"):
         chd.open(path).read()
     (damaged,) = Store.open(path).damaged()
     damaged.unlink()
-    assert np.array_equal(render(size=SIZE, spp=70, out=path).read(), expected)
+    assert np.array_equal(render(size=SIZE, spp=70, out=path).read(), whole[..., :70])
 
 
 def test_a_full_disk_is_reported_and_the_render_resumes(tmp_path, monkeypatch):
@@ -288,7 +295,7 @@ def test_a_full_disk_is_reported_and_the_render_resumes(tmp_path, monkeypatch):
     def full_for_attributes(*_: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    job = {"spp": 256, "size": SIZE, "out": path}
+    job = {"spp": 256, "out": path}
     with monkeypatch.context() as patch:
         patch.setattr(zarr.Array, "__setitem__", full)
         patch.setattr(zarr.core.attributes.Attributes, "update", full_for_attributes)
@@ -299,8 +306,8 @@ def test_a_full_disk_is_reported_and_the_render_resumes(tmp_path, monkeypatch):
         patch.setattr(zarr.Array, "__setitem__", full)
         with pytest.raises(StoreError, match="cannot write to .*No space left.*resume"):
             render(**job)
-    assert chd.open(path).spp == 64
-    assert np.array_equal(render(**job).read(), render(size=SIZE, spp=256).read())
+    assert chd.open(path).spp == 192
+    assert np.array_equal(render(**job).read(), render(spp=256).read())
 
 
 def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
@@ -474,23 +481,23 @@ def test_an_error_while_rendering_is_raised_and_the_rest_is_kept(tmp_path, monke
 # --- Dask ---------------------------------------------------------------------------------------
 
 
-def test_workers_of_a_cluster_render_the_same_bits(tmp_path):
+def test_workers_of_a_cluster_render_the_same_bits(tmp_path, whole):
     from distributed import Client, LocalCluster
 
     local = {"n_workers": 1, "threads_per_worker": 2, "processes": False}
     with LocalCluster(dashboard_address=None, **local) as cluster, Client(cluster) as client:
         samples = render(size=SIZE, spp=130, out=tmp_path / "s.zarr", client=client)
-    assert np.array_equal(samples.read(), render(size=SIZE, spp=130).read())
+    assert np.array_equal(samples.read(), whole[..., :130])
 
 
 @pytest.mark.slow
-def test_worker_processes_render_the_same_bits():
+def test_worker_processes_render_the_same_bits(whole):
     from distributed import Client, LocalCluster
 
     local = {"n_workers": 1, "threads_per_worker": 1, "processes": True}
     with LocalCluster(dashboard_address=None, **local) as cluster, Client(cluster) as client:
         samples = render(size=SIZE, spp=70, client=client)
-    assert np.array_equal(samples.read(), render(size=SIZE, spp=70).read())
+    assert np.array_equal(samples.read(), whole[..., :70])
 
 
 # --- real scenes --------------------------------------------------------------------------------
@@ -510,5 +517,6 @@ def test_real_scenes_have_the_nulls_and_the_spread_measured_elsewhere(
     mean = y.mean(axis=-1)
     lit = mean > 0
     median = np.median(y.std(axis=-1, ddof=1)[lit] / mean[lit])
-    # 64 samples of a long tail miss its end: the estimate is low, by more where the tail is longer.
-    assert 0.65 * variation < median < 1.1 * variation
+    # The more samples, the more of the tail they meet: 64 spp give 2.76 and 1.24, 512 spp 4.1 and
+    # 1.8, and the figures measured elsewhere lie between.
+    assert median == pytest.approx(variation, rel=0.2)

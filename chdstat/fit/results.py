@@ -164,7 +164,7 @@ def label_fit(dataset: xr.Dataset, family: str) -> xr.Dataset:
     dataset[f"{family}_reason"].attrs.update(
         long_name=f"why there is no {family} fit", units="1", **flag_attributes()
     )
-    return dataset.assign_coords(bound=["low", "high"])
+    return dataset.assign_coords(bound=np.array(["low", "high"], dtype=object))
 
 
 def _expand(value: npt.NDArray[Any], trailing: int) -> npt.NDArray[Any]:

@@ -111,7 +111,7 @@ def _provenance(samples: Samples) -> list[tuple[str, str]]:
     return [(name, value) for name, value in rows.items() if value]
 
 
-def _region(study: Study, index: int) -> dict[str, str]:
+def _region(study: Study, index: int) -> dict[str, Any]:
     """Return one row of the table of regions."""
     region, (height, width) = study.regions[index], study.samples.shape[:2]
     pixel = dict(zip("yx", region.center(height, width), strict=True))
@@ -122,13 +122,18 @@ def _region(study: Study, index: int) -> dict[str, str]:
         "pixel": f"({pixel['x']}, {pixel['y']})",
         "note": region.note,
         "color": figures.color_of(index),
-        "radiance": ", ".join(number(v) for v in np.atleast_1d(found["mean"].values)),
+        "radiance": [number(v) for v in np.atleast_1d(found["mean"].values)],
         "nulls": percent(float(found["null_share"])),
         "variation": number(float(found["coefficient_of_variation"])),
         "tail": between(float(found["long_tail_statistic"]), 2 * float(found["tail_index_se"])),
-        "family": figures.names_of(found["family"])[int(found["family"])],
-        "label": figures.names_of(found["label"])[int(found["label"])],
+        "family": _named(found["family"]),
+        "label": _named(found["label"]),
     }
+
+
+def _named(code: xr.DataArray) -> str:
+    name = figures.names_of(code)[int(code)]
+    return NAMES.get(name, name)
 
 
 def _thresholds(dataset: xr.Dataset) -> dict[str, str]:

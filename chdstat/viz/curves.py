@@ -99,6 +99,8 @@ def training(
                 )
         axes.set(xlabel="iteration", ylabel="squared error", yscale="log")
         axes.set_xlim(left=0)
+        if baseline:  # a few spikes of the optimiser must not squeeze the rest
+            axes.set_ylim(top=3 * max(baseline.values()))
         axes.legend(loc="upper right")
     return figure
 

@@ -33,7 +33,8 @@ def main() -> None:
             color = viz.PALETTE[i]
             main_axes.add_patch(Circle((x_, y), 4, fill=False, edgecolor=color, linewidth=1.6))
             draw(figure.add_subplot(grid[i, 1]), x[i], NAMES[i], color)
-        figure.axes[1].legend(["green samples", "gamma", "log-normal"], loc="upper left")
+        handles, _ = figure.axes[1].get_legend_handles_labels()
+        figure.axes[1].legend(handles, ["green samples", "gamma", "log-normal"], loc="upper left")
         figure.axes[2].set_xlabel("radiance (log scale)")
         figure.savefig(Path(__file__).with_name("chd.png"), dpi=180)
 

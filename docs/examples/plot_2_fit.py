@@ -56,14 +56,15 @@ figure
 
 # %%
 # Neither follows the samples: the wall is more peaked than both, and below the vanity there are
-# several humps that no single family has. Such shapes are why Elek, Thomas and Forbes (2019) look for
-# patterns instead of parameters.
+# several humps that no single family has. Such shapes are why Elek, Thomas and Forbes (2019) look
+# for patterns instead of parameters.
 #
 # Averages of N samples
 # ---------------------
 #
 # `chdstat.normality.gaussianity_of_means` averages N samples at a time and tests whether the
-# averages are Gaussian. Independent samples promise that the skewness falls as one over the root of N.
+# averages are Gaussian. Independent samples promise that the skewness falls as one over the root
+# of N.
 
 means = gaussianity_of_means(green, n_means=128)
 with viz.style():
@@ -78,8 +79,8 @@ with viz.style():
 figure
 
 # %%
-# The averages keep the promise, but it is a slow one: the skewness of 64 samples is an eighth of the
-# first, and the test still tells most averages from Gaussian.
+# The averages keep the promise, but it is a slow one: the skewness for 64 samples is an eighth of
+# that for one, and the test still tells most averages from Gaussian.
 
 for name, p_values in zip(names, means.p_value, strict=True):
     rejected = means.sizes[p_values < 0.05]

@@ -50,8 +50,7 @@ viz.map_grid(
 )
 
 # %%
-# The window is constant: every path that reaches it sees the same patch of sky. Away from it, most
-# paths are null, and where they are not, a gamma distribution is the better of the two families more
-# often than not. Bimodal pixels gather where part of the paths see the sun: along the edges of its
-# light, and in metal. The dip is a statistic, and so is noisy where few samples are positive; the
-# flag is not set by its value alone.
+# The window is constant: every sample of it is the same sky. Away from it, most paths are null, and
+# where they are not, a gamma distribution is more often the better one of the two families. Bimodal
+# pixels gather where part of the paths see the sun, as at the edges of its light. The dip alone
+# does not set the flag: it is noisy where few samples are positive, and its p-value knows that.

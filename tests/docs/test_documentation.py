@@ -56,6 +56,21 @@ def test_python_in_the_readme_is_python_and_its_names_exist() -> None:
     assert set(used) <= set(chd.__all__)
 
 
+def test_commands_in_the_readme_exist() -> None:
+    from typer.main import get_command
+
+    from chdstat.cli import app
+
+    used = {
+        line.split()[1]
+        for block in code_blocks(README, "sh")
+        for line in block.replace("&&", "\n").splitlines()
+        if line.strip().startswith("chdstat ")
+    }
+    assert used >= {"render", "info", "analyze", "report", "doctor"}
+    assert used <= set(get_command(app).commands)
+
+
 @pytest.mark.parametrize("name", sorted(set(chd.__all__) - {"__version__"}))
 def test_every_public_name_is_on_the_api_page(name: str) -> None:
     page = (ROOT / "docs" / "api.rst").read_text(encoding="utf-8")

@@ -1,0 +1,76 @@
+"""Doctor: what runs on this machine, and why."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+from chdstat.backend import BACKENDS, llvm_libraries, probe
+
+__all__ = ["examine"]
+
+_PACKAGES = ("chdstat", "mitsuba", "drjit", "numpy", "scipy", "torch", "xarray", "zarr", "typst")
+
+
+def examine(*, fresh: bool = False) -> dict[str, Any]:
+    """Return what works here: backends with the reason, libraries, devices, memory, versions.
+
+    Parameters
+    ----------
+    fresh
+        Try backends again where an answer is cached.
+    """
+    verdicts = {name: probe(name, fresh=fresh) for name in BACKENDS}
+    return {
+        "backends": {
+            name: f"{'works' if v.works else 'does not work'}: {v.detail}"
+            + (f" ({v.library})" if v.works and v.library else "")
+            for name, v in verdicts.items()
+        },
+        "auto_uses": next(n for n in ("cuda", "llvm", "scalar") if verdicts[n].works),
+        "llvm_libraries": llvm_libraries(),
+        "torch_device": _torch_device(),
+        "cores": os.cpu_count(),
+        "memory_gib": _memory(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "versions": {name: _version(name) for name in _PACKAGES},
+    }
+
+
+def _torch_device() -> str:
+    import torch
+
+    if torch.cuda.is_available():
+        return f"cuda: {torch.cuda.get_device_name(0)}"
+    return f"cpu, {torch.get_num_threads()} threads"
+
+
+def _memory() -> float | None:
+    """Return the memory of the machine in GiB, where the system tells."""
+    try:
+        pages, size = os.sysconf("SC_PHYS_PAGES"), os.sysconf("SC_PAGE_SIZE")
+    except (ValueError, OSError, AttributeError):
+        return None
+    limit = _container_limit()
+    total = pages * size if limit is None else min(limit, pages * size)
+    return round(total / 2**30, 1)
+
+
+def _container_limit() -> int | None:
+    """Return the limit that a container sets, if any."""
+    try:
+        text = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+    except OSError:
+        return None
+    return int(text) if text.isdecimal() else None
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,77 @@
+"""What keeping every sample costs: capture into a store, as a multiple of plain rendering.
+
+The two take turns, so that a busy machine slows both; what counts is the median of their ratios,
+which the design wants at or below 1.10 (scalar) and 1.00 (LLVM). Run with ``--benchmark-only -s``;
+CHDSTAT_SCENES names a folder with a real bathroom to take instead of the Cornell box.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from chdstat import capture
+from chdstat._renderer import Job, Renderer
+from chdstat.backend import activate, probe
+from chdstat.scenes import Scene, load_scene
+
+SIZE, SPP, ROUNDS = (128, 128), 256, 5
+TARGETS = {"scalar": 1.10, "llvm": 1.00}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    folder = os.environ.get("CHDSTAT_SCENES")
+    return load_scene(Path(folder) / "bathroom" / "scene.xml" if folder else "cornell-box")
+
+
+def seconds(function: Callable[[], Any]) -> float:
+    start = time.perf_counter()
+    function()
+    return time.perf_counter() - start
+
+
+@pytest.mark.parametrize("backend", TARGETS)
+def test_capture_against_plain_rendering(benchmark, tmp_path, scene, request, backend):
+    verdict = probe(request.getfixturevalue("llvm") if backend == "llvm" else backend)
+    ratios: list[float] = []
+    with activate(verdict):
+        job = Job(scene, verdict, SIZE)
+        renderer = Renderer(job)
+        film = renderer._sensor((0, 0), SIZE)
+
+        def plain() -> None:
+            number = len(ratios)
+            np.array(renderer._integrator.render(renderer._scene, film, seed=number, spp=SPP))
+
+        def captured() -> None:
+            capture._fill(job, renderer, sink(f"{len(ratios)}.zarr"), None, False)
+
+        def sink(name: str) -> Any:
+            attrs = capture._provenance(job, renderer, SPP)
+            return capture._StoreSink.open(tmp_path / name, None, attrs, renderer, SPP)
+
+        def turn() -> None:
+            # Who comes first alternates too.
+            if len(ratios) % 2:
+                cost = seconds(captured)
+                ratios.append(cost / seconds(plain))
+            else:
+                base = seconds(plain)
+                ratios.append(seconds(captured) / base)
+
+        plain()
+        benchmark.pedantic(turn, rounds=ROUNDS, warmup_rounds=1)
+    ratio = statistics.median(ratios[1:])
+    benchmark.extra_info["ratio"] = ratio
+    print(
+        f"\n{scene.name}, {backend}: capture costs {ratio:.2f} of plain rendering "
+        f"({min(ratios[1:]):.2f} to {max(ratios[1:]):.2f}, target {TARGETS[backend]:.2f})"
+    )
