@@ -24,6 +24,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+_INTERRUPTED = 130
+
 SceneName = Annotated[
     str,
     typer.Argument(metavar="SCENE", help="Built-in name or Mitsuba XML file.", show_default=False),
@@ -317,8 +319,10 @@ def main() -> None:
         if "--debug" in sys.argv:
             raise
         _fail(str(error), 1)
-    except KeyboardInterrupt:
-        _fail("stopped; run the same command again to resume where it keeps a store", 130)
+    except SystemExit as ended:
+        if ended.code == _INTERRUPTED:  # what typer makes of Ctrl-C
+            _fail("stopped; with a store, the same command resumes where it was", _INTERRUPTED)
+        raise
     except MemoryError:
         _fail("out of memory; use a smaller --size or --spp, or keep samples in a store", 1)
 

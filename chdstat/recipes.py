@@ -102,6 +102,10 @@ class Recipe:
     max_depth: int | None
     regions: tuple[Region, ...]
 
+    def settings(self) -> dict[str, Any]:
+        """Return the arguments of `chdstat.render`."""
+        return {"size": self.size, "spp": self.spp, "seed": self.seed, "max_depth": self.max_depth}
+
 
 def find_recipe(scene: str) -> Recipe | None:
     """Return the recipe of a built-in scene, or None where there is none."""

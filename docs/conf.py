@@ -32,7 +32,7 @@ extensions = [
 ]
 exclude_patterns = ["_build", "examples"]
 default_role = "autolink"
-templates_path: list[str] = []
+smartquotes = False  # they would turn the -- of options into dashes
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"

@@ -121,9 +121,7 @@ def test_a_home_that_cannot_be_written_to_only_costs_the_trial(tmp_path, monkeyp
 
 
 def test_unknown_names_are_refused():
-    with pytest.raises(
-        InputError, match="must be one of auto, scalar, llvm, cuda; got 'metal'"
-    ):
+    with pytest.raises(InputError, match="must be one of auto, scalar, llvm, cuda; got 'metal'"):
         resolve("metal")
     with pytest.raises(InputError, match="got 'metal'"):
         probe("metal")

@@ -405,9 +405,7 @@ def test_single_pixels():
     assert x.shape == (3, 3, 20)
     assert x.dtype == np.float32
     assert np.array_equal(x[0], x[2])
-    assert np.array_equal(
-        x[1], chd.render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8))[0]
-    )
+    assert np.array_equal(x[1], chd.render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8))[0])
     other = chd.render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8), seed=1)[0]
     assert not np.array_equal(x[1], other)
 

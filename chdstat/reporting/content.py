@@ -37,8 +37,8 @@ class Study:
         What to look at.
     chosen
         Whether the library chose the regions.
-    comparison
-        Estimators; None where there are too few samples to judge by.
+    comparison, why_not
+        Estimators; None where these samples cannot judge them, and then why.
     """
 
     samples: Samples
@@ -47,6 +47,7 @@ class Study:
     regions: tuple[Region, ...]
     chosen: bool
     comparison: Comparison | None
+    why_not: str = ""
 
 
 def document(study: Study) -> Document:
@@ -63,6 +64,7 @@ def document(study: Study) -> Document:
         "thresholds": _thresholds(study.dataset),
         "n_means": int(study.dataset.attrs.get("n_means", 0)),
         "spp": study.samples.spp,
+        "no_estimators": study.why_not,
     }
     drawn: dict[str, Figure] = {
         "study": figures.study(study.dataset["mean"].values, marks),
@@ -94,17 +96,21 @@ def _provenance(samples: Samples) -> list[tuple[str, str]]:
     attrs = samples.attrs
     height, width, channels, spp = samples.shape
     integrator = dict(attrs.get("integrator") or {})
-    settings = ", ".join(f"{k} {v}" for k, v in integrator.items() if k != "type")
-    kind = str(integrator.get("type", "unknown"))
+    kind = integrator.pop("type", "")
+    settings = ", ".join(f"{name} {value}" for name, value in integrator.items())
     seconds = float(attrs.get("render_seconds") or 0)
     rows = {
         "Scene": f"{samples.name} ({attrs.get('scene_source', 'samples given')})",
         "Scene hash": str(attrs.get("scene_hash", ""))[:16],
         "Integrator": f"{kind} ({settings})" if settings else kind,
         "Image": f"{width} × {height} pixels, {channels} channels, {spp} samples per pixel",
-        "Random numbers": f"independent sampler, seed {attrs.get('seed', 'unknown')}",
-        "Filter": str(attrs.get("filter", "unknown")),
-        "Renderer": f"Mitsuba {attrs.get('mitsuba_version', '')} {attrs.get('backend', '')}",
+        "Random numbers": f"{attrs['sampler']} sampler, seed {attrs['seed']}"
+        if "seed" in attrs
+        else "",
+        "Filter": str(attrs.get("filter", "")),
+        "Renderer": f"Mitsuba {attrs['mitsuba_version']}, {attrs['backend']}"
+        if "mitsuba_version" in attrs
+        else "",
         "Rendering time": f"{seconds:.0f} s" if seconds else "",
         "Note": "; ".join(attrs.get("notes") or []),
     }

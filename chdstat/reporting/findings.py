@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -50,9 +51,12 @@ def _nulls(scene: Overview) -> Finding:
 
 
 def _spread(scene: Overview) -> Finding:
+    question = "How far do samples scatter?"
+    if not math.isfinite(scene.variation[1]):
+        return Finding(question, "No pixel has two samples and a mean above 0.", "—")
     low, middle, high = (number(v) for v in scene.variation)
     return Finding(
-        "How far do samples scatter?",
+        question,
         f"The standard deviation of a pixel's samples is {middle} times their mean "
         f"(quartiles {low} and {high}).",
         f"{middle} ×",
@@ -75,9 +79,12 @@ def _family(scene: Overview) -> Finding:
 
 
 def _log_shape(scene: Overview) -> Finding:
+    question = "Are logarithms of samples Gaussian?"
+    if not math.isfinite(scene.log_rejected):
+        return Finding(question, "No pixel has enough positive samples to test.", "—")
     low, middle, high = (number(v) for v in scene.log_skewness)
     return Finding(
-        "Are logarithms of samples Gaussian?",
+        question,
         f"{percent(scene.log_rejected)} of the pixel channels are told from a Gaussian; their "
         f"skewness has median {middle} (quartiles {low} and {high}).",
         f"{percent(scene.log_rejected)} rejected",
@@ -85,8 +92,11 @@ def _log_shape(scene: Overview) -> Finding:
 
 
 def _tails(scene: Overview) -> Finding:
+    question = "Are tails long?"
+    if not math.isfinite(scene.doubtful_variance):
+        return Finding(question, "No pixel has enough positive samples to look at its tail.", "—")
     return Finding(
-        "Are tails long?",
+        question,
         f"In {percent(scene.long_tails)} of the pixels, the tail index is above the threshold. In "
         f"{percent(scene.doubtful_variance)} its estimate reaches 1/2, where the variance of such "
         "a tail, and every error bar that rests on it, is not to be trusted.",
@@ -104,7 +114,7 @@ def _modes(scene: Overview) -> Finding:
 
 
 def _averages(scene: Overview) -> Iterator[Finding]:
-    if not scene.averages:
+    if not scene.averages or not any(math.isfinite(share) for share in scene.averages.values()):
         return
     n = 32 if 32 in scene.averages else max(scene.averages)
     largest = max(scene.averages)

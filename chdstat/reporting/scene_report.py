@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from chdstat.analysis import analyze, overview
 from chdstat.backend import Backend
-from chdstat.capture import render
+from chdstat.capture import render, scene_size
 from chdstat.comparison import Comparison, compare
 from chdstat.errors import InputError
 from chdstat.recipes import Recipe, choose_regions, find_recipe, load_recipe
@@ -20,7 +21,7 @@ from chdstat.scenes import BUILTIN, Scene, load_scene
 
 __all__ = ["report"]
 
-_SIZE = 128
+_EDGE = 128
 """Longest edge of the image where neither the user nor a recipe says otherwise."""
 _SPP = 512
 _IN_MEMORY = 2**29
@@ -39,6 +40,7 @@ def report(
     max_depth: int | None = None,
     recipe: str | Path | None = None,
     store: str | Path | None = None,
+    estimators: Sequence[str] = ("mean", "median_of_means", "elek2019"),
     backend: Backend = "auto",
     progress: bool | None = None,
 ) -> Path:
@@ -59,6 +61,8 @@ def report(
     store
         Where to keep the rendered samples, so that the next report resumes from them; None keeps
         them in memory.
+    estimators
+        Names of the estimators to compare; those that learn are trained on these samples.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -75,18 +79,30 @@ def report(
         As for `chdstat.render` and `chdstat.open`.
     """
     target = _checked_target(Path(path))
-    samples, found = _samples(source, spp, size, seed, max_depth, recipe, store, backend, progress)
+    asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
+    given = {name: value for name, value in asked.items() if value is not None}
+    samples = _finished(source)
+    if samples is None:
+        scene = load_scene(source)  # type: ignore[arg-type]
+        found = load_recipe(recipe) if recipe else _own_recipe(scene.name, scene.origin)
+        settings = (found.settings() if found else _defaults(scene)) | given
+        samples = render(scene, **settings, out=store, backend=backend, progress=progress)
+    else:
+        origin = str(samples.attrs.get("scene_source"))
+        found = load_recipe(recipe) if recipe else _own_recipe(samples.name, origin)
     if samples.nbytes <= _IN_MEMORY:
         samples = samples.load()
     dataset = analyze(samples, progress=progress)
-    regions = found.regions if found and found.regions else choose_regions(dataset)
+    regions = found.regions if found else ()
+    comparison, why_not = _compare(samples, estimators, progress)
     study = Study(
         samples=samples,
         dataset=dataset,
         overview=overview(dataset),
-        regions=regions,
-        chosen=not (found and found.regions),
-        comparison=_compare(samples, progress),
+        regions=regions or choose_regions(dataset),
+        chosen=not regions,
+        comparison=comparison,
+        why_not=why_not,
     )
     with tempfile.TemporaryDirectory(prefix="chdstat-") as folder:
         return typeset(document(study), Path(folder), target)
@@ -103,57 +119,33 @@ def _checked_target(path: Path) -> Path:
     return path
 
 
-def _samples(
-    source: str | Path | dict[str, Any] | Scene | Samples,
-    spp: int | None,
-    size: tuple[int, int] | None,
-    seed: int | None,
-    max_depth: int | None,
-    recipe: str | Path | None,
-    store: str | Path | None,
-    backend: Backend,
-    progress: bool | None,
-) -> tuple[Samples, Recipe | None]:
-    """Return the samples, opened or rendered, and the recipe that goes with them."""
-    given = load_recipe(recipe) if recipe else None
+def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples | None:
+    """Return samples that are already there: given, or in a store."""
     if isinstance(source, Samples):
-        return source, given or _recipe_of(source)
+        return source
     if isinstance(source, (str, Path)) and (Path(source) / "zarr.json").is_file():
-        samples = open_samples(source)
-        return samples, given or _recipe_of(samples)
-    scene = load_scene(source)
-    found = given or (find_recipe(scene.name) if scene.origin == "chdstat" else None)
-    samples = render(
-        scene,
-        spp=spp or (found.spp if found else _SPP),
-        size=size or (found.size if found else _default_size(scene)),
-        seed=seed if seed is not None else (found.seed if found else 0),
-        max_depth=max_depth or (found.max_depth if found else None),
-        out=store,
-        backend=backend,
-        progress=progress,
-    )
-    return samples, found
+        return open_samples(source)
+    return None
 
 
-def _recipe_of(samples: Samples) -> Recipe | None:
-    """Return the recipe of a built-in scene, if the samples are of one."""
-    builtin = samples.name in BUILTIN and samples.attrs.get("scene_source") == "chdstat"
-    return find_recipe(samples.name) if builtin else None
+def _own_recipe(name: str, origin: str) -> Recipe | None:
+    """Return the recipe of a built-in scene."""
+    return find_recipe(name) if name in BUILTIN and origin == "chdstat" else None
 
 
-def _default_size(scene: Scene) -> tuple[int, int]:
-    """Return a small image of the scene's own proportions."""
-    from chdstat.capture import scene_size
-
+def _defaults(scene: Scene) -> dict[str, Any]:
+    """Return settings for a scene without a recipe: a small image of its own proportions."""
     width, height = scene_size(scene)
-    scale = _SIZE / max(width, height)
-    return max(1, round(width * scale)), max(1, round(height * scale))
+    scale = _EDGE / max(width, height)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return {"spp": _SPP, "size": size}
 
 
-def _compare(samples: Samples, progress: bool | None) -> Comparison | None:
-    """Compare the estimators, or return None where there are too few samples to judge by."""
+def _compare(
+    samples: Samples, estimators: Sequence[str], progress: bool | None
+) -> tuple[Comparison | None, str]:
+    """Compare the estimators, or say why these samples cannot judge them."""
     try:
-        return compare(samples, n=_BATCH, progress=progress)
-    except InputError:
-        return None
+        return compare(samples, estimators, n=_BATCH, progress=progress), ""
+    except InputError as error:
+        return None, str(error)

@@ -28,9 +28,9 @@ def number(value: float) -> str:
         return "—"
     if value == 0:
         return "0"
-    digits = max(0, 2 - math.floor(math.log10(abs(value))))
-    rounded = round(value, 2 - math.floor(math.log10(abs(value))))
-    text = f"{rounded:.{min(digits, 6)}f}" if abs(value) >= 1e-4 else f"{value:.1e}"
+    rounded = float(f"{value:.3g}")
+    digits = max(0, 2 - math.floor(math.log10(abs(rounded))))
+    text = f"{rounded:.{digits}f}" if abs(rounded) >= 1e-4 else f"{rounded:.1e}"
     return text.replace("-", "−")
 
 

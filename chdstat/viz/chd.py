@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from chdstat.errors import InputError
 from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
@@ -77,18 +78,27 @@ def chd_axes(axes: Axes, curves: Mapping[str, Curve], *, scale: Scale) -> None:
         "linear", or "log" for a log10 axis of radiance.
     """
     for i, (channel, curve) in enumerate(curves.items()):
-        color = CHANNELS.get(channel, PALETTE[i % len(PALETTE)])
+        color = _color(channel, i)
         if np.isfinite(curve.edges).all() and np.isfinite(curve.density).all():
             axes.stairs(curve.density, curve.edges, color=color, fill=True, alpha=0.22)
             axes.stairs(curve.density, curve.edges, color=color, linewidth=0.7, label=channel)
             if curve.fit is not None:
                 axes.plot(_centers(curve.edges, scale), curve.fit, color=color, linewidth=1.3)
+    if not axes.patches:
+        center = (0.5, 0.5)
+        axes.annotate(
+            "no positive samples", center, xycoords="axes fraction", ha="center", fontsize=7
+        )
     if scale == "log":
         axes.set_xscale("log")
     axes.set_xlim(*_limits(curves, scale))
     axes.set_ylim(bottom=0)
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
+
+
+def _color(channel: str, place: int) -> str:
+    return CHANNELS.get(channel, PALETTE[place % len(PALETTE)])
 
 
 def _centers(edges: Array, scale: Scale) -> Array:
@@ -144,7 +154,10 @@ def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
                 pair[0].set_xlabel(f"radiance ({_UNIT})")
                 pair[1].set_xlabel(f"radiance ({_UNIT}), log scale")
             pair[0].set_ylabel("density", fontsize=7)
-        axes[0, 0].legend(loc="upper right", handlelength=1, borderaxespad=0)
+        channels = [
+            Line2D([], [], color=_color(c, i), label=c) for i, c in enumerate(panels[0].log)
+        ]
+        axes[0, 0].legend(handles=channels, loc="upper right", handlelength=1, borderaxespad=0)
     return figure
 
 

@@ -12,7 +12,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from chdstat.viz.style import PALETTE, WIDTH, sequential, style
+from chdstat.viz.style import MISSING, PALETTE, WIDTH, sequential, style
 
 __all__ = ["categorical_map", "map_grid", "value_map"]
 
@@ -75,8 +75,8 @@ def categorical_map(
         rank = np.full(array.shape, np.nan)
         for i, code in enumerate(order):
             rank[array == code] = i
-        palette = ListedColormap([colors[i % len(colors)] for i in range(len(order))])
-        palette.set_bad("#DDDDDD")
+        shades = [colors[i % len(colors)] for i in range(len(order))]
+        palette = ListedColormap(shades).with_extremes(bad=MISSING)
         norm = BoundaryNorm(np.arange(len(order) + 1) - 0.5, len(order))
         axes.imshow(rank, cmap=palette, norm=norm, interpolation="nearest")
         _bare(axes, title)

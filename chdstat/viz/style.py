@@ -10,7 +10,7 @@ import matplotlib as mpl
 from matplotlib import colormaps
 from matplotlib.colors import Colormap
 
-__all__ = ["CHANNELS", "PALETTE", "WIDTH", "sequential", "style"]
+__all__ = ["CHANNELS", "MISSING", "PALETTE", "WIDTH", "sequential", "style"]
 
 WIDTH = 6.7
 """Width of a figure that fills the text of an A4 page, in inches."""
@@ -26,6 +26,9 @@ PALETTE = (
     "#7F7F7F",
 )
 """Eight colours that colour-blind readers tell apart (Okabe and Ito 2008), grey for black."""
+
+MISSING = "#DDDDDD"
+"""Colour of pixels without a number."""
 
 CHANNELS = {"R": "#C8423B", "G": "#2F9E62", "B": "#3B6FC9"}
 """Colours of the radiance channels; they differ in lightness too."""
@@ -80,6 +83,4 @@ def style() -> Iterator[None]:
 
 def sequential() -> Colormap:
     """Return the colour map of magnitudes; pixels without a number are light grey."""
-    colormap = colormaps["viridis"].copy()
-    colormap.set_bad("#DDDDDD")
-    return colormap
+    return colormaps["viridis"].with_extremes(bad=MISSING)

@@ -11,28 +11,25 @@ from matplotlib.patches import Circle
 
 import chdstat as chd
 from chdstat import viz
-from chdstat.recipes import find_recipe
 
 SIZE = (160, 160)
-NAMES = ("wall", "floor-shadow")
+PIXELS = {"wall": (19, 112), "edge of the shadow": (141, 55)}
 
 
 def main() -> None:
-    recipe = find_recipe("bathroom")
-    regions = {region.name: region for region in recipe.regions} if recipe else {}
-    pixels = [regions[name].center(*SIZE) for name in NAMES]
     picture = chd.render("bathroom", spp=256, size=SIZE, seed=1).read().mean(axis=-1)
-    x = chd.render_pixels("bathroom", pixels, spp=65536, size=SIZE, seed=2)
+    x = chd.render_pixels("bathroom", list(PIXELS.values()), spp=65536, size=SIZE, seed=2)
     with viz.style():
         figure = Figure(figsize=(6.7, 2.7), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=[1, 1.25])
         main_axes = figure.add_subplot(grid[:, 0])
         main_axes.imshow(viz.tonemap(picture))
         main_axes.set_axis_off()
-        for i, (y, x_) in enumerate(pixels):
+        for i, (name, (row, column)) in enumerate(PIXELS.items()):
             color = viz.PALETTE[i]
-            main_axes.add_patch(Circle((x_, y), 4, fill=False, edgecolor=color, linewidth=1.6))
-            draw(figure.add_subplot(grid[i, 1]), x[i], NAMES[i], color)
+            ring = Circle((column, row), 4, fill=False, edgecolor=color, linewidth=1.6)
+            main_axes.add_patch(ring)
+            draw(figure.add_subplot(grid[i, 1]), x[i], name, color)
         handles, _ = figure.axes[1].get_legend_handles_labels()
         figure.axes[1].legend(handles, ["green samples", "gamma", "log-normal"], loc="upper left")
         figure.axes[2].set_xlabel("radiance (log scale)")

@@ -15,23 +15,28 @@ distribution*, CHD for short.
 # `chdstat.render` returns all samples, here in memory; with ``out="bathroom.zarr"`` they would go
 # to disk. The ``scalar`` backend runs on every machine.
 
+import numpy as np
+
 import chdstat as chd
 from chdstat import viz
-from chdstat.recipes import find_recipe
 
 samples = chd.render("bathroom", spp=64, size=(96, 96), seed=1, backend="scalar")
 samples
 
 # %%
 # The picture is the average over the last axis: of 64 numbers per pixel and channel it keeps one.
-# The recipe of the bathroom names regions of interest; we mark four of them.
+# We mark four pixels, and the pixels around each.
 
-regions = {region.name: region for region in find_recipe("bathroom").regions}
-names = ["wall", "tub-sunlit", "floor-shadow", "under-vanity"]
-marks = []
-for name in names:
-    region = regions[name]
-    marks.append(viz.Mark(name, *region.pixels(96, 96), region.center(96, 96)))
+pixels = {
+    "wall": (11, 67),
+    "sunlit tub": (66, 81),
+    "edge of the shadow": (84, 33),
+    "below the vanity": (59, 37),
+}
+marks = [
+    viz.Mark(name, slice(y - 2, y + 3), slice(x - 2, x + 3), (y, x))
+    for name, (y, x) in pixels.items()
+]
 picture = samples.read().mean(axis=-1)
 viz.with_marks(picture, marks)
 
@@ -42,8 +47,7 @@ viz.with_marks(picture, marks)
 # A distribution shows itself with more samples than a picture needs. `chdstat.render_pixels` draws
 # them for the pixels that we ask for, and for no others.
 
-pixels = [mark.pixel for mark in marks]
-x = chd.render_pixels("bathroom", pixels, spp=8192, size=(96, 96), seed=2)
+x = chd.render_pixels("bathroom", list(pixels.values()), spp=8192, size=(96, 96), seed=2)
 x.shape  # pixel, channel, sample
 
 # %%
@@ -51,8 +55,8 @@ x.shape  # pixel, channel, sample
 # mass, not part of any density, so they are counted apart.
 
 null = (x == 0).all(axis=1)
-for name, share in zip(names, null.mean(axis=-1), strict=True):
-    print(f"{name:14} {share:4.0%} nulls")
+for name, share in zip(pixels, null.mean(axis=-1), strict=True):
+    print(f"{name:18} {share:4.0%} nulls")
 
 # %%
 # Linear and log10 histograms, as in the paper
@@ -63,22 +67,23 @@ for name, share in zip(names, null.mean(axis=-1), strict=True):
 # falls outside is counted, never folded into the last bin.
 
 
-def panel(pixel: int) -> viz.Panel:
+def panel(name: str, x: np.ndarray) -> viz.Panel:
+    null = (x == 0).all(axis=0)
     curves = {}
     for scale in ("linear", "log"):
-        h = chd.histogram(x[pixel], scale=scale, null=null[pixel])
+        h = chd.histogram(x, scale=scale, null=null)
         channels = zip(samples.channels, h.edges, h.density, strict=True)
         curves[scale] = {c: viz.Curve(edges, density) for c, edges, density in channels}
-    means = dict(zip(samples.channels, x[pixel].mean(axis=-1), strict=True))
-    note = f"{null[pixel].mean():.0%} nulls"
-    return viz.Panel(names[pixel], curves["linear"], curves["log"], means, note)
+    means = dict(zip(samples.channels, x.mean(axis=-1), strict=True))
+    note = f"{null.mean():.0%} nulls"
+    return viz.Panel(name, curves["linear"], curves["log"], means, note)
 
 
-viz.chd_grid([panel(pixel) for pixel in range(len(names))])
+viz.chd_grid([panel(*pixel) for pixel in zip(pixels, x, strict=True)])
 
 # %%
 # Dashed lines are the averages, nulls included, which is all that the picture keeps. In the sunlit
 # tub, hardly any sample is near the average: either a path sees the sun, and brings nearly always
-# the same, or it does not. At the edge of the shadow the sun makes a small second hump to the right
-# of a broad one, at a place of its own in each channel, since the floor is brown. The log axis
+# the same, or it does not. At the edge of the shadow the sun makes a second, narrower hump to the
+# right of a broad one, at a place of its own in each channel, since the floor is brown. The log axis
 # shows this; the linear one hides most of what is dark.

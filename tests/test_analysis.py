@@ -1,0 +1,75 @@
+"""Analysis: the dataset of everything, its numbers for the scene, and how it is kept."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import chdstat as chd
+from chdstat.analysis import overview, save
+from chdstat.errors import StoreError
+
+
+@pytest.fixture(scope="module")
+def samples():
+    rng = np.random.default_rng(11)
+    x = rng.gamma(1.5, size=(6, 8, 3, 256)) * (rng.random((6, 8, 1, 256)) < 0.4)
+    return chd.Samples.from_array(x, scene="synthetic")
+
+
+@pytest.fixture(scope="module")
+def found(samples):
+    return chd.analyze(samples)
+
+
+def test_statistics_agree_with_numpy(samples, found):
+    x = samples.read().astype(float)
+    np.testing.assert_allclose(found["mean"], x.mean(axis=-1), rtol=1e-6)
+    np.testing.assert_allclose(found["variance"], x.var(axis=-1, ddof=1), rtol=1e-6)
+    y = np.moveaxis(x, 2, -1) @ [0.212671, 0.715160, 0.072169]
+    expected = y.std(axis=-1, ddof=1) / y.mean(axis=-1)
+    np.testing.assert_allclose(found["coefficient_of_variation"], expected, rtol=1e-5)
+
+
+def test_scaling_radiance_scales_the_result(samples, found):
+    scaled = chd.analyze(chd.Samples.from_array(samples.read() * 4))
+    np.testing.assert_allclose(scaled["mean"], 4 * found["mean"], rtol=1e-6)
+    for name in ("null_share", "coefficient_of_variation", "gamma_shape", "lognormal_sigma"):
+        np.testing.assert_allclose(scaled[name], found[name], rtol=1e-4, err_msg=name)
+    np.testing.assert_array_equal(scaled["label"], found["label"])
+
+
+def test_the_overview_counts_what_was_put_in(found):
+    numbers = overview(found)
+    assert numbers.pixels == 48
+    assert numbers.spp == 256
+    # 12288 draws at p = 0.6: five standard errors, false failure below 1e-6.
+    assert numbers.null_share == pytest.approx(0.6, abs=5 * np.sqrt(0.24 / 12288))
+    assert numbers.families["gamma"] > 0.9
+    assert numbers.bad_samples == 0
+    assert sum(numbers.families.values()) == pytest.approx(1)
+
+
+def test_the_overview_is_json_even_where_nothing_can_be_said():
+    numbers = overview(chd.analyze(chd.Samples.from_array(np.zeros((2, 2, 3, 4)))))
+    text = json.dumps(numbers.to_dict(), allow_nan=False)
+    assert json.loads(text)["null_share"] == 1
+    assert json.loads(text)["variation"] == [None, None, None]
+
+
+def test_maps_are_kept_and_never_overwritten(found, tmp_path):
+    path = save(found, tmp_path / "maps.zarr")
+    with xr.open_zarr(path, consolidated=False) as back:
+        assert set(back.data_vars) == set(found.data_vars)
+        np.testing.assert_array_equal(back["mean"], found["mean"])
+        assert back["label"].attrs["flag_meanings"] == found["label"].attrs["flag_meanings"]
+    with pytest.raises(StoreError, match="nothing was overwritten"):
+        save(found, path)
+
+
+def test_every_variable_says_what_it_is(found):
+    missing = [n for n, v in found.data_vars.items() if not {"long_name", "units"} <= set(v.attrs)]
+    assert missing == []
