@@ -174,7 +174,7 @@ def overview(found: xr.Dataset) -> Overview:
     averages, skewness, predicted = _averages(found)
     return Overview(
         pixels=int(found.sizes["y"] * found.sizes["x"]),
-        spp=int(found["count"].max() + found["bad_count"].max()),
+        spp=int((found["count"] + found["bad_count"]).max()),
         null_share=_share(found["null_count"], found["count"]),
         null_pixels=float((null > 0.5).mean()),
         bad_samples=int(found["bad_count"].sum()),
