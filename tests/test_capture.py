@@ -205,9 +205,10 @@ def stop_after(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
 @pytest.mark.parametrize("count", [0, 1, 5])
 def test_a_stopped_render_resumes_to_the_same_bits(tmp_path, monkeypatch, whole, count):
     job = {"size": SIZE, "spp": 200, "out": tmp_path / "s.zarr"}
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch:
         stop_after(patch, count)
-        render(**job)
+        with pytest.raises(KeyboardInterrupt):
+            render(**job)
     assert len(Store.open(job["out"]).pending()) == 8 - count
     if count > 1:
         partial = chd.open(job["out"])
@@ -470,9 +471,10 @@ def test_an_error_while_rendering_is_raised_and_the_rest_is_kept(tmp_path, monke
             raise RuntimeError(message)
         return draw(renderer, chunk, **options)
 
-    with monkeypatch.context() as patch, pytest.raises(RuntimeError, match="lost"):
+    with monkeypatch.context() as patch:
         patch.setattr(Renderer, "chunk", failing)
-        render(spp=256, out=path)
+        with pytest.raises(RuntimeError, match="lost"):
+            render(spp=256, out=path)
     assert np.array_equal(render(spp=256, out=path).read(), render(spp=256).read())
 
 

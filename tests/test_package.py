@@ -43,6 +43,7 @@ ORDER = (
     "recipes",
     "viz",
     "reporting",
+    "doctor",
     "cli",
     "__main__",
 )

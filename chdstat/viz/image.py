@@ -100,8 +100,11 @@ def with_marks(
     shown = tonemap(image, exposure=exposure)
     columns = 2 if marks else 0
     rows = max(1, -(-len(marks) // 2))
+    share = 0.64 if marks else 1.0
+    aspect = shown.shape[0] / shown.shape[1]
     with style():
-        figure = Figure(figsize=(WIDTH, WIDTH * (0.64 if marks else 1.0)), layout="constrained")
+        height = max(WIDTH * share * aspect, 1.05 * rows)
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
         grid = figure.add_gridspec(rows, 1 + columns, width_ratios=[4.2, *[1] * columns])
         main = figure.add_subplot(grid[:, 0])
         _picture(main, shown)
@@ -183,20 +186,21 @@ def pictures(
     if not images:
         message = "pictures needs at least one image, got none"
         raise InputError(message)
+    window = crop or (slice(None), slice(None))
+    exposed = np.asarray(list(images.values())[-1])[window]
     if exposure is None:
-        last = np.asarray(list(images.values())[-1])
-        exposure = float(np.log2(_auto_scale(last[np.isfinite(last)])))
-    ys, xs = crop or (slice(None), slice(None))
+        exposure = float(np.log2(_auto_scale(exposed[np.isfinite(exposed)])))
     rows = 2 if errors else 1
     with style():
-        each = WIDTH / len(images)
-        figure = Figure(figsize=(WIDTH, each * (2.05 if errors else 1.12)), layout="constrained")
+        height, width = np.shape(exposed)[:2]
+        each = 0.92 * WIDTH / len(images) * height / width
+        figure = Figure(figsize=(WIDTH, rows * each + 0.35), layout="constrained")
         axes = figure.subplots(rows, len(images), squeeze=False)
         for column, (title, image) in zip(axes.T, images.items(), strict=True):
-            _picture(column[0], tonemap(np.asarray(image)[ys, xs], exposure=exposure))
+            _picture(column[0], tonemap(np.asarray(image)[window], exposure=exposure))
             column[0].set_title(title)
         if errors:
-            _error_row(figure, list(axes[1]), list(images), errors, (ys, xs))
+            _error_row(figure, list(axes[1]), list(images), errors, window)
     return figure
 
 

@@ -85,5 +85,5 @@ viz.chd_grid([panel(*pixel) for pixel in zip(pixels, x, strict=True)])
 # Dashed lines are the averages, nulls included, which is all that the picture keeps. In the sunlit
 # tub, hardly any sample is near the average: either a path sees the sun, and brings nearly always
 # the same, or it does not. At the edge of the shadow the sun makes a second, narrower hump to the
-# right of a broad one, at a place of its own in each channel, since the floor is brown. The log axis
-# shows this; the linear one hides most of what is dark.
+# right of a broad one, at a place of its own in each channel, since the floor is brown. The log
+# axis shows this; the linear one hides most of what is dark.
