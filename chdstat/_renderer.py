@@ -1,47 +1,33 @@
 """The renderer: one scene in one Mitsuba variant, giving single samples instead of averages.
 
-Random streams. Mitsuba seeds its generators with 32-bit integers. Hashing (tile, batch, pass) into
-one would repeat streams by the birthday rule, so every stream gets an integer of its own:
-
-* scalar: a pass draws one sample for each of the 64 x 64 pixels of a tile. Pass ``p`` owns the
-  streams ``4096 p`` to ``4096 p + 4095``; passes are numbered by (sample, tile).
-* llvm, cuda: one call draws a whole chunk. Each lane mixes the 32-bit number of the chunk with its
-  lane index; chunks are numbered by (batch, tile).
-* single pixels drawn on demand own the topmost 2^28 numbers, which neither of the above reaches.
-
-The user's seed shifts that numbering by a multiple of the golden section of its range, which
-spreads small seeds evenly: images with seeds 0, 1, 2 ... share no stream until the range is full.
+A scalar variant draws a chunk in passes of one sample per pixel; llvm and cuda draw it as one
+wavefront. Which random numbers each sample owns is told by `chdstat._streams`.
 """
 
 from __future__ import annotations
 
 import functools
-import math
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._store import BATCH, TILE, Chunk
+from chdstat._store import Chunk
+from chdstat._streams import Streams
 from chdstat.backend import BACKENDS, Verdict, activate
 from chdstat.errors import RenderError, SceneError
 from chdstat.scenes import Scene
 
-__all__ = ["Job", "Renderer", "film_size", "max_spp"]
+__all__ = ["Job", "Renderer", "film_size"]
 
 _BLOCK = 32
-_PIXELS = 2**28
-"""How many numbers, the topmost of the 2^32, are kept for single pixels."""
-_PASSES = (2**32 - _PIXELS) // TILE**2
-_CHUNKS = 2**31
 _RUN = 16
 """Samples of a pixel in neighbouring lanes: their paths begin alike, which saves a tenth."""
 _FEATURE_SPP = 16
 _FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
-_GOLDEN = (math.sqrt(5) - 1) / 2
 
 Image = npt.NDArray[np.float32]
 
@@ -60,12 +46,6 @@ class Job:
     def key(self) -> tuple[Any, ...]:
         """Identity of the job; jobs of equal key give equal samples."""
         return (self.scene.hash, self.verdict.backend, self.size, self.seed, self.max_depth)
-
-
-def max_spp(backend: str, width: int, height: int) -> int:
-    """Return how many samples per pixel a backend can draw before random streams repeat."""
-    tiles = _tiles(width) * _tiles(height)
-    return _PASSES // tiles if backend == "scalar" else _CHUNKS // tiles * BATCH
 
 
 def film_size(job: Job) -> tuple[int, int]:
@@ -87,10 +67,10 @@ class Renderer:
         with activate(job.verdict) as mi:
             self._mi = mi
             self._scalar = job.verdict.backend == "scalar"
-            self._seed = job.seed
             self.notes: list[str] = []
             state = job.scene.parse(BACKENDS[job.verdict.backend])
             self._read_settings(state, job)
+            self._streams = Streams(self.size, job.seed)
             self._scene = self._instantiate(state, job.scene)
             self._sensor_medium = self._scene.sensors()[0].get_medium()
             self._local = threading.local()
@@ -106,10 +86,10 @@ class Renderer:
             return self._chunk_scalar(chunk, stopped)
         return self._chunk_wavefront(chunk)
 
-    def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, first: int = 0) -> Image:
+    def pixels(self, pixels: npt.NDArray[np.intp], spp: int) -> Image:
         """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample)."""
         draw = self._pixel_scalar if self._scalar else self._pixel_wavefront
-        return np.stack([draw(int(y), int(x), spp, first) for y, x in pixels])
+        return np.stack([draw(int(y), int(x), spp) for y, x in pixels])
 
     def features(self) -> dict[str, Image]:
         """Render the first-hit features: albedo, shading normal, depth and position."""
@@ -226,21 +206,18 @@ class Renderer:
         height, width, samples = chunk.shape
         sensor = self._sensor((chunk.xs.start, chunk.ys.start), (width, height))
         block = np.empty((samples, height, width, 3), np.float32)
-        tile = chunk.tile_y * _tiles(self.size[0]) + chunk.tile_x
-        tiles = _tiles(self.size[0]) * _tiles(self.size[1])
         for i, sample in enumerate(range(chunk.ss.start, chunk.ss.stop)):
             if stopped():
                 return np.empty(0, np.float32)
-            number = _number(self._seed, sample * tiles + tile, _PASSES)
-            seed = _pass_seed(number, width * height)
+            seed = self._streams.of_pass(chunk, sample)
             block[i] = self._integrator.render(self._scene, sensor, seed=seed, spp=1)
         return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
 
-    def _pixel_scalar(self, y: int, x: int, spp: int, first: int) -> Image:
+    def _pixel_scalar(self, y: int, x: int, spp: int) -> Image:
         mi, scene, integrator = self._mi, self._scene, self._integrator
         sensor = self._sensor((0, 0), self.size)
         sampler = sensor.sampler()
-        sampler.seed(self._pixel_number(y, x, first), 1)
+        sampler.seed(self._streams.of_pixel(y, x), 1)
         corner, scale = np.array((x, y)), 1 / np.array(self.size)
         result = np.empty((spp, 3), np.float32)
         for i in range(spp):
@@ -255,14 +232,12 @@ class Renderer:
 
     def _chunk_wavefront(self, chunk: Chunk) -> Image:
         height, width, samples = chunk.shape
-        tile = chunk.tile_y * _tiles(self.size[0]) + chunk.tile_x
-        tiles = _tiles(self.size[0]) * _tiles(self.size[1])
-        number = _number(self._seed, chunk.batch * tiles + tile, _CHUNKS)
         corner = (chunk.xs.start, chunk.ys.start)
-        return self._wavefront(number, corner, (width, height), samples)
+        return self._wavefront(self._streams.of_chunk(chunk), corner, (width, height), samples)
 
-    def _pixel_wavefront(self, y: int, x: int, spp: int, first: int) -> Image:
-        samples: Image = self._wavefront(self._pixel_number(y, x, first), (x, y), (1, 1), spp)[0, 0]
+    def _pixel_wavefront(self, y: int, x: int, spp: int) -> Image:
+        block = self._wavefront(self._streams.of_pixel(y, x), (x, y), (1, 1), spp)
+        samples: Image = block[0, 0]
         return samples
 
     def _wavefront(
@@ -319,13 +294,6 @@ class Renderer:
 
         return kernel
 
-    # --- both -----------------------------------------------------------------------------------
-
-    def _pixel_number(self, y: int, x: int, first: int) -> int:
-        """Return the number of a pixel's stream, apart from those of chunks."""
-        index = (first * self.size[1] + y) * self.size[0] + x
-        return 2**32 - _PIXELS + _number(self._seed, index, _PIXELS)
-
 
 def _time_and_lens(mi: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:
     """Draw the time within the shutter interval and the point on the lens, where needed.
@@ -340,32 +308,5 @@ def _time_and_lens(mi: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:
     return time, lens
 
 
-def _tiles(length: int) -> int:
-    return -(-length // TILE)
-
-
-def _number(seed: int, index: int, span: int) -> int:
-    """Return the number of a block of streams under a user's seed; one to one with `index`."""
-    return (index + seed * round(_GOLDEN * span)) % span
-
-
-def _pass_seed(number: int, pixels: int) -> int:
-    """Return the seed that makes a scalar render use the streams 4096 n to 4096 n + 4095.
-
-    It multiplies the seed by the number of pixels of the film, modulo 2^32. A tile of 64 x 64 has
-    2^12 pixels; smaller ones at the border have 2^v m with v <= 12 and m odd, which is invertible.
-    """
-    power = (pixels & -pixels).bit_length() - 1
-    modulus = 1 << (32 - power)
-    inverse: int = pow(pixels >> power, -1, modulus)
-    return (number * TILE * TILE >> power) * inverse % modulus
-
-
 def _first_lines(error: Exception) -> str:
     return " ".join(line.strip() for line in str(error).splitlines()[:3])
-
-
-def describe(settings: Mapping[str, Any]) -> str:
-    """Return an integrator's settings as one line."""
-    rest = ", ".join(f"{k} {v}" for k, v in settings.items() if k != "type")
-    return f"{settings['type']}" + (f" ({rest})" if rest else "")

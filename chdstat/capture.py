@@ -6,9 +6,7 @@ draws samples of a few pixels on demand.
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import importlib.metadata
 import itertools
 import logging
 import os
@@ -22,10 +20,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._renderer import Job, Renderer, film_size, max_spp
-from chdstat._store import Chunk, Store, chunk_grid
+from chdstat._renderer import Job, Renderer, film_size
+from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
+from chdstat._store import Chunk
+from chdstat._streams import max_spp
 from chdstat.backend import Backend, activate, resolve
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import InputError
 from chdstat.progress import track
 from chdstat.samples import Samples
 from chdstat.scenes import Scene, load_scene
@@ -102,7 +102,7 @@ def render(
     """
     loaded = load_scene(scene)
     _check(spp, size, seed)
-    existing = _existing(out)
+    existing = existing_store(out)
     if existing is not None:
         backend = existing.attrs["backend"] if backend == "auto" else backend
         size = size or tuple(existing.attrs["size"])
@@ -112,11 +112,11 @@ def render(
         _check_streams(job, renderer, spp)
         for note in renderer.notes:
             _log.warning("%s", note)
-        attrs = _provenance(job, renderer, spp)
+        attrs = provenance(job, renderer, spp)
         sink = (
-            _StoreSink.open(out, existing, attrs, renderer, spp)
+            StoreSink.open(out, existing, attrs, renderer, spp)
             if out
-            else _MemorySink(attrs, renderer, spp)
+            else MemorySink(attrs, renderer, spp)
         )
         _fill(job, renderer, sink, client, progress)
         return sink.finish()
@@ -219,133 +219,13 @@ def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray
     return array.astype(np.intp)
 
 
-# --- where samples go ---------------------------------------------------------------------------
-
-
-def _provenance(job: Job, renderer: Renderer, spp: int) -> dict[str, Any]:
-    return {
-        "scene": job.scene.name,
-        "scene_hash": job.scene.hash,
-        "scene_source": job.scene.origin,
-        "scene_parameters": dict(job.scene.parameters),
-        "integrator": renderer.integrator,
-        "size": list(renderer.size),
-        "spp": spp,
-        "seed": job.seed,
-        "backend": job.verdict.backend,
-        "mitsuba_version": importlib.metadata.version("mitsuba"),
-        "chdstat_version": importlib.metadata.version("chdstat"),
-        "filter": "box",
-        "sampler": "independent",
-        "units": "linear radiance",
-        "notes": renderer.notes,
-        "render_seconds": 0.0,
-    }
-
-
-_IDENTITY = ("scene_hash", "integrator", "size", "seed", "backend", "mitsuba_version")
-"""Attributes that must agree before samples are added to a store."""
-
-
-def _existing(out: str | Path | None) -> Store | None:
-    """Return the store that is already at `out`, if any."""
-    if out is None or not Path(out).exists() or not (Path(out) / "zarr.json").exists():
-        return None
-    return Store.open(Path(out), writable=True)
-
-
-class _MemorySink:
-    """Samples kept in memory."""
-
-    def __init__(self, attrs: dict[str, Any], renderer: Renderer, spp: int) -> None:
-        width, height = renderer.size
-        self._attrs, self._features = attrs, renderer.features()
-        self._array = np.full((height, width, 3, spp), np.nan, np.float32)
-
-    def pending(self) -> list[Chunk]:
-        height, width, _, spp = self._array.shape
-        return list(chunk_grid(height, width, spp))
-
-    def write(self, chunk: Chunk, block: Image) -> None:
-        self._array[chunk.ys, chunk.xs, :, chunk.ss] = block
-
-    def spent(self, seconds: float) -> None:
-        self._attrs["render_seconds"] = round(seconds, 3)
-
-    def finish(self) -> Samples:
-        return Samples.from_array(self._array, features=self._features, **self._attrs)
-
-
-class _StoreSink:
-    """Samples kept in a store on disk."""
-
-    def __init__(self, store: Store) -> None:
-        self._store = store
-
-    @classmethod
-    def open(
-        cls,
-        out: str | Path,
-        existing: Store | None,
-        attrs: dict[str, Any],
-        renderer: Renderer,
-        spp: int,
-    ) -> _StoreSink:
-        """Open or create the store and make room for the samples asked for."""
-        width, height = renderer.size
-        if existing is None:
-            store = Store.create(
-                Path(out),
-                height=height,
-                width=width,
-                channels=3,
-                spp=spp,
-                attrs=attrs,
-                features=renderer.features(),
-            )
-            return cls(store)
-        _check_identity(existing, attrs)
-        if spp > existing.shape[3]:
-            existing.group.attrs.update({"spp": spp})
-            existing.extend(spp)
-        return cls(existing)
-
-    def pending(self) -> list[Chunk]:
-        return self._store.pending()
-
-    def write(self, chunk: Chunk, block: Image) -> None:
-        self._store.write(chunk, block)
-
-    def spent(self, seconds: float) -> None:
-        before = float(self._store.attrs.get("render_seconds", 0.0))
-        # A full disk has been reported by `write`; the time spent is not worth another error.
-        with contextlib.suppress(OSError):
-            self._store.group.attrs.update({"render_seconds": round(before + seconds, 3)})
-
-    def finish(self) -> Samples:
-        return Samples(store=self._store, attrs=self._store.attrs, spp=self._store.complete_spp())
-
-
-def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
-    """Refuse to mix samples of two scenes, seeds or settings in one store."""
-    held = store.attrs
-    differing = [name for name in _IDENTITY if held.get(name) != attrs[name]]
-    if differing:
-        detail = "; ".join(f"{n}: stored {held.get(n)}, asked for {attrs[n]}" for n in differing)
-        message = (
-            f"{store.path} holds other samples ({detail}). Nothing was changed; "
-            "give another output path, or the same settings to resume or append"
-        )
-        raise StoreError(message)
-
-
 # --- the work -----------------------------------------------------------------------------------
 
 
 def _fill(
     job: Job,
     renderer: Renderer,
-    sink: _MemorySink | _StoreSink,
+    sink: Sink,
     client: Client | None,
     progress: bool | None,
 ) -> None:

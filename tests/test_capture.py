@@ -15,10 +15,11 @@ import pytest
 import zarr
 
 import chdstat as chd
-from chdstat import capture
 from chdstat._arrays import is_bad, luminance
-from chdstat._renderer import Renderer, max_spp
+from chdstat._renderer import Renderer
+from chdstat._sinks import StoreSink
 from chdstat._store import Store
+from chdstat._streams import max_spp
 from chdstat.backend import activate, probe
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.scenes import load_scene
@@ -319,7 +320,7 @@ def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     store = Store.open(path, writable=True)
-    sink = capture._StoreSink(store)
+    sink = StoreSink(store)
     monkeypatch.setattr(zarr.core.attributes.Attributes, "update", full)
     sink.spent(1.0)
     assert store.attrs["render_seconds"] < 1

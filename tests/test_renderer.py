@@ -16,10 +16,11 @@ import pytest
 import scipy.stats
 
 import chdstat as chd
-from chdstat import _renderer
+from chdstat import _streams
 from chdstat._arrays import luminance
-from chdstat._renderer import Job, Renderer, max_spp
+from chdstat._renderer import Job, Renderer
 from chdstat._store import TILE
+from chdstat._streams import max_spp
 from chdstat.backend import activate, probe
 from chdstat.scenes import load_scene
 
@@ -81,11 +82,11 @@ def agree(p: np.ndarray) -> bool:
 # --- numbering ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("span", [_renderer._PASSES, _renderer._CHUNKS, _renderer._PIXELS])
+@pytest.mark.parametrize("span", [_streams.PASSES, _streams.CHUNKS, _streams.PIXELS])
 @pytest.mark.parametrize("seed", [0, 1, 12345, 2**40])
 def test_numbers_are_one_to_one(span, seed):
     index = np.array([0, 1, 2, span // 2, span - 1])
-    number = np.array([_renderer._number(seed, int(i), span) for i in index])
+    number = np.array([_streams.number_of(seed, int(i), span) for i in index])
     assert ((number >= 0) & (number < span)).all()
     assert np.array_equal((number - number[0]) % span, index)
 
@@ -94,8 +95,8 @@ def test_numbers_are_one_to_one(span, seed):
     ("seeds", "size", "spp"), [(2, 1024, 1024), (10, 512, 512), (10, 128, 8192), (100, 128, 1024)]
 )
 def test_small_seeds_have_streams_of_their_own(seeds, size, spp):
-    span = _renderer._PASSES
-    starts = np.sort([_renderer._number(seed, 0, span) for seed in range(seeds)])
+    span = _streams.PASSES
+    starts = np.sort([_streams.number_of(seed, 0, span) for seed in range(seeds)])
     gaps = np.diff(starts, append=starts[0] + span)
     passes = spp * (size // TILE) ** 2
     assert gaps.min() >= passes
@@ -103,27 +104,27 @@ def test_small_seeds_have_streams_of_their_own(seeds, size, spp):
 
 def test_a_pass_owns_its_streams_for_every_size_of_a_tile():
     # Mitsuba multiplies the seed by the number of pixels, modulo 2^32.
-    last = _renderer._PASSES - 1
+    last = _streams.PASSES - 1
     for pixels in {h * w for h in range(1, 65) for w in range(1, 65)}:
         for number in (0, 1, 77_777, last):
-            seed = _renderer._pass_seed(number, pixels)
+            seed = _streams.pass_seed(number, pixels)
             assert 0 <= seed < 2**32
             assert seed * pixels % 2**32 == number * TILE**2
 
 
 def test_passes_chunks_and_single_pixels_share_no_number():
-    assert _renderer._PASSES * TILE**2 <= 2**32 - _renderer._PIXELS
-    assert _renderer._CHUNKS <= 2**32 - _renderer._PIXELS
+    assert _streams.PASSES * TILE**2 <= 2**32 - _streams.PIXELS
+    assert _streams.CHUNKS <= 2**32 - _streams.PIXELS
     for seed in (0, 1, 55, 10_945):
         renderer = Renderer(Job(load_scene("cornell-box"), probe("scalar"), (8, 8), seed))
-        numbers = [renderer._pixel_number(y, x, 0) for y in range(8) for x in range(8)]
+        numbers = [renderer._streams.of_pixel(y, x) for y in range(8) for x in range(8)]
         assert len(set(numbers)) == 64
-        assert 2**32 - _renderer._PIXELS <= min(numbers) <= max(numbers) < 2**32
+        assert 2**32 - _streams.PIXELS <= min(numbers) <= max(numbers) < 2**32
 
 
 def test_the_most_samples_before_streams_repeat():
-    assert max_spp("scalar", 64, 64) == _renderer._PASSES
-    assert max_spp("scalar", 65, 64) == _renderer._PASSES // 2
+    assert max_spp("scalar", 64, 64) == _streams.PASSES
+    assert max_spp("scalar", 65, 64) == _streams.PASSES // 2
     assert max_spp("llvm", 1024, 1024) >= 2**28
     # Enough for a film frame at the 2048 spp of the paper's histograms.
     assert max_spp("scalar", 1024, 1024) >= 2048

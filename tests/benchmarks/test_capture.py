@@ -19,6 +19,7 @@ import pytest
 
 from chdstat import capture
 from chdstat._renderer import Job, Renderer
+from chdstat._sinks import StoreSink, provenance
 from chdstat.backend import activate, probe
 from chdstat.scenes import Scene, load_scene
 
@@ -53,8 +54,8 @@ def test_capture_against_plain_rendering(benchmark, tmp_path, scene, request, ba
             np.array(renderer._integrator.render(renderer._scene, film, seed=number, spp=SPP))
 
         def turn() -> None:
-            path, attrs = tmp_path / f"{len(ratios)}.zarr", capture._provenance(job, renderer, SPP)
-            sink = capture._StoreSink.open(path, None, attrs, renderer, SPP)
+            path, attrs = tmp_path / f"{len(ratios)}.zarr", provenance(job, renderer, SPP)
+            sink = StoreSink.open(path, None, attrs, renderer, SPP)
 
             def captured() -> None:
                 capture._fill(job, renderer, sink, None, False)

@@ -1,0 +1,85 @@
+"""Streams: which random numbers each sample owns.
+
+Mitsuba seeds its generators with 32-bit integers. Hashing (tile, batch, pass) into one would repeat
+streams by the birthday rule, so every stream gets an integer of its own:
+
+* scalar: a pass draws one sample for each of the 64 x 64 pixels of a tile. Pass ``p`` owns the
+  streams ``4096 p`` to ``4096 p + 4095``; passes are numbered by (sample, tile).
+* llvm, cuda: one call draws a whole chunk. Each lane mixes the 32-bit number of the chunk with its
+  lane index; chunks are numbered by (batch, tile).
+* single pixels drawn on demand own the topmost 2^28 numbers, which neither of the above reaches.
+
+The user's seed shifts that numbering by a multiple of the golden section of its range, which
+spreads small seeds evenly: images with seeds 0, 1, 2 ... share no stream until the range is full.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from chdstat._store import BATCH, TILE, Chunk
+
+__all__ = ["CHUNKS", "PASSES", "PIXELS", "Streams", "max_spp", "number_of", "pass_seed"]
+
+PIXELS = 2**28
+"""Numbers kept for single pixels, the topmost of the 2^32."""
+PASSES = (2**32 - PIXELS) // TILE**2
+"""Scalar passes that own streams."""
+CHUNKS = 2**31
+"""Chunks that have a number for the wavefront."""
+_GOLDEN = (math.sqrt(5) - 1) / 2
+
+
+@dataclass(frozen=True)
+class Streams:
+    """The numbering of one image: its (width, height) and the user's seed."""
+
+    size: tuple[int, int]
+    seed: int
+
+    def of_pass(self, chunk: Chunk, sample: int) -> int:
+        """Return the seed of the scalar pass that draws one sample for each pixel of a tile."""
+        height, width, _ = chunk.shape
+        index = sample * _tiles(*self.size) + self._tile(chunk)
+        return pass_seed(number_of(self.seed, index, PASSES), width * height)
+
+    def of_chunk(self, chunk: Chunk) -> int:
+        """Return the number of a chunk that is drawn as one wavefront."""
+        index = chunk.batch * _tiles(*self.size) + self._tile(chunk)
+        return number_of(self.seed, index, CHUNKS)
+
+    def of_pixel(self, y: int, x: int) -> int:
+        """Return the number of a pixel's own stream, apart from those of chunks."""
+        index = y * self.size[0] + x
+        return 2**32 - PIXELS + number_of(self.seed, index, PIXELS)
+
+    def _tile(self, chunk: Chunk) -> int:
+        return chunk.tile_y * -(-self.size[0] // TILE) + chunk.tile_x
+
+
+def max_spp(backend: str, width: int, height: int) -> int:
+    """Return how many samples per pixel a backend can draw before random streams repeat."""
+    tiles = _tiles(width, height)
+    return PASSES // tiles if backend == "scalar" else CHUNKS // tiles * BATCH
+
+
+def number_of(seed: int, index: int, span: int) -> int:
+    """Return the number of a block of streams under a user's seed; one to one with `index`."""
+    return (index + seed * round(_GOLDEN * span)) % span
+
+
+def pass_seed(number: int, pixels: int) -> int:
+    """Return the seed that makes a scalar render use the streams 4096 n to 4096 n + 4095.
+
+    It multiplies the seed by the number of pixels of the film, modulo 2^32. A tile of 64 x 64 has
+    2^12 pixels; smaller ones at the border have 2^v m with v <= 12 and m odd, which is invertible.
+    """
+    power = (pixels & -pixels).bit_length() - 1
+    modulus = 1 << (32 - power)
+    inverse: int = pow(pixels >> power, -1, modulus)
+    return (number * TILE * TILE >> power) * inverse % modulus
+
+
+def _tiles(width: int, height: int) -> int:
+    return -(-width // TILE) * -(-height // TILE)
