@@ -6,6 +6,7 @@ draws samples of a few pixels on demand.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import logging
@@ -255,24 +256,32 @@ def _rendered(
         yield from _collect(lambda c: remote.submit(_render_remote, job, c), chunks, window)
         return
     stop = threading.Event()
-    workers = _workers(job)
-    with ThreadPoolExecutor(workers) as pool:
+    draw = functools.partial(renderer.chunk, stopped=stop.is_set)
+    with _workers(job) as workers, ThreadPoolExecutor(workers) as pool:
         try:
-            draw = functools.partial(renderer.chunk, stopped=stop.is_set)
             yield from _collect(lambda c: pool.submit(draw, c), chunks, workers + 1)
         finally:
             stop.set()
 
 
-def _workers(job: Job) -> int:
-    """Return how many chunks are rendered at once.
+@contextlib.contextmanager
+def _workers(job: Job) -> Iterator[int]:
+    """Yield how many chunks to render at once, with Mitsuba's own threads set to match.
 
-    A scalar pass splits into four blocks, which Mitsuba's threads share; two or more passes in
-    flight keep all cores busy while one is being copied. A wavefront uses all cores by itself.
+    A scalar pass is too short to be shared among threads: one chunk per core, each pass in the
+    thread that asked for it, keeps the caches warm. A wavefront uses all cores by itself.
     """
     if job.verdict.backend != "scalar":
-        return 1
-    return max(2, (os.cpu_count() or 1) // 2)
+        yield 1
+        return
+    import drjit as dr
+
+    before = dr.thread_count()
+    dr.set_thread_count(1)
+    try:
+        yield os.cpu_count() or 1
+    finally:
+        dr.set_thread_count(before)
 
 
 def _collect(

@@ -308,7 +308,8 @@ def test_a_full_disk_is_reported_and_the_render_resumes(tmp_path, monkeypatch):
         patch.setattr(zarr.Array, "__setitem__", full)
         with pytest.raises(StoreError, match="cannot write to .*No space left.*resume"):
             render(**job)
-    assert chd.open(path).spp == 192
+    # Chunks are written as they are done, in any order: three of four are kept.
+    assert len(Store.open(path).pending()) == 1
     assert np.array_equal(render(**job).read(), render(spp=256).read())
 
 

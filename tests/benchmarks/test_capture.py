@@ -23,7 +23,7 @@ from chdstat._sinks import StoreSink, provenance
 from chdstat.backend import activate, probe
 from chdstat.scenes import Scene, load_scene
 
-SIZE, SPP, ROUNDS = (128, 128), 64, 7
+SIZE, SPP, ROUNDS = (128, 128), 256, 7
 TARGETS = {"scalar": 1.10, "llvm": 1.00}
 
 
