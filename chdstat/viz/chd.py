@@ -141,7 +141,7 @@ def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
         raise InputError(message)
     rows = -(-len(panels) // columns)
     with style():
-        figure = Figure(figsize=(WIDTH, 1.38 * rows + 0.3), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 1.27 * rows + 0.3), layout="constrained")
         figure.get_layout_engine().set(wspace=0.02, hspace=0.04)  # type: ignore[union-attr,call-arg]
         axes = figure.subplots(rows, 2 * columns, squeeze=False)
         for cell in axes.flat[2 * len(panels) :]:

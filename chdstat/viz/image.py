@@ -221,7 +221,8 @@ def _error_row(
         ax.set(xticks=[], yticks=[])
         ax.spines[:].set_visible(False)
         if title in decades:
-            drawn = ax.imshow(decades[title], vmin=low, vmax=high, cmap="magma")
+            shown = np.maximum(decades[title], low)  # no error at all is as dark as the least
+            drawn = ax.imshow(shown, vmin=low, vmax=high, cmap="magma")
     if drawn is not None:
         bar = figure.colorbar(drawn, ax=axes, orientation="vertical", fraction=0.03, pad=0.01)
         bar.set_label("log10 squared error")
