@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._machine import free_disk, memory
 from chdstat._renderer import Job, Renderer, film_size
 from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
 from chdstat._store import Chunk
@@ -37,6 +38,9 @@ if TYPE_CHECKING:
 __all__ = ["render", "render_pixels", "scene_size"]
 
 _log = logging.getLogger("chdstat")
+
+_MOST_COMPRESSION = 10
+"""Stores shrink to between a third and nine tenths; a tenth leaves room for darker scenes."""
 
 Image = npt.NDArray[np.float32]
 
@@ -111,6 +115,7 @@ def render(
     with activate(job.verdict):
         renderer = Renderer(job)
         _check_streams(job, renderer, spp)
+        _check_room(renderer.size, spp, out)
         for note in renderer.notes:
             _log.warning("%s", note)
         attrs = provenance(job, renderer, spp)
@@ -202,6 +207,21 @@ def _check_streams(job: Job, renderer: Renderer, spp: int) -> None:
         message = (
             f"spp must be at most {most} for {width} x {height} pixels with the "
             f"{job.verdict.backend} backend (then its random streams repeat), got {spp}"
+        )
+        raise InputError(message)
+
+
+def _check_room(size: tuple[int, int], spp: int, out: str | Path | None) -> None:
+    """Refuse samples that could never be kept, however well they compress."""
+    needed = 12 * size[0] * size[1] * spp
+    if out is None:
+        there, where, advice = memory() or needed, "memory", "give a store to write to"
+    else:
+        there, where, advice = _MOST_COMPRESSION * free_disk(Path(out)), "disk", "free some space"
+    if needed > there:
+        message = (
+            f"{spp} samples for each of {size[0]} x {size[1]} pixels take {needed / 1e9:.3g} GB, "
+            f"more than the {where} can hold; use fewer samples or pixels, or {advice}"
         )
         raise InputError(message)
 

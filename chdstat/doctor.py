@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import platform
-from pathlib import Path
 from typing import Any
 
+from chdstat._machine import memory
 from chdstat.backend import BACKENDS, llvm_libraries, probe
 
 __all__ = ["examine"]
@@ -34,7 +34,7 @@ def examine(*, fresh: bool = False) -> dict[str, Any]:
         "llvm_libraries": llvm_libraries(),
         "torch_device": _torch_device(),
         "cores": os.cpu_count(),
-        "memory_gib": _memory(),
+        "memory_gib": None if (size := memory()) is None else round(size / 2**30, 1),
         "platform": platform.platform(),
         "python": platform.python_version(),
         "versions": {name: _version(name) for name in _PACKAGES},
@@ -47,26 +47,6 @@ def _torch_device() -> str:
     if torch.cuda.is_available():
         return f"cuda: {torch.cuda.get_device_name(0)}"
     return f"cpu, {torch.get_num_threads()} threads"
-
-
-def _memory() -> float | None:
-    """Return the memory of the machine in GiB, where the system tells."""
-    try:
-        pages, size = os.sysconf("SC_PHYS_PAGES"), os.sysconf("SC_PAGE_SIZE")
-    except (ValueError, OSError, AttributeError):
-        return None
-    limit = _container_limit()
-    total = pages * size if limit is None else min(limit, pages * size)
-    return round(total / 2**30, 1)
-
-
-def _container_limit() -> int | None:
-    """Return the limit that a container sets, if any."""
-    try:
-        text = Path("/sys/fs/cgroup/memory.max").read_text().strip()
-    except OSError:
-        return None
-    return int(text) if text.isdecimal() else None
 
 
 def _version(package: str) -> str:

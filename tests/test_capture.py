@@ -15,6 +15,7 @@ import pytest
 import zarr
 
 import chdstat as chd
+from chdstat import capture
 from chdstat._arrays import is_bad, luminance
 from chdstat._renderer import Renderer
 from chdstat._sinks import StoreSink
@@ -522,3 +523,18 @@ def test_real_scenes_have_the_nulls_and_the_spread_measured_elsewhere(
     # The more samples, the more of the tail they meet: 64 spp give 2.76 and 1.24, 512 spp 4.1 and
     # 1.8, and the figures measured elsewhere lie between.
     assert median == pytest.approx(variation, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("out", "place"), [("huge.zarr", "more than the disk can hold"), (None, "more than the memory")]
+)
+def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place):
+    # 3 channels of 4 bytes for 2^20 pixels, as many samples as random numbers allow: 48 GB.
+    job = {"scene": "cornell-box", "size": (1024, 1024), "backend": "scalar", "spp": 3840}
+    path = tmp_path / out if out else None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(capture, "free_disk", lambda _: 10**9)
+        patch.setattr(capture, "memory", lambda: 10**9)
+        with pytest.raises(InputError, match=f"take 48 GB, {place}"):
+            chd.render(**job, out=path)
+    assert list(tmp_path.iterdir()) == []

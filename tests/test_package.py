@@ -19,7 +19,7 @@ ROOT = Path(chd.__file__).parent
 
 ORDER = (
     "errors",
-    "_arrays _reasons progress",
+    "_arrays _machine _reasons progress",
     "scenes",
     "_store _streams",
     "backend",
