@@ -21,7 +21,7 @@ from chdstat.backend import BACKENDS, Verdict, activate
 from chdstat.errors import RenderError, SceneError
 from chdstat.scenes import Scene
 
-__all__ = ["Job", "Renderer", "film_size"]
+__all__ = ["Interrupted", "Job", "Renderer", "film_size"]
 
 _BLOCK = 32
 _RUN = 16
@@ -58,6 +58,10 @@ def film_size(job: Job) -> tuple[int, int]:
 def _film_size(properties: Any) -> tuple[int, int]:
     """Return (width, height) of a film's properties, with Mitsuba's own defaults."""
     return int(properties.get("width", 768)), int(properties.get("height", 576))
+
+
+class Interrupted(Exception):  # noqa: N818 - like KeyboardInterrupt, for which it stands
+    """Mitsuba caught Ctrl-C and cancelled a pass, whose samples are worthless."""
 
 
 class Renderer:
@@ -206,11 +210,14 @@ class Renderer:
         height, width, samples = chunk.shape
         sensor = self._sensor((chunk.xs.start, chunk.ys.start), (width, height))
         block = np.empty((samples, height, width, 3), np.float32)
+        integrator = self._integrator
         for i, sample in enumerate(range(chunk.ss.start, chunk.ss.stop)):
             if stopped():
                 return np.empty(0, np.float32)
             seed = self._streams.of_pass(chunk, sample)
-            block[i] = self._integrator.render(self._scene, sensor, seed=seed, spp=1)
+            block[i] = integrator.render(self._scene, sensor, seed=seed, spp=1)
+            if integrator.should_stop():
+                raise Interrupted
         return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
 
     def _pixel_scalar(self, y: int, x: int, spp: int) -> Image:

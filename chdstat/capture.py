@@ -11,6 +11,7 @@ import functools
 import itertools
 import logging
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._machine import free_disk, memory
-from chdstat._renderer import Job, Renderer, film_size
+from chdstat._renderer import Interrupted, Job, Renderer, film_size
 from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
 from chdstat._store import Chunk
 from chdstat._streams import max_spp
@@ -259,11 +260,30 @@ def _fill(
         f"rendering {job.scene.name}", sum(c.size for c in chunks), unit="S", show=progress
     ) as advance:
         try:
-            for chunk, block in _rendered(job, renderer, chunks, client):
-                sink.write(chunk, block)
-                advance(chunk.size)
+            with _python_interrupts():
+                for chunk, block in _rendered(job, renderer, chunks, client):
+                    sink.write(chunk, block)
+                    advance(chunk.size)
         finally:
             sink.spent(time.monotonic() - start)
+
+
+@contextlib.contextmanager
+def _python_interrupts() -> Iterator[None]:
+    """Let Ctrl-C raise KeyboardInterrupt, whatever Mitsuba does to the signal's handler.
+
+    A scalar render puts a handler of its own in place that cancels a pass, and puts back what it
+    found: of renders in several threads, one finds the handler of another, and Python's is lost.
+    """
+    try:
+        yield
+    except Interrupted as interrupted:
+        raise KeyboardInterrupt from interrupted
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            handler = signal.getsignal(signal.SIGINT)
+            if handler is not None:
+                signal.signal(signal.SIGINT, handler)
 
 
 def _rendered(
@@ -331,10 +351,9 @@ _REMOTE_LOCK = threading.Lock()
 
 def _render_remote(job: Job, chunk: Chunk) -> Image:
     """Render one chunk in a Dask worker."""
-    with activate(job.verdict):
-        with _REMOTE_LOCK:
-            if job.key not in _REMOTE:
-                _REMOTE.clear()
-                _REMOTE[job.key] = Renderer(job)
-            renderer = _REMOTE[job.key]
-        return renderer.chunk(chunk)
+    with activate(job.verdict), _REMOTE_LOCK:
+        if job.key not in _REMOTE:
+            _REMOTE.clear()
+            _REMOTE[job.key] = Renderer(job)
+        # One at a time: a pass uses all cores, and Mitsuba's signal handler is not reentrant.
+        return _REMOTE[job.key].chunk(chunk)

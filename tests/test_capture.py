@@ -17,9 +17,9 @@ import zarr
 import chdstat as chd
 from chdstat import capture
 from chdstat._arrays import is_bad, luminance
-from chdstat._renderer import Renderer
+from chdstat._renderer import Job, Renderer
 from chdstat._sinks import StoreSink
-from chdstat._store import Store
+from chdstat._store import Store, chunk_grid
 from chdstat._streams import max_spp
 from chdstat.backend import activate, probe
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
@@ -535,6 +535,62 @@ def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(capture, "free_disk", lambda _: 10**9)
         patch.setattr(capture, "memory", lambda: 10**9)
-        with pytest.raises(InputError, match=f"take 48 GB, {place}"):
+        with pytest.raises(InputError, match=f"take 48.3 GB, {place}"):
             chd.render(**job, out=path)
     assert list(tmp_path.iterdir()) == []
+
+
+INTERRUPTED = """
+import sys
+import chdstat as chd
+
+try:
+    chd.render("cornell-box", spp=2048, size=(96, 96), out=sys.argv[1], backend="scalar")
+except KeyboardInterrupt:
+    sys.exit(7)
+"""
+
+
+@pytest.mark.parametrize("turn", range(3))
+def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path, turn):
+    # Mitsuba cancels a pass of its own accord on Ctrl-C and leaves it black; several turns, since
+    # the signal may also come between two passes.
+    path = tmp_path / "s.zarr"
+    command = [sys.executable, "-c", INTERRUPTED, str(path)]
+    child = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
+    stored = path / "radiance/c/0/0/0"
+    while not stored.exists():
+        assert child.poll() is None
+        time.sleep(0.01)
+    time.sleep(0.05 * turn)
+    for _ in range(20):
+        child.send_signal(signal.SIGINT)
+        try:
+            code = child.wait(timeout=1)
+            break
+        except subprocess.TimeoutExpired:
+            continue
+    assert code == 7
+    done = Store.open(path)
+    assert done.pending()
+    kept = [c for c in chunk_grid(96, 96, 2048) if done.ledger[c.index]]
+    assert kept
+    whole = Renderer(Job(load_scene("cornell-box"), probe("scalar"), (96, 96)))
+    for chunk in kept[-3:]:
+        block = done.read(chunk.ys, chunk.xs, chunk.ss)
+        assert np.array_equal(block, whole.chunk(chunk))
+
+
+def test_ctrl_c_works_after_a_render():
+    program = (
+        "import os, signal, sys, time\n"
+        "import chdstat as chd\n"
+        "chd.render('cornell-box', spp=64, size=(130, 70), backend='scalar')\n"
+        "try:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    time.sleep(5)\n"
+        "except KeyboardInterrupt:\n"
+        "    sys.exit(7)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=False, timeout=60)
+    assert done.returncode == 7
