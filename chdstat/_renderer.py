@@ -75,7 +75,7 @@ class Renderer:
             state = job.scene.parse(BACKENDS[job.verdict.backend])
             self._read_settings(state, job)
             self._streams = Streams(self.size, job.seed)
-            self._scene = self._instantiate(state, job.scene)
+            self._scene = job.scene.build(state)
             self._sensor_medium = self._scene.sensors()[0].get_medium()
             self._local = threading.local()
             _ = self._integrator  # one that cannot be used is refused before any work
@@ -149,18 +149,6 @@ class Renderer:
         self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **plain}
         properties["block_size"] = _BLOCK  # the default depends on the number of cores
         self._integrator_properties = properties
-
-    def _instantiate(self, state: Any, scene: Scene) -> Any:
-        from chdstat.scenes.plain import resolving
-
-        config = self._mi.parser.ParserConfig(self._mi.variant())
-        config.unused_properties = self._mi.LogLevel.Warn
-        try:
-            with resolving(scene):
-                return self._mi.parser.instantiate(config, state)
-        except RuntimeError as error:
-            message = f"Mitsuba cannot build the scene {scene.name!r}: {_first_lines(error)}"
-            raise SceneError(message) from error
 
     # --- Mitsuba objects ------------------------------------------------------------------------
 
@@ -313,7 +301,3 @@ def _time_and_lens(mi: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:
         time = time + sampler.next_1d() * sensor.shutter_open_time()
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
     return time, lens
-
-
-def _first_lines(error: Exception) -> str:
-    return " ".join(line.strip() for line in str(error).splitlines()[:3])

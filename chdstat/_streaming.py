@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.progress import track
 from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
@@ -49,22 +48,8 @@ def reduce_tiles(
     xarray.Dataset
         The variables over the whole image, with y, x and channel coordinates.
     """
-    import xarray as xr
-
-    height, width = samples.shape[:2]
-    whole: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
-    with track(description, height * width, unit="px", show=progress) as advance:
-        for (ys, xs), walk in groupby(samples.blocks(), key=lambda block: block[:2]):
-            for name, (dims, part) in function(ys, xs, (block for *_, block in walk)).items():
-                if name not in whole:
-                    image = np.empty((height, width, *part.shape[2:]), part.dtype)
-                    whole[name] = (("y", "x", *dims), image)
-                whole[name][1][ys, xs] = part
-            advance((ys.stop - ys.start) * (xs.stop - xs.start))
-    coords = {
-        "y": np.arange(height),
-        "x": np.arange(width),
-        # Strings of variable length: zarr v3 has no stable type for those of fixed length.
-        "channel": np.array(samples.channels, dtype=object),
-    }
-    return xr.Dataset(whole, coords, attrs=samples.attrs)
+    parts = (
+        (ys, xs, function(ys, xs, (block for *_, block in walk)))
+        for (ys, xs), walk in groupby(samples.blocks(), key=lambda block: block[:2])
+    )
+    return samples.assemble(parts, description=description, progress=progress)

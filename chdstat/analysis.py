@@ -22,7 +22,7 @@ from chdstat.summary import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Overview", "analyze", "overview", "save"]
+__all__ = ["Overview", "analyze", "overview", "save", "unused"]
 
 _MEANS = 16
 """Averages of each size that are tested: so few, so that N reaches spp / 16."""
@@ -85,15 +85,21 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
     StoreError
         If something is there already, or it cannot be written.
     """
-    target = Path(path)
-    if target.exists():
-        message = f"{target} exists; nothing was overwritten. Give another path or move it away"
-        raise StoreError(message)
+    target = unused(path)
     try:
         found.to_zarr(target, mode="w-", consolidated=False)
     except OSError as error:
         message = f"cannot write {target}: {error.strerror or error}"
         raise StoreError(message) from error
+    return target
+
+
+def unused(path: str | Path) -> Path:
+    """Return a path to write to, or raise StoreError if something is there already."""
+    target = Path(path)
+    if target.exists():
+        message = f"{target} exists; nothing was overwritten. Give another path or move it away"
+        raise StoreError(message)
     return target
 
 

@@ -147,11 +147,10 @@ def analyze(
 ) -> None:
     """Say what the sample distributions of a store are: nulls, families, tails, modes, averages."""
     import chdstat
-    from chdstat.analysis import overview, save
+    from chdstat.analysis import overview, save, unused
 
-    if out is not None and out.exists():
-        message = f"{out} exists; nothing was overwritten. Give another path or move it away"
-        raise InputError(message)
+    if out is not None:
+        unused(out)  # refused before the work, not after
     dataset = chdstat.analyze(chdstat.open(store), progress=_progress(quiet))
     if out is not None:
         save(dataset, out)

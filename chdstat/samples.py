@@ -7,7 +7,7 @@ function over its tiles with `Samples.map`; statistics elsewhere take it whole.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -227,16 +227,40 @@ class Samples:
         edge = _MEMORY_TILE
         while edge > 16 and edge * edge * channels * spp * 4 > _MAP_BYTES:
             edge //= 2
+        parts = (
+            (ys, xs, function(self.read(ys, xs)))
+            for ys in spans(height, edge)
+            for xs in spans(width, edge)
+        )
+        return self.assemble(parts, description=description, progress=progress)
+
+    def assemble(
+        self,
+        parts: Iterable[tuple[slice, slice, Mapped]],
+        *,
+        description: str = "analysing",
+        progress: bool | None = None,
+    ) -> xr.Dataset:
+        """Assemble what was computed tile by tile; `map` does it for functions of whole tiles.
+
+        Parameters
+        ----------
+        parts
+            Rows, columns and variables of each tile, the latter as the function of `map` returns
+            them; consumed one by one.
+        description, progress
+            As for `map`.
+        """
+        height, width = self.shape[:2]
         results: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
         with track(description, height * width, unit="px", show=progress) as advance:
-            for ys in spans(height, edge):
-                for xs in spans(width, edge):
-                    for name, (dims, part) in function(self.read(ys, xs)).items():
-                        if name not in results:
-                            whole = np.empty((height, width, *part.shape[2:]), part.dtype)
-                            results[name] = (("y", "x", *dims), whole)
-                        results[name][1][ys, xs] = part
-                    advance((ys.stop - ys.start) * (xs.stop - xs.start))
+            for ys, xs, variables in parts:
+                for name, (dims, part) in variables.items():
+                    if name not in results:
+                        whole = np.empty((height, width, *part.shape[2:]), part.dtype)
+                        results[name] = (("y", "x", *dims), whole)
+                    results[name][1][ys, xs] = part
+                advance((ys.stop - ys.start) * (xs.stop - xs.start))
         return self._dataset(results)
 
     def to_dataset(self) -> xr.Dataset:
@@ -263,6 +287,7 @@ class Samples:
         dataset = xr.Dataset(dict(variables), attrs=self.attrs)
         dataset = dataset.assign_coords(y=np.arange(height), x=np.arange(width))
         if "channel" in dataset.dims:
+            # Strings of variable length: zarr v3 has no stable type for those of fixed length.
             dataset = dataset.assign_coords(channel=np.array(self.channels, dtype=object))
         return dataset
 

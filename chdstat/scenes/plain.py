@@ -19,29 +19,47 @@ from chdstat.errors import SceneError
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene
 
-__all__ = ["parse", "resolving"]
+__all__ = ["instantiate", "parse"]
 
 
 def parse(scene: Scene, variant: str) -> Any:
     """Return Mitsuba's parser state of a scene; the variant must be the one that is set."""
-    config = mi.parser.ParserConfig(variant)
-    # A parameter that a scene does not use is the user's typing error; an unknown property of a
-    # plugin is only worth a warning, as in Mitsuba itself.
-    config.unused_properties = mi.LogLevel.Warn
-    try:
+    config = _config(variant)
+    with _naming(scene, "read"):
         if isinstance(scene.source, Mapping):
             state = mi.parser.parse_dict(config, _to_mitsuba(scene.source))
         else:
             state = mi.parser.parse_file(config, str(scene.source), **dict(scene.parameters))
         mi.parser.transform_all(config, state)
-    except RuntimeError as error:
-        message = f"Mitsuba cannot read the scene {scene.name!r}: {_first_lines(error)}"
-        raise SceneError(message) from error
     return state
 
 
+def instantiate(scene: Scene, state: Any) -> Any:
+    """Return the Mitsuba scene of a parser state, its models and textures read."""
+    with _naming(scene, "build"), _resolving(scene):
+        return mi.parser.instantiate(_config(str(mi.variant())), state)
+
+
+def _config(variant: str) -> Any:
+    """Return how strict to be: an unknown property is worth a warning, as in Mitsuba itself."""
+    config = mi.parser.ParserConfig(variant)
+    config.unused_properties = mi.LogLevel.Warn
+    return config
+
+
 @contextlib.contextmanager
-def resolving(scene: Scene) -> Iterator[None]:
+def _naming(scene: Scene, doing: str) -> Iterator[None]:
+    """Turn what Mitsuba says of a scene that it cannot use into an error that names the scene."""
+    try:
+        yield
+    except RuntimeError as error:
+        reason = " ".join(line.strip() for line in str(error).splitlines()[:3])
+        message = f"Mitsuba cannot {doing} the scene {scene.name!r}: {reason}"
+        raise SceneError(message) from error
+
+
+@contextlib.contextmanager
+def _resolving(scene: Scene) -> Iterator[None]:
     """Let Mitsuba find the models and textures beside a scene file while the context lasts."""
     if not isinstance(scene.source, Path):
         yield
@@ -56,10 +74,6 @@ def resolving(scene: Scene) -> Iterator[None]:
         yield
     finally:
         mitsuba_now.set_file_resolver(previous)
-
-
-def _first_lines(error: Exception) -> str:
-    return " ".join(line.strip() for line in str(error).splitlines()[:3])
 
 
 def _to_mitsuba(value: Any, *, key: str = "") -> Any:

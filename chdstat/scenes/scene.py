@@ -70,6 +70,18 @@ class Scene:
 
         return plain.parse(self, variant)
 
+    def build(self, state: Any) -> Any:
+        """Return the Mitsuba scene of a parser state that `parse` gave.
+
+        Raises
+        ------
+        SceneError
+            If a plugin, a model or a texture is missing or broken.
+        """
+        from chdstat.scenes import plain
+
+        return plain.instantiate(self, state)
+
 
 def _hash_file_scene(digest: Any, path: Path) -> None:
     """Hash an XML file and, by content, the models and textures in the folders beside it.
