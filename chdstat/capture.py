@@ -10,7 +10,6 @@ import contextlib
 import functools
 import itertools
 import logging
-import os
 import signal
 import threading
 import time
@@ -27,6 +26,7 @@ from chdstat._renderer import Interrupted, Job, Renderer, film_size
 from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
 from chdstat._store import Chunk
 from chdstat._streams import max_spp
+from chdstat._workers import cores
 from chdstat.backend import Backend, activate, resolve
 from chdstat.errors import InputError
 from chdstat.progress import track
@@ -319,7 +319,7 @@ def _workers(job: Job) -> Iterator[int]:
     before = dr.thread_count()
     dr.set_thread_count(1)
     try:
-        yield os.cpu_count() or 1
+        yield cores()
     finally:
         dr.set_thread_count(before)
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import platform
 from typing import Any
 
 from chdstat._machine import memory
+from chdstat._workers import cores
 from chdstat.backend import BACKENDS, llvm_libraries, probe
 
 __all__ = ["examine"]
@@ -33,7 +33,7 @@ def examine(*, fresh: bool = False) -> dict[str, Any]:
         "auto_uses": next(n for n in ("cuda", "llvm", "scalar") if verdicts[n].works),
         "llvm_libraries": llvm_libraries(),
         "torch_device": _torch_device(),
-        "cores": os.cpu_count(),
+        "cores": cores(),
         "memory_gib": None if (size := memory()) is None else round(size / 2**30, 1),
         "platform": platform.platform(),
         "python": platform.python_version(),

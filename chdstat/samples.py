@@ -6,6 +6,7 @@ function over its tiles with `Samples.map`; statistics elsewhere take it whole.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
@@ -16,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import as_samples, spans
+from chdstat._workers import in_order
 from chdstat.errors import InputError, StoreError
 from chdstat.progress import track
 
@@ -26,8 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Samples", "inspect", "open"]
 
-_MAP_BYTES = 64 * 2**20
-"""Size of the block that `Samples.map` hands out at most, unless one row of pixels is larger."""
+_MAP_BYTES = 16 * 2**20
+"""Size of the block that `Samples.map` hands out at most, unless 16 x 16 pixels are larger."""
 _MEMORY_TILE, _MEMORY_BATCH = 64, 64
 
 Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
@@ -208,11 +210,14 @@ class Samples:
     ) -> xr.Dataset:
         """Apply a function to tiles with all their samples and assemble the image.
 
+        Tiles are worked on at once, in one thread for each core.
+
         Parameters
         ----------
         function
             Takes samples (y, x, channel, sample) of a tile; returns, by variable name, the names
-            of the dims that follow (y, x) and an array of shape (y, x, ...).
+            of the dims that follow (y, x) and an array of shape (y, x, ...). It must not depend
+            on the order of the tiles.
         description
             What the progress bar says.
         progress
@@ -227,11 +232,8 @@ class Samples:
         edge = _MEMORY_TILE
         while edge > 16 and edge * edge * channels * spp * 4 > _MAP_BYTES:
             edge //= 2
-        parts = (
-            (ys, xs, function(self.read(ys, xs)))
-            for ys in spans(height, edge)
-            for xs in spans(width, edge)
-        )
+        tiles = itertools.product(spans(height, edge), spans(width, edge))
+        parts = in_order(lambda tile: (*tile, function(self.read(*tile))), tiles)
         return self.assemble(parts, description=description, progress=progress)
 
     def assemble(

@@ -19,7 +19,7 @@ ROOT = Path(chd.__file__).parent
 
 ORDER = (
     "errors",
-    "_arrays _machine _reasons progress",
+    "_arrays _machine _reasons _workers progress",
     "scenes",
     "_store _streams",
     "backend",
