@@ -15,6 +15,7 @@ _FUNCTIONS = {
     "Samples": "samples",
     "Scene": "scenes",
     "analyze": "analysis",
+    "atlas": "atlases",
     "classify": "patterns",
     "compare": "comparison",
     "gaussianity": "normality",
@@ -25,6 +26,7 @@ _FUNCTIONS = {
     "render": "capture",
     "render_pixels": "capture",
     "report": "reporting",
+    "simulate": "simulation",
     "summarize": "summary",
 }
 _MODULES = ("errors", "estimators", "fit", "metrics", "viz")

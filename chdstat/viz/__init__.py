@@ -7,10 +7,11 @@ colour-blind readers.
 
 from __future__ import annotations
 
-from chdstat.viz.chd import Curve, Panel, chd_axes, chd_grid
+from chdstat.viz.chd import Curve, Panel, chd_axes, chd_grid, fits
 from chdstat.viz.curves import averages, error_bars, training
 from chdstat.viz.image import Mark, pictures, tonemap, with_marks
-from chdstat.viz.maps import categorical_map, map_grid, value_map
+from chdstat.viz.maps import categorical_map, map_grid, n_needed, value_map
+from chdstat.viz.shapes import atlas
 from chdstat.viz.style import CHANNELS, PALETTE, style
 
 __all__ = [
@@ -19,12 +20,15 @@ __all__ = [
     "Curve",
     "Mark",
     "Panel",
+    "atlas",
     "averages",
     "categorical_map",
     "chd_axes",
     "chd_grid",
     "error_bars",
+    "fits",
     "map_grid",
+    "n_needed",
     "pictures",
     "style",
     "tonemap",

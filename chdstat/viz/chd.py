@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -13,14 +13,20 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from chdstat.errors import InputError
+from chdstat.histograms import Histogram
 from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
 
-__all__ = ["Curve", "Panel", "chd_axes", "chd_grid"]
+__all__ = ["Curve", "Panel", "chd_axes", "chd_grid", "fits"]
 
 _UNIT = r"W$\,$sr$^{-1}\,$m$^{-2}$"
 
+_POINTS = 400
+_LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
+_DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
+
 Array = npt.NDArray[Any]
 Scale = Literal["linear", "log"]
+Density = Callable[[Array], Array]
 
 
 @dataclass(frozen=True)
@@ -159,6 +165,88 @@ def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
         ]
         axes[0, 0].legend(handles=channels, loc="upper right", handlelength=1, borderaxespad=0)
     return figure
+
+
+def fits(
+    linear: Histogram, log: Histogram, fitted: Mapping[str, Density], *, title: str = ""
+) -> Figure:
+    """Draw several fits of one pixel over its linear and its log10 histogram.
+
+    Parameters
+    ----------
+    linear, log
+        Histograms of the same samples, for one pixel and channel.
+    fitted
+        By name, the density of the positive samples per unit of radiance: ``fit.pdf`` of a
+        `chdstat.fit.Fit`, of a mixture, or of a SciPy distribution.
+    title
+        What is shown.
+
+    Raises
+    ------
+    InputError
+        If a histogram is one of several pixels or channels.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> from chdstat import viz
+    >>> x = np.random.default_rng(1).gamma(2.0, size=500)
+    >>> histograms = chd.histogram(x, scale="linear"), chd.histogram(x, scale="log")
+    >>> names = ("gamma", "lognormal")
+    >>> figure = viz.fits(*histograms, {name: chd.fit.fit(x, name).pdf for name in names})
+    >>> len(figure.axes)
+    2
+    """
+    for counted in (linear, log):
+        if counted.counts.ndim != 1:
+            message = (
+                "expected the histogram of one channel of one pixel, counts of shape (bin,), "
+                f"got shape {counted.counts.shape}"
+            )
+            raise InputError(message)
+    with style():
+        figure = Figure(figsize=(WIDTH, 2.2), layout="constrained")
+        axes = figure.subplots(1, 2)
+        for ax, counted in zip(axes, (linear, log), strict=True):
+            _overlay(ax, counted, fitted)
+        axes[0].set_xlabel(f"radiance ({_UNIT})")
+        axes[0].set_ylabel("density per unit of radiance", fontsize=7)
+        axes[1].set_xlabel(f"radiance ({_UNIT}), log scale")
+        axes[1].set_ylabel("density per decade", fontsize=7)
+        if axes[0].get_legend_handles_labels()[0]:
+            axes[0].legend(loc="upper right")
+        axes[0].set_title(title, loc="left")
+    return figure
+
+
+def _overlay(axes: Axes, counted: Histogram, fitted: Mapping[str, Density]) -> None:
+    curve = Curve(counted.edges, counted.density)
+    low, high = _limits({"": curve}, counted.scale)
+    x = (np.geomspace if counted.scale == "log" else np.linspace)(low, high, _POINTS)
+    if np.isfinite(counted.density).all() and np.isfinite(counted.edges).all():
+        axes.stairs(curve.density, curve.edges, color="#BBBBBB", fill=True, label="samples")
+    else:
+        axes.annotate("no positive samples", (0.5, 0.5), xycoords="axes fraction", ha="center")
+    for i, (name, density) in enumerate(fitted.items()):
+        y = _evaluated(density, x, counted.scale)
+        if np.isfinite(y).any():
+            axes.plot(
+                x, y, color=_LINES[i % len(_LINES)], linestyle=_DASHES[i % len(_DASHES)], label=name
+            )
+    if counted.scale == "log":
+        axes.set_xscale("log")
+    # A density may be infinite at 0: the histogram sets the height.
+    top = 1.35 * float(np.nanmax(counted.density, initial=0))
+    axes.set(xlim=(low, high), ylim=(0, top or 1.0), yticks=[])
+
+
+def _evaluated(density: Density, x: Array, scale: Scale) -> Array:
+    """Return a density per unit of radiance, or per decade, where there is radiance."""
+    y = np.full(x.shape, np.nan)
+    with np.errstate(all="ignore"):
+        y[x > 0] = density(x[x > 0])
+    return np.asarray(y * x * np.log(10) if scale == "log" else y)
 
 
 def _pair(linear: Axes, log: Axes, panel: Panel, *, number: int) -> None:

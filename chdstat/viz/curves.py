@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator
 
 from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
 
@@ -23,8 +24,12 @@ def averages(
     predicted: npt.ArrayLike,
     *,
     alpha: float,
+    scale: Literal["linear", "log"] = "linear",
 ) -> Figure:
     """Draw how far averages of N samples are from Gaussian.
+
+    What the central limit theorem promises of skewness falls as 1 / sqrt(N): on a logarithmic scale
+    it is a straight line of slope -1/2, and samples that depend on each other depart from it.
 
     Parameters
     ----------
@@ -39,6 +44,8 @@ def averages(
         Median over the pixels of the skewness that the central limit theorem promises, (size,).
     alpha
         The false-discovery rate, drawn as a line.
+    scale
+        Of skewness. "log" leaves out what is not positive.
     """
     n = np.asarray(sizes)
     low, middle, high = np.asarray(skewness, dtype=float)
@@ -53,9 +60,15 @@ def averages(
         left.legend(loc="best")
         right.fill_between(n, low, high, color=PALETTE[1], alpha=0.35, linewidth=0)
         right.plot(n, middle, marker="o", markersize=3.5, color=PALETTE[4], label="measured")
-        right.plot(n, np.asarray(predicted), color=PALETTE[5], linestyle="--", label="CLT")
+        right.plot(
+            n, np.asarray(predicted), color=PALETTE[5], linestyle="--", label=r"CLT: $1/\sqrt{N}$"
+        )
         right.set(ylabel="skewness of averages")
-        right.legend(loc="upper right")
+        right.legend(loc="lower left" if scale == "log" else "upper right")
+        if scale == "log":
+            right.set_yscale("log", nonpositive="mask")
+            right.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         for axes in (left, right):
             axes.set_xscale("log", base=2)
             axes.set_xticks(n, [str(v) for v in n])

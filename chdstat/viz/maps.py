@@ -8,13 +8,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from chdstat.viz.style import MISSING, PALETTE, WIDTH, sequential, style
+from chdstat.viz.style import MISSING, WIDTH, qualitative, sequential, style
 
-__all__ = ["categorical_map", "map_grid", "value_map"]
+__all__ = ["categorical_map", "map_grid", "n_needed", "value_map"]
+
+_TOO_MANY = "#D55E00"
+"""Apart from all colours of `sequential`: vermillion of Okabe and Ito."""
 
 Draw = Callable[[Axes], None]
 
@@ -53,7 +56,12 @@ def value_map(
 
 
 def categorical_map(
-    codes: npt.ArrayLike, names: Mapping[int, str], *, title: str, colors: Sequence[str] = PALETTE
+    codes: npt.ArrayLike,
+    names: Mapping[int, str],
+    *,
+    title: str,
+    colors: Sequence[str] | None = None,
+    columns: int = 2,
 ) -> Draw:
     """Return a drawing of one label per pixel, for `map_grid`.
 
@@ -66,31 +74,57 @@ def categorical_map(
     title
         What is shown.
     colors
-        One colour for each label, in the order of `names`.
+        One colour for each label, in the order of `names`; None takes those of
+        `chdstat.viz.PALETTE`, and darker ones beyond its eighth.
+    columns
+        Of the legend.
     """
     array = np.asarray(codes)
     order = list(names)
+    palette = qualitative(len(order)) if colors is None else colors
 
     def draw(axes: Axes) -> None:
         rank = np.full(array.shape, np.nan)
         for i, code in enumerate(order):
             rank[array == code] = i
-        shades = [colors[i % len(colors)] for i in range(len(order))]
-        palette = ListedColormap(shades).with_extremes(bad=MISSING)
+        shades = [palette[i % len(palette)] for i in range(len(order))]
+        cmap = ListedColormap(shades).with_extremes(bad=MISSING)
         norm = BoundaryNorm(np.arange(len(order) + 1) - 0.5, len(order))
-        axes.imshow(rank, cmap=palette, norm=norm, interpolation="nearest")
+        axes.imshow(rank, cmap=cmap, norm=norm, interpolation="nearest")
         _bare(axes, title)
         patches = [
-            Patch(color=colors[i % len(colors)], label=f"{names[code]} {_percent(share)}")
+            Patch(color=shades[i], label=f"{names[code]} {_percent(share)}")
             for i, code in enumerate(order)
             if (share := float((array == code).mean())) > 0
         ]
         axes.legend(
-            handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=2,
+            handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=columns,
             fontsize=6.5, handlelength=0.9, columnspacing=0.9, borderaxespad=0.2,
         )  # fmt: skip
 
     return draw
+
+
+def n_needed(
+    needed: npt.ArrayLike, sizes: npt.ArrayLike, *, title: str = "Samples per average needed"
+) -> Draw:
+    """Return a drawing of the samples that an average needs to look Gaussian, for `map_grid`.
+
+    Parameters
+    ----------
+    needed
+        As ``n_needed`` of `chdstat.gaussianity_of_means`, shape (y, x): one of the sizes, -1 for
+        more than the largest, 0 for no answer.
+    sizes
+        The sizes that were tested, shape (size,).
+    title
+        What is shown.
+    """
+    tested = [int(n) for n in np.sort(np.asarray(sizes).ravel())]
+    shades = [to_hex(shade) for shade in sequential()(np.linspace(0.05, 1, len(tested)))]
+    names = {n: f"{n}:" for n in tested} | {-1: f"> {tested[-1]}:"}
+    colors = [*shades, _TOO_MANY]
+    return categorical_map(needed, names, title=title, colors=colors, columns=3)
 
 
 def map_grid(maps: Sequence[Draw], *, columns: int = 3, aspect: float = 1.0) -> Figure:

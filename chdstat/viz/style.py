@@ -8,9 +8,9 @@ from typing import Any
 
 import matplotlib as mpl
 from matplotlib import colormaps
-from matplotlib.colors import Colormap
+from matplotlib.colors import Colormap, to_hex, to_rgb
 
-__all__ = ["CHANNELS", "MISSING", "PALETTE", "WIDTH", "sequential", "style"]
+__all__ = ["CHANNELS", "MISSING", "PALETTE", "WIDTH", "qualitative", "sequential", "style"]
 
 WIDTH = 6.7
 """Width of a figure that fills the text of an A4 page, in inches."""
@@ -79,6 +79,23 @@ def style() -> Iterator[None]:
     """
     with mpl.rc_context(_SETTINGS):
         yield
+
+
+def qualitative(number: int) -> list[str]:
+    """Return colours for labels: those of `PALETTE`, then darker ones, then all of them again.
+
+    Examples
+    --------
+    >>> len(set(qualitative(16)))
+    16
+    """
+    colors = [*PALETTE, *(_darker(color) for color in PALETTE)]
+    return [colors[i % len(colors)] for i in range(number)]
+
+
+def _darker(color: str) -> str:
+    red, green, blue = (0.55 * part for part in to_rgb(color))
+    return to_hex((red, green, blue))
 
 
 def sequential() -> Colormap:

@@ -5,9 +5,13 @@ from __future__ import annotations
 import matplotlib as mpl
 import numpy as np
 import pytest
+from scipy import stats
 
 from chdstat import viz
+from chdstat.atlases import atlas
 from chdstat.errors import InputError
+from chdstat.histograms import histogram
+from chdstat.samples import Samples
 
 
 @pytest.fixture
@@ -100,12 +104,83 @@ def test_pictures_share_an_exposure_and_show_errors(image):
 
 def test_curves_draw_what_they_are_given():
     figure = viz.averages([1, 2], {"R": [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05)
-    assert {"R", "measured", "CLT"} <= texts(figure)
+    assert {"R", "measured", r"CLT: $1/\sqrt{N}$"} <= texts(figure)
     figure = viz.training([1, 2, 3], {"training": [3, 2, 1]}, {"training": 2.0})
     assert "sample mean, training" in texts(figure)
     intervals = ([1.0, 0.8], [0.9, 0.7], [1.1, np.nan])
     figure = viz.error_bars(["mean", "other"], {"MSE": intervals}, references={"MSE": 1})
     assert {"MSE", "mean", "other"} <= texts(figure)
+
+
+def test_the_central_limit_theorem_is_a_straight_line_on_a_log_scale():
+    n = np.array([1, 4, 16])
+    skewness = np.array([[-0.1, 1, 3]]).T / np.sqrt(n)
+    figure = viz.averages(n, {"R": 0 / n}, skewness, 1 / np.sqrt(n), alpha=0.05, scale="log")
+    right = figure.axes[1]
+    (line,) = [drawn for drawn in right.lines if "CLT" in str(drawn.get_label())]
+    np.testing.assert_allclose(np.diff(np.log(line.get_xydata()), axis=0) @ [1, 2], 0, atol=1e-12)
+    figure.canvas.draw()
+    assert {"0.5", "1"} <= {label.get_text() for label in figure.axes[1].get_yticklabels()}
+
+
+def test_fits_are_drawn_over_both_histograms():
+    x = np.random.default_rng(2).lognormal(size=400)
+    linear, log = (histogram(x, scale=scale) for scale in ("linear", "log"))
+    figure = viz.fits(linear, log, {"log-normal": stats.lognorm(1.0).pdf}, title="pixel")
+    assert {"samples", "log-normal", "pixel", "density per decade"} <= texts(figure)
+    (line,) = figure.axes[1].lines
+    radiance, density = line.get_xydata().T
+    # Per decade, a log-normal density is Gaussian in log10 of radiance.
+    expected = stats.norm(scale=1 / np.log(10)).pdf(np.log10(radiance))
+    np.testing.assert_allclose(density, expected, rtol=1e-9)
+    with pytest.raises(InputError, match=r"shape \(bin,\), got shape \(2, 100\)"):
+        viz.fits(linear, histogram(np.ones((2, 4))), {})
+
+
+def test_fits_of_no_samples_are_drawn():
+    nothing = [histogram(np.zeros(9), scale=scale) for scale in ("linear", "log")]
+    nan = lambda x: np.full(x.shape, np.nan)  # noqa: E731
+    viz.fits(*nothing, {"gamma": nan}).canvas.draw()
+
+
+def test_the_map_of_n_needed_tells_more_than_tested_from_no_answer():
+    needed = np.array([[1, 1, 4, -1], [0, 1, 1, 1]])
+    figure = viz.map_grid([viz.n_needed(needed, [1, 2, 4])])
+    found = texts(figure)
+    assert {"1: 62 %", "4: 12 %", "> 4: 12 %"} <= found
+    assert not any(t.startswith(("2:", "0")) for t in found)
+
+
+def test_more_labels_than_colours_stay_apart():
+    codes = np.arange(12).reshape(3, 4)
+    figure = viz.map_grid([viz.categorical_map(codes, {i: f"f{i}" for i in range(12)}, title="t")])
+    image = figure.axes[0].images[0]
+    colors = image.cmap(image.norm(np.arange(12)))
+    assert len(np.unique(colors, axis=0)) == 12
+
+
+@pytest.fixture(scope="module")
+def two_shapes():
+    rng = np.random.default_rng(4)
+    x = rng.gamma(2.0, size=(8, 12, 1, 256))
+    x[:, :5] = rng.lognormal(sigma=2.0, size=(8, 5, 1, 256))
+    x[0, 0] = 0
+    return Samples.from_array(x)
+
+
+@pytest.mark.parametrize("clusters", [None, 1, 9])
+def test_an_atlas_is_a_map_and_a_panel_for_each_shape(two_shapes, clusters):
+    found = atlas(two_shapes, clusters=clusters)
+    figure = viz.atlas(found)
+    shown = texts(figure)
+    assert "Shape of each pixel   (grey: none, 1 %)" in shown
+    for k, share in enumerate(found.share):
+        assert any(t.startswith(f"$\\bf{{{k + 1}}}$  {100 * share:.0f} %") for t in shown)
+        assert str(k + 1) in shown
+
+
+def test_an_atlas_of_nothing_is_drawn():
+    viz.atlas(atlas(Samples.from_array(np.zeros((4, 4, 1, 8))))).canvas.draw()
 
 
 def test_drawing_leaves_settings_and_pyplot_alone(image):

@@ -1,0 +1,190 @@
+"""Tests of normality: statistics of SciPy and statsmodels, p-values uniform under the null."""
+
+import numpy as np
+import pytest
+from scipy import stats
+from statsmodels.stats import diagnostic
+
+from chdstat._normality_p_values import _floored, _simulated
+from chdstat._normality_statistics import SCALES
+from chdstat._normality_tables import LEVELS, QUANTILES
+from chdstat._normality_tests import TESTS, run_tests
+
+ALL = tuple(TESTS)
+
+
+def run(x, tests=ALL, transform="linear", n=None):
+    x = np.sort(np.asarray(x, dtype=np.float64), axis=-1)
+    n = np.full(x.shape[:-1], x.shape[-1]) if n is None else n
+    tested = run_tests(x, n, np.ones(n.shape, dtype=bool), (transform,), [TESTS[t] for t in tests])
+    return tested.statistic[..., 0, :], tested.p_value[..., 0, :]
+
+
+def anderson_darling(x):
+    """A^2 from the definition, with both tails of SciPy."""
+    z = (np.sort(x) - x.mean()) / x.std(ddof=1)
+    odd = 2 * np.arange(1, x.size + 1) - 1
+    return -x.size - (odd * (stats.norm.logcdf(z) + stats.norm.logsf(z[::-1]))).sum() / x.size
+
+
+PUBLISHED = {
+    "anderson-darling": (anderson_darling, 1e-9),
+    "shapiro-wilk": (lambda x: stats.shapiro(x).statistic, 1e-6),
+    "dagostino": (lambda x: stats.normaltest(x).statistic, 1e-9),
+    "jarque-bera": (lambda x: stats.jarque_bera(x).statistic, 1e-9),
+    "lilliefors": (lambda x: diagnostic.lilliefors(x, pvalmethod="table")[0], 1e-9),
+}
+
+
+@pytest.mark.parametrize("n", [20, 21, 100, 1999, 5000])
+@pytest.mark.parametrize("test", ALL)
+def test_statistics_are_those_of_scipy_and_statsmodels(test, n):
+    rng = np.random.default_rng(n)
+    x = np.stack([rng.gamma(3.0, size=n), rng.lognormal(size=n), rng.normal(50, 2, size=n)])
+    function, tolerance = PUBLISHED[test]
+    found = run(x, [test])[0][..., 0]
+    np.testing.assert_allclose(found, [function(row) for row in x], rtol=tolerance)
+
+
+@pytest.mark.parametrize("n", [30, 32, 100, 500, 2000])
+def test_shapiro_wilk_p_values_are_those_of_royston(n):
+    x = np.random.default_rng(n).gamma([[50.0], [2.0]], size=(2, n))
+    statistic, p_value = run(x, ["shapiro-wilk"])
+    for i, row in enumerate(x):
+        expected = stats.shapiro(row)
+        assert statistic[i, 0] == pytest.approx(expected.statistic, rel=1e-6)
+        # log(1 - W) magnifies what SciPy's single precision quantiles lose.
+        assert p_value[i, 0] == pytest.approx(max(expected.pvalue, 1e-16), rel=1e-3)
+
+
+def test_jarque_bera_is_chi_square_for_many_samples():
+    statistic = np.array([0.5, 1.0, 2.0, 4.0, 6.0, 9.0])
+    p = _simulated("jarque_bera", statistic, np.full(6, 10**9))
+    np.testing.assert_allclose(p, stats.chi2(2).sf(statistic), rtol=0.01)
+
+
+def test_lilliefors_has_the_quantiles_of_stephens():
+    # Stephens 1974, doi:10.1080/01621459.1974.10480196; his scaling is good to a few percent.
+    quantiles = np.array([0.775, 0.819, 0.895, 0.955, 1.035])
+    for n in (20, 50, 100):
+        statistic = quantiles / (np.sqrt(n) - 0.01 + 0.85 / np.sqrt(n))
+        p = _simulated("lilliefors", statistic, np.full(5, n))
+        np.testing.assert_allclose(p, [0.15, 0.1, 0.05, 0.025, 0.01], rtol=0.13)
+
+
+def test_anderson_darling_table_has_its_published_quantiles():
+    # D'Agostino and Stephens 1986, table 4.7, of A*^2 with mean and variance fitted.
+    quantiles = np.array([0.631, 0.752, 0.873, 1.035, 1.159])
+    for n in (20, 100, 5000):
+        p = _simulated("anderson_darling", quantiles / (1 + 0.75 / n + 2.25 / n**2), np.full(5, n))
+        np.testing.assert_allclose(p, [0.1, 0.05, 0.025, 0.01, 0.005], rtol=0.05)
+
+
+def test_anderson_darling_has_its_published_quantiles():
+    # Both parameters fitted, quantiles of 10 000 samples; 20 000 rows leave errors below 2 %.
+    x = np.random.default_rng(3).normal(size=(20_000, 200))
+    statistic = run(x, ["anderson-darling"])[0][:, 0] * (1 + 0.75 / 200 + 2.25 / 200**2)
+    quantiles = np.quantile(statistic, [0.5, 0.75, 0.85, 0.9, 0.95, 0.975, 0.99])
+    expected = [0.339, 0.467, 0.564, 0.633, 0.736, 0.858, 1.036]
+    np.testing.assert_allclose(quantiles, expected, rtol=0.04)
+
+
+def test_anderson_darling_p_values_are_close_to_statsmodels():
+    # Stephens' formulas, which statsmodels has, are within a few percent of p in the upper tail.
+    x = np.random.default_rng(4).gamma(20.0, size=(200, 100))
+    p = run(x, ["anderson-darling"])[1][:, 0]
+    expected = np.array([diagnostic.normal_ad(row)[1] for row in x])
+    clear = (expected > 1e-3) & (expected < 0.5)
+    assert np.count_nonzero(clear) > 50
+    np.testing.assert_allclose(p[clear], expected[clear], rtol=0.06)
+
+
+@pytest.mark.parametrize("name", QUANTILES)
+def test_tables_rise(name):
+    # A quantile is a polynomial of its own; within the sizes they serve, no two may cross.
+    n = np.unique(np.geomspace(20 if name == "dagostino" else 8, 32_000, 80).astype(int))
+    if name == "shapiro_wilk":
+        n = n[(n < 30) | (n > 2000)]
+    powers = n[:, np.newaxis] ** (-0.5 * np.arange(QUANTILES[name].shape[-1]))
+    assert (np.diff(powers @ QUANTILES[name].T, axis=-1) > 0).all()
+    assert (np.diff(LEVELS) < 0).all()
+
+
+@pytest.mark.parametrize("name", QUANTILES)
+def test_p_values_fall_beyond_the_table_and_never_reach_0(name):
+    statistic = np.array([0.5, 2.0, 10.0, 30.0, 100.0, 1e3, 1e12])
+    if name == "shapiro_wilk":
+        statistic = 1 - np.array([1e-4, 1e-3, 0.01, 0.1, 0.5, 0.9, 0.99])
+    p = _simulated(name, statistic, np.full(7, 3000))
+    assert (np.diff(p) <= 0).all()
+    assert p[-1] == 1e-16
+    assert np.isnan(_floored(np.array([np.nan]))[0])
+    assert set(SCALES) == set(QUANTILES)
+
+
+REPEATS = 4000
+
+
+@pytest.mark.parametrize("n", [8, 12, 20, 32, 100, 512, 2048, 5000])
+def test_p_values_are_uniform(n):
+    """Under the null, all five, by Kolmogorov-Smirnov and by the share at 0.05 and 0.01.
+
+    For exact p-values, each of the 38 distances exceeds its bound with probability 1e-6, each share
+    with 1e-5 or less (4.5 sigma, of a Poisson count of 20 or more): a false failure once in 1000
+    seeds. The bounds leave 0.013 and 7 % of the level for Royston's approximation.
+    """
+    repeats = REPEATS if n < 3000 else 2000
+    x = np.random.default_rng(100 + n).lognormal(size=(repeats, n))
+    p_values = run(x, [t for t in ALL if TESTS[t].minimum <= n], "log")[1]
+    ascending = np.sort(p_values, axis=0)
+    rank = np.arange(1, repeats + 1)[:, np.newaxis] / repeats
+    distance = np.maximum(rank - ascending, ascending - rank + 1 / repeats).max(axis=0)
+    assert (distance < 2.7 / np.sqrt(repeats) + 0.013).all(), distance
+    for level in (0.05, 0.01):
+        share = (p_values < level).mean(axis=0)
+        bound = 5 * np.sqrt(level / repeats) + 0.07 * level
+        assert (np.abs(share - level) < bound).all(), (level, share)
+
+
+def test_chi_square_p_values_would_be_found_out():
+    # Negative control: the textbook p-value of Jarque-Bera, at 100 samples, is not uniform.
+    x = np.random.default_rng(21).lognormal(size=(REPEATS, 100))
+    statistic, _ = run(x, ["jarque-bera"], "log")
+    p = np.sort(np.exp(-statistic[:, 0] / 2))
+    distance = np.abs(p - np.arange(1, REPEATS + 1) / REPEATS).max()
+    assert distance > 2.7 / np.sqrt(REPEATS) + 0.013
+
+
+def test_known_means_are_not_assumed():
+    # Negative control: p-values of Kolmogorov and Smirnov ignore that the mean was fitted.
+    x = np.random.default_rng(22).normal(10, 1, size=(500, 64))
+    found = run(x, ["lilliefors"])[1][:, 0]
+    fixed = [stats.kstest((r - r.mean()) / r.std(ddof=1), "norm").pvalue for r in x]
+    assert np.mean(np.array(fixed) < 0.2) < 0.02 < 0.1 < (found < 0.2).mean() < 0.3
+
+
+@pytest.mark.parametrize("test", ALL)
+def test_power_against_an_exponential(test):
+    x = np.random.default_rng(5).exponential(size=(400, 128))
+    assert (run(x, [test])[1] < 0.01).mean() > 0.95
+
+
+def test_rows_of_any_length_are_as_if_alone():
+    rng = np.random.default_rng(6)
+    n = rng.integers(8, 700, size=300)
+    x = np.full((300, 700), np.inf)
+    for row, count in zip(x, n, strict=True):
+        row[:count] = np.sort(rng.gamma(5.0, size=count))
+    together = run(x, n=n)
+    for i in range(0, 300, 25):
+        alone = run(x[i : i + 1, : n[i]])
+        for a, b in zip(together, alone, strict=True):
+            np.testing.assert_allclose(a[i], b[0], rtol=1e-9)
+    assert (np.isnan(together[1][:, ALL.index("dagostino")]) == (n < 20)).all()
+
+
+def test_units_do_not_matter():
+    x = np.random.default_rng(7).gamma(2.0, size=(3, 64))
+    for unit in (1e-305, 1e30, 1e300):
+        for one, other in zip(run(x), run(unit * x), strict=True):
+            np.testing.assert_allclose(other, one, rtol=1e-8)
