@@ -1,24 +1,32 @@
 """Fits: distributions for the positive part of a CHD, the share of nulls apart.
 
-`gamma` and `lognormal` fit a family, `select` compares families, `tail_index` looks at the largest
-samples only. All take one pixel, a batch with the samples on the last axis, or a whole `Samples`.
+`gamma`, `lognormal`, `weibull`, `burr` and `pareto` fit a family, `select` compares families,
+`tail_index` looks at the largest samples only. All take one pixel, a batch with the samples on the
+last axis, or a whole `Samples`; families can be fitted to log histograms, too.
 """
 
+from chdstat.fit.by_name import burr, gamma, lognormal, pareto, weibull
 from chdstat.fit.families import FAMILIES, Family
-from chdstat.fit.mle import fit, gamma, lognormal
+from chdstat.fit.mle import fit
 from chdstat.fit.results import Fit
-from chdstat.fit.selection import Selection, select
+from chdstat.fit.selection import HeldOut, Selection, select
+from chdstat.fit.shares import family_shares
 from chdstat.fit.tail import Tail, tail_index
 
 __all__ = [
     "FAMILIES",
     "Family",
     "Fit",
+    "HeldOut",
     "Selection",
     "Tail",
+    "burr",
+    "family_shares",
     "fit",
     "gamma",
     "lognormal",
+    "pareto",
     "select",
     "tail_index",
+    "weibull",
 ]

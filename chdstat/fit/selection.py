@@ -1,27 +1,46 @@
-"""Selection: which family describes the samples best, and by how much."""
+"""Selection: which family describes the samples best, and by how much.
+
+Use `select` on samples or log histograms; `chdstat.fit.shares` sums an image up.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Literal, get_args, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._positive import Floats, PositivePart
+from chdstat._positive import Floats
+from chdstat._reasons import Reason
+from chdstat._routes import Part, Source, run
 from chdstat.errors import InputError
+from chdstat.fit._held_out import HeldOut, held_out_of_part, ranked, vuong
 from chdstat.fit.families import Family, get_family
 from chdstat.fit.mle import fit_part
 from chdstat.fit.results import Fit, fit_variables, label_fit
+from chdstat.histograms import Histogram
 from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Criterion", "Selection", "select", "select_part"]
+__all__ = [
+    "SELECTED",
+    "Criterion",
+    "HeldOut",
+    "Selection",
+    "finish_selection",
+    "select",
+    "select_part",
+    "selection_variables",
+]
 
-Criterion = Literal["aic", "bic"]
+Criterion = Literal["aic", "bic", "held_out"]
+
+SELECTED = ("gamma", "lognormal", "weibull", "burr")
+"""Families that `select` compares by default."""
 
 
 @dataclass(frozen=True)
@@ -33,17 +52,23 @@ class Selection:
     families
         Their names.
     criterion
-        'aic' or 'bic'.
+        'aic', 'bic' or 'held_out'.
     values
-        The criterion, shape (..., family); the smaller the better.
+        The criterion, shape (..., family); the smaller the better. Of 'held_out', it is the loss
+        per positive sample, in nats.
     best
         Index of the best family, shape (...); -1 where none could be fitted.
     margin
         Criterion of the runner-up minus that of the best, shape (...); NaN with fewer than two
-        fits. Above 10, the evidence is very strong (Kass and Raftery 1995,
+        fits. Above 10, the evidence of BIC is very strong (Kass and Raftery 1995,
         doi:10.1080/01621459.1995.10476572).
+    vuong_z, vuong_p_value
+        Vuong's statistic of gamma against log-normal, positive where gamma is closer to the
+        samples, and its two-sided p-value, shape (...); NaN unless both are among the families.
     fits
         Every `Fit`, by family.
+    held_out
+        The held-out likelihoods, where they were asked for.
     """
 
     families: tuple[str, ...]
@@ -51,43 +76,57 @@ class Selection:
     values: Floats
     best: npt.NDArray[np.int8]
     margin: Floats
+    vuong_z: Floats
+    vuong_p_value: Floats
     fits: Mapping[str, Fit]
+    held_out: HeldOut | None = None
 
     @property
     def names(self) -> npt.NDArray[np.str_]:
         """Name of the best family, shape (...); empty where none could be fitted."""
         return np.asarray([*self.families, ""])[self.best]
 
+    @property
+    def reason(self) -> npt.NDArray[np.int8]:
+        """`Reason` codes, shape (...): OK where there is a best family, else what the first met."""
+        first = self.fits[self.families[0]].reason
+        return np.asarray(np.where(self.best >= 0, np.int8(Reason.OK), first))
+
 
 @overload
 def select(
-    x: Samples,
+    x: Samples | xr.Dataset,
     families: Sequence[str | Family] = ...,
     criterion: Criterion = ...,
     *,
+    held_out: bool = ...,
     progress: bool | None = None,
 ) -> xr.Dataset: ...
 @overload
 def select(
-    x: npt.ArrayLike,
+    x: Histogram | npt.ArrayLike,
     families: Sequence[str | Family] = ...,
     criterion: Criterion = ...,
     *,
+    held_out: bool = ...,
     null: npt.ArrayLike | None = None,
 ) -> Selection: ...
 def select(
-    x: Samples | npt.ArrayLike,
-    families: Sequence[str | Family] = ("gamma", "lognormal"),
+    x: Source,
+    families: Sequence[str | Family] = SELECTED,
     criterion: Criterion = "bic",
     *,
+    held_out: bool = False,
     null: npt.ArrayLike | None = None,
     progress: bool | None = None,
 ) -> Selection | xr.Dataset:
-    """Fit several families and say which has the smallest information criterion.
+    """Fit several families and say which describes the samples best.
 
     ``AIC = 2 k - 2 log L`` and ``BIC = k log n - 2 log L``, where k counts the mass at 0 as one
-    parameter of every family and all likelihoods are those of linear radiance. The best of poor
-    families is still poor: the margin compares the families, not the family with the data.
+    parameter of every family and all likelihoods are those of linear radiance. The held-out loss is
+    minus the log-likelihood per positive sample when the even samples, in stored order, are scored
+    by a fit to the odd ones, and the other way round. The best of poor families is still poor: the
+    margin compares the families, not the family with the data.
 
     Parameters
     ----------
@@ -96,65 +135,143 @@ def select(
     families
         What to compare.
     criterion
-        'aic' or 'bic'.
+        'aic', 'bic' or 'held_out'.
+    held_out
+        Compare by held-out likelihood, too, whatever the criterion. A histogram cannot be split.
 
     Returns
     -------
     Selection or xarray.Dataset
-        `Selection` for an array. For `Samples`, the variables of every fit, and ``best_family``
-        and ``margin`` over (y, x, channel).
+        `Selection` for an array or a `Histogram`. For an image, the variables of every fit,
+        ``best_family``, ``margin``, ``vuong_z`` and ``vuong_p_value`` over (y, x, channel), and if
+        asked for, ``held_out_best_family``, ``held_out_margin``, ``held_out_margin_se`` and, with a
+        further dimension, ``held_out_loss`` over family.
 
     Raises
     ------
     InputError
-        If a family or the criterion is unknown, or there is no family.
+        If a family or the criterion is unknown, there is no family, or a histogram is to be split.
 
     References
     ----------
-    Schwarz, "Estimating the dimension of a model", 1978, doi:10.1214/aos/1176344136.
+    Schwarz, "Estimating the dimension of a model", 1978, doi:10.1214/aos/1176344136. Stone,
+    "Cross-validatory choice and assessment of statistical predictions", 1974,
+    doi:10.1111/j.2517-6161.1974.tb00994.x. Vuong, "Likelihood ratio tests for model selection and
+    non-nested hypotheses", 1989, doi:10.2307/1912557.
 
     Examples
     --------
     >>> import numpy as np
     >>> x = np.random.default_rng(3).lognormal(sigma=1.0, size=500)
-    >>> str(select(x).names)
-    'lognormal'
+    >>> selection = select(x, held_out=True)
+    >>> str(selection.names), bool(selection.vuong_z < -2)
+    ('lognormal', True)
     """
     chosen = _check(families, criterion)
-    if not isinstance(x, Samples):
-        return select_part(PositivePart.of(x, null=null), chosen, criterion)
-    dataset = x.map(
-        lambda block: _variables(select_part(PositivePart.of_pixels(block), chosen, criterion)),
+    result = run(
+        x,
+        lambda part: select_part(part, chosen, criterion, held_out=held_out),
+        selection_variables,
+        null=null,
         description="selecting families",
         progress=progress,
     )
-    for family in chosen:
-        dataset = label_fit(dataset, family.name)
-    return _label(dataset, [family.name for family in chosen], criterion)
+    if isinstance(result, Selection):
+        return result
+    return finish_selection(result, [family.name for family in chosen], criterion)
 
 
 def select_part(
-    part: PositivePart, families: Sequence[Family], criterion: Criterion = "bic"
+    part: Part,
+    families: Sequence[Family],
+    criterion: Criterion = "bic",
+    *,
+    held_out: bool = False,
 ) -> Selection:
     """Compare families on samples that are already split."""
     fits = {family.name: fit_part(part, family) for family in families}
-    values = np.stack([getattr(result, criterion) for result in fits.values()], axis=-1)
-    ranked = np.sort(values, axis=-1)
-    with np.errstate(invalid="ignore"):
-        margin = ranked[..., 1] - ranked[..., 0] if len(fits) > 1 else ranked[..., 0] * np.nan
+    split: HeldOut | None = None
+    if held_out or criterion == "held_out":
+        split = held_out_of_part(part, families, [fit.parameters for fit in fits.values()])
+    if criterion == "held_out" and split is not None:
+        values = split.loss
+    else:
+        values = np.stack([getattr(result, criterion) for result in fits.values()], axis=-1)
+    _, best, margin = ranked(values)
+    z, p_value = _gamma_against_lognormal(part, families, fits)
     return Selection(
         families=tuple(fits),
         criterion=criterion,
         values=values,
-        best=np.where(np.isnan(ranked[..., 0]), -1, _argmin(values)).astype(np.int8),
+        best=best,
         margin=margin,
+        vuong_z=z,
+        vuong_p_value=p_value,
         fits=fits,
+        held_out=split,
     )
 
 
+def selection_variables(selection: Selection) -> Mapped:
+    """Return a selection over (y, x, channel) as variables for `Samples.map`."""
+    variables: dict[str, tuple[tuple[str, ...], npt.NDArray[np.generic]]] = {}
+    for result in selection.fits.values():
+        variables.update(fit_variables(result))
+    for name in ("best", "margin", "vuong_z", "vuong_p_value"):
+        variables[_NAMES.get(name, name)] = (("channel",), getattr(selection, name))
+    if selection.held_out is not None:
+        split = selection.held_out
+        variables["held_out_best_family"] = (("channel",), split.best)
+        variables["held_out_margin"] = (("channel",), split.margin)
+        variables["held_out_margin_se"] = (("channel",), split.margin_se)
+        variables["held_out_loss"] = (("channel", "family"), split.loss)
+    return variables
+
+
+def finish_selection(dataset: xr.Dataset, names: Sequence[str], criterion: str) -> xr.Dataset:
+    """Set long names, units, flag meanings and the families' names of a selection."""
+    for name in names:
+        dataset = label_fit(dataset, name)
+    flags: dict[str, object] = {
+        "flag_values": [-1, *range(len(names))],
+        "flag_meanings": " ".join(["none", *names]),
+    }
+    what = _CRITERIA[criterion]
+    labels: dict[str, tuple[str, dict[str, object]]] = {
+        "best_family": (f"family with the smallest {what}", flags),
+        "margin": (f"{what} of the runner-up minus that of the best family", {}),
+        "vuong_z": ("Vuong's z of gamma against log-normal", {}),
+        "vuong_p_value": ("two-sided p-value of Vuong's z", {}),
+        "held_out_best_family": ("family with the smallest held-out loss", flags),
+        "held_out_margin": ("held-out loss of the runner-up minus that of the best family", {}),
+        "held_out_margin_se": ("standard error of the held-out margin", {}),
+        "held_out_loss": ("held-out loss per positive sample, in nats", {}),
+    }
+    for name, (long_name, attributes) in labels.items():
+        if name in dataset:
+            dataset[name].attrs.update(long_name=long_name, units="1", **attributes)
+    if "family" in dataset.dims:
+        dataset = dataset.assign_coords(family=_texts(names))
+    return dataset
+
+
+_NAMES = {"best": "best_family"}
+_CRITERIA = {"aic": "AIC", "bic": "BIC", "held_out": "held-out loss"}
+
+
+def _gamma_against_lognormal(
+    part: Part, families: Sequence[Family], fits: Mapping[str, Fit]
+) -> tuple[Floats, Floats]:
+    if not {"gamma", "lognormal"} <= fits.keys():
+        none = np.full(part.n.shape, np.nan)
+        return none, none
+    by_name = {family.name: (family, fits[family.name]) for family in families}
+    return vuong(part, by_name["gamma"], by_name["lognormal"])
+
+
 def _check(families: Sequence[str | Family], criterion: str) -> list[Family]:
-    if criterion not in ("aic", "bic"):
-        message = f"criterion must be 'aic' or 'bic', got {criterion!r}"
+    if criterion not in get_args(Criterion):
+        message = f"criterion must be 'aic', 'bic' or 'held_out', got {criterion!r}"
         raise InputError(message)
     if isinstance(families, str) or not families:
         message = f"families must be a sequence of one or more families, got {families!r}"
@@ -162,29 +279,5 @@ def _check(families: Sequence[str | Family], criterion: str) -> list[Family]:
     return [get_family(family) for family in families]
 
 
-def _argmin(values: Floats) -> npt.NDArray[np.intp]:
-    return np.asarray(np.where(np.isnan(values), np.inf, values).argmin(axis=-1))
-
-
-def _variables(selection: Selection) -> Mapped:
-    of_fits: dict[str, tuple[tuple[str, ...], npt.NDArray[np.generic]]] = {}
-    for result in selection.fits.values():
-        of_fits.update(fit_variables(result))
-    return {
-        **of_fits,
-        "best_family": (("channel",), selection.best),
-        "margin": (("channel",), selection.margin),
-    }
-
-
-def _label(dataset: xr.Dataset, names: Sequence[str], criterion: str) -> xr.Dataset:
-    dataset["best_family"].attrs.update(
-        long_name=f"family with the smallest {criterion.upper()}",
-        units="1",
-        flag_values=[-1, *range(len(names))],
-        flag_meanings=" ".join(["none", *names]),
-    )
-    dataset["margin"].attrs.update(
-        long_name=f"{criterion.upper()} of the runner-up minus that of the best family", units="1"
-    )
-    return dataset
+def _texts(names: Sequence[str]) -> npt.NDArray[np.object_]:
+    return np.array(list(names), dtype=object)

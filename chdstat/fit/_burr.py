@@ -1,0 +1,180 @@
+"""Burr XII (Singh-Maddala): a heavy body with a power tail, of which Weibull is the light end."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import special, stats
+
+from chdstat._positive import Floats, Mask
+from chdstat._routes import Part
+from chdstat.fit._family import RADIANCE, Estimate, Family, Parameters, summed
+from chdstat.fit._newton import Surface, climb
+from chdstat.fit._points import Points
+
+__all__ = ["BURR"]
+
+_LEAST = 1e-4
+"""Floor of q: below, d is about 1e4 or more, and no sample tells it from the Weibull limit."""
+_NEAR_LIMIT = 0.01
+_SHAPES = np.exp(np.linspace(np.log(0.02), np.log(100), 200))
+"""Shapes d at which the skewness of log x is tabulated for the start."""
+_SKEWNESS = (special.polygamma(2, 1) - special.polygamma(2, _SHAPES)) / (
+    special.polygamma(1, 1) + special.polygamma(1, _SHAPES)
+) ** 1.5
+
+
+def _estimate(part: Part, near: Parameters | None) -> Estimate:
+    """Maximise the profile likelihood of a = log c and q = log(1 + e^rho).
+
+    With v = c (log x - log scale), rho is v at the log mean, and d is profiled out: ``1 / d =
+    mean log(1 + e^v)``. As d and the scale go to infinity together, which is the Weibull limit, q
+    goes to 0 and the profile stays smooth: where it rises all the way to q = 0 there is no Burr
+    distribution of maximum likelihood (Shao 2004, doi:10.1016/S0167-9473(02)00367-5).
+    """
+    c, d, scale, c_error, d_error, scale_error, converged = climb(
+        part,
+        _profile,
+        start=_start,
+        finish=_finish,
+        names=7,
+        minimum=BURR.minimum,
+        floor=_LEAST,
+        near=None if near is None else _coordinates(part, near),
+    )
+    return Estimate(
+        parameters={"c": c, "d": d, "scale": scale},
+        standard_errors={"c": c_error, "d": d_error, "scale": scale_error},
+        converged=converged == 1,
+    )
+
+
+def _coordinates(part: Part, near: Parameters) -> tuple[Floats, Floats]:
+    """Return a and q of given parameters."""
+    with np.errstate(invalid="ignore"):
+        rho = near["c"] * (part.log_statistics.log_mean - np.log(near["scale"]))
+        return np.log(near["c"]), np.maximum(np.logaddexp(0, rho), _LEAST)
+
+
+def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
+    """Return parameters, standard errors and convergence, shape (7, row)."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        c, rho = np.exp(at[0]), _log_expm1(at[1])
+        level, share, rest = _logistic(points, c, rho)
+        d = 1 / level
+        scale = np.exp(points.log_mean - rho / c)
+        errors = _standard_errors(points, share, rest, c, d, rho)
+        errors[2] *= scale
+        interior = (at[1] > 2 * _LEAST) & np.isfinite(errors).all(axis=0)
+    return np.stack([c, d, scale, *errors, converged & interior])
+
+
+def _start(points: Points) -> Floats:
+    """Match mean, variance and skewness of log x: cumulants of v are polygamma functions of d.
+
+    Of samples in two heaps, the likelihood may have one maximum there and one in the Weibull limit,
+    so that a second start lies close to that.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        square = points.log**2
+        variance = points.average(square)
+        square *= points.log
+        skewness = points.average(square) / variance**1.5
+        # Tables must ascend; the skewness falls as d grows.
+        d = np.interp(skewness, _SKEWNESS[::-1], _SHAPES[::-1])
+        c = np.sqrt((special.polygamma(1, 1) + special.polygamma(1, d)) / variance)
+        rho = special.digamma(1) - special.digamma(d)
+        weibull = np.log(np.pi / np.sqrt(6 * variance))
+    cumulants = np.stack([np.log(c), np.logaddexp(0, rho)])
+    return np.stack([cumulants, np.stack([weibull, np.full_like(weibull, _NEAR_LIMIT)])])
+
+
+def _profile(points: Points, at: Floats) -> Surface:
+    """Profile log-likelihood per sample, ``log c + mean v - log L - L`` with L = 1 / d."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        c, rho = np.exp(at[0]), _log_expm1(at[1])
+        level, share, rest = _logistic(points, c, rho)
+        # Weighted sums of the logistic function and of its derivative, share (1 - share), in place.
+        slope = np.multiply(share, points.weight, out=share)
+        l_rho, l_c = points.sums(slope)
+        slope *= rest
+        l_rho_rho, l_rho_c = points.sums(slope)
+        slope *= points.log
+        _, l_c_c = points.sums(slope)
+        f, g = 1 + 1 / level, 1 / level**2
+        by_c, by_rho = 1 / c - f * l_c, 1 - f * l_rho
+        by_c_c = -1 / c**2 + g * l_c**2 - f * l_c_c
+        by_rho_c = g * l_c * l_rho - f * l_rho_c
+        by_rho_rho = g * l_rho**2 - f * l_rho_rho
+        # From (c, rho) to (log c, q): d rho / d q = 1 + e^-rho.
+        stretch = 1 + np.exp(-rho)
+        return Surface(
+            value=at[0] + rho - np.log(level) - level,
+            gradient=np.stack([c * by_c, stretch * by_rho]),
+            curvature=np.stack(
+                [
+                    c**2 * by_c_c + c * by_c,
+                    c * stretch * by_rho_c,
+                    stretch**2 * by_rho_rho - (stretch - 1) * stretch * by_rho,
+                ]
+            ),
+        )
+
+
+def _standard_errors(
+    points: Points, share: Floats, rest: Floats, c: Floats, d: Floats, rho: Floats
+) -> Floats:
+    """Return those of c, d and log scale, shape (3, row), from the observed information."""
+    offset = rho / c
+    # Moments of the logistic function and its derivative by t = log x - log scale.
+    slope = share * points.weight
+    mean, first = points.sums(slope)
+    slope *= rest
+    zero, one = points.sums(slope)
+    slope *= points.log
+    _, two = points.sums(slope)
+    two = two + 2 * offset * one + offset**2 * zero
+    one = one + offset * zero
+    cc, cs, ss = 1 / c**2 + (d + 1) * two, -(d + 1) * c * one, (d + 1) * c**2 * zero
+    cd, sd, dd = first + offset * mean, -c * mean, 1 / d**2
+    determinant = cc * (ss * dd - sd**2) - cs * (cs * dd - sd * cd) + cd * (cs * sd - ss * cd)
+    inverse = np.stack([ss * dd - sd**2, cc * ss - cs**2, cc * dd - cd**2]) / determinant
+    return np.asarray(np.sqrt(np.where(inverse > 0, inverse, np.nan) / points.n))
+
+
+def _logistic(points: Points, c: Floats, rho: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return mean log(1 + e^v), and e^v / (1 + e^v) and 1 / (1 + e^v) at every point."""
+    v = points.log * c[:, np.newaxis]
+    v += rho[:, np.newaxis]
+    power = np.exp(v, out=v)
+    power += 1
+    rest = np.reciprocal(power)
+    level = points.average(np.log(power, out=power))
+    return level, np.subtract(1, rest, out=power), rest
+
+
+def _log_expm1(q: Floats) -> Floats:
+    """Return log(e^q - 1), the inverse of log(1 + e^rho)."""
+    return np.asarray(q + np.log(-np.expm1(-q)))
+
+
+def _log_density(points: Points, parameters: Parameters) -> Floats:
+    c, d = parameters["c"], parameters["d"]
+    shift = (points.log_mean - np.log(parameters["scale"])) * c
+    v = points.log * c[:, np.newaxis]
+    v += shift[:, np.newaxis]
+    density = np.logaddexp(0, v) if v.max(initial=0) > 700 else np.log1p(np.exp(v))
+    density *= -(d + 1)[:, np.newaxis]
+    density += v
+    density += np.log(c * d)[:, np.newaxis]
+    return np.asarray(density)
+
+
+BURR = Family(
+    name="burr",
+    units={"c": "1", "d": "1", "scale": RADIANCE},
+    estimate=_estimate,
+    log_likelihood=summed(_log_density),
+    log_density=_log_density,
+    distribution=lambda p: stats.burr12(p["c"], p["d"], scale=p["scale"]),
+)
+"""``f(x) = (c d / s) (x/s)^(c-1) (1 + (x/s)^c)^(-d-1)``."""

@@ -1,0 +1,85 @@
+"""Family: what a row of the table of families holds, and what its estimator returns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from chdstat._positive import Floats, Mask
+from chdstat._routes import Part
+from chdstat.fit._points import Points, sum_over_samples
+
+__all__ = ["RADIANCE", "Estimate", "Family", "LogDensity", "Parameters", "summed", "take"]
+
+Parameters = Mapping[str, Floats]
+
+LogDensity = Callable[[Points, Parameters], Floats]
+
+RADIANCE = "W sr-1 m-2"
+"""Unit of a scale parameter."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Parameters and standard errors by name, and where the estimate is a maximum."""
+
+    parameters: Parameters
+    standard_errors: Parameters
+    converged: Mask
+
+
+@dataclass(frozen=True)
+class Family:
+    """A parametric family on the positive numbers.
+
+    Attributes
+    ----------
+    name
+        What users call it.
+    units
+        Names of its parameters, with their units.
+    estimate
+        Maximum likelihood; a search may begin at given parameters, which are NaN where there are
+        none. Rows that cannot be fitted may hold anything but must not warn.
+    log_likelihood
+        Sum over the positive samples of the log density in linear radiance, at given parameters.
+    log_density
+        Log density of log x at the points of some rows, shape (row, point), given the parameters of
+        these rows, shape (row,). That of x is smaller by log x, for every family alike.
+    distribution
+        SciPy's frozen distribution with given parameters, which may be arrays.
+    """
+
+    name: str
+    units: Mapping[str, str]
+    estimate: Callable[[Part, Parameters | None], Estimate]
+    log_likelihood: Callable[[Part, Parameters], Floats]
+    log_density: LogDensity
+    distribution: Callable[[Parameters], Any]
+
+    @property
+    def minimum(self) -> int:
+        """Positive samples that a fit needs: as many as there are parameters."""
+        return len(self.units)
+
+
+def take(parameters: Parameters, points: Points) -> dict[str, Floats]:
+    """Return the parameters, of any batch shape, of the rows of these points."""
+    return {name: value.reshape(-1)[points.rows] for name, value in parameters.items()}
+
+
+def summed(log_density: LogDensity) -> Callable[[Part, Parameters], Floats]:
+    """Return a log-likelihood that adds up log densities, for families without sufficient sums."""
+
+    def log_likelihood(part: Part, parameters: Parameters) -> Floats:
+        known = np.asarray(np.isfinite(np.stack(list(parameters.values()))).all(axis=0))
+
+        def of_points(points: Points) -> Floats:
+            return log_density(points, take(parameters, points)) - points.log_mean[:, np.newaxis]
+
+        return sum_over_samples(part, known, of_points)
+
+    return log_likelihood

@@ -1,0 +1,132 @@
+"""Generalised Pareto from 0: power laws that fall from the start, and excesses over a threshold."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from chdstat._positive import Floats, Mask
+from chdstat._routes import Part
+from chdstat.fit._family import RADIANCE, Estimate, Family, Parameters, summed
+from chdstat.fit._newton import Surface, climb
+from chdstat.fit._points import Points
+
+__all__ = ["PARETO"]
+
+_GRID = np.r_[-7.0, -5:-1:5j, -0.5, 0.25, 1:4, 4:12:2, 14:46:4]
+"""Starts s: the ratio xi / scale is (e^s - 1) / largest x."""
+_SMALL = 1e-2
+_TERMS = 9
+"""Terms of the series about xi = 0; the first left out is below double precision."""
+
+
+def _estimate(part: Part, _near: Parameters | None) -> Estimate:
+    """Maximise the profile likelihood of Grimshaw 1993 in s of `_GRID`.
+
+    ``xi = mean log(1 + theta x)`` for theta = xi / scale. The likelihood has no bound as theta goes
+    to -1 / max x, where xi < -1: what is looked for is the local maximum above that
+    (doi:10.1080/00401706.1993.10485040).
+    """
+    xi, scale, converged = climb(
+        part, _profile, start=_best_of_grid, finish=_finish, names=3, minimum=PARETO.minimum
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Smith 1987, doi:10.1214/aos/1176350499; from xi = -1/2 down they hold no more.
+        regular = np.where(xi > -0.5, 1 + xi, np.nan)
+        errors = {
+            "xi": regular / np.sqrt(part.n),
+            "scale": scale * np.sqrt(2 * regular / part.n),
+        }
+    return Estimate({"xi": xi, "scale": scale}, errors, converged == 1)
+
+
+def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
+    """Return xi, scale and convergence, shape (3, row)."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        u = np.expm1(at[0])
+        relative, _, _ = _moments(points, _ratio(points), u)
+        xi = u * relative
+        scale = np.exp(points.log_mean + points.log_top) * relative
+    return np.stack([xi, scale, converged & (xi > -1)])
+
+
+def _best_of_grid(points: Points) -> Floats:
+    ratio, values = _ratio(points), []
+    for u in np.expm1(_GRID):
+        xi = points.average(np.log1p(u * ratio))
+        values.append(np.where(xi > -1, -np.log(xi / u) - xi, -np.inf))
+    best = _GRID[np.argmax(values, axis=0)]
+    return np.stack([best, np.zeros_like(best)])
+
+
+def _profile(points: Points, at: Floats) -> Surface:
+    """Profile log-likelihood per sample, ``-log scale - xi``, by s."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        u, ratio = np.expm1(at[0]), _ratio(points)
+        # g = xi / u is the scale relative to the largest sample.
+        g, slope, curvature = _moments(points, ratio, u)
+        xi = u * g
+        value = np.where(xi > -1, -np.log(g) - xi, np.nan)
+        by_u = -slope / g - g - u * slope
+        by_u_u = -curvature / g + (slope / g) ** 2 - 2 * slope - u * curvature
+        zero = np.zeros_like(u)
+        return Surface(
+            value=value,
+            gradient=np.stack([(1 + u) * by_u, zero]),
+            curvature=np.stack([(1 + u) ** 2 * by_u_u + (1 + u) * by_u, zero, zero - 1]),
+        )
+
+
+def _ratio(points: Points) -> Floats:
+    ratio = points.log - points.log_top[:, np.newaxis]
+    return np.asarray(np.exp(ratio, out=ratio))
+
+
+def _moments(points: Points, ratio: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return g(u) = mean log(1 + u r) / u with its first two derivatives, shape (3, row)."""
+    power = u[:, np.newaxis] * ratio
+    tilted = ratio / (1 + power)
+    g = points.average(np.log1p(power)) / u
+    first = points.average(tilted)
+    slope = (first - g) / u
+    curvature = (-points.average(tilted**2) - 2 * slope) / u
+    small = np.abs(u) < _SMALL
+    if small.any():
+        series = _series(points.take(small), ratio[small], u[small])
+        g[small], slope[small], curvature[small] = series
+    return g, slope, curvature
+
+
+def _series(points: Points, ratio: Floats, u: Floats) -> Floats:
+    """Sum the series of log(1 + u r) / u, whose closed form loses its digits near u = 0."""
+    result, power = np.zeros((3, len(u))), np.ones_like(ratio)
+    for j in range(_TERMS):
+        power = power * ratio
+        term = (-1) ** j * points.average(power) / (j + 1)
+        result[0] += term * u**j
+        result[1] += term * j * u ** max(j - 1, 0)
+        result[2] += term * j * (j - 1) * u ** max(j - 2, 0)
+    return result
+
+
+def _log_density(points: Points, parameters: Parameters) -> Floats:
+    xi, scale = parameters["xi"], parameters["scale"]
+    log = points.log + (points.log_mean - np.log(scale))[:, np.newaxis]
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        x = np.exp(log)
+        product = xi[:, np.newaxis] * x
+        # Near xi = 0, log(1 + xi x) / xi is x less a term of second order.
+        ratio = np.where(np.abs(product) < 1e-9, x, np.log1p(product) / xi[:, np.newaxis])
+        inside = np.where(product > -1, log - (1 + xi)[:, np.newaxis] * ratio, -np.inf)
+    return np.asarray(inside)
+
+
+PARETO = Family(
+    name="pareto",
+    units={"xi": "1", "scale": RADIANCE},
+    estimate=_estimate,
+    log_likelihood=summed(_log_density),
+    log_density=_log_density,
+    distribution=lambda p: stats.genpareto(p["xi"], scale=p["scale"]),
+)
+"""``P(X > x) = (1 + xi x / scale)^(-1/xi)``."""

@@ -1,0 +1,94 @@
+"""Weibull: a stretched exponential, the light-tailed end of the Burr distributions."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from chdstat._positive import Floats, Mask
+from chdstat._routes import Part
+from chdstat.fit._family import RADIANCE, Estimate, Family, Parameters, summed
+from chdstat.fit._newton import Surface, climb
+from chdstat.fit._points import Points
+
+__all__ = ["WEIBULL"]
+
+
+def _profile(points: Points, at: Floats) -> Surface:
+    """Profile log-likelihood per sample, ``log k + k mean(log x) - log mean(x^k)``, by log k."""
+    k, log = np.exp(at[0]), points.log
+    top = points.log_top
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        weighted = _powers(points, k, top)
+        weighted *= points.weight
+        total = weighted.sum(axis=-1)
+        weighted *= log
+        first = weighted.sum(axis=-1) / total
+        second = np.vecdot(weighted, log) / total - first**2
+        value = at[0] - np.log(total / points.n) - k * top
+    slope, curvature, zero = 1 - k * first, -k * first - k**2 * second, np.zeros_like(k)
+    return Surface(value, np.stack([slope, zero]), np.stack([curvature, zero, zero - 1]))
+
+
+def _start(points: Points) -> Floats:
+    """Match the standard deviation of log x, which is pi / (sqrt(6) k)."""
+    spread = np.sqrt(points.average(points.log**2))
+    return np.stack([np.log(np.pi / np.sqrt(6) / spread), np.zeros_like(spread)])
+
+
+def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
+    """Return shape, scale and convergence; the scale is profiled out, ``mean(x^k)^(1/k)``."""
+    shape = np.exp(at[0])
+    power = points.average(_powers(points, shape, points.log_top))
+    log_scale = points.log_mean + points.log_top + np.log(power) / shape
+    return np.stack([shape, np.exp(log_scale), converged])
+
+
+def _powers(points: Points, k: Floats, top: Floats) -> Floats:
+    """Return (x / largest x)^k: at most 1, whatever k."""
+    power = points.log - top[:, np.newaxis]
+    power *= k[:, np.newaxis]
+    return np.exp(power, out=power)
+
+
+def _estimate(part: Part, near: Parameters | None) -> Estimate:
+    shape, scale, converged = climb(
+        part,
+        _profile,
+        start=_start,
+        finish=_finish,
+        names=3,
+        minimum=WEIBULL.minimum,
+        near=None if near is None else (np.log(near["shape"]), np.zeros(part.n.shape)),
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Inverse of the Fisher information, in closed form: Johnson, Kotz and Balakrishnan,
+        # "Continuous univariate distributions", vol. 1, 1994, chapter 21.
+        root = np.sqrt(6 / part.n) / np.pi
+        scale_factor = np.sqrt(np.pi**2 / 6 + (1 - np.euler_gamma) ** 2)
+        return Estimate(
+            parameters={"shape": shape, "scale": scale},
+            standard_errors={"shape": shape * root, "scale": scale / shape * root * scale_factor},
+            converged=converged == 1,
+        )
+
+
+def _log_density(points: Points, parameters: Parameters) -> Floats:
+    shape = parameters["shape"]
+    power = points.log - (np.log(parameters["scale"]) - points.log_mean)[:, np.newaxis]
+    power *= shape[:, np.newaxis]
+    with np.errstate(over="ignore"):
+        density = power - np.exp(power)
+    density += np.log(shape)[:, np.newaxis]
+    return density
+
+
+WEIBULL = Family(
+    name="weibull",
+    units={"shape": "1", "scale": RADIANCE},
+    estimate=_estimate,
+    log_likelihood=summed(_log_density),
+    log_density=_log_density,
+    distribution=lambda p: stats.weibull_min(p["shape"], scale=p["scale"]),
+)
+"""``f(x) = (k/s) (x/s)^(k-1) exp(-(x/s)^k)``."""

@@ -1,0 +1,191 @@
+"""Families: their limits, where a maximum does not exist, and histograms instead of samples."""
+
+import runpy
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import chdstat as chd
+from chdstat._positive import PositivePart
+from chdstat._reasons import Reason
+from chdstat.fit._points import blocks
+from chdstat.fit.families import FAMILIES
+from chdstat.fit.mle import estimate_part, fit_part
+
+BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
+FAMILY_NAMES = sorted(FAMILIES)
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_log_density_is_scipys(family):
+    rng = np.random.default_rng(1)
+    parameters = BY_SCIPY.random_parameters(family, rng, 4)
+    x = BY_SCIPY.DISTRIBUTIONS[family](parameters).rvs((4, 50), random_state=rng)
+    part = PositivePart.of(x)
+    flat = {name: value[:, 0] for name, value in parameters.items()}
+    ascending = np.sort(x, axis=-1)
+    expected = BY_SCIPY.log_density(family, ascending, parameters)
+    for points in blocks(part, np.ones(4, dtype=bool)):
+        here = {name: value[points.rows] for name, value in flat.items()}
+        density = FAMILIES[family].log_density(points, here) - np.log(ascending[points.rows])
+        np.testing.assert_allclose(density, expected[points.rows], rtol=1e-9, atol=1e-9)
+    total = FAMILIES[family].log_likelihood(part, flat)
+    np.testing.assert_allclose(total, expected.sum(axis=-1), rtol=1e-9)
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_fits_find_the_truth(family):
+    """At 20,000 samples, each estimate is within 4.5 standard errors: failure below 1e-5 each."""
+    rng = np.random.default_rng(2)
+    parameters = BY_SCIPY.random_parameters(family, rng, 10)
+    x = BY_SCIPY.DISTRIBUTIONS[family](parameters).rvs((10, 20_000), random_state=rng)
+    fit = chd.fit.fit(x, family)
+    assert (fit.reason == Reason.OK).all()
+    for name, truth in parameters.items():
+        z = (fit.parameters[name] - truth[:, 0]) / fit.standard_errors[name]
+        assert np.abs(z).max() < 4.5
+
+
+def test_burr_ends_where_weibull_begins():
+    """About half of Weibull samples, n large, are likeliest at the limit: 150 to 250 of 400.
+
+    False failure: 5 standard deviations of a binomial, below 1e-6.
+    """
+    x = np.random.default_rng(3).weibull(1.3, size=(400, 2000))
+    burr, weibull = chd.fit.burr(x), chd.fit.weibull(x)
+    at_limit = burr.reason == Reason.NOT_CONVERGED
+    assert 150 < at_limit.sum() < 250
+    # A small d, larger than nothing, must be likelier than the limit; what has none says nothing.
+    assert (burr.log_likelihood > weibull.log_likelihood - 1e-9)[~at_limit].all()
+    assert np.isnan(burr.parameters["d"][at_limit]).all()
+    # The likelihood rises from the limit exactly where w = (x / scale)^shape is more spread out
+    # than an exponential variable.
+    w = (x / weibull.parameters["scale"][:, np.newaxis]) ** weibull.parameters["shape"][:, None]
+    assert (((w**2).mean(axis=-1) <= 2) == at_limit).mean() > 0.97
+
+
+def test_burr_with_the_shape_of_weibull_has_its_tail():
+    x = stats.burr12(2.0, 50.0).rvs((3, 50_000), random_state=4)
+    fit = chd.fit.burr(x)
+    tail = 1 / (fit.parameters["c"] * fit.parameters["d"])
+    assert (fit.reason == Reason.OK).all()
+    np.testing.assert_allclose(tail, 0.01, atol=0.02)
+
+
+def test_pareto_needs_a_regular_likelihood():
+    rng = np.random.default_rng(5)
+    regular, irregular, edge = (
+        stats.genpareto(xi).rvs((20, 400), random_state=rng) for xi in (-0.2, -0.7, -1.5)
+    )
+    fit = chd.fit.pareto(regular)
+    assert (fit.reason == Reason.OK).all()
+    assert np.isfinite(fit.standard_errors["xi"]).all()
+    fit = chd.fit.pareto(irregular)
+    below = fit.parameters["xi"] < -0.5
+    assert below.mean() > 0.8
+    assert np.isnan(fit.standard_errors["xi"][below]).all()
+    fit = chd.fit.pareto(edge)
+    assert (fit.reason == Reason.NOT_CONVERGED).mean() > 0.9
+    assert not (fit.parameters["xi"] <= -1).any()
+
+
+def test_pareto_near_the_exponential_loses_no_digits():
+    # Quantiles of an exponential, stretched a little: xi is within its rounding of smooth in it.
+    q = (np.arange(1000) + 0.5) / 1000
+    stretch = np.linspace(-2e-3, 2e-3, 41)[:, np.newaxis]
+    xi = chd.fit.pareto((-np.log1p(-q)) ** (1 + stretch)).parameters["xi"]
+    assert np.abs(np.diff(xi, 3)).max() < 1e-7
+    assert (np.diff(xi) > 0).all()
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_fewer_samples_than_parameters(family):
+    count = len(FAMILIES[family].units)
+    x = np.zeros((count + 1, 8))
+    for row in range(count + 1):
+        x[row, :row] = 1.0 + np.arange(row) ** 2
+    reasons = chd.fit.fit(x, family).reason
+    np.testing.assert_array_equal(reasons[1:count], Reason.TOO_FEW)
+    assert reasons[count] != Reason.TOO_FEW
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_histogram_route_agrees_with_samples(family):
+    """Parameters of the histogram make the samples as likely, to 1e-2 per sample.
+
+    Wherever the log deviation is at least a bin (0.1 decades) and the samples lie in the support.
+    """
+    rng = np.random.default_rng(6)
+    parameters = BY_SCIPY.random_parameters(family, rng, 300)
+    x = BY_SCIPY.DISTRIBUTIONS[family](parameters).rvs((300, 512), random_state=rng)
+    inside = ((x > 1e-5) & (x < 1e5)).all(axis=-1) & (np.log10(x).std(axis=-1) >= 0.1)
+    x = x[inside]
+    assert len(x) > 100
+    part = PositivePart.of(x)
+    of_samples, of_bins = fit_part(part, FAMILIES[family]), chd.fit.fit(chd.histogram(x), family)
+    both = (of_samples.reason == Reason.OK) & (of_bins.reason == Reason.OK)
+    assert both.mean() > 0.95
+    likelihood = FAMILIES[family].log_likelihood(part, of_bins.parameters)
+    best = FAMILIES[family].log_likelihood(part, of_samples.parameters)
+    loss = (best - likelihood)[both] / 512
+    assert loss.min() > -1e-9
+    assert loss.max() < 1e-2
+
+
+def test_histograms_of_an_image_go_the_way_of_its_samples():
+    rng = np.random.default_rng(7)
+    samples = chd.Samples.from_array(rng.gamma(2.0, size=(2, 3, 3, 2048)).astype(np.float32))
+    of_samples = chd.fit.weibull(samples, progress=False)
+    of_bins = chd.fit.weibull(chd.histogram(samples))
+    assert of_bins["weibull_shape"].dims == ("y", "x", "channel")
+    assert of_bins["weibull_scale"].attrs["units"] == "W sr-1 m-2"
+    np.testing.assert_allclose(of_bins["weibull_shape"], of_samples["weibull_shape"], rtol=0.02)
+    np.testing.assert_array_equal(of_bins["n"], of_samples["n"])
+
+
+def test_ties_and_two_values_are_data():
+    rng = np.random.default_rng(8)
+    clamped = np.minimum(rng.gamma(2.0, size=256), 2.0)
+    two = np.where(rng.random(256) < 0.3, 1.0, 4.0)
+    firefly = np.r_[1e30, rng.gamma(2.0, size=255)]
+    decades = 10.0 ** rng.uniform(-38, 30, size=256)
+    x = np.stack([clamped, two, firefly, decades])
+    for family in FAMILY_NAMES:
+        fit = chd.fit.fit(x, family)
+        for values in fit.parameters.values():
+            np.testing.assert_array_equal(np.isfinite(values), fit.reason == Reason.OK)
+
+
+@pytest.mark.parametrize("n", [20, 100, 160, 300])
+def test_one_sample_apart_from_all_others_is_enough(n):
+    lone = np.full((2, n), 2.0)
+    lone[0, 3], lone[1, 3] = 0.5, 7.0
+    assert (chd.fit.weibull(lone).reason == Reason.OK).all()
+
+
+def test_samples_in_two_heaps_may_be_likeliest_at_the_limit():
+    """Between the heaps, Burr's likelihood has a maximum that the Weibull limit may exceed."""
+    rng = np.random.default_rng(9)
+    share = rng.uniform(0.05, 0.5, size=(300, 1))
+    far = rng.random((300, 256)) < share
+    x = np.where(far, rng.gamma(8.0, 2.0, size=far.shape), rng.gamma(1.0, 0.1, size=far.shape))
+    burr, weibull = chd.fit.burr(x), chd.fit.weibull(x)
+    fitted = burr.reason == Reason.OK
+    assert fitted.any()
+    assert (burr.log_likelihood >= weibull.log_likelihood - 0.1)[fitted].all()
+
+
+@pytest.mark.parametrize("family", ["weibull", "burr"])
+def test_where_the_search_begins_makes_no_difference(family):
+    rng = np.random.default_rng(10)
+    x = BY_SCIPY.draw(family, rng, 100, 200)
+    part, other = PositivePart.of(x), PositivePart.of(x[:, ::2])
+    away = estimate_part(other, FAMILIES[family])[0].parameters
+    (one, _), (two, _) = (estimate_part(part, FAMILIES[family], near) for near in (None, away))
+    both = one.converged & two.converged
+    assert both.mean() > 0.9
+    for name, values in one.parameters.items():
+        np.testing.assert_allclose(two.parameters[name][both], values[both], rtol=1e-6)

@@ -1,0 +1,49 @@
+"""Maximum likelihood is SciPy's, for random parameters, wherever SciPy's search ends."""
+
+import runpy
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat._reasons import Reason
+
+BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
+
+
+@pytest.mark.parametrize("family", list(BY_SCIPY.DISTRIBUTIONS))
+def test_maximum_likelihood_equals_scipy(family):
+    """The whole comparison, 10,000 sets of each, is tests/benchmarks/test_scipy.py."""
+    x = BY_SCIPY.draw(family, np.random.default_rng(31), 60, 200)
+    compared = BY_SCIPY.compare(family, x)
+    assert compared.both > 45
+    assert compared.off == 0
+    assert compared.likelihood_lost < 1e-9
+
+
+def test_the_comparison_can_fail():
+    x = BY_SCIPY.draw("weibull", np.random.default_rng(32), 20, 200)
+    x_other = x * 1.00001
+    one, other = (chd.fit.weibull(y).parameters["scale"] for y in (x, x_other))
+    assert (np.abs(other / one - 1) > 1e-6).all()
+
+
+@pytest.mark.parametrize("family", list(BY_SCIPY.DISTRIBUTIONS))
+def test_where_scipy_has_no_answer_there_is_a_reason(family):
+    x = np.stack([np.zeros(50), np.full(50, 3.0), 3 + 1e-9 * np.arange(50.0)])
+    reasons = [Reason.ALL_NULL, Reason.CONSTANT, Reason.CONSTANT]
+    np.testing.assert_array_equal(chd.fit.fit(x, family).reason, reasons)
+
+
+@pytest.mark.parametrize("family", ["burr", "pareto"])
+def test_likelihood_equations_are_solved(family):
+    """SciPy's search feels the likelihood, not its slope: the equations in 40 digits are exact."""
+    x = BY_SCIPY.draw(family, np.random.default_rng(34), 8, 200)
+    fit = chd.fit.fit(x, family)
+    for i in np.flatnonzero(fit.reason == Reason.OK):
+        ours = {name: float(values[i]) for name, values in fit.parameters.items()}
+        exact = BY_SCIPY.exact_fit(family, x[i], ours)
+        for name, value in exact.items():
+            assert ours[name] == pytest.approx(value, rel=1e-6, abs=1e-8)

@@ -1,0 +1,60 @@
+"""Positive part: what counts, what is left out, and the sums and sorted samples that all share."""
+
+import numpy as np
+import pytest
+
+from chdstat._positive import PositivePart
+from chdstat._reasons import Reason
+
+X = np.array(
+    [
+        [0.0, 2.0, 1.0, np.nan, 4.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [3.0, 3.0, 3.0, 3.0, 3.0, 3.0],
+        [np.inf, -1.0, np.nan, np.nan, np.nan, np.nan],
+    ]
+)
+
+
+def test_samples_add_up():
+    part = PositivePart.of(X)
+    total = part.n + part.n_null + part.n_zero + part.n_bad
+    np.testing.assert_array_equal(total, X.shape[-1])
+    np.testing.assert_array_equal(part.n, [3, 0, 6, 0])
+    np.testing.assert_array_equal(part.n_good, [5, 6, 6, 0])
+
+
+def test_sorted_samples_and_their_logarithms():
+    part = PositivePart.of(X)
+    np.testing.assert_array_equal(part.sorted[0], [1, 2, 4, np.inf, np.inf, np.inf])
+    np.testing.assert_array_equal(part.valid[0], [True] * 3 + [False] * 3)
+    np.testing.assert_array_equal(part.log_sorted, np.log(part.sorted))
+    assert part.log_sorted is part.log_sorted
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e30, 1e-43])
+def test_logarithms_of_single_precision_are_double(scale):
+    rng = np.random.default_rng(1)
+    x = (scale * rng.gamma(2.0, size=(3, 64))).astype(np.float32)
+    part = PositivePart.of(x)
+    assert part.log_sorted.dtype == np.float64
+    exact = np.log(np.sort(x.astype(np.float64), axis=-1))
+    np.testing.assert_allclose(part.log_sorted, exact, rtol=1e-15)
+
+
+def test_log_statistics_are_those_of_the_positive_samples():
+    rng = np.random.default_rng(2)
+    x = np.where(rng.random((5, 400)) < 0.4, 0, rng.lognormal(size=(5, 400)))
+    statistics = PositivePart.of(x).log_statistics
+    for row, samples in enumerate(x):
+        log = np.log(samples[samples > 0])
+        assert statistics.log_mean[row] == pytest.approx(log.mean())
+        assert statistics.log_variance[row] == pytest.approx(log.var())
+        gap = np.log(samples[samples > 0].mean()) - log.mean()
+        assert statistics.gap[row] == pytest.approx(gap)
+
+
+def test_reasons():
+    expected = [Reason.OK, Reason.ALL_NULL, Reason.CONSTANT, Reason.ALL_BAD]
+    np.testing.assert_array_equal(PositivePart.of(X).reason(), expected)
+    np.testing.assert_array_equal(PositivePart.of(X[:1]).reason(4), [Reason.TOO_FEW])
