@@ -1,18 +1,63 @@
-"""Modes: the dip of known samples, a calibrated test, a mixture that agrees with scikit-learn."""
+"""Modes: the dip of known samples, a calibrated test, modes of mixtures whose number is known."""
 
 import numpy as np
 import pytest
-from scipy import stats
-from sklearn.mixture import GaussianMixture
+from scipy import special, stats
 
 import chdstat as chd
-from chdstat._bimodal import BINS, fit_two, log_histogram
+from chdstat._positive import PositivePart
 from chdstat._reasons import Reason
+from chdstat.modes import modality_of_part
+
+DECADES = 1 / np.log(10)
 
 
 def two_lights(rng, shape, share=0.3):
     indirect = rng.lognormal(-4, 0.8, size=shape)
     return np.where(rng.random(shape) < share, indirect, rng.lognormal(0, 0.5, size=shape))
+
+
+def lights(rng, rows, spp, *, modes, family="lognormal"):
+    """Components of Ashman's D 2.5 to 6 between neighbours and of weights within a factor of 3."""
+    weight = rng.uniform(0.25, 0.75, size=(rows, modes))
+    which = rng.random((rows, spp, 1)) * weight.sum(axis=-1)[:, np.newaxis, np.newaxis]
+    which = (which > np.cumsum(weight, axis=-1)[:, np.newaxis]).sum(axis=-1)
+    shape = rng.uniform(1, 8, size=(rows, modes))
+    spread = rng.uniform(0.3, 1.0, size=(rows, modes))
+    if family == "gamma":
+        spread = np.sqrt(special.polygamma(1, shape))
+    apart = rng.uniform(2.5, 6, size=(rows, modes - 1))
+    apart *= np.sqrt((spread[:, 1:] ** 2 + spread[:, :-1] ** 2) / 2)
+    mean = np.concatenate([np.zeros((rows, 1)), np.cumsum(apart, axis=-1)], axis=-1)
+    mean, spread, shape = (np.take_along_axis(v, which, axis=-1) for v in (mean, spread, shape))
+    if family == "gamma":
+        return rng.gamma(shape) * np.exp(mean - special.digamma(shape))
+    return np.exp(rng.normal(mean, spread))
+
+
+def gamma_with_a_tail(rng, rows, spp):
+    """Gamma bodies whose top 10 to 25 % are generalised Pareto, xi to 0.75, without a jump."""
+    shape, share = rng.uniform(0.5, 6, (rows, 1)), rng.uniform(0.1, 0.25, (rows, 1))
+    xi, u = rng.uniform(0.3, 0.75, (rows, 1)), rng.random((rows, spp))
+    start = stats.gamma(shape).ppf(1 - share)
+    scale = share / stats.gamma(shape).pdf(start)
+    excess = scale / xi * (np.maximum((1 - u) / share, 1e-12) ** -xi - 1)
+    return np.where(u < 1 - share, stats.gamma(shape).ppf(u), start + excess)
+
+
+ONE_MODE = {
+    "gamma": lambda rng, size: rng.gamma(rng.uniform(0.3, 6, (size[0], 1)), size=size),
+    "lognormal": lambda rng, size: rng.lognormal(0, rng.uniform(0.3, 2, (size[0], 1)), size=size),
+    "weibull": lambda rng, size: rng.weibull(rng.uniform(0.5, 3, (size[0], 1)), size=size),
+    "burr": lambda rng, size: stats.burr12(rng.uniform(1, 5, (size[0], 1)), 1.5).ppf(
+        rng.random(size)
+    ),
+    "pareto": lambda rng, size: rng.pareto(1.0, size=size),
+    "tail": lambda rng, size: gamma_with_a_tail(rng, *size),
+}
+
+
+# --- the dip ------------------------------------------------------------------------------------
 
 
 def test_dip_of_two_equal_spikes_is_a_quarter():
@@ -21,6 +66,8 @@ def test_dip_of_two_equal_spikes_is_a_quarter():
     assert float(result.dip) == pytest.approx(0.25, abs=1e-5)
     assert float(result.tied_share) == 1
     assert int(result.modes) == 2
+    np.testing.assert_allclose(result.places[:2], np.log10([1, 2]), atol=1e-6)
+    np.testing.assert_allclose(result.weights[:2], 0.5, atol=1e-6)
 
 
 def test_dip_of_evenly_spaced_samples_is_the_least():
@@ -33,83 +80,95 @@ def test_dip_of_evenly_spaced_samples_is_the_least():
 def test_level_where_it_is_hardest(spp):
     # Log-uniform samples are the null distribution of the table: nominal 5 %, 4 sigma = 2 %.
     x = 10 ** np.random.default_rng(1).random((2000, spp))
-    assert (chd.modality(x).dip_p_value < 0.05).mean() == pytest.approx(0.05, abs=0.02)
+    part = PositivePart.of(x)
+    few = modality_of_part(part, single_bic=np.full(2000, -np.inf))
+    assert (few.dip_p_value < 0.05).mean() == pytest.approx(0.05, abs=0.02)
 
 
-@pytest.mark.parametrize("draw", ["gamma", "lognormal", "pareto"])
-def test_one_mode_is_not_flagged(draw):
-    rng = np.random.default_rng(2)
-    x = {
-        "gamma": rng.gamma(0.3, size=(500, 512)),
-        "lognormal": rng.lognormal(0, 2, size=(500, 512)),
-        "pareto": rng.pareto(1.0, size=(500, 512)),
-    }[draw]
-    result = chd.modality(x)
+# --- one mode, two, three -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("spp", [128, 512])
+@pytest.mark.parametrize("name", ONE_MODE)
+def test_one_mode_is_one_mode(name, spp):
+    """At least 97 % of 150 rows; 99 % were measured: 5 or more of 150 fail by chance with 2 %."""
+    result = chd.modality(ONE_MODE[name](np.random.default_rng(2), (150, spp)))
     assert (result.dip_p_value < 0.05).mean() < 0.01
-    assert (result.modes == 1).mean() > 0.99
+    assert (result.modes == 1).mean() >= 0.97
 
 
-def test_two_modes_are_found():
-    result = chd.modality(two_lights(np.random.default_rng(3), (300, 512)))
-    assert (result.dip_p_value < 1e-3).mean() > 0.99
-    assert (result.modes == 2).mean() > 0.99
-    assert (result.ashman_d > 2).all()
-    assert (result.delta_bic > 10).all()
-
-
-def test_mixture_recovers_what_was_drawn():
-    result = chd.modality(two_lights(np.random.default_rng(4), (200, 2048)))
-    decades = 1 / np.log(10)
-    np.testing.assert_allclose(result.weights.mean(axis=0), [0.3, 0.7], atol=0.01)
-    np.testing.assert_allclose(result.means.mean(axis=0), [-4 * decades, 0], atol=0.02)
-    np.testing.assert_allclose(
-        result.deviations.mean(axis=0), [0.8, 0.5] * np.array(decades), atol=0.01
-    )
-    np.testing.assert_allclose(result.weights.sum(axis=-1), 1)
-
-
-def test_binned_mixture_agrees_with_one_of_samples():
-    x = two_lights(np.random.default_rng(5), 1000)
-    mixture = GaussianMixture(2, random_state=0, tol=1e-6).fit(np.log10(x)[:, np.newaxis])
-    order = np.argsort(mixture.means_[:, 0])
+@pytest.mark.parametrize("family", ["lognormal", "gamma"])
+@pytest.mark.parametrize("modes", [2, 3])
+def test_modes_that_stand_apart_are_counted(modes, family):
+    """At least 88 % of 150 rows; 93 % to 99 % were measured, so that chance fails it below 1 %."""
+    x = lights(np.random.default_rng(3), 150, 512, modes=modes, family=family)
     result = chd.modality(x)
-    np.testing.assert_allclose(result.means, mixture.means_[order, 0], atol=0.02)
-    np.testing.assert_allclose(result.weights, mixture.weights_[order], atol=0.01)
-    deviations = np.sqrt(mixture.covariances_[order, 0, 0])
-    np.testing.assert_allclose(result.deviations, deviations, atol=0.02)
-    data = np.log10(x)[:, np.newaxis]
-    one = GaussianMixture(1).fit(data)
-    assert float(result.delta_bic) == pytest.approx(one.bic(data) - mixture.bic(data), rel=0.03)
+    assert (result.modes == modes).mean() >= 0.88
+    assert (result.delta_bic[result.modes > 1] > 0).all()
 
 
-def test_em_never_ends_below_its_start_or_one_component():
-    rng = np.random.default_rng(6)
-    rows = np.sort(rng.gamma(0.5, size=(50, 400)), axis=-1)
-    counts, _, _ = log_histogram(rows, np.full(50, 400))
-    two = fit_two(counts)
-    assert (two.log_likelihood >= two.log_likelihood_of_one).all()
+def test_of_few_samples_most_modes_are_found():
+    x = lights(np.random.default_rng(4), 150, 128, modes=2)
+    assert (chd.modality(x).modes == 2).mean() >= 0.85
 
 
-def test_histogram_counts_every_sample_once():
-    rows = np.sort(np.random.default_rng(7).lognormal(size=(3, 50)), axis=-1)
-    rows[1, 30:] = np.inf
-    counts, low, width = log_histogram(rows, np.array([50, 30, 50]))
-    np.testing.assert_array_equal(counts.sum(axis=-1), [50, 30, 50])
-    expected, _ = np.histogram(np.log10(rows[1, :30]), bins=BINS)
-    np.testing.assert_array_equal(counts[1], expected)
-    assert low[1] + BINS * width[1] == pytest.approx(np.log10(rows[1, 29]))
+def test_a_few_outliers_are_no_mode():
+    x = np.random.default_rng(5).lognormal(size=(50, 512))
+    x[:, :10] = 1e6 * x[:, :10]
+    result = chd.modality(x)
+    assert (result.modes == 1).all()
+    assert (result.delta_bic > 0).mean() > 0.9
 
 
-def test_radiance_scales_the_means_only():
-    x = two_lights(np.random.default_rng(8), (4, 300))
+def test_places_weights_and_separation_of_two():
+    """Medians and spread of z-scores over 300 rows: fails by chance below 1e-3."""
+    result = chd.modality(two_lights(np.random.default_rng(6), (300, 1024)))
+    assert (result.modes == 2).all()
+    np.testing.assert_allclose(np.median(result.places, axis=0)[:2], [-4 * DECADES, 0], atol=0.02)
+    np.testing.assert_allclose(result.weights[:, :2].mean(axis=0), [0.3, 0.7], atol=0.01)
+    np.testing.assert_allclose(np.nansum(result.weights, axis=-1), 1)
+    assert np.isnan(result.places[:, 2]).all()
+    assert np.isnan(result.ashman_d[:, 1]).all()
+    true_d = np.sqrt(2) * 4 / np.hypot(0.8, 0.5)
+    z = (result.ashman_d[:, 0] - true_d) / result.ashman_d_se[:, 0]
+    assert np.median(z) == pytest.approx(0, abs=0.4)
+    assert z.std() == pytest.approx(1, abs=0.25)
+
+
+def test_one_mode_has_a_place_and_no_separation():
+    result = chd.modality(np.random.default_rng(7).lognormal(2.0, 0.7, size=(20, 512)))
+    np.testing.assert_allclose(result.places[:, 0], 2 * DECADES, atol=0.1)
+    np.testing.assert_allclose(result.weights[:, 0], 1)
+    assert np.isnan(result.ashman_d).all()
+    assert (result.delta_bic < 0).mean() > 0.9
+
+
+def test_the_best_single_family_may_be_given():
+    x = two_lights(np.random.default_rng(8), (20, 300))
+    part = PositivePart.of(x)
+    names = ("gamma", "lognormal", "weibull", "burr")
+    bics = np.stack([chd.fit.fit(x, name).bic for name in names])
+    alone = modality_of_part(part)
+    given = modality_of_part(part, single_bic=np.nanmin(bics, axis=0))
+    np.testing.assert_array_equal(given.delta_bic, alone.delta_bic)
+    never = modality_of_part(part, single_bic=np.full(20, -1e9))
+    np.testing.assert_array_equal(never.modes, 1)
+
+
+# --- laws ---------------------------------------------------------------------------------------
+
+
+def test_radiance_moves_the_places_only():
+    x = two_lights(np.random.default_rng(9), (4, 300))
     one, thousand = chd.modality(x), chd.modality(1000 * x)
     np.testing.assert_allclose(thousand.dip, one.dip, rtol=1e-9)
-    np.testing.assert_allclose(thousand.means, one.means + 3, atol=1e-6)
-    np.testing.assert_allclose(thousand.ashman_d, one.ashman_d, rtol=1e-6)
+    np.testing.assert_allclose(thousand.places, one.places + 3, atol=1e-6)
+    np.testing.assert_allclose(thousand.ashman_d, one.ashman_d, rtol=1e-5)
+    np.testing.assert_allclose(thousand.delta_bic, one.delta_bic, atol=1e-3)
 
 
 def test_a_spike_of_ties_beside_a_lobe_is_a_second_mode():
-    rng = np.random.default_rng(9)
+    rng = np.random.default_rng(10)
     x = np.where(rng.random((50, 400)) < 0.3, 1.0, rng.lognormal(-3, 0.5, size=(50, 400)))
     result = chd.modality(x.astype(np.float32))
     np.testing.assert_allclose(result.tied_share, (x == 1).mean(axis=-1), atol=0.02)
@@ -120,14 +179,14 @@ def test_a_spike_of_ties_beside_a_lobe_is_a_second_mode():
 
 
 def test_nulls_and_bad_samples_take_no_part():
-    rng = np.random.default_rng(10)
+    rng = np.random.default_rng(11)
     x = two_lights(rng, 200)
     mixed = np.concatenate([x, np.zeros(77), [np.nan, np.inf, -1.0]])
     alone = chd.modality(x)
     both = chd.modality(np.stack([rng.permutation(mixed), rng.lognormal(size=280)]))
     assert both.n[0] == 200
     assert both.dip[0] == pytest.approx(float(alone.dip))
-    assert both.ashman_d[0] == pytest.approx(float(alone.ashman_d))
+    assert both.ashman_d[0, 0] == pytest.approx(float(alone.ashman_d[0]), rel=1e-3)
 
 
 def test_unusable_pixels_are_data():
@@ -136,20 +195,34 @@ def test_unusable_pixels_are_data():
     expected = [Reason.ALL_NULL, Reason.ALL_BAD, Reason.TOO_FEW, Reason.CONSTANT]
     np.testing.assert_array_equal(result.reason, expected)
     np.testing.assert_array_equal(result.modes, 0)
-    for values in (result.dip, result.dip_p_value, result.means, result.ashman_d):
+    for values in (result.dip, result.dip_p_value, result.places, result.ashman_d):
         assert np.isnan(values).all()
 
 
+def test_extreme_radiance():
+    x = two_lights(np.random.default_rng(12), (3, 100)).astype(np.float32)
+    x[0, :30] = 1e30
+    x[1, :30] = 1e-45
+    x[2, 50:] = np.float32(1e-45) * np.arange(1, 51)
+    result = chd.modality(x)
+    assert (result.modes > 0).all()
+    assert np.isfinite(result.dip).all()
+
+
 def test_image():
-    rng = np.random.default_rng(11)
+    rng = np.random.default_rng(13)
     radiance = rng.lognormal(size=(4, 4, 3, 256))
     radiance[:2] = two_lights(rng, (2, 4, 3, 256))
-    dataset = chd.modality(chd.Samples.from_array(radiance), progress=False)
-    assert dataset["means"].dims == ("y", "x", "channel", "component")
+    samples = chd.Samples.from_array(radiance)
+    dataset = chd.modality(samples, progress=False)
+    assert dataset["places"].dims == ("y", "x", "channel", "mode")
+    assert dataset["ashman_d"].dims == ("y", "x", "channel", "pair")
+    assert (dataset["modes"][:2] == 2).all()
+    assert (dataset["modes"][2:] == 1).mean() > 0.9
     assert (dataset["dip_q_value"][:2] < 0.05).all()
     assert (dataset["dip_q_value"][2:] > 0.05).all()
     for variable in dataset.data_vars.values():
         assert {"long_name", "units"} <= set(variable.attrs)
-    assert stats.false_discovery_control(dataset["dip_p_value"][:, :, 0].to_numpy().ravel())[
-        0
-    ] == pytest.approx(float(dataset["dip_q_value"][0, 0, 0]))
+    q = stats.false_discovery_control(dataset["dip_p_value"][:, :, 0].to_numpy().ravel())
+    assert q[0] == pytest.approx(float(dataset["dip_q_value"][0, 0, 0]))
+    np.testing.assert_array_equal(dataset["modes"][1, 2], chd.modality(samples[1, 2]).modes)

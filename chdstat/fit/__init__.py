@@ -1,13 +1,16 @@
 """Fits: distributions for the positive part of a CHD, the share of nulls apart.
 
 `gamma`, `lognormal`, `weibull`, `burr` and `pareto` fit a family, `select` compares families,
-`tail_index` looks at the largest samples only. All take one pixel, a batch with the samples on the
-last axis, or a whole `Samples`; families can be fitted to log histograms, too.
+`mixture` adds several components up, `tail_index` looks at the largest samples only. All take one
+pixel, a batch with the samples on the last axis, or a whole `Samples`; families and mixtures can be
+fitted to log histograms, too.
 """
 
 from chdstat.fit.by_name import burr, gamma, lognormal, pareto, weibull
 from chdstat.fit.families import FAMILIES, Family
 from chdstat.fit.mle import fit
+from chdstat.fit.mixture_results import Mixture
+from chdstat.fit.mixtures import mixture
 from chdstat.fit.results import Fit
 from chdstat.fit.selection import HeldOut, Selection, select
 from chdstat.fit.shares import family_shares
@@ -18,6 +21,7 @@ __all__ = [
     "Family",
     "Fit",
     "HeldOut",
+    "Mixture",
     "Selection",
     "Tail",
     "burr",
@@ -25,6 +29,7 @@ __all__ = [
     "fit",
     "gamma",
     "lognormal",
+    "mixture",
     "pareto",
     "select",
     "tail_index",

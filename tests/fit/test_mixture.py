@@ -1,0 +1,369 @@
+"""Mixtures: known answers, scikit-learn's likelihood, laws of likelihood, pixels that have none."""
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+from sklearn.mixture import GaussianMixture
+
+import chdstat as chd
+from chdstat._positive import PositivePart
+from chdstat._reasons import Reason
+from chdstat.errors import InputError
+from chdstat.fit._cells import cells_of_samples, single_cells
+from chdstat.fit._components import COMPONENTS
+from chdstat.fit._em import bound_at, climb
+from chdstat.fit._starts import segmentations
+from chdstat.fit.mixtures import mixture
+
+FAMILIES = ("lognormal", "gamma")
+
+
+def two_lights(rng, shape, share=0.3):
+    indirect = rng.lognormal(-4, 0.8, size=shape)
+    return np.where(rng.random(shape) < share, indirect, rng.lognormal(0, 0.5, size=shape))
+
+
+def two_gammas(rng, shape, share=0.4):
+    return np.where(
+        rng.random(shape) < share, 0.01 * rng.gamma(2.0, size=shape), rng.gamma(5.0, size=shape)
+    )
+
+
+def renders(rng, rows, spp):
+    """Rows as renders have them: lobes of any width, spikes, far outliers, an atom, few samples."""
+    x = np.empty((rows, spp))
+    for row in x:
+        k = rng.integers(1, 5)
+        which = rng.choice(k, size=spp, p=rng.dirichlet(np.ones(k)))
+        spread = 10.0 ** rng.uniform(-2.5, 0.3, size=k)
+        row[:] = np.exp(rng.normal(rng.normal(scale=2.5, size=k)[which], spread[which]))
+    x[::4, : spp // 5] = x[::4, :1]
+    x[1::4, :2] *= 1e-9
+    x[2::4, : spp // 2] = 0
+    return rng.permuted(x, axis=-1)
+
+
+def density(result, row, x, family):
+    mixed = np.zeros_like(x)
+    for j in range(int(result.k[row])):
+        at = {name: values[row, j] for name, values in result.parameters.items()}
+        one = (
+            stats.lognorm(at["sigma"], scale=np.exp(at["mu"]))
+            if family == "lognormal"
+            else stats.gamma(at["shape"], scale=at["scale"])
+        )
+        mixed += result.weights[row, j] * one.pdf(x)
+    return mixed
+
+
+# --- known answers ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_one_component_is_the_fit_of_the_family(family):
+    x = np.random.default_rng(1).gamma(1.7, size=(20, 300))
+    x[:, ::3] = 0
+    one, expected = mixture(x, 1, family=family), chd.fit.fit(x, family)
+    np.testing.assert_allclose(one.log_likelihood, expected.log_likelihood, rtol=1e-9)
+    np.testing.assert_allclose(one.bic, expected.bic, rtol=1e-9)
+    np.testing.assert_allclose(one.aic, expected.aic, rtol=1e-9)
+    for name, values in expected.parameters.items():
+        np.testing.assert_allclose(one.parameters[name][:, 0], values, rtol=1e-6)
+    np.testing.assert_array_equal(one.weights, 1)
+
+
+def test_parameters_of_lognormal_components_are_recovered():
+    """Z-scores over 300 rows: mean within 4/sqrt(300), sd within 20 % (fails by chance < 1e-3)."""
+    result = mixture(two_lights(np.random.default_rng(2), (300, 1024)), 2)
+    truth = {"mu": (-4, 0), "sigma": (0.8, 0.5)}
+    for name, values in truth.items():
+        z = (result.parameters[name] - values) / result.standard_errors[name]
+        np.testing.assert_allclose(z.mean(axis=0), 0, atol=0.35)
+        np.testing.assert_allclose(z.std(axis=0), 1, atol=0.2)
+    z = (result.weights[:, 0] - 0.3) / result.standard_errors["weight"][:, 0]
+    np.testing.assert_allclose([z.mean(), z.std()], [0, 1], atol=0.25)
+
+
+def test_parameters_of_gamma_components_are_recovered():
+    """As above; shape and scale are skewed at 410 and 610 samples, hence medians."""
+    result = mixture(two_gammas(np.random.default_rng(3), (300, 1024)), 2, family="gamma")
+    truth = {"shape": (2, 5), "scale": (0.01, 1)}
+    for name, values in truth.items():
+        z = (result.parameters[name] - values) / result.standard_errors[name]
+        np.testing.assert_allclose(np.median(z, axis=0), 0, atol=0.35)
+        np.testing.assert_allclose(z.std(axis=0), 1, atol=0.25)
+
+
+@pytest.mark.parametrize("k", [2, 3])
+def test_likelihood_is_at_least_that_of_scikit_learn(k):
+    """On 99 % of the pixels; here 60 made-up ones, so one miss is allowed."""
+    x = renders(np.random.default_rng(4), 60, 256)
+    part = PositivePart.of(x)
+    ours = mixture(x, k)
+    per_sample = (ours.log_likelihood - mixture(x, 1).log_likelihood) / part.n
+    missed = 0
+    for row, n, gain in zip(part.log_sorted, part.n, per_sample, strict=True):
+        y = row[:n, np.newaxis]
+        best = GaussianMixture(k, n_init=5, random_state=0).fit(y).score(y)
+        one = stats.norm(y.mean(), y.std()).logpdf(y).mean()
+        missed += gain < best - one - 1e-3
+    assert missed <= 1
+
+
+def test_bic_and_held_out_likelihood_choose_the_number_of_components():
+    """Rows with the right number: at least 90 %; each criterion errs with a few."""
+    x = two_lights(np.random.default_rng(5), (100, 512))
+    assert (mixture(x).k == 2).mean() > 0.9
+    held_out = mixture(x, criterion="held_out")
+    assert (held_out.k == 2).mean() > 0.7
+    assert np.isfinite(held_out.held_out).all()
+    one = np.random.default_rng(6).lognormal(size=(100, 512))
+    assert (mixture(one).k == 1).mean() > 0.9
+
+
+def test_held_out_likelihood_is_that_of_the_other_half():
+    x = two_lights(np.random.default_rng(7), 400)
+    expected = 0.0
+    for fitted, scored in ((x[::2], x[1::2]), (x[1::2], x[::2])):
+        half = mixture(fitted[np.newaxis], 2)
+        expected += np.log(density(half, 0, scored, "lognormal")).sum() / 400
+    result = mixture(x, criterion="held_out")
+    assert result.held_out[1] == pytest.approx(expected, abs=1e-6)
+
+
+# --- laws ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_likelihood_is_that_of_the_density(family):
+    x = two_lights(np.random.default_rng(8), (5, 200))
+    x[:, :50] = 0
+    result = mixture(x, family=family)
+    for row in range(5):
+        positive = np.log(density(result, row, x[row, 50:], family)).sum()
+        zeros = 50 * np.log(0.25) + 150 * np.log(0.75)
+        assert result.log_likelihood[row] == pytest.approx(positive + zeros, rel=1e-9)
+    np.testing.assert_allclose(result.bic, 3 * result.k * np.log(200) - 2 * result.log_likelihood)
+    at = result.k[:, np.newaxis] - 1
+    np.testing.assert_allclose(result.bic, np.take_along_axis(result.bics, at, -1)[:, 0])
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_more_components_are_never_less_likely(family):
+    x = renders(np.random.default_rng(9), 40, 200)
+    likelihoods = [mixture(x, k, family=family).log_likelihood for k in (1, 2, 3)]
+    assert (np.diff(likelihoods, axis=0) > -1e-4 * x.shape[-1]).all()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_cycle_raises_the_bound(family):
+    part = PositivePart.of(renders(np.random.default_rng(10), 40, 300))
+    kind = COMPONENTS[family]
+    for cells in (cells_of_samples(part.log_sorted, part.n), single_cells(part.log_sorted, part.n)):
+        state = next(segmentations(cells, kind, 3))
+        before = bound_at(cells, kind, state)
+        for _ in range(10):
+            state = climb(cells, kind, state, cycles=1, tolerance=0.0).state
+            after = bound_at(cells, kind, state)
+            assert (after >= before - 1e-7 * np.abs(before)).all()
+            before = after
+
+
+def test_cells_bound_the_likelihood_from_below_and_keep_every_sample():
+    x = two_lights(np.random.default_rng(11), (30, 2000))
+    part = PositivePart.of(x)
+    kind = COMPONENTS["lognormal"]
+    cells = cells_of_samples(part.log_sorted, part.n)
+    singles = single_cells(part.log_sorted, part.n)
+    np.testing.assert_allclose(cells.n, part.n)
+    np.testing.assert_allclose((cells.count * cells.log).sum(-1), singles.log.sum(-1))
+    np.testing.assert_allclose((cells.count * cells.square).sum(-1), singles.square.sum(-1))
+    state = next(segmentations(cells, kind, 2))
+    loss = (bound_at(singles, kind, state) - bound_at(cells, kind, state)) / part.n
+    assert (loss > 0).all()
+    assert loss.max() < 5e-3
+    assert cells.count.shape[-1] < 80
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("factor", [1e-30, 3.0, 1e30])
+def test_radiance_scales_the_scale_only(family, factor):
+    x = two_gammas(np.random.default_rng(12), (5, 300))
+    one, other = mixture(x, family=family), mixture(factor * x, family=family)
+    np.testing.assert_array_equal(one.k, other.k)
+    np.testing.assert_allclose(other.weights, one.weights, rtol=1e-5)
+    if family == "gamma":
+        expected = one.parameters["scale"] * factor
+        np.testing.assert_allclose(other.parameters["scale"], expected, rtol=1e-5)
+    else:
+        expected = one.parameters["mu"] + np.log(factor)
+        np.testing.assert_allclose(other.parameters["mu"], expected, rtol=1e-5, atol=1e-5)
+
+
+def test_order_of_samples_does_not_matter():
+    rng = np.random.default_rng(13)
+    x = two_lights(rng, 500)
+    one, other = mixture(x), mixture(rng.permutation(x))
+    np.testing.assert_array_equal(one.parameters["mu"], other.parameters["mu"])
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_methods_agree_with_each_other(family):
+    """Mean of 2e4 draws within 4.5 standard errors: fails by chance with 1e-5."""
+    x = np.concatenate([two_lights(np.random.default_rng(14), 700), np.zeros(300)])
+    result = mixture(x, family=family)
+    assert result.zero_share == pytest.approx(0.3)
+    total = integrate.quad(lambda t: float(result.pdf(np.exp(t)) * np.exp(t)), -15, 6, limit=200)
+    assert total[0] == pytest.approx(1, abs=1e-6)
+    q = np.array([0.31, 0.5, 0.9, 0.999])
+    np.testing.assert_allclose(result.cdf(result.ppf(q)), q, rtol=1e-9)
+    np.testing.assert_array_equal(result.ppf([0.0, 0.2, 1.0]), [0, 0, np.inf])
+    assert result.cdf(-1.0) == 0
+    drawn = result.rvs(20_000, seed=1)
+    assert drawn.mean() == pytest.approx(
+        float(result.mean()), abs=4.5 * drawn.std() / np.sqrt(drawn.size)
+    )
+    assert stats.kstest(drawn[drawn > 0], lambda v: (result.cdf(v) - 0.3) / 0.7).pvalue > 1e-4
+
+
+def test_batches_come_in_any_shape():
+    x = two_lights(np.random.default_rng(15), (2, 3, 300))
+    result = mixture(x)
+    assert result.weights.shape == (2, 3, 3)
+    assert result.pdf(np.ones((4, 5))).shape == (2, 3, 4, 5)
+    assert result.ppf([0.1, 0.2]).shape == (2, 3, 2)
+    assert result.rvs(7, seed=1).shape == (2, 3, 7)
+    np.testing.assert_allclose(result.bic[1, 2], mixture(x[1, 2]).bic)
+
+
+# --- histograms ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_histogram_gives_nearly_the_likelihood_of_the_samples(family):
+    """Within 1e-2 per sample, where components are no narrower than a bin (0.23 in log x)."""
+    rng = np.random.default_rng(16)
+    x = np.concatenate([two_lights(rng, (15, 1000)), two_gammas(rng, (15, 1000))])
+    of_samples = mixture(x, 2, family=family)
+    of_bins = mixture(chd.histogram(x), 2, family=family)
+    for row in range(len(x)):
+        lost = np.log(density(of_samples, row, x[row], family)).mean()
+        lost -= np.log(density(of_bins, row, x[row], family)).mean()
+        assert lost < 1e-2
+    np.testing.assert_allclose(
+        of_bins.log_likelihood / 1000, of_samples.log_likelihood / 1000, atol=0.03
+    )
+
+
+def test_a_histogram_has_nothing_held_out():
+    with pytest.raises(InputError, match="needs samples"):
+        mixture(chd.histogram(np.arange(1.0, 50)), criterion="held_out")
+
+
+def test_a_component_in_one_bin_gets_the_width_of_a_bin():
+    rng = np.random.default_rng(17)
+    x = np.where(rng.random(2000) < 0.5, 1.06, rng.lognormal(-5, 0.7, size=2000))
+    result = mixture(chd.histogram(x))
+    bin_width = 0.1 * np.log(10)
+    assert result.k == 2
+    assert result.parameters["sigma"][1] == pytest.approx(0.275 * bin_width, rel=0.01)
+
+
+# --- hard pixels --------------------------------------------------------------------------------
+
+
+def test_an_atom_is_a_component_at_the_least_spread():
+    rng = np.random.default_rng(18)
+    x = np.where(rng.random((20, 300)) < 0.4, 1.0, rng.lognormal(-3, 0.5, size=(20, 300)))
+    result = mixture(x.astype(np.float32), 2)
+    np.testing.assert_allclose(result.parameters["sigma"][:, 1], 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(result.weights[:, 1], (x == 1).mean(axis=-1), atol=1e-3)
+    np.testing.assert_allclose(result.parameters["mu"][:, 1], 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("criterion", ["bic", "held_out"])
+def test_pixels_without_a_mixture_are_data(family, criterion):
+    rows = {
+        Reason.ALL_NULL: np.zeros(40),
+        Reason.ALL_BAD: np.full(40, np.nan),
+        Reason.TOO_FEW: np.r_[1.0, np.zeros(39)],
+        Reason.CONSTANT: np.full(40, 0.1),
+    }
+    result = mixture(np.stack(list(rows.values())), family=family, criterion=criterion)
+    np.testing.assert_array_equal(result.reason, list(rows))
+    np.testing.assert_array_equal(result.k, 0)
+    for values in (result.weights, result.bic, result.bics, *result.parameters.values()):
+        assert np.isnan(values).all()
+    assert np.isnan(result.ppf(0.99)).all()
+    assert np.isnan(result.mean()).all()
+    assert np.isnan(result.rvs(3, seed=1)[1]).all()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_extreme_radiance(family):
+    rng = np.random.default_rng(19)
+    x = two_lights(rng, (6, 64))
+    x[0, :3] = 1e30
+    x[1, :3] = 1e-45
+    x[2, :30] = np.nan
+    x[3] = np.where(np.arange(64) % 2, 1e30, 1e-45)
+    x[4, 2:] = 0
+    x[5, 5:] = 0
+    result = mixture(x, family=family)
+    assert (result.k > 0).all()
+    assert np.isfinite(result.log_likelihood).all()
+    np.testing.assert_allclose(np.nansum(result.weights, axis=-1), 1)
+    assert result.k[4] == 1
+    assert np.isnan(result.bics[4, 1:]).all()
+    assert np.isnan(result.bics[5, 2])
+
+
+def test_more_components_than_samples_or_values():
+    assert mixture([1.0, 2.0, 3.0, 4.0], 2).reason == Reason.TOO_FEW
+    assert mixture(np.repeat([1.0, 2.0], 20), 3).reason == Reason.TOO_FEW
+    assert mixture(np.repeat([1.0, 2.0], 20), 2).reason == Reason.OK
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_histogram_of_few_bins(family):
+    x = np.repeat([1.0, 10.0, 20.0], 20)
+    x[:20] = np.linspace(1, 1.2, 20)
+    result = mixture(chd.histogram(np.stack([x, np.repeat([1.0, 10.0], 30)])), family=family)
+    np.testing.assert_array_equal(result.reason, Reason.OK)
+    assert np.isfinite(result.log_likelihood).all()
+    assert np.isnan(result.bics[1, 2])
+    alone = mixture(chd.histogram(np.repeat([1.0, 10.0], 30)), family=family)
+    assert alone.k == 2
+
+
+def test_bad_options():
+    x = np.arange(1.0, 30)
+    with pytest.raises(InputError, match="family must be one of lognormal, gamma, got 'weibull'"):
+        mixture(x, family="weibull")
+    with pytest.raises(InputError, match="criterion must be one of bic, held_out, got 'aic'"):
+        mixture(x, criterion="aic")
+    with pytest.raises(InputError, match="effort must be one of"):
+        mixture(x, effort="much")
+    for wrong in (0, 9, 2.5):
+        with pytest.raises(InputError, match="k must be a whole number from 1 to 8"):
+            mixture(x, wrong)
+    with pytest.raises(InputError, match="max_k must be"):
+        mixture(x, max_k=0)
+
+
+# --- images -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("route", ["samples", "histogram"])
+def test_image(route):
+    samples = chd.Samples.from_array(two_lights(np.random.default_rng(20), (3, 4, 3, 256)))
+    source = samples if route == "samples" else chd.histogram(samples)
+    dataset = mixture(source, progress=False)
+    assert dataset["lognormal_mixture_k"].dims == ("y", "x", "channel")
+    assert dataset["lognormal_mixture_mu_se"].dims == ("y", "x", "channel", "component")
+    assert (dataset["lognormal_mixture_k"] == 2).mean() > 0.8
+    for variable in dataset.data_vars.values():
+        assert {"long_name", "units"} <= set(variable.attrs)
+    pixel = mixture(samples[1, 2] if route == "samples" else chd.histogram(samples[1, 2]))
+    np.testing.assert_allclose(dataset["lognormal_mixture_mu"][1, 2], pixel.parameters["mu"])
