@@ -1,15 +1,40 @@
 """Estimators: from a few samples of a pixel to its radiance.
 
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
-is the baseline; `median_of_means` survives fireflies; `MLP` learns from the scene. `names` lists
-what is registered and `lookup` says where it comes from; ``estimators.<name>`` is the function.
+is the baseline, `MLP` learns from the scene; the others are
+
+- order statistics: `median`, `trimmed_mean`, `winsorized_mean`;
+- M-estimators: `huber`, `tukey`, `catoni`;
+- buckets: `median_of_means`, `gmon_binary`, `gmon_adaptive`;
+- reweighting: `bayesian_median_of_means`, `lee_valiant`; resampling: `jung2015`;
+- shrinkage: `gmon_shrinkage`, `gamma_shrinkage`, `lognormal_shrinkage`, all by `james_stein`;
+- with the channels together: `zirr2018_pixel` and the shrinkage; and with the pixels around:
+  `zirr2018`, `decoro2010`.
+
+`names` lists what is registered, the mean first, and `lookup` says where it comes from and what it
+needs; ``estimators.<name>`` is the function.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+# The order of import is the order of registration.
+# isort: off
 from chdstat.estimators.classical import mean
+from chdstat.estimators.order import median, trimmed_mean, winsorized_mean
+from chdstat.estimators.m_estimators import catoni, huber, tukey
+from chdstat.estimators.robust import gmon_adaptive, gmon_binary, median_of_means
+from chdstat.estimators.reweight import bayesian_median_of_means, lee_valiant
+from chdstat.estimators.resampling import jung2015
+from chdstat.estimators.shrinkage import (
+    gamma_shrinkage,
+    gmon_shrinkage,
+    james_stein,
+    lognormal_shrinkage,
+)
+from chdstat.estimators.cascades import Cascade, zirr2018, zirr2018_pixel
+from chdstat.estimators.density import decoro2010
 from chdstat.estimators.mlp import MLP
 from chdstat.estimators.presets import PRESETS, Preset
 from chdstat.estimators.registry import (
@@ -21,23 +46,42 @@ from chdstat.estimators.registry import (
     register,
     register_learned,
 )
-from chdstat.estimators.robust import median_of_means
 from chdstat.estimators.training import History
+# isort: on
 
 __all__ = [
     "MLP",
     "PRESETS",
+    "Cascade",
     "Estimator",
     "History",
     "LearnedEstimator",
     "Model",
     "Preset",
+    "bayesian_median_of_means",
+    "catoni",
+    "decoro2010",
+    "gamma_shrinkage",
+    "gmon_adaptive",
+    "gmon_binary",
+    "gmon_shrinkage",
+    "huber",
+    "james_stein",
+    "jung2015",
+    "lee_valiant",
+    "lognormal_shrinkage",
     "lookup",
     "mean",
+    "median",
     "median_of_means",
     "names",
     "register",
     "register_learned",
+    "trimmed_mean",
+    "tukey",
+    "winsorized_mean",
+    "zirr2018",
+    "zirr2018_pixel",
 ]
 
 

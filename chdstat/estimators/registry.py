@@ -1,6 +1,10 @@
 """Registry of estimators: what there is, where it comes from and what it needs.
 
 A fixed estimator is a function of samples, ``x (..., sample) -> (...)``, entered with `register`.
+Every one takes a picture (y, x, channel, sample); two flags say which need more of that shape than
+the last axis: those that look at the channels of a sample together, and those that look at other
+pixels.
+
 A learned one is entered with `register_learned` as a function that trains it on a scene and
 returns a `Model`. Both are found by name with `lookup`; `chdstat.compare` takes the names.
 """
@@ -71,6 +75,9 @@ class Estimator:
         Fewest samples that it takes.
     uses_neighbours
         Whether it looks across pixels; then it takes a picture (y, x, channel, sample).
+    joint_channels
+        Whether it looks at the channels together; then it takes samples (..., channel, sample), and
+        a sample of which any channel is bad is left out as a whole.
     """
 
     name: str
@@ -78,9 +85,16 @@ class Estimator:
     source: str
     minimum_samples: int = 1
     uses_neighbours: bool = False
+    joint_channels: bool = False
 
     def __call__(self, x: npt.ArrayLike, **options: Any) -> Array:
-        """Estimate the radiance that the samples `x` are draws of."""
+        """Estimate the radiance that the samples `x` are draws of.
+
+        Raises
+        ------
+        InputError
+            If there are too few samples, or `x` lacks the axes that the estimator looks at.
+        """
         return self.function(as_samples(x, minimum=self.minimum_samples), **options)
 
 
@@ -115,7 +129,12 @@ _ENTRIES: dict[str, Estimator | LearnedEstimator] = {}
 
 
 def register(
-    name: str, *, source: str, minimum_samples: int = 1, uses_neighbours: bool = False
+    name: str,
+    *,
+    source: str,
+    minimum_samples: int = 1,
+    uses_neighbours: bool = False,
+    joint_channels: bool = False,
 ) -> Callable[[Function], Function]:
     """Enter the decorated function as the estimator `name`.
 
@@ -131,7 +150,7 @@ def register(
     """
 
     def enter(function: Function) -> Function:
-        _enter(Estimator(name, function, source, minimum_samples, uses_neighbours))
+        _enter(Estimator(name, function, source, minimum_samples, uses_neighbours, joint_channels))
         return function
 
     return enter

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import chdstat as chd
 from chdstat import estimators
 from chdstat.errors import InputError
 from chdstat.estimators import registry
@@ -61,3 +62,30 @@ def test_a_name_is_given_once(brightest):
 def test_an_unknown_name_is_refused_with_what_there_is():
     with pytest.raises(InputError, match=r"'men'.*mean"):
         estimators.lookup("men")
+
+
+def test_what_looks_at_other_pixels_or_channels_says_so():
+    """An estimate that changes with other pixels or channels has the flag."""
+    x = np.random.default_rng(1).lognormal(0, 2, size=(3, 3, 3, 32))
+    x[..., :2] = 2000.0
+    pixels, channels = x.copy(), x.copy()
+    pixels[0], pixels[2], pixels[1, ::2] = 0, 0, 0
+    channels[1, 1, 0] = channels[1, 1, 0, ::-1] * 1000
+    for name in estimators.names("fixed"):
+        entry = estimators.lookup(name)
+        # The exposure of a picture depends on all of it, and is not what is asked here.
+        options = {"unit": 1.0} if name.startswith(("zirr", "decoro")) else {}
+        before = entry(x, **options)[1, 1, 1]
+        by_pixels = entry(pixels, **options)[1, 1, 1] != pytest.approx(before, rel=1e-9)
+        by_channels = entry(channels, **options)[1, 1, 1] != pytest.approx(before, rel=1e-9)
+        assert not by_pixels or entry.uses_neighbours, name
+        assert not by_channels or entry.joint_channels, name
+        assert by_pixels or name not in ("zirr2018", "decoro2010")
+
+
+def test_all_that_is_registered_can_be_compared():
+    rng = np.random.default_rng(2)
+    samples = chd.Samples.from_array(rng.lognormal(0, 1, size=(6, 6, 3, 64)))
+    found = chd.compare(samples, estimators.names("fixed"), progress=False)
+    assert [row["estimator"] for row in found.table()] == list(estimators.names("fixed"))
+    assert all(np.isfinite(row["mse"]) for row in found.table())

@@ -1,4 +1,4 @@
-"""Median of means: definition, breakdown, and a table computed independently of this code."""
+"""Buckets: definitions, the Gini coefficient, and how G-MoN lies between mean and MoN."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from chdstat import estimators
 from chdstat.errors import InputError
-from chdstat.estimators.robust import bucket_means
+from chdstat.estimators.robust import bucket_means, gini
 
 
 def test_buckets_are_dealt_round_robin():
@@ -62,42 +62,52 @@ def test_buckets_must_be_fillable(buckets):
         estimators.median_of_means(np.ones((2, 32)), buckets=buckets)
 
 
-def _gamma(rng, shape):
-    return rng.gamma(2, size=shape)
+def test_gini_coefficient_is_half_the_relative_mean_difference():
+    x = np.sort(np.random.default_rng(2).gamma(0.5, size=(50, 11)))
+    difference = np.abs(x[:, :, np.newaxis] - x[:, np.newaxis]).mean(axis=(1, 2))
+    assert gini(x) == pytest.approx(difference / (2 * x.mean(axis=-1)), rel=1e-12)
 
 
-def _lognormal(rng, shape):
-    return rng.lognormal(0, 1.5, size=shape)
+def test_gini_coefficient_of_nothing_and_of_equal_numbers_is_zero():
+    assert gini(np.array([[0.0, 0.0, 0.0], [0.1, 0.1, 0.1]])).tolist() == [0.0, 0.0]
 
 
-def _nulls(rng, shape):
-    return np.where(rng.random(shape) < 0.6, 0, rng.gamma(0.7, size=shape))
+def test_binary_gmon_is_the_mean_or_the_median_of_means_as_the_gini_coefficient_says():
+    x = np.random.default_rng(3).gamma(1.5, size=(500, 32))
+    agree = gini(np.sort(bucket_means(x, 11))) <= 0.25
+    assert 0.2 < agree.mean() < 0.8
+    expected = np.where(agree, estimators.mean(x), estimators.median_of_means(x))
+    assert estimators.gmon_binary(x) == pytest.approx(expected, rel=1e-14)
 
 
-def _fireflies(rng, shape):
-    # Gamma of shape 2 and mean 1; each sample gains 500 with probability 1e-3.
-    return rng.gamma(2, 0.5, size=shape) + 500 * (rng.random(shape) < 1e-3)
+def test_thresholds_zero_and_one_make_binary_gmon_median_of_means_and_mean():
+    x = np.random.default_rng(4).gamma(0.7, size=(20, 32))
+    assert estimators.gmon_binary(x, threshold=1.0) == pytest.approx(estimators.mean(x))
+    robust = estimators.median_of_means(x)
+    assert estimators.gmon_binary(x, threshold=0.0) == pytest.approx(robust)
 
 
-# RMSE relative to the sample mean's and relative bias of the median of means, N = 32, M = 11: a
-# simulation of 3000 trials, independent of this code. The means are exact.
-TABLE = [
-    (_gamma, 2.0, 1.25, -0.05),
-    (_lognormal, float(np.exp(1.125)), 0.96, -0.39),
-    (_nulls, 0.28, 1.45, -0.42),
-    (_fireflies, 1.5, 0.21, -0.37),
-]
+def test_adaptive_gmon_follows_its_definition():
+    x = np.random.default_rng(5).lognormal(0, 1.5, size=(200, 32))
+    for row, estimate in zip(x, estimators.gmon_adaptive(x), strict=True):
+        m = np.sort(bucket_means(row, 11))
+        g = 2 * np.sum(np.arange(1, 12) * m) / (11 * m.sum()) - 12 / 11
+        cut = int(g * 5)
+        assert estimate == pytest.approx(m[cut : 11 - cut].mean(), rel=1e-12)
 
 
-@pytest.mark.parametrize(("draw", "truth", "rmse", "bias"), TABLE)
-def test_toy_table(draw, truth, rmse, bias):
-    # Over 40 repeats of 3000 trials the ratio varied by 1.2 % to 1.6 % (log-normal: 5.7 %) and the
-    # bias by at most 0.007. The bounds are four such deviations of the table's own error (our
-    # 20000 trials add 7 % to it) plus the rounding of its two digits: all eight checks together
-    # fail wrongly with a probability below 1e-3. The seed is fixed.
-    x = draw(np.random.default_rng(7), (20_000, 32))
-    robust, mean = estimators.median_of_means(x), estimators.mean(x)
-    ratio = np.sqrt(np.mean((robust - truth) ** 2) / np.mean((mean - truth) ** 2))
-    deviation = 0.057 if draw is _lognormal else 0.016
-    assert ratio == pytest.approx(rmse, rel=4.3 * deviation, abs=0.005)
-    assert robust.mean() / truth - 1 == pytest.approx(bias, abs=4.3 * 0.007 + 0.005)
+def test_clean_buckets_give_adaptive_gmon_their_mean_and_not_their_median():
+    # The negative control for 1 - G in place of G, which a public package has.
+    x = np.random.default_rng(6).gamma(50, size=(50, 55))
+    assert estimators.gmon_adaptive(x) == pytest.approx(estimators.mean(x), rel=1e-12)
+    assert estimators.gmon_adaptive(x) != pytest.approx(estimators.median_of_means(x), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["median_of_means", "gmon_binary", "gmon_adaptive"])
+def test_a_bucket_without_a_good_sample_is_left_out(name):
+    x = np.random.default_rng(7).gamma(2, size=(4, 33))
+    holes = x.copy()
+    holes[:, 10::11] = np.nan
+    estimate = estimators.lookup(name)
+    kept = np.delete(x, np.s_[10::11], axis=-1)
+    assert estimate(holes) == pytest.approx(estimate(kept, buckets=10), rel=1e-12)

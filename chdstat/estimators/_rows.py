@@ -1,0 +1,136 @@
+"""Rows: the walk that estimators of one row of samples share.
+
+An estimator is written as a kernel on rows of good samples. `estimate_rows` hands them over in
+float64, with their mean brought to about 1 by a power of two, which changes no digit: squares and
+cubes of a radiance of 1e30 or of subnormal radiance neither overflow nor vanish. Rows that miss
+samples are gathered by how many they have, so that a kernel never sees a mask.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import is_bad, spans
+from chdstat.errors import InputError
+from chdstat.estimators.classical import all_good
+
+__all__ = [
+    "Floats",
+    "Kernel",
+    "check_pixels",
+    "check_share",
+    "estimate_rows",
+    "median_of_sorted",
+    "row_sums",
+]
+
+Floats = npt.NDArray[np.float64]
+Kernel = Callable[..., Floats]
+
+_CHUNK = 2**15
+"""Samples worked on at once: their float64 copies, and those of a kernel, stay in the cache."""
+
+
+def estimate_rows(
+    x: npt.NDArray[np.floating[Any]],
+    kernel: Kernel,
+    *beside: npt.NDArray[np.floating[Any]],
+    ordered: bool = False,
+) -> npt.NDArray[Any]:
+    """Estimate from the good samples of each row.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., sample).
+    kernel
+        ``kernel(rows, *beside) -> (row,)`` for rows (row, m) of m >= 1 good samples and what stands
+        beside them (row,). Equivariant under a change of the unit of radiance.
+    beside
+        Radiances that belong to the rows, shape (...).
+    ordered
+        Whether the kernel wants ascending samples. Without, a row that misses samples is sorted,
+        too, so the kernel must not depend on their order.
+
+    Returns
+    -------
+    ndarray
+        Shape (...), dtype of `x`; NaN where no sample is good.
+    """
+    samples = x.shape[-1]
+    rows = x.reshape(-1, samples)
+    others = [other.reshape(-1) for other in beside]
+    result = np.full(len(rows), np.nan)
+    for part in spans(len(rows), max(1, _CHUNK // samples)):
+        chunk, along = rows[part], [other[part] for other in others]
+        if all_good(chunk):
+            result[part] = _scaled(kernel, np.sort(chunk) if ordered else chunk, along)
+        else:
+            result[part] = _with_gaps(kernel, chunk, along)
+    return result.astype(x.dtype).reshape(x.shape[:-1])
+
+
+def row_sums(rows: Floats) -> Floats:
+    """Return the sums of rows; a product with ones adds short rows up faster than a sum does."""
+    return np.asarray(rows @ np.ones(rows.shape[-1]))
+
+
+def median_of_sorted(rows: Floats) -> Floats:
+    """Return the medians of ascending rows."""
+    m = rows.shape[-1]
+    return np.asarray(0.5 * (rows[:, (m - 1) // 2] + rows[:, m // 2]))
+
+
+def check_pixels(x: npt.NDArray[np.floating[Any]], *, picture: bool = False) -> None:
+    """Refuse samples without a channel axis, or without those of a picture.
+
+    Raises
+    ------
+    InputError
+        If `x` is not (..., channel, sample), or (y, x, channel, sample) where a picture is needed.
+    """
+    if picture and x.ndim != 4:
+        message = f"neighbours need a picture of shape (y, x, channel, sample), got {x.shape}"
+        raise InputError(message)
+    if x.ndim < 2:
+        message = f"all channels are needed, shape (..., channel, sample), got {x.shape}"
+        raise InputError(message)
+
+
+def check_share(share: float) -> None:
+    """Refuse a share of samples to cut off at each end that leaves nothing."""
+    if not 0 <= share < 0.5:
+        message = f"share must be at least 0 and less than 0.5, got {share}"
+        raise InputError(message)
+
+
+def _with_gaps(
+    kernel: Kernel, chunk: npt.NDArray[Any], beside: list[npt.NDArray[Any]]
+) -> npt.NDArray[Any]:
+    """Estimate from rows with bad samples, which sort behind the others."""
+    bad = is_bad(chunk)
+    count = chunk.shape[-1] - np.count_nonzero(bad, axis=-1)
+    ascending = np.sort(np.where(bad, np.inf, chunk))
+    result = np.full(len(chunk), np.nan)
+    for m in np.unique(count[count > 0]):
+        same = count == m
+        along = [other[same] for other in beside]
+        result[same] = _scaled(kernel, ascending[same, :m], along)
+    return result
+
+
+def _scaled(
+    kernel: Kernel, rows: npt.NDArray[Any], beside: list[npt.NDArray[Any]]
+) -> npt.NDArray[Any]:
+    """Run the kernel in a unit for each row, a power of two near its mean."""
+    relative = rows.astype(np.float64)
+    m = rows.shape[-1]
+    _, exponent = np.frexp(relative @ np.full(m, 1 / m))
+    # The unit and its inverse are finite for every mean, 0 included.
+    unit = np.ldexp(1.0, exponent - 1)
+    relative /= unit[:, np.newaxis]
+    return np.asarray(kernel(relative, *(other / unit for other in beside)) * unit)

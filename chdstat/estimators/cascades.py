@@ -1,0 +1,307 @@
+"""Cascades: samples sorted by brightness, and layers trusted by how often they were hit.
+
+A sample is split between the two layers whose brightness it lies between. A layer counts as far as
+enough samples of its brightness have fallen into the pixel or around it; rarer ones, the fireflies,
+are left out in part. `zirr2018` looks at 3 x 3 pixels, `zirr2018_pixel` at the pixel alone, and
+`Cascade` keeps the layers, so that a sweep of kappa splits the samples once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import as_samples, is_bad, luminance, spans
+from chdstat.errors import InputError
+from chdstat.estimators._exposure import exposure_unit
+from chdstat.estimators._rows import Floats, check_pixels
+from chdstat.estimators.classical import all_good, mean_of_good
+from chdstat.estimators.registry import register
+
+__all__ = ["BASE", "LAYERS", "Cascade", "layer_weights", "zirr2018", "zirr2018_pixel"]
+
+BASE = 8.0
+"""Ratio b of the brightness of neighbouring layers: the paper's default, in the authors' code."""
+LAYERS = 6
+"""Number of layers, of brightness b^0 to b^5: as above."""
+
+_DARKEST = 0.05
+"""Luminance that is always taken for reliable (authors' code)."""
+_OFF = 1e-6
+"""Largest kappa that switches the reweighting off (authors' code)."""
+_SOURCE = "Zirr et al. 2018, doi:10.1111/cgf.13335"
+_CHUNK = 2**16
+
+
+@register("zirr2018", source=_SOURCE, uses_neighbours=True, joint_channels=True)
+def zirr2018(
+    x: npt.ArrayLike, *, kappa: float = 1.0, unit: float | None = None
+) -> npt.NDArray[np.floating[Any]]:
+    """Reweighted fireflies: each brightness counts as far as the pixels around confirm it.
+
+    Samples are split over layers of brightness ``B_i = 8^i``. The estimate is ``sum_i w_i C_i``:
+    C_i is the share of layer i in the mean, w_i its reliability. That grows with the number of
+    samples in layers i - 1, i, i + 1 of the 3 x 3 pixels and, once enough of them are there, of the
+    pixel itself; kappa is the number that makes a layer reliable. Bias is to the dark.
+
+    Formulas are those of the authors' published code (their WebGL viewer), the paper's text was not
+    at hand. The code measures radiance in units of a picture that is exposed as usual: see `unit`.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample), 1 or 3 channels. A sample of which any channel is
+        NaN, infinite or negative is left out.
+    kappa
+        Samples that confirm a brightness, larger than 0: the larger, the darker and smoother. The
+        paper leaves it to the user; the authors' viewer starts at 32 for 1024 samples per pixel,
+        which is 1 for 32. At most 1e-6 switches the reweighting off, as there: the result is the
+        mean but for what exceeds the top layer. `Cascade.resolve` sweeps it.
+    unit
+        Radiance of the lowest layer's brightness, B_0; None exposes the picture so that the
+        log-average of its pixels is 0.18.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`; the mean of a channel's good
+        samples where no whole sample is good, NaN where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` is no picture of 1 or 3 channels, or `kappa` or `unit` is not positive.
+
+    References
+    ----------
+    T. Zirr, J. Hanika and C. Dachsbacher, "Re-weighting firefly samples for improved finite-sample
+    Monte Carlo estimates", Computer Graphics Forum 37(6), 2018, doi:10.1111/cgf.13335.
+
+    Examples
+    --------
+    >>> picture = np.ones((3, 3, 1, 32))
+    >>> picture[1, 1, 0, 0] = 900.0
+    >>> float(picture[1, 1].mean()), float(zirr2018(picture, unit=1.0)[1, 1, 0].round(2))
+    (29.09375, 0.97)
+    """
+    return _estimate(x, kappa, unit, radius=1)
+
+
+@register("zirr2018_pixel", source=_SOURCE, joint_channels=True)
+def zirr2018_pixel(
+    x: npt.ArrayLike, *, kappa: float = 1.0, unit: float | None = None
+) -> npt.NDArray[np.floating[Any]]:
+    """Reweighted fireflies of the pixel alone: `zirr2018` without its neighbourhood.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample), 1 or 3 channels. A sample of which any channel is
+        NaN, infinite or negative is left out.
+    kappa
+        Samples that confirm a brightness, larger than 0.
+    unit
+        Radiance of the lowest layer's brightness; None exposes all pixels given so that their
+        log-average is 0.18. That one number is all that they have in common.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
+        samples where no whole sample is good, NaN where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` has no channels, or not 1 or 3 of them, or `kappa` or `unit` is not positive.
+
+    References
+    ----------
+    T. Zirr, J. Hanika and C. Dachsbacher, "Re-weighting firefly samples for improved finite-sample
+    Monte Carlo estimates", Computer Graphics Forum 37(6), 2018, doi:10.1111/cgf.13335.
+
+    Examples
+    --------
+    >>> float(zirr2018_pixel([[1.0] * 31 + [900.0]], unit=1.0)[0].round(2))
+    1.48
+    """
+    return _estimate(x, kappa, unit, radius=0)
+
+
+@dataclass(frozen=True)
+class Cascade:
+    """Samples as layers of brightness.
+
+    Attributes
+    ----------
+    layers
+        Share of each layer in the mean, in units of `unit`, float64, shape (layer, ..., channel).
+    count
+        Good samples N, shape (...).
+    unit
+        Radiance of the lowest layer's brightness.
+    """
+
+    layers: Floats
+    count: npt.NDArray[np.int64]
+    unit: float
+
+    @classmethod
+    def of(cls, x: npt.ArrayLike, *, unit: float | None = None) -> Cascade:
+        """Split samples (..., channel, sample); see `zirr2018` for what they may be."""
+        samples = as_samples(x)
+        check_pixels(samples)
+        _check_channels(samples.shape)
+        channels, n = samples.shape[-2:]
+        rows = samples.reshape(-1, channels, n)
+        count = np.empty(len(rows), np.int64)
+        # The picture is exposed by what it shows, before anything is reweighted.
+        means = np.nan_to_num(mean_of_good(rows))
+        found = exposure_unit(luminance(means, channel_axis=-1), unit)
+        layers = np.empty((LAYERS, len(rows), channels))
+        for part in spans(len(rows), max(1, _CHUNK // (channels * n))):
+            layers[:, part], count[part] = _split(rows[part], found)
+        shape = samples.shape[:-2]
+        return cls(layers.reshape(LAYERS, *shape, channels), count.reshape(shape), found)
+
+    def resolve(self, kappa: npt.ArrayLike, *, radius: int = 1) -> Floats:
+        """Add the layers up by their reliability, for one kappa or many.
+
+        Parameters
+        ----------
+        kappa
+            Samples that confirm a brightness, larger than 0, shape () or (kappa,).
+        radius
+            1 for 3 x 3 pixels, which needs a picture (y, x, channel); 0 for the pixel alone.
+
+        Returns
+        -------
+        ndarray
+            Radiance, shape (..., channel) or (..., channel, kappa).
+
+        Raises
+        ------
+        InputError
+            If a kappa is not positive, or neighbours are asked of what is no picture.
+
+        Examples
+        --------
+        >>> cascade = Cascade.of([[1.0] * 31 + [900.0]], unit=1.0)
+        >>> cascade.resolve([1e-9, 0.1, 1.0, 10.0], radius=0).round(1).tolist()
+        [[29.1, 8.2, 1.5, 1.2]]
+        """
+        kappas = np.asarray(kappa, dtype=np.float64)
+        if kappas.ndim > 1 or not (kappas > 0).all():
+            message = f"kappa must be one or more numbers larger than 0, got {kappa!r}"
+            raise InputError(message)
+        if radius and self.layers.ndim != 4:
+            message = f"neighbours need a picture (y, x, channel), got {self.layers.shape[1:]}"
+            raise InputError(message)
+        near = self._luminances(0)
+        around = self._luminances(radius) if radius else near
+        found = [self._resolve(float(k), near, around) for k in kappas.reshape(-1)]
+        return found[0] if kappas.ndim == 0 else np.stack(found, axis=-1)
+
+    def _luminances(self, radius: int) -> Floats:
+        """Return luminances of the layers, averaged over a window, in units of their brightness."""
+        values: Floats = luminance(self.layers, channel_axis=-1).astype(np.float64)
+        values /= BASE ** np.arange(LAYERS).reshape(-1, *(1,) * (values.ndim - 1))
+        return _window_mean(values, radius) if radius else values
+
+    def _resolve(self, kappa: float, near: Floats, around: Floats) -> Floats:
+        accepted = np.zeros(self.layers.shape[1:])
+        # Up to b times as much energy in one sample passes where kappa aims at a small error.
+        for_error = 1 - min(1 / kappa, 1)
+        slack = 1 + 0.6 * (BASE - 1) * for_error
+        hits = self.count / kappa
+        for index, layer in enumerate(self.layers):
+            rows = slice(max(index - 1, 0), index + 2)
+            reliable = hits * around[rows].sum(axis=0) - 1 / kappa
+            own = hits * near[rows].sum(axis=0) - 1 / kappa
+            reliable = np.where(reliable >= 0, own, reliable)
+            bright = np.maximum(luminance(accepted, channel_axis=-1), _DARKEST)
+            colour = bright * hits / BASE**index * slack
+            weight = np.clip((reliable + colour) / 2, float(kappa <= _OFF), 1)
+            accepted += weight[..., np.newaxis] * layer
+        return accepted * self.unit
+
+
+def layer_weights(brightness: npt.ArrayLike) -> Floats:
+    """Split samples between the layers, by their luminance L in units of the lowest layer.
+
+    Between B_i and B_(i+1), ``w_i = (B_i / L - 1 / b) / (1 - 1 / b)`` and ``w_(i+1) = 1 - w_i``, so
+    that ``sum_i w_i L / B_i = 1``: every sample counts as one. Below B_0 all of it falls into the
+    lowest layer, above the top one ``B_top / L`` into that.
+
+    Parameters
+    ----------
+    brightness
+        Luminances, not negative, shape (...).
+
+    Returns
+    -------
+    ndarray
+        Weights, shape (..., layer).
+
+    Examples
+    --------
+    >>> layer_weights([0.5, 4.0])[:, :3].round(3).tolist()
+    [[1.0, 0.0, 0.0], [0.143, 0.857, 0.0]]
+    """
+    level = np.asarray(brightness, dtype=np.float64)
+    weights = np.zeros((*level.shape, LAYERS))
+    below = np.zeros(level.shape)
+    # A subnormal luminance would overflow the ratio; anything below B_0 is as good as B_0.
+    inverse = 1 / np.maximum(level, 1)
+    for index in range(LAYERS - 1):
+        # What falls into this layer or a lower one.
+        upto = np.clip((BASE**index * inverse - 1 / BASE) / (1 - 1 / BASE), 0, 1)
+        weights[..., index] = upto - below
+        below = upto
+    weights[..., -1] = (1 - below) * np.minimum(BASE ** (LAYERS - 1) * inverse, 1)
+    return weights
+
+
+def _estimate(
+    x: npt.ArrayLike, kappa: float, unit: float | None, *, radius: int
+) -> npt.NDArray[np.floating[Any]]:
+    samples = as_samples(x)
+    check_pixels(samples, picture=radius > 0)
+    cascade = Cascade.of(samples, unit=unit)
+    found = cascade.resolve(kappa, radius=radius)
+    empty = cascade.count == 0
+    if empty.any():
+        found[empty] = mean_of_good(samples[empty])
+    return found.astype(samples.dtype)
+
+
+def _split(rows: npt.NDArray[Any], unit: float) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return the layers (layer, row, channel) of rows (row, channel, sample), and their counts."""
+    count = np.full(len(rows), rows.shape[-1], np.int64)
+    if not all_good(rows):
+        bad = np.asarray(is_bad(rows).any(axis=-2, keepdims=True))
+        count -= np.count_nonzero(bad[:, 0], axis=-1)
+        rows = np.where(bad, 0, rows)
+    relative = rows / np.float64(unit)
+    weights = layer_weights(luminance(relative))
+    layers = np.matmul(relative, weights) / np.maximum(count, 1)[:, np.newaxis, np.newaxis]
+    return np.moveaxis(layers, -1, 0), count
+
+
+def _window_mean(values: Floats, radius: int) -> Floats:
+    """Average (layer, y, x) over windows; the border repeats, as in the authors' viewer."""
+    width = 2 * radius + 1
+    _, height, across = values.shape
+    padded = np.pad(values, ((0, 0), (radius, radius), (radius, radius)), mode="edge")
+    rows = sum((padded[:, i : i + height] for i in range(width)), np.zeros(1))
+    columns = sum((rows[:, :, j : j + across] for j in range(width)), np.zeros(1))
+    return np.asarray(columns / width**2)
+
+
+def _check_channels(shape: tuple[int, ...]) -> None:
+    if shape[-2] not in (1, 3):
+        message = f"luminance needs 1 or 3 channels, got {shape[-2]} in shape {shape}"
+        raise InputError(message)

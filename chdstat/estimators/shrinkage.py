@@ -1,0 +1,280 @@
+"""Shrinkage: the mean, pulled towards a biased estimate as far as their difference may be noise.
+
+`james_stein` combines any two estimates; `gmon_shrinkage` pulls towards a robust estimate,
+`gamma_shrinkage` and `lognormal_shrinkage` towards the mean of a fitted family.
+
+The values that are shrunk together are the channels of a pixel: a pixel then needs no other, and
+all its channels move by one factor, which keeps its hue between those of the two estimates. With
+less than three channels nothing is shrunk. To share the factor between pixels too, call
+`james_stein` with their axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat import fit
+from chdstat._arrays import as_samples, is_bad
+from chdstat.errors import InputError
+from chdstat.estimators._rows import Floats, check_pixels, estimate_rows
+from chdstat.estimators.classical import all_good, mean_of_good
+from chdstat.estimators.registry import register
+from chdstat.estimators.robust import gmon_adaptive
+
+__all__ = [
+    "gamma_shrinkage",
+    "gmon_shrinkage",
+    "james_stein",
+    "lognormal_shrinkage",
+    "shrink_mean",
+    "standard_error",
+]
+
+_SOURCE = "Green and Strawderman 1991, doi:10.1080/01621459.1991.10475144"
+
+
+def james_stein(
+    unbiased: npt.ArrayLike,
+    biased: npt.ArrayLike,
+    variance: npt.ArrayLike,
+    *,
+    axis: int | Sequence[int] = -1,
+) -> Floats:
+    """Combine an unbiased with a biased estimate of k values, by one weight.
+
+    ``b + rho (y - b)``, ``rho = max(0, 1 - (k - 2) sigma^2 / sum (y - b)^2)``: the closer the two,
+    for the noise of the unbiased one, the more the biased one counts. Its squared error is at most
+    that of y if the k errors are independent normal of variance sigma^2, independent of b, and k
+    is at least 3; for less the result is y. Channels of a pixel, which are nearly one value, and a
+    b from the same samples do not fulfil that: the weight is then a rule of thumb.
+
+    Parameters
+    ----------
+    unbiased
+        y, any shape.
+    biased
+        b, broadcastable to y. Where it is not finite, y stands in its place and the value does not
+        count among the k.
+    variance
+        sigma^2 of y, broadcastable to it, averaged over the k values.
+    axis
+        Axis or axes that the k values lie on.
+
+    Returns
+    -------
+    ndarray
+        Shape of y.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit.
+
+    References
+    ----------
+    E. J. Green and W. E. Strawderman, "A James-Stein type estimator for combining unbiased and
+    possibly biased estimators", Journal of the American Statistical Association 86(416), 1991,
+    doi:10.1080/01621459.1991.10475144. W. James and C. Stein, "Estimation with quadratic loss",
+    Fourth Berkeley Symposium, 1961.
+
+    Examples
+    --------
+    >>> james_stein([1.0, 2.0, 3.0], [1.0, 1.0, 1.0], 1.0).round(2).tolist()
+    [1.0, 1.8, 2.6]
+    >>> james_stein([1.0, 2.0], [1.0, 1.0], 1.0).tolist()
+    [1.0, 2.0]
+    """
+    y = np.asarray(unbiased, dtype=np.float64)
+    try:
+        b = np.broadcast_to(np.asarray(biased, dtype=np.float64), y.shape)
+        noise = np.broadcast_to(np.asarray(variance, dtype=np.float64), y.shape)
+    except ValueError:
+        message = (
+            f"biased and variance must be broadcastable to unbiased, shape {y.shape}, "
+            f"got {np.shape(biased)} and {np.shape(variance)}"
+        )
+        raise InputError(message) from None
+    axes = tuple(np.atleast_1d(axis))
+    known = np.isfinite(b) & np.isfinite(y)
+    # 1 - rho times the difference, not rho: a far b, of little weight, then rounds nothing away.
+    difference = np.where(known, b, 0) - np.where(known, y, 0)
+    k = np.count_nonzero(known, axis=axes, keepdims=True)
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore", under="ignore"):
+        mean_noise = np.where(known, noise, 0).sum(axis=axes, keepdims=True) / k
+        pull = (k - 2) * mean_noise / np.square(difference).sum(axis=axes, keepdims=True)
+    pull = np.where(np.isfinite(pull) | (pull == np.inf), np.clip(pull, 0, 1), 0)
+    return np.asarray(y + pull * difference)
+
+
+def shrink_mean(
+    x: npt.ArrayLike, biased: npt.NDArray[np.floating[Any]]
+) -> npt.NDArray[np.floating[Any]]:
+    """Pull the mean of samples (..., channel, sample) towards another estimate (..., channel)."""
+    samples = as_samples(x)
+    mean = mean_of_good(samples)
+    # Radiance in units of the pixel's brightest channel can be squared whatever it is.
+    unit = np.fmax.reduce(mean, axis=-1, keepdims=True, initial=0)
+    unit[unit == 0] = 1
+    with np.errstate(over="ignore"):
+        towards, noise = biased / unit, (standard_error(samples) / unit) ** 2
+    return np.asarray((james_stein(mean / unit, towards, noise) * unit).astype(samples.dtype))
+
+
+def standard_error(x: npt.NDArray[np.floating[Any]]) -> Floats:
+    """Return the standard error of the mean of the good samples, ``sqrt(M2 / (n (n - 1)))``.
+
+    0 where there is one sample, NaN where there is none.
+
+    Examples
+    --------
+    >>> standard_error(np.array([[1.0, 3.0, np.nan]])).tolist()
+    [1.0]
+    """
+
+    def kernel(rows: Floats) -> Floats:
+        n = rows.shape[-1]
+        return np.asarray(np.sqrt(rows.var(axis=-1) / max(n - 1, 1)))
+
+    return estimate_rows(x, kernel).astype(np.float64)
+
+
+@register("gmon_shrinkage", source=_SOURCE, minimum_samples=11, joint_channels=True)
+def gmon_shrinkage(x: npt.ArrayLike, *, buckets: int = 11) -> npt.NDArray[np.floating[Any]]:
+    """James-Stein combination of the mean with the adaptive G-MoN, see `james_stein`.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample). A sample of which any channel is NaN, infinite or
+        negative is left out.
+    buckets
+        Of the G-MoN.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
+        samples where no whole sample is good, NaN where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` has no channels, or fewer samples than buckets.
+
+    References
+    ----------
+    E. J. Green and W. E. Strawderman, "A James-Stein type estimator for combining unbiased and
+    possibly biased estimators", Journal of the American Statistical Association 86(416), 1991,
+    doi:10.1080/01621459.1991.10475144.
+
+    Examples
+    --------
+    >>> x = np.ones((3, 32))
+    >>> x[:, 0] = 900.0
+    >>> gmon_shrinkage(x).round(1).tolist()
+    [19.7, 19.7, 19.7]
+    """
+    samples = _whole(x)
+    return shrink_mean(samples, gmon_adaptive(samples, buckets=buckets))
+
+
+@register("gamma_shrinkage", source=_SOURCE, joint_channels=True)
+def gamma_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+    """James-Stein combination of the mean with that of a fitted zero-inflated gamma.
+
+    It is the mean: of a gamma distribution, the maximum-likelihood estimate of the expectation is
+    the sample mean, and so it is with the share of nulls. The family that most CHDs look like has
+    nothing to offer here. Kept so that a comparison shows it.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample). A sample of which any channel is NaN, infinite or
+        negative is left out.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
+        samples where no whole sample is good, NaN where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` has no channels, or holds no sample.
+
+    References
+    ----------
+    E. J. Green and W. E. Strawderman, "A James-Stein type estimator for combining unbiased and
+    possibly biased estimators", Journal of the American Statistical Association 86(416), 1991,
+    doi:10.1080/01621459.1991.10475144.
+
+    Examples
+    --------
+    >>> gamma_shrinkage([[1.0, 2.0, 6.0], [2.0, 1.0, 6.0], [6.0, 1.0, 2.0]]).round(9).tolist()
+    [3.0, 3.0, 3.0]
+    """
+    samples = _whole(x)
+    return shrink_mean(samples, _mean_of_fit(fit.gamma(samples)))
+
+
+@register("lognormal_shrinkage", source=_SOURCE, joint_channels=True)
+def lognormal_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+    """James-Stein combination of the mean with that of a fitted zero-inflated log-normal.
+
+    The plug-in ``(1 - null share) exp(mu + sigma^2 / 2)`` weighs the largest samples less than the
+    mean does where sigma is small, but extrapolates a tail where it is large; then the two are far
+    apart and the mean counts. Where no log-normal can be fitted it is the mean.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample). A sample of which any channel is NaN, infinite or
+        negative is left out.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
+        samples where no whole sample is good, NaN where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` has no channels, or holds no sample.
+
+    References
+    ----------
+    E. J. Green and W. E. Strawderman, "A James-Stein type estimator for combining unbiased and
+    possibly biased estimators", Journal of the American Statistical Association 86(416), 1991,
+    doi:10.1080/01621459.1991.10475144.
+
+    Examples
+    --------
+    >>> x = np.tile([0.5, 1.0, 2.0, 4.0], (3, 1))
+    >>> float(x.mean()), lognormal_shrinkage(x)[0].round(2).item()
+    (1.875, 1.91)
+    """
+    samples = _whole(x)
+    return shrink_mean(samples, _mean_of_fit(fit.lognormal(samples)))
+
+
+def _mean_of_fit(found: fit.Fit) -> Floats:
+    # A very wide log-normal has no finite mean in doubles; then the sample mean stands.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return found.mean()
+
+
+def _whole(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+    """Spoil all channels of a sample of which one is bad, unless that leaves a pixel with none."""
+    samples = as_samples(x)
+    check_pixels(samples)
+    if all_good(samples):
+        return samples
+    bad = is_bad(samples).any(axis=-2, keepdims=True)
+    spoilt = bad & ~bad.all(axis=-1, keepdims=True)
+    return np.where(spoilt, samples.dtype.type(np.nan), samples)

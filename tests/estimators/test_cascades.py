@@ -1,0 +1,157 @@
+"""Cascades: Zirr's invariant, the authors' formulas sample by sample, and what kappa does."""
+
+import numpy as np
+import pytest
+
+from chdstat import estimators
+from chdstat._arrays import LUMINANCE
+from chdstat.errors import InputError
+from chdstat.estimators.cascades import BASE, LAYERS, Cascade, layer_weights
+
+BRIGHTNESS = BASE ** np.arange(LAYERS)
+
+
+def picture(seed=0, shape=(4, 5, 3, 32)):
+    return np.random.default_rng(seed).lognormal(0, 2.5, size=shape)
+
+
+def test_every_sample_counts_as_one():
+    level = np.geomspace(1, BASE ** (LAYERS + 2), 10_001)
+    counted = (layer_weights(level) * level[:, np.newaxis] / BRIGHTNESS).sum(axis=-1)
+    assert np.abs(counted - 1).max() < 1e-12
+
+
+def test_two_neighbouring_layers_share_a_sample_and_nothing_is_lost():
+    level = np.geomspace(1, BASE ** (LAYERS - 1), 10_001)
+    weights = layer_weights(level)
+    assert (weights >= 0).all()
+    assert ((weights > 1e-15).sum(axis=-1) <= 2).all()
+    assert weights.sum(axis=-1) == pytest.approx(1, abs=1e-14)
+    lower = np.minimum(np.floor(np.log(level) / np.log(BASE) + 1e-12), LAYERS - 2).astype(int)
+    w_lo = np.take_along_axis(weights, lower[:, np.newaxis], axis=-1)[:, 0]
+    expected = (BRIGHTNESS[lower] / level - 1 / BASE) / (1 - 1 / BASE)
+    assert w_lo == pytest.approx(expected, abs=1e-12)
+
+
+def test_below_the_lowest_layer_and_above_the_top_one():
+    assert layer_weights([0.0, 1e-310, 0.5]).tolist() == [[1, 0, 0, 0, 0, 0]] * 3
+    top = BRIGHTNESS[-1]
+    assert layer_weights([16 * top])[0] == pytest.approx([0, 0, 0, 0, 0, 1 / 16], abs=1e-15)
+
+
+def split_by_hand(x):
+    """Return layers (y, x, layer, channel), one sample after the other."""
+    height, width, channels, n = x.shape
+    layers = np.zeros((height, width, LAYERS, channels))
+    for y, column, s in np.ndindex(height, width, n):
+        colour = x[y, column, :, s]
+        level = float(LUMINANCE.astype(float) @ colour)
+        lower = int(np.clip(np.floor(np.log(level) / np.log(BASE)), 0, LAYERS - 2))
+        if level < 1:
+            w_lo, w_hi = 1.0, 0.0
+        elif level > BRIGHTNESS[-1]:
+            w_lo, w_hi = 0.0, BRIGHTNESS[-1] / level
+        else:
+            w_lo = (BRIGHTNESS[lower] / level - 1 / BASE) / (1 - 1 / BASE)
+            w_hi = 1 - w_lo
+        layers[y, column, lower] += w_lo * colour / n
+        layers[y, column, lower + 1] += w_hi * colour / n
+    return layers
+
+
+def resolve_by_hand(layers, n, kappa, radius):
+    height, width, _, channels = layers.shape
+    weights = LUMINANCE.astype(float)
+    result = np.zeros((height, width, channels))
+
+    def reliability(y, column, i, r):
+        total = 0.0
+        for dy in range(-r, r + 1):
+            for dx in range(-r, r + 1):
+                here = layers[min(max(y + dy, 0), height - 1), min(max(column + dx, 0), width - 1)]
+                s = n / (kappa * BASE**i)
+                colour = s * here[i]
+                colour = colour + (s * BASE * here[i - 1] if i > 0 else 0)
+                colour = colour + (s / BASE * here[i + 1] if i + 1 < LAYERS else 0)
+                total += weights @ colour
+        return total / (2 * r + 1) ** 2
+
+    for y, column in np.ndindex(height, width):
+        accepted = np.zeros(channels)
+        for i in range(LAYERS):
+            s = n / (kappa * BASE**i)
+            reliable = reliability(y, column, i, radius) - 1 / kappa
+            if reliable >= 0:
+                reliable = reliability(y, column, i, 0) - 1 / kappa
+            aim = min(max(1 / kappa, 0), 1)
+            slack = (1 + 0.6 * (BASE - 1)) * (1 - aim) + aim
+            bright = max(weights @ accepted, 0.05) * s * slack
+            accepted = accepted + np.clip((reliable + bright) / 2, 0, 1) * layers[y, column, i]
+        result[y, column] = accepted
+    return result
+
+
+@pytest.mark.parametrize("kappa", [0.3, 1.0, 4.0, 32.0])
+@pytest.mark.parametrize("radius", [0, 1])
+def test_layers_and_their_weights_are_the_authors_formulas(kappa, radius):
+    x = picture()
+    found = (estimators.zirr2018 if radius else estimators.zirr2018_pixel)(x, kappa=kappa, unit=1.0)
+    expected = resolve_by_hand(split_by_hand(x), 32, kappa, radius)
+    assert found == pytest.approx(expected, rel=1e-5)  # luminance weights have float32 digits
+
+
+def test_kappa_sweeps_from_the_mean_to_the_dark():
+    x = np.minimum(picture(1), 1e3)
+    kappas = np.geomspace(1e-12, 1e3, 16)
+    sweep = Cascade.of(x, unit=1.0).resolve(kappas)
+    assert sweep.shape == (4, 5, 3, 16)
+    assert sweep[..., 0] == pytest.approx(x.mean(axis=-1), rel=1e-9)  # kappa <= 1e-6: off
+    assert (np.diff(sweep.mean(axis=(0, 1, 2))) <= 0).all()
+    assert sweep[..., -1].mean() < 0.5 * x.mean()
+    single = estimators.zirr2018(x, kappa=float(kappas[7]), unit=1.0)
+    assert single == pytest.approx(sweep[..., 7], rel=1e-12)
+
+
+def test_what_no_pixel_around_confirms_counts_less_than_in_the_pixel_alone():
+    x = np.full((3, 3, 1, 32), 0.5)
+    x[1, 1, 0, :2] = 900.0
+    around = estimators.zirr2018(x, unit=1.0)[1, 1, 0]
+    alone = estimators.zirr2018_pixel(x, unit=1.0)[1, 1, 0]
+    assert 0.4 < around < 1 < alone
+
+
+def test_a_confirmed_brightness_stays():
+    x = np.full((3, 3, 1, 32), 0.5)
+    x[..., :6] = 900.0
+    assert estimators.zirr2018(x, unit=1.0) == pytest.approx(x.mean(axis=-1), rel=1e-6)
+
+
+def test_the_unit_makes_thresholds_relative():
+    x = picture(2)
+    found = estimators.zirr2018(x, unit=3.0)
+    assert estimators.zirr2018(x / 3.0, unit=1.0) * 3.0 == pytest.approx(found, rel=1e-12)
+    assert estimators.zirr2018(x) != pytest.approx(found, rel=1e-3)
+
+
+def test_a_sample_with_one_bad_channel_is_left_out_as_a_whole():
+    x = picture(3, (1, 1, 3, 8))
+    spoilt = x.copy()
+    spoilt[0, 0, 1, 7] = np.nan
+    found = estimators.zirr2018_pixel(spoilt, unit=1.0)
+    assert found == pytest.approx(estimators.zirr2018_pixel(x[..., :7], unit=1.0), rel=1e-12)
+
+
+@pytest.mark.parametrize("options", [{"kappa": 0.0}, {"kappa": -1.0}, {"unit": 0.0}])
+def test_options_out_of_range_are_refused(options):
+    with pytest.raises(InputError, match="got"):
+        estimators.zirr2018(np.ones((2, 2, 3, 8)), **options)
+
+
+def test_neighbours_are_those_of_a_picture():
+    with pytest.raises(InputError, match=r"picture \(y, x, channel\), got \(4, 3\)"):
+        Cascade.of(np.ones((4, 3, 8))).resolve(1.0, radius=1)
+
+
+def test_two_channels_have_no_luminance():
+    with pytest.raises(InputError, match="1 or 3 channels, got 2"):
+        estimators.zirr2018_pixel(np.ones((2, 8)))

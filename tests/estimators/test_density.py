@@ -1,0 +1,81 @@
+"""Density: the samples that stay are those with a close k-th neighbour."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from chdstat import estimators
+from chdstat.errors import InputError
+from chdstat.estimators.density import dense
+
+
+def picture(seed=0, shape=(6, 7, 3, 5)):
+    return np.random.default_rng(seed).lognormal(0, 1.5, size=shape)
+
+
+@pytest.mark.parametrize("radius", [0, 1, 2, 3])
+@pytest.mark.parametrize("neighbours", [1, 4])
+def test_a_sample_stays_if_its_kth_neighbour_is_near(radius, neighbours):
+    x = picture(shape=(6, 7, 3, 8))
+    bad = np.zeros((6, 7, 8), bool)
+    found = dense(x, bad, neighbours, 1.2, radius, 1.0)
+    y, column, _ = np.indices(bad.shape)
+    colours = np.log(np.moveaxis(x, 2, -1) + 0.01) / (1.2 * np.sqrt(3))
+    places = np.stack([y, column], axis=-1) / (radius + 1)
+    points = np.concatenate([places, colours], axis=-1).reshape(-1, 5)
+    distance = cKDTree(points).query(points, k=[neighbours + 1])[0][:, 0]
+    assert 0 < found.mean() < 1
+    assert (found.reshape(-1) == (distance < 1)).all()
+
+
+def test_estimate_is_the_mean_of_what_stays():
+    x = picture(1)
+    kept = dense(x, np.zeros((6, 7, 5), bool), 4, 1.0, 1, None)
+    some = kept.any(axis=-1)
+    expected = (x * kept[:, :, np.newaxis]).sum(axis=-1) / np.maximum(kept.sum(axis=-1), 1)[
+        ..., np.newaxis
+    ]
+    found = estimators.decoro2010(x)
+    assert found[some] == pytest.approx(expected[some], rel=1e-12)
+    assert found[~some] == pytest.approx(x[~some].mean(axis=-1), rel=1e-12)
+    assert 0 < some.sum() < some.size
+
+
+def test_an_outlier_goes_and_one_that_the_pixels_around_confirm_stays():
+    x = np.ones((3, 3, 3, 8))
+    x[1, 1, :, 0] = 900.0
+    assert estimators.decoro2010(x) == pytest.approx(1)
+    x[[0, 0, 1, 2], [0, 1, 0, 1], :, 0] = 900.0
+    assert estimators.decoro2010(x)[1, 1] == pytest.approx((900 + 7) / 8)
+
+
+def test_an_outlier_in_hue_alone_goes():
+    x = np.ones((3, 3, 3, 8))
+    x[1, 1, :, 0] = 0.02, 0.02, 30.0
+    assert estimators.decoro2010(x)[1, 1] == pytest.approx(1)
+
+
+def test_dim_samples_are_no_outliers():
+    x = np.ones((3, 3, 3, 8))
+    x[..., :4] = 0
+    x[1, 1, :, 0] = 1e-4
+    expected = x.mean(axis=-1)
+    assert estimators.decoro2010(x) == pytest.approx(expected, rel=1e-12)
+
+
+def test_bad_samples_confirm_nothing_and_are_left_out():
+    x = np.ones((3, 3, 3, 8))
+    x[1, 1, :, 0] = 900.0
+    x[:, :, 1, 1] = np.nan
+    assert estimators.decoro2010(x) == pytest.approx(1)
+
+
+def test_all_alone_gives_the_mean():
+    x = np.array([1.0, 100.0, 1e4]).reshape(1, 1, 1, 3)
+    assert estimators.decoro2010(x) == pytest.approx(x.mean())
+
+
+@pytest.mark.parametrize("options", [{"neighbours": 0}, {"bandwidth": 0.0}, {"radius": -1}])
+def test_options_out_of_range_are_refused(options):
+    with pytest.raises(InputError, match="got"):
+        estimators.decoro2010(picture(), **options)

@@ -1,0 +1,162 @@
+"""Laws that hold for every fixed estimator, whatever it does with the samples."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from chdstat import estimators
+from chdstat.errors import InputError
+
+NAMES = estimators.names("fixed")
+ENTRIES = {name: estimators.lookup(name) for name in NAMES}
+OF_PIXELS = [name for name in NAMES if not ENTRIES[name].uses_neighbours]
+BUCKETED = {"median_of_means", "gmon_binary", "gmon_adaptive", "lee_valiant", "gmon_shrinkage"}
+ORDER_FREE = [name for name in NAMES if name not in BUCKETED | {"jung2015"}]
+
+TOLERATED = {
+    "median": 15,
+    "trimmed_mean": 3,
+    "winsorized_mean": 3,
+    "huber": 15,
+    "tukey": 15,
+    "median_of_means": 5,
+    "gmon_binary": 5,
+    "gmon_adaptive": 3,
+    "lee_valiant": 1,
+}
+"""Fireflies of any size, one per bucket, among 32 samples that do not carry the estimate away."""
+
+
+def pictures(seed=0, shape=(4, 5, 3, 32)):
+    return np.random.default_rng(seed).gamma(0.7, size=shape)
+
+
+def test_the_mean_comes_first():
+    assert NAMES[0] == "mean"
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("factor", [1e-290, 2.0**-100, 0.3, 1e4, 2.0**90, 1e290])
+def test_scaling_the_radiance_scales_the_estimate(name, factor):
+    x = pictures()
+    assert ENTRIES[name](factor * x) == pytest.approx(factor * ENTRIES[name](x), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("value", [1e-45, 1e-30, 0.1, 7.0, 3e38])
+def test_equal_samples_give_their_value(name, value):
+    x = np.full((3, 3, 3, 32), value, np.float32)
+    assert ENTRIES[name](x) == pytest.approx(x[..., 0], rel=1e-6)
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_null_samples_give_zero(name, dtype):
+    estimate = ENTRIES[name](np.zeros((3, 3, 3, 32), dtype))
+    assert estimate.dtype == dtype
+    assert not estimate.any()
+
+
+@pytest.mark.parametrize("name", ORDER_FREE)
+def test_the_order_of_the_samples_does_not_matter(name):
+    x = pictures()
+    shuffled = np.random.default_rng(1).permuted(np.arange(32))
+    assert ENTRIES[name](x[..., shuffled]) == pytest.approx(ENTRIES[name](x), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted(BUCKETED | {"jung2015"}))
+def test_buckets_and_resamples_do_depend_on_the_order(name):
+    """Negative control of the law above."""
+    x = pictures()
+    estimate = ENTRIES[name](x)
+    assert ENTRIES[name](np.sort(x)) != pytest.approx(estimate, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", OF_PIXELS)
+def test_a_pixel_is_estimated_from_its_own_samples(name):
+    x = pictures()
+    options = {"unit": 1.0} if name.startswith("zirr") else {}
+    together = ENTRIES[name](x, **options)
+    for y, row in enumerate(x):
+        for column, pixel in enumerate(row):
+            alone = ENTRIES[name](pixel, **options)
+            assert alone == pytest.approx(together[y, column], rel=1e-9)
+
+
+@pytest.mark.parametrize("name", [n for n in OF_PIXELS if not ENTRIES[n].joint_channels])
+def test_a_channel_is_estimated_from_its_own_samples(name):
+    x = pictures()
+    assert ENTRIES[name](x[1, 2, 1]) == pytest.approx(ENTRIES[name](x)[1, 2, 1], rel=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_estimates_lie_within_the_samples(name):
+    x = pictures()
+    estimate = ENTRIES[name](x)
+    assert (estimate >= 0).all()
+    assert (estimate <= x.max(axis=-1)).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=25, deadline=None)
+@given(
+    hnp.arrays(
+        np.float32,
+        (2, 2, 3, 12),
+        elements=st.one_of(
+            st.floats(0, 1, width=32),
+            st.sampled_from([0.0, 1.0, 1e-45, 1e-20, 1e30, 3e38, np.nan, np.inf, -1.0]),
+        ),
+    )
+)
+def test_it_is_finite_exactly_where_the_mean_is(name, x):
+    finite = np.isfinite(estimators.mean(x.astype(np.float64)))
+    assert (np.isfinite(ENTRIES[name](x)) == finite).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bad_samples_are_left_out(name):
+    x = pictures(shape=(3, 3, 3, 33))
+    spoilt = x.copy()
+    spoilt[..., 32] = np.nan
+    spoilt[0, 0, :, 32] = np.inf
+    spoilt[1, 1, :, 32] = -1.0
+    if name == "jung2015" or name in BUCKETED:
+        assert np.isfinite(ENTRIES[name](spoilt)).all()
+    else:
+        assert ENTRIES[name](spoilt) == pytest.approx(ENTRIES[name](x[..., :32]), rel=1e-9)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_too_few_samples_are_refused_with_expected_and_received(name):
+    least = ENTRIES[name].minimum_samples
+    with pytest.raises(InputError, match=f"at least {least} sample.* with {least - 1}"):
+        ENTRIES[name](np.ones((2, 2, 3, least - 1)))
+    assert np.isfinite(ENTRIES[name](np.ones((2, 2, 3, least)))).all()
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if ENTRIES[n].joint_channels])
+def test_estimators_of_colours_refuse_samples_without_channels(name):
+    message = "picture" if ENTRIES[name].uses_neighbours else "all channels"
+    with pytest.raises(InputError, match=message):
+        ENTRIES[name](np.ones(32))
+
+
+@pytest.mark.parametrize("name", TOLERATED)
+def test_fireflies_up_to_the_breakdown_do_not_carry_the_estimate_away(name):
+    x = pictures(shape=(50, 32)) + 0.1
+    dirty = x.copy()
+    dirty[:, : TOLERATED[name]] = 1e30
+    assert (ENTRIES[name](dirty) <= x.max(axis=-1)).all()
+
+
+@pytest.mark.parametrize("name", TOLERATED)
+def test_one_firefly_more_does(name):
+    """Negative control; the mean, which tolerates none, is the first example."""
+    x = pictures(shape=(50, 32)) + 0.1
+    for entry, count in ((ENTRIES["mean"], 1), (ENTRIES[name], TOLERATED[name] + 1)):
+        dirty = x.copy()
+        dirty[:, :count] = 1e30
+        assert (entry(dirty) > 1e20).all()

@@ -1,0 +1,103 @@
+"""M-estimators against statsmodels and against the equations that define them."""
+
+import numpy as np
+import pytest
+from scipy import optimize
+from statsmodels.robust import norms, scale
+
+from chdstat import estimators
+from chdstat.errors import InputError
+from chdstat.estimators._roots import balance
+
+NORMS = {"huber": norms.HuberT, "tukey": norms.TukeyBiweight}
+
+
+def draw(seed, shape=(60, 32)):
+    return np.random.default_rng(seed).lognormal(0, 1.5, size=shape)
+
+
+@pytest.mark.parametrize("name", NORMS)
+@pytest.mark.parametrize("c", [0.8, None, 6.0])
+@pytest.mark.parametrize("n", [9, 32])
+def test_location_is_that_of_statsmodels(name, c, n):
+    x = draw(n, (60, n))
+    norm = NORMS[name]() if c is None else NORMS[name](c)
+    expected = [
+        norms.estimate_location(row, scale.mad(row), norm, maxiter=5000, tol=1e-12) for row in x
+    ]
+    options = {} if c is None else {"c": c}
+    assert estimators.lookup(name)(x, **options) == pytest.approx(expected, rel=1e-7)
+
+
+def test_huber_lies_between_median_and_mean_and_reaches_both():
+    x = draw(1)
+    assert estimators.huber(x, c=1e-9) == pytest.approx(np.median(x, axis=-1), rel=1e-6)
+    assert estimators.huber(x, c=1e9) == pytest.approx(x.mean(axis=-1), rel=1e-9)
+
+
+def test_tukey_with_a_wide_reach_is_the_mean():
+    x = draw(2)
+    assert estimators.tukey(x, c=1e6) == pytest.approx(x.mean(axis=-1), rel=1e-6)
+
+
+@pytest.mark.parametrize("name", NORMS)
+def test_without_a_scale_the_value_that_most_samples_have_is_the_estimate(name):
+    x = np.r_[np.full(17, 0.3), np.geomspace(1e-3, 1e6, 15)]
+    assert estimators.lookup(name)(x) == pytest.approx(0.3, rel=1e-12)
+
+
+@pytest.mark.parametrize("delta", [0.01, 0.05, 0.5])
+def test_catoni_solves_his_equation(delta):
+    level = np.log(1 / delta)
+    x = draw(3)
+    for row, estimate in zip(x, estimators.catoni(x, delta=delta), strict=True):
+        n, v = len(row), row.var()
+        a = np.sqrt(2 * level / (n * (v + 2 * v * level / (n - 2 * level))))
+
+        def influence(theta, row=row, a=a):
+            t = a * (row - theta)
+            return np.sum(np.sign(t) * np.log(1 + np.abs(t) + t**2 / 2))
+
+        expected = optimize.brentq(influence, row.min(), row.max(), xtol=1e-14, rtol=1e-13)
+        assert estimate == pytest.approx(expected, rel=1e-9)
+
+
+def test_catoni_tends_to_the_mean_and_huber_does_not():
+    """Wrong with a probability below 1e-6: errors of ten standard errors; the seed is fixed."""
+    x = np.random.default_rng(4).gamma(0.5, size=(4, 100_000))
+    assert estimators.catoni(x) == pytest.approx(0.5, abs=10 * np.sqrt(0.5 / 100_000))
+    assert (estimators.huber(x) < 0.4).all()
+
+
+def test_catoni_of_few_good_samples_is_their_mean():
+    x = np.r_[np.arange(9.0), np.full(5, np.nan)]
+    assert estimators.catoni(x) == 4.0
+
+
+def test_catoni_needs_more_samples_for_a_smaller_delta():
+    with pytest.raises(InputError, match="at least 19 sample.* with 12"):
+        estimators.catoni(np.ones(12), delta=1e-4)
+
+
+@pytest.mark.parametrize("delta", [0.0, 1.0, np.nan])
+def test_delta_is_a_probability(delta):
+    with pytest.raises(InputError, match="between 0 and 1"):
+        estimators.catoni(np.ones(32), delta=delta)
+
+
+@pytest.mark.parametrize("name", NORMS)
+@pytest.mark.parametrize("c", [0.0, -1.0, np.nan])
+def test_c_is_positive(name, c):
+    with pytest.raises(InputError, match="larger than 0"):
+        estimators.lookup(name)(np.ones(32), c=c)
+
+
+def test_a_root_is_found_where_newton_alone_would_run_away():
+    rows = np.array([[0.0, 0.5, 1.0], [0.0, 0.1, 1.0]])
+
+    def stiff(rows, theta, centre):
+        # Slopes that are far too small send each of Newton's steps out of the bracket.
+        return np.tanh(50 * (centre - theta)), np.full(len(theta), 1e-9)
+
+    centre = np.array([0.123, 0.987])
+    assert balance(stiff, rows, np.array([0.5, 0.5]), centre) == pytest.approx(centre, rel=1e-9)

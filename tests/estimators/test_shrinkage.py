@@ -1,0 +1,131 @@
+"""Shrinkage: Stein's promise, where it does not hold, and the plug-in means of fitted families."""
+
+import numpy as np
+import pytest
+
+from chdstat import estimators
+from chdstat.errors import InputError
+from chdstat.estimators import james_stein
+from chdstat.estimators.shrinkage import standard_error
+
+
+def test_formula():
+    rng = np.random.default_rng(0)
+    y, b, variance = rng.normal(size=(50, 7)), rng.normal(size=(50, 7)), 0.3
+    distance = ((y - b) ** 2).sum(axis=-1, keepdims=True)
+    rho = np.maximum(0, 1 - 5 * variance / distance)
+    assert james_stein(y, b, variance) == pytest.approx(b + rho * (y - b), rel=1e-12)
+    swapped = james_stein(y.T, b.T, variance, axis=0)
+    assert swapped == pytest.approx(james_stein(y, b, variance).T, rel=1e-15)
+
+
+def test_values_may_lie_on_several_axes():
+    rng = np.random.default_rng(1)
+    y, b = rng.normal(size=(2, 4, 3)), np.zeros((2, 4, 3))
+    joined = james_stein(y, b, 1.0, axis=(1, 2))
+    flat = james_stein(y.reshape(2, 12), 0.0, 1.0)
+    assert joined == pytest.approx(flat.reshape(2, 4, 3), rel=1e-15)
+
+
+@pytest.mark.parametrize("distance", [0.0, 1.0, 3.0, 10.0])
+def test_independent_errors_never_lose_by_it(distance):
+    """False failure: 20 000 trials, risk within five standard errors; probability below 1e-5."""
+    rng = np.random.default_rng(2)
+    truth = np.full(10, distance / np.sqrt(10))
+    y = truth + rng.normal(size=(20_000, 10))
+    gain = ((y - truth) ** 2 - (james_stein(y, 0.0, 1.0) - truth) ** 2).sum(axis=-1)
+    assert gain.mean() > -5 * gain.std() / np.sqrt(20_000)
+    if distance < 4:
+        assert gain.mean() > 5 * gain.std() / np.sqrt(20_000)
+
+
+def test_three_errors_that_are_one_do_lose():
+    """Negative control: channels with one common error are not what Stein's theorem is about."""
+    rng = np.random.default_rng(3)
+    y = 3 + np.repeat(rng.normal(size=(20_000, 1)), 3, axis=1)
+    loss = ((james_stein(y, 0.0, 1.0) - 3) ** 2 - (y - 3) ** 2).sum(axis=-1)
+    assert loss.mean() > 5 * loss.std() / np.sqrt(20_000)
+
+
+@pytest.mark.parametrize("k", [1, 2])
+def test_fewer_than_three_values_stay(k):
+    y = np.arange(1.0, k + 1)
+    assert james_stein(y, np.zeros(k), 100.0).tolist() == y.tolist()
+
+
+def test_without_noise_the_unbiased_and_with_much_the_biased_one_stays():
+    y, b = np.array([1.0, 2.0, 3.0]), np.array([3.0, 3.0, 1.0])
+    assert james_stein(y, b, 0.0).tolist() == y.tolist()
+    assert james_stein(y, b, 1e9) == pytest.approx(b)
+    assert james_stein(y, y, 1.0).tolist() == y.tolist()
+
+
+def test_values_without_a_biased_estimate_stay_and_do_not_count():
+    y = np.array([1.0, 2.0, 3.0, 4.0])
+    found = james_stein(y, [0.0, np.nan, 0.0, 0.0], [1.0, 50.0, 1.0, 1.0])
+    expected = james_stein(y[[0, 2, 3]], 0.0, 1.0)
+    assert found[1] == 2
+    assert found[[0, 2, 3]] == pytest.approx(expected, rel=1e-15)
+    assert james_stein(y, np.inf, 1.0).tolist() == y.tolist()
+
+
+def test_a_biased_estimate_that_is_far_off_does_no_harm():
+    y = np.array([1.0, 2.0, 3.0])
+    assert james_stein(y, 1e200, 1.0) == pytest.approx(y, rel=1e-12)
+
+
+def test_shapes_must_fit():
+    with pytest.raises(InputError, match=r"shape \(3,\), got \(2,\)"):
+        james_stein(np.ones(3), np.ones(2), 1.0)
+
+
+def test_standard_error_is_that_of_the_mean():
+    x = np.random.default_rng(4).gamma(0.5, size=(5, 32))
+    assert standard_error(x) == pytest.approx(x.std(axis=-1, ddof=1) / np.sqrt(32), rel=1e-12)
+    assert standard_error(np.ones((2, 1))).tolist() == [0, 0]
+
+
+def test_the_mean_of_a_fitted_gamma_is_the_sample_mean():
+    rng = np.random.default_rng(5)
+    x = rng.lognormal(0, 2, size=(50, 3, 32)) * (rng.random((50, 1, 32)) < 0.6)
+    assert estimators.gamma_shrinkage(x) == pytest.approx(x.mean(axis=-1), rel=1e-9)
+
+
+def test_log_normal_shrinkage_uses_the_plug_in_mean():
+    rng = np.random.default_rng(6)
+    x = rng.lognormal(0, 1, size=(50, 3, 32)) * (rng.random((50, 1, 32)) < 0.6)
+    log, lit = np.log(np.where(x > 0, x, 1)), x > 0
+    n = lit.sum(axis=-1)
+    mu = log.sum(axis=-1) / n
+    variance = (((log - mu[..., np.newaxis]) ** 2) * lit).sum(axis=-1) / n
+    plug_in = n / 32 * np.exp(mu + variance / 2)
+    expected = james_stein(x.mean(axis=-1), plug_in, x.var(axis=-1, ddof=1) / 32)
+    found = estimators.lognormal_shrinkage(x)
+    assert found == pytest.approx(expected, rel=1e-9)
+    assert found != pytest.approx(x.mean(axis=-1), rel=1e-3)
+
+
+def test_gmon_shrinkage_lies_between_mean_and_gmon():
+    x = np.random.default_rng(7).lognormal(0, 2, size=(200, 3, 32))
+    mean, robust = estimators.mean(x), estimators.gmon_adaptive(x)
+    share = (estimators.gmon_shrinkage(x) - mean) / (robust - mean)
+    assert (share >= -1e-9).all()
+    assert (share <= 1 + 1e-9).all()
+    # One share for all channels of a pixel.
+    assert share == pytest.approx(np.repeat(share[:, :1], 3, axis=1), rel=1e-6)
+
+
+def test_one_channel_alone_is_not_shrunk():
+    x = np.random.default_rng(8).lognormal(0, 2, size=(20, 1, 32))
+    for name in ("gmon_shrinkage", "lognormal_shrinkage"):
+        assert estimators.lookup(name)(x) == pytest.approx(x.mean(axis=-1), rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["gmon_shrinkage", "gamma_shrinkage", "lognormal_shrinkage"])
+def test_a_sample_with_one_bad_channel_is_left_out_as_a_whole(name):
+    x = np.random.default_rng(9).lognormal(0, 1, size=(3, 33))
+    spoilt = x.copy()
+    spoilt[1, 32] = np.nan
+    bad = x.copy()
+    bad[:, 32] = np.nan
+    assert estimators.lookup(name)(spoilt) == pytest.approx(estimators.lookup(name)(bad), rel=1e-12)
