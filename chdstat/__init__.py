@@ -29,7 +29,7 @@ _FUNCTIONS = {
     "simulate": "simulation",
     "summarize": "summary",
 }
-_MODULES = ("errors", "estimators", "fit", "metrics", "viz")
+_MODULES = ("errors", "estimators", "fit", "metrics", "simulation", "viz")
 
 __all__ = ["__version__", *sorted((*_FUNCTIONS, *_MODULES))]
 

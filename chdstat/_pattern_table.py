@@ -11,14 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from chdstat._positive import Floats, Mask, PositivePart
-from chdstat._reasons import Reason
+from chdstat._evidence import Evidence, firefly_limit
+from chdstat._multiplicity import wilson
+from chdstat._positive import Counts, Floats, Mask
 from chdstat.errors import InputError
-from chdstat.fit.selection import Selection
-from chdstat.fit.tail import Tail
-from chdstat.modes import Modality
 
-__all__ = ["PATTERNS", "Pattern", "Scores", "Thresholds"]
+__all__ = ["PATTERNS", "Pattern", "Thresholds"]
+
+_Z = float(special.ndtri(0.975))
+_CHANCE = 0.895
+"""Kolmogorov's distance times sqrt(n) that 5 % of Gaussian samples exceed (Stephens 1974)."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +30,19 @@ class Thresholds:
     Attributes
     ----------
     alpha
-        False discovery rate of every flag over the image; level of the test for a single pixel.
+        False discovery rate of every tested flag over an image; level of the test of one pixel.
     null_share
         A pixel is null-heavy where more than this share of its samples is null.
     tail_index
-        A tail is long where its index is above this.
+        A tail is long where its index is at least this, and significantly above 0.
     ashman_d
-        Modes count only where the two Gaussians are this far apart.
+        Neighbouring modes count as two where they are this far apart.
+    firefly_share, firefly_samples
+        A sample is a firefly where it carries more than this share of the sum of all, and more than
+        this many average samples do.
+    misfit
+        A family describes a pixel where Kolmogorov's distance to the samples is at most this, or no
+        larger than chance makes it in 95 % of all cases.
 
     Raises
     ------
@@ -44,27 +52,21 @@ class Thresholds:
 
     alpha: float = 0.05
     null_share: float = 0.5
-    tail_index: float = 0.25
+    tail_index: float = 0.2
     ashman_d: float = 2.0
+    firefly_share: float = 0.1
+    firefly_samples: float = 8.0
+    misfit: float = 0.05
 
     def __post_init__(self) -> None:
-        inside = 0 < self.alpha < 1 and 0 < self.null_share < 1
-        if not inside or self.tail_index < 0 or self.ashman_d < 0:
+        shares = (self.alpha, self.null_share, self.firefly_share)
+        others = (self.tail_index, self.ashman_d, self.firefly_samples, self.misfit)
+        if not all(0 < share < 1 for share in shares) or not all(v >= 0 for v in others):
             message = (
-                "thresholds need alpha and null_share in (0, 1), tail_index and ashman_d >= 0; "
-                f"got {self}"
+                "thresholds need alpha, null_share and firefly_share in (0, 1), and tail_index, "
+                f"ashman_d, firefly_samples and misfit >= 0; got {self}"
             )
             raise InputError(message)
-
-
-@dataclass(frozen=True)
-class Scores:
-    """What the rules look at, per pixel: the answers of the modules upstream."""
-
-    part: PositivePart
-    tail: Tail
-    modes: Modality
-    families: Selection
 
 
 @dataclass(frozen=True)
@@ -85,10 +87,16 @@ class Pattern:
         Where the pattern or its threshold comes from.
     measure
         Statistic of every pixel.
-    test
-        p-value of the hypothesis that the pattern is absent, or None where it is no random matter.
     large_enough
         Whether the effect counts, however significant it is.
+    test
+        p-value of the hypothesis that the pattern is absent, or None where there is none.
+    decisive
+        Whether the flag needs that p-value to be significant; otherwise it stands beside.
+    interval
+        95 % interval of the statistic, shape (..., 2), or None where there is none.
+    excluded_by
+        Flags that rule this one out.
     """
 
     name: str
@@ -96,30 +104,98 @@ class Pattern:
     statistic: str
     rule: str
     source: str
-    measure: Callable[[Scores], Floats]
-    test: Callable[[Scores, Thresholds], Floats] | None
-    large_enough: Callable[[Scores, Thresholds], Mask]
+    measure: Callable[[Evidence], Floats]
+    large_enough: Callable[[Evidence, Thresholds], Mask]
+    test: Callable[[Evidence, Thresholds], Floats] | None = None
+    decisive: bool = False
+    interval: Callable[[Evidence], Floats] | None = None
+    excluded_by: tuple[str, ...] = ()
 
 
-def _null_share(scores: Scores) -> Floats:
+def _null_share(e: Evidence) -> Floats:
     with np.errstate(invalid="ignore"):
-        return np.asarray(scores.part.n_null / scores.part.n_good)
+        return np.asarray(e.n_null / e.n_good)
 
 
-def _null_p_value(scores: Scores, thresholds: Thresholds) -> Floats:
+def _null_p_value(e: Evidence, t: Thresholds) -> Floats:
     """Return P(as many nulls or more) were their share the threshold: the exact binomial test."""
-    n, nulls = scores.part.n_good, scores.part.n_null
-    p = special.betainc(np.maximum(nulls, 1), n - nulls + 1, thresholds.null_share)
+    n, nulls = e.n_good, e.n_null
+    p = special.betainc(np.maximum(nulls, 1), n - nulls + 1, t.null_share)
     return np.where(n == 0, np.nan, np.where(nulls == 0, 1.0, p))
 
 
-def _spread(scores: Scores) -> Floats:
-    return np.asarray(np.sqrt(scores.part.log_statistics.log_variance))
+def _is_firefly(e: Evidence, t: Thresholds) -> Mask:
+    limit = firefly_limit(e.n, t.firefly_share, t.firefly_samples)
+    return np.asarray(e.largest_share > limit)
 
 
-def _is_constant(scores: Scores, _: Thresholds) -> Mask:
-    return np.asarray(scores.part.reason() == Reason.CONSTANT)
+def _clear_modes(e: Evidence, t: Thresholds) -> Counts:
+    """Count modes that are far enough from their neighbour; 0 where modes are not known."""
+    clear = 1 + np.count_nonzero(e.ashman_d >= t.ashman_d, axis=-1)
+    return np.where(e.modes > 0, clear, 0)
 
+
+def _around(center: Floats, error: Floats) -> Floats:
+    return np.stack([center - _Z * error, center + _Z * error], axis=-1)
+
+
+def _separation(widest: int) -> Callable[[Evidence], Floats]:
+    return lambda e: np.asarray(e.ashman_d[..., widest])
+
+
+def _separation_interval(widest: int) -> Callable[[Evidence], Floats]:
+    return lambda e: _around(e.ashman_d[..., widest], e.ashman_d_se[..., widest])
+
+
+def _is_described(e: Evidence, t: Thresholds) -> Mask:
+    """Say where there is one mode that gamma or log-normal describes."""
+    by_chance = _CHANCE / np.sqrt(np.maximum(e.n, 1))
+    return np.asarray((e.misfit <= np.maximum(t.misfit, by_chance)) & (_clear_modes(e, t) == 1))
+
+
+def _body_is_long(e: Evidence, t: Thresholds) -> Mask:
+    """Say where the family of a pixel has a long tail, and its largest samples do not object."""
+    objects = e.tail_interval[..., 1] < t.tail_index
+    return np.asarray(_is_described(e, t) & (e.body_index >= t.tail_index) & ~objects)
+
+
+def _is_long(e: Evidence, t: Thresholds) -> Mask:
+    return np.asarray((e.tail_index >= t.tail_index) | _body_is_long(e, t))
+
+
+def _tail_p_value(e: Evidence, t: Thresholds) -> Floats:
+    """Return the p-value of the tail, or that of the body where it is the body's that is long."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        of_body = special.ndtr(-e.body_index / e.body_index_se)
+    return np.where(_body_is_long(e, t), np.fmin(of_body, e.tail_p_value), e.tail_p_value)
+
+
+def _is_like(sign: int) -> Callable[[Evidence, Thresholds], Mask]:
+    """Say where gamma (1) or log-normal (-1) is the better one, of one mode with a short tail."""
+
+    def large_enough(e: Evidence, t: Thresholds) -> Mask:
+        short = e.body_index < t.tail_index
+        return np.asarray((sign * e.vuong_z > 0) & _is_described(e, t) & short)
+
+    return large_enough
+
+
+def _vuong_p_value(sign: int) -> Callable[[Evidence, Thresholds], Floats]:
+    return lambda e, _: np.asarray(special.ndtr(-sign * e.vuong_z))
+
+
+_TAIL_SOURCE = (
+    "Pickands 1975, doi:10.1214/aos/1176343247; Zhang and Stephens 2009, "
+    "doi:10.1198/tech.2009.08017; Smith 1987, doi:10.1214/aos/1176350499"
+)
+_MODE_SOURCE = (
+    "Ashman, Bird and Zepf 1994, doi:10.1086/117248; Hartigan and Hartigan 1985, "
+    "doi:10.1214/aos/1176346577"
+)
+_FAMILY_SOURCE = (
+    "Vuong 1989, doi:10.2307/1912557; Stephens 1974, doi:10.1080/01621459.1974.10480196"
+)
+_NO_BODY = ("constant", "bimodal", "multimodal", "long_tail")
 
 PATTERNS: tuple[Pattern, ...] = (
     Pattern(
@@ -129,40 +205,85 @@ PATTERNS: tuple[Pattern, ...] = (
         rule="the share is above the threshold (exact binomial test)",
         source="Elek, Thomas and Forbes 2019: often more than 50 % in enclosed scenes",
         measure=_null_share,
+        large_enough=lambda e, t: _null_share(e) > t.null_share,
         test=_null_p_value,
-        large_enough=lambda s, t: _null_share(s) > t.null_share,
+        decisive=True,
+        interval=lambda e: wilson(e.n_null, e.n_good),
     ),
     Pattern(
         name="long_tail",
-        meaning="rare bright paths carry the variance: fireflies",
-        statistic="generalised Pareto tail index",
-        rule="the tail index is above the threshold (one-sided)",
-        source="Zhang and Stephens 2009, doi:10.1198/tech.2009.08017; above 1/4 the fourth "
-        "moment, and with it the error of the sample variance, is infinite",
-        measure=lambda s: s.tail.xi,
-        test=lambda s, _: s.tail.p_value,
-        large_enough=lambda s, t: s.tail.xi > t.tail_index,
+        meaning="rare bright paths carry the variance: more samples help less than they should",
+        statistic="generalised Pareto tail index, without a sample that dominates",
+        rule="the index is at least the threshold and significantly above 0, as of an exponential; "
+        "or that of the family that describes the samples is, and the former's interval reaches it",
+        source=_TAIL_SOURCE,
+        measure=lambda e: e.tail_index,
+        large_enough=_is_long,
+        test=_tail_p_value,
+        decisive=True,
+        interval=lambda e: e.tail_interval,
     ),
     Pattern(
         name="bimodal",
         meaning="two kinds of paths at once: direct and indirect, lit and shadowed",
-        statistic="Hartigan's dip of log10 luminance",
-        rule="the dip rejects one mode, and Ashman's D is at least the threshold",
-        source="Hartigan and Hartigan 1985, doi:10.1214/aos/1176346577; Ashman, Bird and Zepf "
-        "1994, doi:10.1086/117248",
-        measure=lambda s: s.modes.dip,
-        test=lambda s, _: s.modes.dip_p_value,
-        large_enough=lambda s, t: s.modes.ashman_d >= t.ashman_d,
+        statistic="Ashman's D of the two modes that are farthest apart, in log radiance",
+        rule="two modes of the fitted mixture are apart by the threshold (dip test beside it)",
+        source=_MODE_SOURCE,
+        measure=_separation(0),
+        large_enough=lambda e, t: _clear_modes(e, t) == 2,
+        test=lambda e, _: e.dip_p_value,
+        interval=_separation_interval(0),
+    ),
+    Pattern(
+        name="multimodal",
+        meaning="three or more kinds of paths: several emitters, lobes or depths of reflection",
+        statistic="Ashman's D of the next pair of neighbouring modes, in log radiance",
+        rule="three modes of the fitted mixture are apart by the threshold (dip test beside it)",
+        source=_MODE_SOURCE,
+        measure=_separation(1),
+        large_enough=lambda e, t: _clear_modes(e, t) >= 3,
+        test=lambda e, _: e.dip_p_value,
+        interval=_separation_interval(1),
+    ),
+    Pattern(
+        name="gamma_like",
+        meaning="many small contributions add up: one kind of paths with an exponential tail",
+        statistic="Vuong's z of gamma against log-normal",
+        rule="one mode, no long tail, gamma is likelier than log-normal and no misfit",
+        source=_FAMILY_SOURCE,
+        measure=lambda e: e.vuong_z,
+        large_enough=_is_like(1),
+        test=_vuong_p_value(1),
+        excluded_by=_NO_BODY,
+    ),
+    Pattern(
+        name="lognormal_like",
+        meaning="many factors multiply: one kind of paths of several reflections",
+        statistic="Vuong's z of log-normal against gamma",
+        rule="one mode, no long tail, log-normal is likelier than gamma and no misfit",
+        source=_FAMILY_SOURCE,
+        measure=lambda e: np.asarray(-e.vuong_z),
+        large_enough=_is_like(-1),
+        test=_vuong_p_value(-1),
+        excluded_by=_NO_BODY,
+    ),
+    Pattern(
+        name="firefly_dominated",
+        meaning="one sample decides the pixel: a firefly",
+        statistic="share of the sum of all samples that the largest one carries",
+        rule="the share is above the threshold, and above that of some average samples",
+        source="a definition, not a test",
+        measure=lambda e: e.largest_share,
+        large_enough=_is_firefly,
     ),
     Pattern(
         name="constant",
         meaning="every path that finds light brings the same: emitters and backgrounds seen",
-        statistic="standard deviation of the logarithm of luminance",
+        statistic="standard deviation of the natural logarithm of luminance",
         rule="no larger than rounding leaves",
         source="a definition, not a test",
-        measure=_spread,
-        test=None,
-        large_enough=_is_constant,
+        measure=lambda e: e.spread,
+        large_enough=lambda e, _: e.constant,
     ),
 )
 """The patterns, in no order; `Label` has the order."""

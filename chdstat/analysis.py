@@ -4,47 +4,79 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import is_bad, luminance
+from chdstat._arrays import is_bad, is_null, luminance
 from chdstat._moments import Moments
+from chdstat._normality_tests import TESTS, TestName, Transform
+from chdstat._positive import PositivePart
+from chdstat._rows import Result, take_rows
+from chdstat.averages import N_MEANS, finish_means, means_of_block, means_variables, sizes_of_means
 from chdstat.errors import StoreError
-from chdstat.fit import select
-from chdstat.normality import gaussianity, gaussianity_of_means
-from chdstat.patterns import classify
+from chdstat.fit.families import FAMILIES
+from chdstat.fit.selection import (
+    SELECTED,
+    Selection,
+    finish_selection,
+    select_part,
+    selection_variables,
+)
+from chdstat.fit.tail import tail_of_part
+from chdstat.fit.tail_results import Tail, finish_tail, tail_variables
+from chdstat.modes import Modality, finish_modality, modality_of_part, modality_variables
+from chdstat.normality import finish_gaussianity, gaussianity_of_part, gaussianity_variables
+from chdstat.patterns import Thresholds, finish_patterns, patterns_of_part, patterns_variables
 from chdstat.samples import Mapped, Samples
 from chdstat.summary import summarize
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Overview", "analyze", "overview", "save", "unused"]
+__all__ = ["analyze", "save", "unused"]
 
-_MEANS = 16
-"""Averages of each size that are tested: so few, so that N reaches spp / 16."""
+_TRANSFORMS: tuple[Transform, ...] = ("log", "sqrt", "linear")
+_TESTS: tuple[TestName, ...] = tuple(TESTS)
+_TEST_OF_MEANS: TestName = "shapiro-wilk"
+_COMMENT = "where tail_variance_suspect, the moments behind this may be infinite: do not trust it"
 
 
-def analyze(samples: Samples, *, progress: bool | None = None) -> xr.Dataset:
-    """Return everything per pixel: statistics, fits, normality, patterns.
+def analyze(
+    samples: Samples,
+    *,
+    thresholds: Thresholds | None = None,
+    held_out: bool = True,
+    progress: bool | None = None,
+) -> xr.Dataset:
+    """Return everything per pixel: statistics, fits, tails, modes, normality, patterns.
+
+    Every tile is read, split, sorted and turned into logarithms once for all of it. Fits, tails,
+    modes and normality are of each channel, patterns of the luminance.
 
     Parameters
     ----------
     samples
         The image.
+    thresholds
+        When a pattern counts; None for the defaults.
+    held_out
+        Compare the families by held-out likelihood, too, which nearly doubles the cost of fits.
     progress
         Show progress bars; None shows them on a terminal.
 
     Returns
     -------
     xarray.Dataset
-        The variables of `summarize`, `fit.select` and `classify`; those of `gaussianity` of log
-        samples with the prefix ``log_normality_``, those of `gaussianity_of_means` with
-        ``averages_``; and ``luminance_mean``, ``coefficient_of_variation`` (y, x). Where there are
-        too few samples for averages, their variables are absent.
+        The variables of `summarize`, `fit.select`, `fit.tail_index` and `classify`; those of
+        `modality` with the prefix ``modality_``, of `gaussianity` with ``normality_`` and of
+        `gaussianity_of_means` with ``averages_``; and ``luminance_mean``,
+        ``coefficient_of_variation`` (y, x). Where there are too few samples for averages, their
+        variables are absent. `fit.mixture`, `fit.goodness` and `atlas` are not part of it: they
+        answer further questions at a price of their own.
 
     Examples
     --------
@@ -58,22 +90,25 @@ def analyze(samples: Samples, *, progress: bool | None = None) -> xr.Dataset:
     """
     import xarray as xr
 
-    stages: list[Callable[[], xr.Dataset]] = [
-        lambda: summarize(samples, progress=progress),
-        lambda: _luminance(samples, progress),
-        lambda: select(samples, progress=progress),
-        lambda: _prefixed(gaussianity(samples, progress=progress), "log_normality"),
-        lambda: classify(samples, progress=progress),
-    ]
-    if samples.spp >= _MEANS:
-        stages.append(
-            lambda: _prefixed(
-                gaussianity_of_means(samples, n_means=_MEANS, progress=progress), "averages"
-            )
-        )
-    parts = [stage() for stage in stages]
+    summary = summarize(samples, progress=progress)
+    stages = _stages(samples.spp, thresholds or Thresholds())
+
+    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
+        tile = _Tile(block, held_out=held_out)
+        return {
+            f"{i}/{name}": variable
+            for i, stage in enumerate(stages)
+            for name, variable in stage.measure(tile).items()
+        }
+
+    found = samples.map(of_block, description="analysing", progress=progress)
+    parts = [stage.finished(found, f"{i}/") for i, stage in enumerate(stages)]
     # The parts count the same samples; the summary's word on nulls and bad samples stands.
-    merged = xr.merge(parts, compat="override", combine_attrs="drop_conflicts", join="override")
+    merged = xr.merge(
+        [summary, *parts], compat="override", combine_attrs="drop_conflicts", join="override"
+    )
+    if "averages_n_predicted" in merged:
+        merged["averages_n_predicted"].attrs["comment"] = _COMMENT
     return merged.assign_attrs(samples.attrs)
 
 
@@ -103,165 +138,114 @@ def unused(path: str | Path) -> Path:
     return target
 
 
+class _Tile:
+    """A tile of samples, with its luminance as one more channel, and what several stages need."""
+
+    def __init__(self, block: npt.NDArray[np.float32], *, held_out: bool) -> None:
+        self.block = block
+        self.held_out = held_out
+        self.bad = is_bad(block).any(axis=-2, keepdims=True)
+        self._channels = block.shape[-2]
+
+    @cached_property
+    def luminance(self) -> npt.NDArray[np.floating[Any]]:
+        with np.errstate(invalid="ignore", over="ignore"):
+            return luminance(self.block)
+
+    @cached_property
+    def part(self) -> PositivePart:
+        rows = self.block
+        if self._channels > 1:
+            rows = np.concatenate([rows, self.luminance[..., np.newaxis, :]], axis=-2)
+        return PositivePart.of(rows, null=is_null(self.block)[..., np.newaxis, :], bad=self.bad)
+
+    def of_channels(self, result: Result) -> Result:
+        return take_rows(result, slice(0, self._channels), axis=2)
+
+    def of_luminance(self, result: Result) -> Result:
+        return take_rows(result, -1, axis=2)
+
+    @cached_property
+    def tail(self) -> Tail:
+        return tail_of_part(self.part)
+
+    @cached_property
+    def modes(self) -> Modality:
+        bics = [fit.bic for fit in self.selection.fits.values()]
+        return modality_of_part(self.part, single_bic=np.fmin.reduce(bics))
+
+    @cached_property
+    def selection(self) -> Selection:
+        families = [FAMILIES[name] for name in SELECTED]
+        return select_part(self.part, families, held_out=self.held_out)
+
+
 @dataclass(frozen=True)
-class Overview:
-    """A scene in a few numbers, from what `analyze` says of its pixels.
+class _Stage:
+    """One part of the analysis: measured tile by tile, finished over the whole image."""
 
-    Attributes
-    ----------
-    pixels, spp
-        What was analysed.
-    null_share
-        Share of null samples over the image.
-    null_pixels
-        Share of the pixels of which more than half the samples are null.
-    bad_samples
-        Bad samples over the image.
-    variation
-        Quartiles over the pixels of the coefficient of variation of luminance.
-    families
-        Share of the pixel channels that each family describes best, by name.
-    decided
-        Share of those choices that are very strong: a BIC margin above 10.
-    log_rejected, log_skewness
-        Share of the pixel channels whose log samples are told from Gaussian, and quartiles of
-        their skewness.
-    long_tails
-        Share of the pixels with a long tail.
-    doubtful_variance
-        Share of the pixels with an estimated tail index of at least 1/2, beyond which the
-        variance of a generalised Pareto tail is infinite.
-    bimodal
-        Share of the pixels with two modes.
-    averages
-        By N, the share of pixel channels whose averages of N samples are told from Gaussian.
-    skewness, predicted_skewness
-        Of these averages: quartiles (3, size), and the median of what independence predicts.
-    """
+    measure: Callable[[_Tile], Mapped]
+    finish: Callable[[xr.Dataset], xr.Dataset]
+    prefix: str = ""
 
-    pixels: int
-    spp: int
-    null_share: float
-    null_pixels: float
-    bad_samples: int
-    variation: tuple[float, float, float]
-    families: dict[str, float]
-    decided: float
-    log_rejected: float
-    log_skewness: tuple[float, float, float]
-    long_tails: float
-    doubtful_variance: float
-    bimodal: float
-    averages: dict[int, float]
-    skewness: npt.NDArray[np.float64]
-    predicted_skewness: npt.NDArray[np.float64]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers ready for JSON; what could not be computed is None."""
-        return {name: _plain(value) for name, value in vars(self).items()}
+    def finished(self, found: xr.Dataset, key: str) -> xr.Dataset:
+        own = {str(n): str(n).removeprefix(key) for n in found.data_vars if str(n).startswith(key)}
+        dataset = self.finish(found[list(own)].rename(own))
+        return dataset.rename({str(n): f"{self.prefix}{n}" for n in dataset.data_vars})
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (tuple, list, np.ndarray)):
-        return [_plain(item) for item in value]
-    number = float(value)
-    if not np.isfinite(number):
-        return None
-    return int(value) if isinstance(value, (int, np.integer)) else number
-
-
-def overview(found: xr.Dataset) -> Overview:
-    """Return the numbers of the whole scene from the dataset of `analyze`."""
-    tested = found["log_normality_p_value"].notnull()
-    null = found["null_share"].values
-    tail = found["long_tail_statistic"].values
-    averages, skewness, predicted = _averages(found)
-    return Overview(
-        pixels=int(found.sizes["y"] * found.sizes["x"]),
-        spp=int((found["count"] + found["bad_count"]).max()),
-        null_share=_share(found["null_count"], found["count"]),
-        null_pixels=float((null > 0.5).mean()),
-        bad_samples=int(found["bad_count"].sum()),
-        variation=_quartiles(found["coefficient_of_variation"].values),
-        families=_family_shares(found),
-        decided=float((found["margin"] > 10).sum() / max(1, int(found["margin"].notnull().sum()))),
-        log_rejected=_share(found["log_normality_rejected"], tested),
-        log_skewness=_quartiles(found["log_normality_skewness"].values),
-        long_tails=float(found["long_tail"].mean()),
-        doubtful_variance=_share(tail >= 0.5, np.isfinite(tail)),
-        bimodal=float(found["bimodal"].mean()),
-        averages=averages,
-        skewness=skewness,
-        predicted_skewness=predicted,
-    )
-
-
-def _averages(
-    found: xr.Dataset,
-) -> tuple[dict[int, float], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return shares told from Gaussian by N, quartiles of skewness, and its median prediction."""
-    if "averages_rejected" not in found:
-        return {}, np.empty((3, 0)), np.empty(0)
-    sizes = found["size"].values
-    shares = {
-        int(n): _share(
-            found["averages_rejected"].isel(size=i),
-            found["averages_p_value"].isel(size=i).notnull(),
-        )
-        for i, n in enumerate(sizes)
-    }
-    measured = [
-        _quartiles(found["averages_skewness"].isel(size=i).values) for i in range(len(sizes))
+def _stages(spp: int, thresholds: Thresholds) -> list[_Stage]:
+    stages = [
+        _Stage(_luminance, _label_luminance),
+        _Stage(
+            lambda t: selection_variables(t.of_channels(t.selection)),
+            lambda d: finish_selection(d, list(SELECTED), "bic"),
+        ),
+        _Stage(lambda t: tail_variables(t.of_channels(t.tail)), finish_tail),
+        _Stage(lambda t: modality_variables(t.of_channels(t.modes)), finish_modality, "modality_"),
+        _Stage(
+            lambda t: gaussianity_variables(
+                gaussianity_of_part(t.of_channels(t.part), _TRANSFORMS, _TESTS)
+            ),
+            lambda d: finish_gaussianity(d, transform=_TRANSFORMS, test=_TESTS),
+            "normality_",
+        ),
+        _Stage(
+            lambda t: patterns_variables(
+                patterns_of_part(
+                    t.of_luminance(t.part),
+                    thresholds,
+                    tail=t.of_luminance(t.tail),
+                    modes=t.of_luminance(t.modes),
+                    families=t.of_luminance(t.selection),
+                )
+            ),
+            lambda d: finish_patterns(d, thresholds),
+        ),
     ]
-    predicted = found["averages_predicted_skewness"]
-    medians = [_quartiles(predicted.isel(size=i).values)[1] for i in range(len(sizes))]
-    return shares, np.array(measured).T, np.array(medians)
+    if spp >= N_MEANS:
+        sizes = sizes_of_means(spp, test=_TEST_OF_MEANS)
+        stages.append(
+            _Stage(
+                lambda t: means_variables(means_of_block(t.block, sizes, test=_TEST_OF_MEANS)),
+                lambda d: finish_means(d, sizes, n_means=N_MEANS, test=_TEST_OF_MEANS),
+                "averages_",
+            )
+        )
+    return stages
 
 
-def _family_shares(found: xr.Dataset) -> dict[str, float]:
-    best = found["best_family"]
-    names = dict(
-        zip(best.attrs["flag_values"], str(best.attrs["flag_meanings"]).split(), strict=True)
-    )
-    fitted = best.values[best.values >= 0]
-    return {
-        n: float((fitted == c).mean()) if fitted.size else np.nan
-        for c, n in names.items()
-        if c >= 0
-    }
-
-
-def _share(part: Any, whole: Any) -> float:
-    total = float(np.asarray(whole).sum())
-    return float(np.asarray(part).sum()) / total if total else float("nan")
-
-
-def _quartiles(values: npt.NDArray[Any]) -> tuple[float, float, float]:
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return (np.nan, np.nan, np.nan)
-    low, middle, high = np.percentile(finite, (25, 50, 75))
-    return float(low), float(middle), float(high)
-
-
-def _prefixed(dataset: xr.Dataset, prefix: str) -> xr.Dataset:
-    return dataset.rename({str(name): f"{prefix}_{name}" for name in dataset.data_vars})
-
-
-def _luminance(samples: Samples, progress: bool | None) -> xr.Dataset:
+def _luminance(tile: _Tile) -> Mapped:
     """Return mean and coefficient of variation of the luminance of every pixel."""
+    good = ~tile.bad[..., 0, :]
+    moments = Moments.of(np.where(good, tile.luminance, 0), good)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio: npt.NDArray[Any] = np.sqrt(moments.variance) / moments.mean
+    variation = np.where(moments.mean > 0, ratio, np.nan)
+    return {"luminance_mean": ((), moments.mean), "coefficient_of_variation": ((), variation)}
 
-    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        good = np.asarray(~is_bad(block).any(axis=-2))
-        moments = Moments.of(np.where(good, luminance(block), 0), good)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio: npt.NDArray[Any] = np.sqrt(moments.variance) / moments.mean
-        variation = np.where(moments.mean > 0, ratio, np.nan)
-        return {"luminance_mean": ((), moments.mean), "coefficient_of_variation": ((), variation)}
 
-    dataset = samples.map(of_block, description="measuring luminance", progress=progress)
+def _label_luminance(dataset: xr.Dataset) -> xr.Dataset:
     dataset["luminance_mean"].attrs.update(long_name="mean luminance", units="W sr-1 m-2")
     dataset["coefficient_of_variation"].attrs.update(
         long_name="standard deviation over mean of luminance", units="1"

@@ -147,7 +147,8 @@ def analyze(
 ) -> None:
     """Say what the sample distributions of a store are: nulls, families, tails, modes, averages."""
     import chdstat
-    from chdstat.analysis import overview, save, unused
+    from chdstat.analysis import save, unused
+    from chdstat.overviews import overview
 
     if out is not None:
         unused(out)  # refused before the work, not after

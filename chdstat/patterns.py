@@ -1,75 +1,102 @@
-"""Patterns: which pixels are null-heavy, long-tailed, bimodal or constant, and what the rest is.
+"""Patterns: which pixels are null-heavy, long-tailed, bimodal, constant, and what the rest is.
 
 `PATTERNS` is the table: what a pattern means, its statistic, and the rule that turns it into a flag
-at a threshold. `classify` applies them all to the luminance of each pixel.
+at a threshold. `classify` applies them all to the luminance of each pixel. Flags do not exclude
+each other, but for those that describe a plain body; `Label` says which comes first.
 """
 
 from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, generator, is_bad, is_null, luminance
-from chdstat._multiplicity import q_values, wilson
-from chdstat._pattern_table import PATTERNS, Pattern, Scores, Thresholds
+from chdstat._arrays import as_samples, is_bad, is_null, luminance
+from chdstat._evidence import Evidence, gather
+from chdstat._multiplicity import q_values
+from chdstat._neighbours import Agreement, agreement
+from chdstat._pattern_table import PATTERNS, Pattern, Thresholds
 from chdstat._positive import Floats, Mask, PositivePart
 from chdstat._reasons import Reason, flag_attributes
 from chdstat.errors import InputError
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.selection import select_part
-from chdstat.fit.tail import tail_of_part
-from chdstat.modes import modality_of_part
+from chdstat.fit.selection import SELECTED, Selection
+from chdstat.fit.tail import Tail
+from chdstat.modes import Modality
 from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["PATTERNS", "Label", "Pattern", "Patterns", "Thresholds", "classify"]
+__all__ = [
+    "PATTERNS",
+    "Agreement",
+    "Label",
+    "Pattern",
+    "Patterns",
+    "Thresholds",
+    "agreement",
+    "classify",
+    "finish_patterns",
+    "luminance_part",
+    "patterns_of_part",
+    "patterns_variables",
+]
 
 
 class Label(enum.IntEnum):
-    """What a pixel is first of all; the first that holds, from the top, but for UNDETERMINED."""
+    """What a pixel is first of all: the first that holds, from the top, but for UNDETERMINED."""
 
     UNDETERMINED = 0
     """Too few usable samples to say anything."""
     BLACK = 1
     """Every good sample is null."""
     CONSTANT = 2
-    BIMODAL = 3
-    LONG_TAIL = 4
-    NULL_HEAVY = 5
-    GAMMA_LIKE = 6
-    """None of these, and a gamma distribution fits better than a log-normal one."""
-    LOGNORMAL_LIKE = 7
-    """None of these, and a log-normal distribution fits better than a gamma one."""
+    FIREFLY_DOMINATED = 3
+    MULTIMODAL = 4
+    BIMODAL = 5
+    LONG_TAIL = 6
+    NULL_HEAVY = 7
+    GAMMA_LIKE = 8
+    LOGNORMAL_LIKE = 9
+    OTHER = 10
+    """None of these: one mode without a long tail that neither family describes."""
+
+
+_FLAGGED = {label: label.name.lower() for label in Label if label not in (0, 1, 10)}
 
 
 @dataclass(frozen=True)
 class Patterns:
-    """Patterns of pixels; arrays of the batch's shape.
+    """Patterns of pixels; arrays of the batch's shape, dimensionless.
 
     Attributes
     ----------
     flags
         By the name of the pattern: whether it holds.
+    large_enough
+        By the name of the pattern: whether its effect counts, significant or not, and whatever
+        excludes it.
     statistics
-        By the name of the pattern: its statistic.
+        By the name of the pattern: its statistic; NaN where there is nothing to measure.
     p_values
-        By the name of the pattern: of the hypothesis that it is absent.
-    null_interval
-        Wilson interval of the share of nulls, shape (..., 2).
-    tail_index_se
+        By the name of the pattern, where it has a test: of the hypothesis that it is absent.
+    intervals
+        By the name of the pattern, where it has one: 95 % interval of the statistic, shape
+        (..., 2).
+    dip
+        Hartigan's dip of log luminance.
+    luminance_family
+        Index of the best family in `chdstat.fit.selection.SELECTED`, -1 for none.
+    misfit
+        Kolmogorov's distance between the samples and the better of gamma and log-normal.
+    long_tail_se
         Standard error of the tail index.
-    ashman_d
-        Separation of the two Gaussians.
-    family, family_margin
-        Index of the best family in `chdstat.fit.families.FAMILIES`, -1 for none, and by how much
-        its BIC is smaller than that of the runner-up.
+    body_tail_index
+        Tail index that excesses over the quantile 0.9 of the better of gamma and log-normal show.
     label
         `Label` codes.
     reason
@@ -77,13 +104,15 @@ class Patterns:
     """
 
     flags: Mapping[str, Mask]
+    large_enough: Mapping[str, Mask]
     statistics: Mapping[str, Floats]
     p_values: Mapping[str, Floats]
-    null_interval: Floats
-    tail_index_se: Floats
-    ashman_d: Floats
-    family: npt.NDArray[np.int8]
-    family_margin: Floats
+    intervals: Mapping[str, Floats]
+    dip: Floats
+    luminance_family: npt.NDArray[np.int8]
+    misfit: Floats
+    long_tail_se: Floats
+    body_tail_index: Floats
     label: npt.NDArray[np.int8]
     reason: npt.NDArray[np.int8]
 
@@ -93,7 +122,7 @@ def classify(
     x: Samples,
     *,
     thresholds: Thresholds | None = None,
-    seed: int | np.random.Generator | None = 0,
+    seed: int | None = 0,
     progress: bool | None = None,
 ) -> xr.Dataset: ...
 @overload
@@ -101,21 +130,21 @@ def classify(
     x: npt.ArrayLike,
     *,
     thresholds: Thresholds | None = None,
-    seed: int | np.random.Generator | None = 0,
+    seed: int | None = 0,
 ) -> Patterns: ...
 def classify(
     x: Samples | npt.ArrayLike,
     *,
     thresholds: Thresholds | None = None,
-    seed: int | np.random.Generator | None = 0,
+    seed: int | None = 0,
     progress: bool | None = None,
 ) -> Patterns | xr.Dataset:
     """Say which patterns the sample distribution of each pixel shows.
 
-    Each flag is a row of `PATTERNS`: a statistic, a p-value and an effect that is large enough. Of
-    an image, the p-values of a pattern are corrected for the number of pixels (Benjamini and
-    Hochberg); of an array, they are not: each pixel is tested at level `Thresholds.alpha`. Flags do
-    not exclude each other; `label` is one of them, by the order of `Label`.
+    Each flag is a row of `PATTERNS`: a statistic, an effect that is large enough and, where the
+    rule says so, a p-value. Of an image, the p-values of a pattern are corrected for the number of
+    pixels (Benjamini and Hochberg); of an array, they are not: each pixel is tested at level
+    `Thresholds.alpha`. `label` is one of the flags, by the order of `Label`.
 
     Parameters
     ----------
@@ -132,9 +161,11 @@ def classify(
     Returns
     -------
     Patterns or xarray.Dataset
-        `Patterns` for an array. For `Samples`, over (y, x): for each pattern, the flag by its
-        name, and with suffix its ``_statistic``, ``_p_value`` and ``_q_value``; and the other
-        fields.
+        `Patterns` for an array. For `Samples`, over (y, x): for each pattern, the flag by its name,
+        and with suffix its ``_statistic``, ``_p_value``, ``_q_value`` and ``_interval`` where it
+        has them; the other fields of `Patterns`; and ``label_agreement``, the share of the
+        neighbours with the same label, whose attributes ``kappa`` and ``z`` compare the image with
+        shuffled labels (see `agreement`).
 
     Raises
     ------
@@ -152,137 +183,178 @@ def classify(
     ['GAMMA_LIKE', 'NULL_HEAVY', 'BIMODAL', 'CONSTANT']
     """
     thresholds = thresholds or Thresholds()
-    if isinstance(x, Samples):
-        return _classify_image(x, thresholds, seed, progress)
+    if not isinstance(x, Samples):
+        return patterns_of_part(luminance_part(x), thresholds, seed=seed)
+
+    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
+        return patterns_variables(patterns_of_part(luminance_part(block), thresholds, seed=seed))
+
+    dataset = x.map(of_block, description="classifying", progress=progress)
+    return finish_patterns(dataset, thresholds)
+
+
+def luminance_part(x: npt.ArrayLike) -> PositivePart:
+    """Split the luminance of samples, shape (..., channel, sample), by whole samples.
+
+    Raises
+    ------
+    InputError
+        If there are neither 1 nor 3 channels.
+    """
     array = as_samples(x)
     if array.ndim < 2:
         message = f"x must have shape (..., channel, sample), got {array.shape}"
         raise InputError(message)
-    patterns = _score(array, thresholds, seed)
-    return _decide(patterns, patterns.p_values, thresholds)
-
-
-def _score(
-    x: npt.NDArray[Any], thresholds: Thresholds, seed: int | np.random.Generator | None
-) -> Patterns:
-    """Measure every pattern; flags hold where the effect is large enough, not yet significant."""
-    bad = is_bad(x).any(axis=-2)
+    bad = is_bad(array).any(axis=-2)
     with np.errstate(invalid="ignore", over="ignore"):
-        part = PositivePart.of(luminance(x), null=is_null(x), bad=bad)
-    scores = Scores(
-        part=part,
-        tail=tail_of_part(part, tested=thresholds.tail_index),
-        modes=modality_of_part(part, seed=seed),
-        families=select_part(part, list(FAMILIES.values())),
+        return PositivePart.of(luminance(array), null=is_null(array), bad=bad)
+
+
+def patterns_of_part(
+    part: PositivePart,
+    thresholds: Thresholds | None = None,
+    *,
+    tail: Tail | None = None,
+    modes: Modality | None = None,
+    families: Selection | None = None,
+    seed: int | None = 0,
+) -> Patterns:
+    """Classify samples that are already split; each pixel is tested for itself.
+
+    Parameters
+    ----------
+    part
+        Positive part of the luminance of each pixel.
+    thresholds
+        When a pattern counts; None for the defaults.
+    tail, modes, families
+        Results for the same part, if they are there; the families must be those of
+        `chdstat.fit.selection.SELECTED`.
+    seed
+        Of what moves ties apart, see `chdstat.modality`.
+    """
+    thresholds = thresholds or Thresholds()
+    evidence = gather(
+        part,
+        firefly_share=thresholds.firefly_share,
+        firefly_samples=thresholds.firefly_samples,
+        tail=tail,
+        modes=modes,
+        families=families,
+        seed=seed,
     )
+    # Of a single pixel, arithmetic returns numbers: results are arrays of shape ().
+    p_values = {p.name: np.asarray(p.test(evidence, thresholds)) for p in PATTERNS if p.test}
+    large_enough = {p.name: np.asarray(p.large_enough(evidence, thresholds)) for p in PATTERNS}
+    flags = _decide(large_enough, p_values, thresholds)
+    reason = part.reason()
     return Patterns(
-        flags={p.name: p.large_enough(scores, thresholds) for p in PATTERNS},
-        statistics={p.name: p.measure(scores) for p in PATTERNS},
-        p_values={p.name: p.test(scores, thresholds) for p in PATTERNS if p.test is not None},
-        null_interval=wilson(part.n_null, part.n_good),
-        tail_index_se=scores.tail.standard_error,
-        ashman_d=scores.modes.ashman_d,
-        family=scores.families.best,
-        family_margin=scores.families.margin,
-        label=np.zeros(part.n.shape, dtype=np.int8),
-        reason=part.reason(),
+        flags=flags,
+        large_enough=large_enough,
+        statistics={p.name: np.asarray(p.measure(evidence)) for p in PATTERNS},
+        p_values=p_values,
+        intervals={p.name: p.interval(evidence) for p in PATTERNS if p.interval},
+        dip=evidence.dip,
+        luminance_family=evidence.family,
+        misfit=evidence.misfit,
+        long_tail_se=evidence.tail_index_se,
+        body_tail_index=evidence.body_index,
+        label=_label(flags, reason, _is_known(evidence)),
+        reason=reason,
     )
+
+
+def patterns_variables(patterns: Patterns) -> Mapped:
+    """Return patterns over (y, x) as variables for `Samples.map`; flags are not yet decided."""
+    single: dict[str, npt.NDArray[Any]] = {
+        **patterns.large_enough,
+        **{f"{name}_statistic": value for name, value in patterns.statistics.items()},
+        **{f"{name}_p_value": value for name, value in patterns.p_values.items()},
+        **{name: getattr(patterns, name) for name in _OTHERS},
+    }
+    intervals = {
+        f"{name}_interval": (("bound",), value) for name, value in patterns.intervals.items()
+    }
+    return {**{name: ((), value) for name, value in single.items()}, **intervals}
+
+
+def finish_patterns(dataset: xr.Dataset, thresholds: Thresholds | None = None) -> xr.Dataset:
+    """Correct the p-values of an image, decide its flags and labels, and compare neighbours."""
+    thresholds = thresholds or Thresholds()
+    q = {p.name: q_values(dataset[f"{p.name}_p_value"].to_numpy()) for p in PATTERNS if p.test}
+    flags = _decide({p.name: dataset[p.name].to_numpy() for p in PATTERNS}, q, thresholds)
+    known = dataset["label"].to_numpy() != Label.UNDETERMINED
+    label = _label(flags, dataset["reason"].to_numpy(), known)
+    found = agreement(label, known)
+    decided = {**flags, **{f"{name}_q_value": value for name, value in q.items()}, "label": label}
+    decided["label_agreement"] = found.share
+    dataset = dataset.assign({name: (("y", "x"), value) for name, value in decided.items()})
+    _describe(dataset)
+    dataset["label_agreement"].attrs.update(
+        observed=found.observed, by_chance=found.expected, kappa=found.kappa, z=found.z
+    )
+    return dataset.assign_attrs({f"threshold_{k}": v for k, v in asdict(thresholds).items()})
 
 
 def _decide(
-    patterns: Patterns, significance: Mapping[str, Floats], thresholds: Thresholds
-) -> Patterns:
-    """Keep the flags that are significant, and label the pixels."""
+    large_enough: Mapping[str, Mask], significance: Mapping[str, Floats], thresholds: Thresholds
+) -> dict[str, Mask]:
+    """Keep the flags that are significant where they must be, and that nothing excludes."""
     flags = {
-        name: flag & (significance[name] <= thresholds.alpha) if name in significance else flag
-        for name, flag in patterns.flags.items()
+        p.name: np.array(large_enough[p.name] & (significance[p.name] <= thresholds.alpha))
+        if p.decisive
+        else np.array(large_enough[p.name])
+        for p in PATTERNS
     }
-    label = _label_pixels(flags, patterns.family, patterns.reason)
-    return replace(patterns, flags=flags, label=label)
+    for pattern in PATTERNS:
+        for other in pattern.excluded_by:
+            flags[pattern.name] &= ~flags[other]
+    return flags
 
 
-def _label_pixels(
-    flags: Mapping[str, Mask], family: npt.NDArray[np.int8], reason: npt.NDArray[np.int8]
+def _is_known(evidence: Evidence) -> Mask:
+    """Say where there are enough samples for the shape."""
+    return np.asarray(evidence.modes > 0)
+
+
+def _label(
+    flags: Mapping[str, Mask], reason: npt.NDArray[np.int8], known: Mask
 ) -> npt.NDArray[np.int8]:
-    names = list(FAMILIES)
     cases = {
         Label.BLACK: reason == Reason.ALL_NULL,
-        Label.CONSTANT: flags["constant"],
-        Label.BIMODAL: flags["bimodal"],
-        Label.LONG_TAIL: flags["long_tail"],
-        Label.NULL_HEAVY: flags["null_heavy"],
-        Label.GAMMA_LIKE: family == names.index("gamma"),
-        Label.LOGNORMAL_LIKE: family == names.index("lognormal"),
+        **{label: flags[name] for label, name in _FLAGGED.items()},
+        Label.OTHER: known,
     }
     codes = [np.int8(code) for code in cases]
     label = np.select(list(cases.values()), codes, np.int8(Label.UNDETERMINED))
     return np.asarray(label, dtype=np.int8)
 
 
-def _classify_image(
-    samples: Samples,
-    thresholds: Thresholds,
-    seed: int | np.random.Generator | None,
-    progress: bool | None,
-) -> xr.Dataset:
-    rng = generator(seed)
-    dataset = samples.map(
-        lambda block: _variables(_score(block, thresholds, rng)),
-        description="classifying",
-        progress=progress,
-    )
-    flags = {pattern.name: dataset[pattern.name].to_numpy() for pattern in PATTERNS}
+_OTHERS = {
+    "dip": "Hartigan's dip of log10 luminance",
+    "luminance_family": "family of luminance with the smallest BIC",
+    "misfit": "Kolmogorov distance to the better of gamma and log-normal",
+    "long_tail_se": "standard error of the tail index of luminance",
+    "body_tail_index": "tail index of the better of gamma and log-normal above its quantile 0.9",
+    "label": "what the pixel is first of all",
+    "reason": "why there is no positive part to look at",
+}
+
+
+def _describe(dataset: xr.Dataset) -> None:
+    texts = {**_OTHERS, "label_agreement": "share of the neighbours with the same label"}
     for pattern in PATTERNS:
-        if pattern.test is None:
-            continue
-        p_value = dataset[f"{pattern.name}_p_value"]
-        q_value = q_values(p_value.to_numpy())
-        flags[pattern.name] &= q_value <= thresholds.alpha
-        dataset[f"{pattern.name}_q_value"] = p_value.copy(data=q_value)
-        dataset[pattern.name] = dataset[pattern.name].copy(data=flags[pattern.name])
-    label = _label_pixels(flags, dataset["family"].to_numpy(), dataset["reason"].to_numpy())
-    dataset["label"] = dataset["label"].copy(data=label)
-    return _describe(dataset).assign_attrs(
-        {f"threshold_{k}": v for k, v in asdict(thresholds).items()}
-    )
-
-
-def _variables(patterns: Patterns) -> Mapped:
-    of_patterns: dict[str, npt.NDArray[Any]] = {
-        **patterns.flags,
-        **{f"{name}_statistic": value for name, value in patterns.statistics.items()},
-        **{f"{name}_p_value": value for name, value in patterns.p_values.items()},
-    }
-    others = ("tail_index_se", "ashman_d", "family", "family_margin", "label", "reason")
-    single = {**of_patterns, **{name: getattr(patterns, name) for name in others}}
-    return {
-        **{name: ((), value) for name, value in single.items()},
-        "null_interval": (("bound",), patterns.null_interval),
-    }
-
-
-def _describe(dataset: xr.Dataset) -> xr.Dataset:
-    for pattern in PATTERNS:
-        _explain(dataset, pattern.name, f"{pattern.meaning}: {pattern.rule}")
+        texts[pattern.name] = f"{pattern.meaning}: {pattern.rule}"
+        texts[f"{pattern.name}_statistic"] = pattern.statistic
+        texts[f"{pattern.name}_interval"] = f"95 % interval of the {pattern.statistic}"
+        texts[f"{pattern.name}_p_value"] = f"p-value of no {pattern.name}"
+        texts[f"{pattern.name}_q_value"] = f"q-value of no {pattern.name}"
         dataset[pattern.name].attrs["source"] = pattern.source
-        _explain(dataset, f"{pattern.name}_statistic", pattern.statistic)
-        if pattern.test is not None:
-            _explain(dataset, f"{pattern.name}_p_value", f"p-value of no {pattern.name}")
-            _explain(dataset, f"{pattern.name}_q_value", f"q-value of no {pattern.name}")
-    _explain(dataset, "null_interval", "Wilson interval of the share of null samples")
-    _explain(dataset, "tail_index_se", "standard error of the tail index")
-    _explain(dataset, "ashman_d", "separation of two Gaussians in log10 radiance, Ashman's D")
-    _explain(dataset, "family", "family with the smallest BIC")
-    _explain(dataset, "family_margin", "BIC of the runner-up minus that of the best family")
-    _explain(dataset, "label", "what the pixel is first of all")
-    _explain(dataset, "reason", "why there is no positive part to look at")
-    dataset["family"].attrs.update(
-        flag_values=[-1, *range(len(FAMILIES))], flag_meanings=" ".join(["none", *FAMILIES])
+    for name in texts.keys() & set(dataset.data_vars):
+        dataset[name].attrs.update(long_name=texts[name], units="1")
+    dataset["luminance_family"].attrs.update(
+        flag_values=[-1, *range(len(SELECTED))], flag_meanings=" ".join(["none", *SELECTED])
     )
     dataset["label"].attrs.update(flag_attributes(Label))
     dataset["reason"].attrs.update(flag_attributes())
-    return dataset.assign_coords(bound=np.array(["low", "high"], dtype=object))
-
-
-def _explain(dataset: xr.Dataset, name: str, text: str) -> None:
-    dataset[name].attrs.update(long_name=text, units="1")
+    dataset.coords["bound"] = np.array(["low", "high"], dtype=object)

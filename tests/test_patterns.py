@@ -4,12 +4,27 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat import simulation
+from chdstat._neighbours import agreement
 from chdstat._reasons import Reason
 from chdstat.errors import InputError
-from chdstat.patterns import PATTERNS, Label, Thresholds, classify
+from chdstat.fit.families import FAMILIES
+from chdstat.fit.selection import SELECTED, select_part
+from chdstat.fit.tail import tail_of_part
+from chdstat.modes import modality_of_part
+from chdstat.patterns import (
+    PATTERNS,
+    Label,
+    Thresholds,
+    classify,
+    luminance_part,
+    patterns_of_part,
+)
+from chdstat.simulation import CHD, Component, simulate, truth_of
 
 SPP = 1024
-TESTED = ("null_heavy", "long_tail", "bimodal")
+FAMILY_FLAGS = ("gamma_like", "lognormal_like")
+GAMMA = Component("gamma", 2.0)
 
 
 def gray(radiance):
@@ -20,24 +35,31 @@ def gray(radiance):
 def clear_cases(rng, count):
     shape = (count, SPP)
     gamma = rng.gamma(2.0, size=shape)
-    indirect = rng.lognormal(-4, 0.6, size=shape)
+    kind = rng.choice(3, p=[0.4, 0.3, 0.3], size=shape)
+    kinds = (rng.lognormal(-4, 0.4, size=shape), gamma, rng.lognormal(5, 0.3, size=shape))
+    firefly = gamma.copy()
+    firefly[:, 5] = 1000
     return {
         Label.BLACK: np.zeros(shape),
         Label.CONSTANT: np.full(shape, 3.0),
-        Label.BIMODAL: np.where(rng.random(shape) < 0.4, indirect, gamma),
-        Label.LONG_TAIL: rng.pareto(1.0, size=shape),
+        Label.FIREFLY_DOMINATED: firefly,
+        Label.MULTIMODAL: np.choose(kind, kinds),
+        Label.BIMODAL: np.where(rng.random(shape) < 0.4, kinds[0], gamma),
+        Label.LONG_TAIL: CHD((GAMMA,), tail_index=0.6, tail_share=0.25).draw(
+            count, samples=SPP, seed=rng
+        ),
         Label.NULL_HEAVY: np.where(rng.random(shape) < 0.7, 0, gamma),
         Label.GAMMA_LIKE: gamma,
-        Label.LOGNORMAL_LIKE: rng.lognormal(0, 0.7, size=shape),
+        Label.LOGNORMAL_LIKE: rng.lognormal(0, 0.4, size=shape),
+        Label.OTHER: rng.uniform(size=shape),
     }
 
 
 @pytest.mark.parametrize("label", [label for label in Label if label != Label.UNDETERMINED])
 def test_clear_cases_are_labelled(label):
-    # The rarest miss: 2 to 3 % of each, by the level of other flags; below 90 % of 100 pixels is
-    # less likely than 1e-4.
+    # Up to a tenth of the tails and of the bodies are missed: 80 % of 100 pixels is 3 sigma below.
     x = clear_cases(np.random.default_rng(int(label)), 100)[label]
-    assert (classify(gray(x)).label == label).mean() > 0.9
+    assert (classify(gray(x)).label == label).mean() > 0.8
 
 
 @pytest.mark.parametrize(
@@ -45,16 +67,18 @@ def test_clear_cases_are_labelled(label):
     [
         lambda rng, n: rng.gamma(0.7, size=(n, SPP)),
         lambda rng, n: rng.gamma(5.0, size=(n, SPP)),
-        lambda rng, n: rng.lognormal(0, 0.7, size=(n, SPP)),
-        lambda rng, n: rng.weibull(0.9, size=(n, SPP)),
+        lambda rng, n: rng.lognormal(0, 0.4, size=(n, SPP)),
+        lambda rng, n: rng.weibull(1.2, size=(n, SPP)),
     ],
 )
 def test_plain_distributions_are_rarely_flagged(draw):
-    # All are inside the null hypotheses, so below the nominal 5 %; 4 sigma of 400 pixels is 4 %.
+    # Tail indices at or below 0 up to second order, one mode, no nulls: below the nominal 5 %;
+    # 4 sigma of 400 pixels is 4 %.
     patterns = classify(gray(draw(np.random.default_rng(1), 400)))
-    for name in TESTED:
+    for name in ("null_heavy", "long_tail", "bimodal", "multimodal"):
         assert patterns.flags[name].mean() < 0.05 + 0.04
     assert not patterns.flags["constant"].any()
+    assert not patterns.flags["firefly_dominated"].any()
 
 
 def test_level_of_the_null_test_at_its_threshold():
@@ -66,27 +90,61 @@ def test_level_of_the_null_test_at_its_threshold():
 
 
 def test_an_image_keeps_its_false_discovery_rate():
-    # 1000 pixels at the edge of the hypothesis and 24 long-tailed ones: tested one by one at 5 %,
-    # the false flags outnumber the true ones; over the image, they must not.
-    rng = np.random.default_rng(3)
-    radiance = rng.lognormal(0, 0.95, size=(32, 32, SPP))
-    radiance[0, :24] = rng.pareto(1.0, size=(24, SPP))
-    one_by_one = classify(gray(radiance)).flags["long_tail"][1:].sum()
-    dataset = chd.classify(chd.Samples.from_array(gray(radiance)), progress=False)
-    flagged = dataset["long_tail"].to_numpy()
-    assert one_by_one > 10
-    assert flagged[0, :24].mean() > 0.8
-    assert flagged[1:].sum() <= 5
-    q_value = dataset["long_tail_q_value"].to_numpy()
+    # 992 pixels at the edge of the hypothesis and 32 with more nulls: tested one by one at 5 %, the
+    # false flags outnumber half the true ones; over the image, they must not.
+    half, most = (CHD((GAMMA,), null_share=share) for share in (0.5, 0.75))
+    samples = simulate([most, *[half] * 31], size=(24, 48), spp=256, seed=3)
+    true = truth_of(samples)["null_heavy"].to_numpy() == 1
+    one_by_one = classify(samples.read()).flags["null_heavy"][~true].sum()
+    dataset = chd.classify(samples, progress=False)
+    flagged = dataset["null_heavy"].to_numpy()
+    assert one_by_one > 20
+    assert flagged[true].mean() > 0.9
+    assert flagged[~true].sum() <= 6
+    q_value = dataset["null_heavy_q_value"].to_numpy()
     np.testing.assert_array_equal(flagged, q_value <= 0.05)
 
 
 def test_flags_do_not_exclude_each_other():
-    rng = np.random.default_rng(4)
-    x = np.where(rng.random((50, 4096)) < 0.7, 0, rng.pareto(0.9, size=(50, 4096)))
-    patterns = classify(gray(x))
+    tail = CHD((GAMMA,), tail_index=0.4, tail_share=0.25, null_share=0.7)
+    patterns = classify(gray(tail.draw(50, samples=4096, seed=4)))
     assert (patterns.flags["null_heavy"] & patterns.flags["long_tail"]).mean() > 0.9
     assert (patterns.label == Label.LONG_TAIL).mean() > 0.9
+
+
+def test_only_one_plain_body_is_like_a_family():
+    rng = np.random.default_rng(4)
+    cases = clear_cases(rng, 40)
+    flags = {label: classify(gray(x)).flags for label, x in cases.items()}
+    for label, found in flags.items():
+        assert not (found["gamma_like"] & found["lognormal_like"]).any()
+        for other in ("constant", "bimodal", "multimodal", "long_tail"):
+            assert not ((found["gamma_like"] | found["lognormal_like"]) & found[other]).any()
+        if label in (Label.OTHER, Label.MULTIMODAL, Label.BIMODAL, Label.CONSTANT, Label.BLACK):
+            assert not any(found[name].mean() > 0.1 for name in FAMILY_FLAGS)
+    assert flags[Label.NULL_HEAVY]["gamma_like"].mean() > 0.8
+
+
+def test_a_firefly_does_not_decide_the_shape_of_the_rest():
+    rng = np.random.default_rng(5)
+    x = rng.gamma(2.0, size=(100, SPP))
+    x[:, 7] = 1e4
+    patterns, clean = classify(gray(x)), classify(gray(np.delete(x, 7, axis=-1)))
+    assert patterns.flags["firefly_dominated"].all()
+    assert not clean.flags["firefly_dominated"].any()
+    for name in ("long_tail", "bimodal", "gamma_like", "lognormal_like"):
+        np.testing.assert_array_equal(patterns.flags[name], clean.flags[name])
+        np.testing.assert_allclose(patterns.statistics[name], clean.statistics[name], rtol=1e-4)
+
+
+def test_few_samples_have_no_firefly_unless_it_outshines_some():
+    x = np.full((1, 20), 1.0)
+    x[0, :2] = 3.0
+    assert not classify(gray(x)).flags["firefly_dominated"].any()
+    x[0, 0] = 50.0
+    assert classify(gray(x)).flags["firefly_dominated"].all()
+    few = Thresholds(firefly_samples=1.0)
+    assert classify(gray(x[:, 1:]), thresholds=few).flags["firefly_dominated"].all()
 
 
 def test_thresholds_move_the_flags():
@@ -97,17 +155,58 @@ def test_thresholds_move_the_flags():
     tails = gray(rng.pareto(1.0, size=(20, SPP)))
     assert classify(tails).flags["long_tail"].mean() > 0.8
     assert not classify(tails, thresholds=Thresholds(tail_index=2.0)).flags["long_tail"].any()
+    two = gray(clear_cases(rng, 20)[Label.BIMODAL])
+    assert classify(two).flags["bimodal"].all()
+    assert not classify(two, thresholds=Thresholds(ashman_d=20.0)).flags["bimodal"].any()
 
 
 def test_statistics_are_those_of_the_modules_upstream():
     x = np.random.default_rng(6).gamma(0.7, size=(5, SPP))
+    x[1, ::2] *= 1000
     patterns = classify(x[:, np.newaxis])
     tail, modes = chd.fit.tail_index(x), chd.modality(x)
     np.testing.assert_allclose(patterns.statistics["long_tail"], tail.xi)
-    np.testing.assert_allclose(patterns.p_values["long_tail"], tail.p_value)
-    np.testing.assert_allclose(patterns.statistics["bimodal"], modes.dip)
+    np.testing.assert_allclose(patterns.dip, modes.dip)
+    np.testing.assert_allclose(patterns.p_values["bimodal"], modes.dip_p_value)
+    widest = np.nanmax(modes.ashman_d, axis=-1, initial=-1)
+    np.testing.assert_allclose(patterns.statistics["bimodal"][1], widest[1])
     np.testing.assert_array_equal(patterns.statistics["null_heavy"], 0)
     np.testing.assert_array_equal(patterns.p_values["null_heavy"], 1)
+    low, high = np.moveaxis(patterns.intervals["long_tail"], -1, 0)
+    assert ((low <= tail.xi) & (tail.xi <= high)).all()
+
+
+@pytest.mark.parametrize(
+    "component",
+    [Component("gamma", 0.4), Component("gamma", 3.0), Component("lognormal", 0.8)],
+)
+def test_tail_index_of_the_body_is_that_of_the_distribution(component):
+    # The shape of 50 000 samples is right to about 0.7 %.
+    body = CHD((component,))
+    patterns = classify(gray(body.draw(1, samples=50_000, seed=1)))
+    assert patterns.body_tail_index[0] == pytest.approx(body.penultimate_index(), abs=0.015)
+
+
+def test_a_body_can_have_a_long_tail():
+    # 128 samples of a log-normal with sigma 1.2: the largest 40 alone would tell half of them.
+    found = classify(gray(CHD((Component("lognormal", 1.2),)).draw(200, samples=128, seed=1)))
+    assert found.flags["long_tail"].mean() > 0.85
+    assert found.flags["lognormal_like"].mean() < 0.1
+
+
+def test_results_that_are_there_are_not_computed_again():
+    part = luminance_part(
+        clear_cases(np.random.default_rng(6), 5)[Label.FIREFLY_DOMINATED][:, None]
+    )
+    shared = patterns_of_part(
+        part,
+        tail=tail_of_part(part),
+        modes=modality_of_part(part),
+        families=select_part(part, [FAMILIES[name] for name in SELECTED]),
+    )
+    alone = patterns_of_part(part)
+    for name, value in alone.statistics.items():
+        np.testing.assert_array_equal(shared.statistics[name], value)
 
 
 def test_a_coloured_sample_is_no_null_and_a_bad_channel_spoils_it():
@@ -117,11 +216,32 @@ def test_a_coloured_sample_is_no_null_and_a_bad_channel_spoils_it():
     x[0, 0, :10] = np.nan
     patterns = classify(x)
     assert float(patterns.statistics["null_heavy"][0]) == 0
-    assert patterns.null_interval[0, 0] == 0
+    assert patterns.intervals["null_heavy"][0, 0] == 0
     few = x[..., :15]
     assert classify(few).reason[0] == Reason.OK
     assert classify(x[..., :10]).reason[0] == Reason.ALL_BAD
     assert classify(x[..., :10]).label[0] == Label.UNDETERMINED
+
+
+@pytest.mark.parametrize("scale", [1e-38, 1.0, 1e30])
+def test_scaling_radiance_changes_no_pattern(scale):
+    x = np.stack([case[0] for case in clear_cases(np.random.default_rng(8), 1).values()])
+    one, other = classify(x[:, np.newaxis]), classify(scale * x[:, np.newaxis])
+    np.testing.assert_array_equal(one.label, other.label)
+    for name, value in one.statistics.items():
+        np.testing.assert_allclose(other.statistics[name], value, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 5, 19])
+def test_few_samples_give_no_shape(samples):
+    x = np.random.default_rng(9).gamma(2.0, size=(6, samples))
+    x[0] = 0
+    x[1, 1:] = 0
+    x[2] = 4
+    patterns = classify(gray(x))
+    assert patterns.label[0] == Label.BLACK
+    assert (patterns.label[3:] == Label.UNDETERMINED).all() or samples == 1
+    assert not any(patterns.flags[name].any() for name in ("long_tail", "bimodal", "gamma_like"))
 
 
 def test_image():
@@ -132,8 +252,9 @@ def test_image():
     for row, label in enumerate(cases):
         assert (dataset["label"][row] == label).mean() >= 0.75
     assert dataset["label"].dims == ("y", "x")
-    assert dataset["label"].attrs["flag_meanings"].split()[3] == "bimodal"
-    assert dataset["family"].attrs["flag_meanings"] == "none gamma lognormal"
+    assert dataset["label"].attrs["flag_meanings"].split()[5] == "bimodal"
+    assert dataset["long_tail_interval"].dims == ("y", "x", "bound")
+    assert dataset["luminance_family"].attrs["flag_meanings"] == "none gamma lognormal weibull burr"
     assert dataset.attrs["threshold_alpha"] == 0.05
     assert dataset.attrs["scene"] == "cases"
     for pattern in PATTERNS:
@@ -144,10 +265,59 @@ def test_image():
         assert {"long_name", "units"} <= set(variable.attrs)
 
 
+def test_labels_of_regions_agree_with_their_neighbours():
+    samples = simulate(["gamma", "bimodal", "constant", "null-heavy"], size=(16, 16), spp=256)
+    found = chd.classify(samples, progress=False)["label_agreement"]
+    assert found.attrs["kappa"] > 0.7
+    assert found.attrs["z"] > 20
+    assert found[2:6, 2:6].mean() > 0.9
+
+
+def test_expectation_and_deviation_are_those_of_shuffled_labels():
+    # 4000 permutations: the mean is right to 4 standard errors, the deviation to 4 of 1.1 %.
+    rng = np.random.default_rng(10)
+    labels = rng.choice(4, p=[0.5, 0.3, 0.15, 0.05], size=(9, 7))
+    known = rng.random((9, 7)) < 0.85
+    found = agreement(labels, known)
+    shares = np.empty(4000)
+    for i in range(4000):
+        labels[known] = rng.permutation(labels[known])
+        shares[i] = agreement(labels, known).observed
+    deviation = (found.observed - found.expected) / found.z
+    assert abs(shares.mean() - found.expected) < 4 * deviation / np.sqrt(4000)
+    assert shares.std() == pytest.approx(deviation, rel=0.045)
+
+
+def test_agreement_of_known_maps():
+    checkers = np.indices((8, 8)).sum(axis=0) % 2
+    inside = agreement(checkers).share[1:-1, 1:-1]
+    np.testing.assert_array_equal(inside, 0.5)
+    one = agreement(np.zeros((5, 5), dtype=int))
+    assert one.share.min() == 1
+    assert np.isnan(one.kappa)
+    assert np.isnan(one.z)
+    lonely = np.zeros((3, 3), dtype=bool)
+    lonely[1, 1] = True
+    assert np.isnan(agreement(checkers[:3, :3], lonely).share).all()
+    np.testing.assert_allclose(agreement(checkers).by_chance, 31 / 63)
+
+
+def test_flags_are_right_on_a_population():
+    # A small run of tests/benchmarks/test_patterns.py, which has the figures.
+    chds = simulation.random_chds(300, seed=11)
+    scores = simulation.flag_scores(chds, 512, seed=11)
+    assert np.mean([score.f1 for score in scores.values()]) > 0.88
+    assert min(score.f1 for score in scores.values()) > 0.6
+
+
 def test_wrong_input_is_refused():
     with pytest.raises(InputError, match="alpha"):
         Thresholds(alpha=2)
+    with pytest.raises(InputError, match="misfit"):
+        Thresholds(misfit=-1)
     with pytest.raises(InputError, match="channel, sample"):
         classify(np.ones(30))
     with pytest.raises(InputError, match="1 or 3 channels"):
         classify(np.ones((2, 30)))
+    with pytest.raises(InputError, match="one shape"):
+        agreement(np.zeros(4, dtype=int))

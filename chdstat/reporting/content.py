@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from chdstat.analysis import Overview
+from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison
 from chdstat.estimators import MLP
+from chdstat.overviews import Overview, pooled_shares
+from chdstat.patterns import PATTERNS
 from chdstat.recipes import Region
 from chdstat.reporting import figures
 from chdstat.reporting.findings import findings
@@ -37,6 +39,8 @@ class Study:
         What to look at.
     chosen
         Whether the library chose the regions.
+    atlas
+        Shapes that recur; None where no pixel has one.
     comparison, why_not
         Estimators; None where these samples cannot judge them, and then why.
     """
@@ -46,6 +50,7 @@ class Study:
     overview: Overview
     regions: tuple[Region, ...]
     chosen: bool
+    atlas: Atlas | None
     comparison: Comparison | None
     why_not: str = ""
 
@@ -59,9 +64,11 @@ def document(study: Study) -> Document:
         "regions_chosen": study.chosen,
         "regions": [_region(study, i) for i in range(len(marks))],
         "provenance": _provenance(study.samples),
-        "findings": [vars(f) for f in findings(study.overview, study.comparison)],
+        "findings": [vars(f) for f in findings(study.overview, study.atlas, study.comparison)],
         "alpha": percent(float(study.dataset.attrs["false_discovery_rate"])),
         "thresholds": _thresholds(study.dataset),
+        "families": _families(study.dataset),
+        "patterns": _patterns(study.overview),
         "n_means": int(study.dataset.attrs.get("n_means", 0)),
         "spp": study.samples.spp,
         "no_estimators": study.why_not,
@@ -72,6 +79,9 @@ def document(study: Study) -> Document:
     }
     if panels:
         drawn["chds"] = figures.chds(panels)
+    if study.atlas is not None:
+        content["atlas"] = _atlas(study.atlas)
+        drawn["atlas"] = figures.atlas(study.atlas)
     if study.overview.averages:
         drawn["averages"] = figures.averages(study.dataset, study.overview)
     if study.comparison is not None:
@@ -131,8 +141,8 @@ def _region(study: Study, index: int) -> dict[str, Any]:
         "radiance": [number(v) for v in np.atleast_1d(found["mean"].values)],
         "nulls": percent(float(found["null_share"])),
         "variation": number(float(found["coefficient_of_variation"])),
-        "tail": between(float(found["long_tail_statistic"]), 2 * float(found["tail_index_se"])),
-        "family": _named(found["family"]),
+        "tail": between(float(found["long_tail_statistic"]), 2 * float(found["long_tail_se"])),
+        "family": _named(found["luminance_family"]),
         "label": _named(found["label"]),
     }
 
@@ -140,6 +150,49 @@ def _region(study: Study, index: int) -> dict[str, Any]:
 def _named(code: xr.DataArray) -> str:
     name = figures.names_of(code)[int(code)]
     return NAMES.get(name, name)
+
+
+def _families(found: xr.Dataset) -> list[dict[str, str]]:
+    """Return the rows of the table of families: shares by both criteria, over all channels."""
+    columns = [
+        pooled_shares(found, variable)
+        for variable in ("best_family", "held_out_best_family")
+        if variable in found
+    ]
+    return [
+        {
+            "name": NAMES.get(name, name),
+            **{
+                key: f"{percent(column[name].share)} [{percent(column[name].low)}, "
+                f"{percent(column[name].high)}]"
+                for key, column in zip(("bic", "held_out"), columns, strict=False)
+            },
+        }
+        for name in columns[0]
+    ]
+
+
+def _patterns(scene: Overview) -> list[dict[str, str]]:
+    """Return the rows of the table of patterns, the most frequent first."""
+    order = sorted(PATTERNS, key=lambda p: -scene.patterns[p.name])
+    return [
+        {
+            "name": NAMES.get(p.name, p.name),
+            "share": percent(scene.patterns[p.name]),
+            "meaning": p.meaning,
+            "statistic": p.statistic,
+            "rule": p.rule,
+        }
+        for p in order
+    ]
+
+
+def _atlas(shapes: Atlas) -> dict[str, Any]:
+    return {
+        "count": len(shapes.share),
+        "repeatable": percent(shapes.repeatable),
+        "stability": number(shapes.stability),
+    }
 
 
 def _thresholds(dataset: xr.Dataset) -> dict[str, str]:

@@ -10,10 +10,12 @@ import numpy.typing as npt
 
 from chdstat import viz
 from chdstat._arrays import is_bad, is_null
-from chdstat.analysis import Overview
+from chdstat.atlases import Atlas
+from chdstat.averages import MORE_THAN_TESTED
 from chdstat.comparison import Comparison
 from chdstat.fit import select
 from chdstat.histograms import Histogram, histogram
+from chdstat.overviews import Overview
 from chdstat.recipes import Region
 from chdstat.reporting.text import NAMES, percent
 from chdstat.samples import Samples
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from chdstat.fit import Fit
 
 __all__ = [
+    "atlas",
     "averages",
     "chds",
     "color_of",
@@ -40,6 +43,7 @@ __all__ = [
 ]
 
 _LABEL_COLORS = {
+    "none": "#DDDDDD",
     "undetermined": "#DDDDDD",
     "black": "#222222",
     "constant": "#999999",
@@ -48,6 +52,9 @@ _LABEL_COLORS = {
     "null heavy": "#0072B2",
     "gamma like": "#56B4E9",
     "lognormal like": "#009E73",
+    "multimodal": "#882255",
+    "firefly dominated": "#F0E442",
+    "other": "#BBBBBB",
 }
 
 
@@ -125,17 +132,31 @@ def chds(panels: Sequence[viz.Panel]) -> Figure:
 def maps(found: xr.Dataset) -> Figure:
     """Draw the maps of the image."""
     height, width = found.sizes["y"], found.sizes["x"]
+    skewness = found["normality_skewness"].sel(transform="log").mean("channel")
     draw = [
         viz.value_map(found["null_share"], title="Share of null samples", limits=(0, 1)),
         viz.value_map(found["coefficient_of_variation"], title="Coefficient of variation"),
         viz.value_map(found["long_tail_statistic"], title="Tail index ξ", limits=(-0.5, 1.0)),
-        _categories(found["family"], "Best family"),
-        viz.value_map(
-            found["log_normality_skewness"].mean("channel"), title="Skewness of log samples"
-        ),
+        _categories(found["luminance_family"], "Best family"),
+        viz.value_map(found["misfit"], title="Misfit: Kolmogorov's distance", limits=(0, 0.2)),
+        viz.value_map(skewness, title="Skewness of log samples"),
         _categories(found["label"], "Primary pattern"),
+        viz.value_map(found["label_agreement"], title="Agreement with neighbours", limits=(0, 1)),
     ]
+    if "averages_n_needed" in found:
+        draw.append(viz.n_needed(_slowest(found["averages_n_needed"]), found["size"]))
     return viz.map_grid(draw, columns=3, aspect=height / width)
+
+
+def _slowest(needed: xr.DataArray) -> npt.NDArray[np.int64]:
+    """Return the N of the channel that needs most, -1 for more than tested in any channel."""
+    n = needed.transpose("y", "x", "channel").values
+    return np.where((n == MORE_THAN_TESTED).any(axis=-1), MORE_THAN_TESTED, n.max(axis=-1))
+
+
+def atlas(shapes: Atlas) -> Figure:
+    """Draw the shapes that recur."""
+    return viz.atlas(shapes)
 
 
 def _categories(variable: xr.DataArray, title: str) -> Any:
@@ -155,6 +176,7 @@ def averages(found: xr.Dataset, scene: Overview) -> Figure:
         scene.skewness,
         scene.predicted_skewness,
         alpha=float(found.attrs["false_discovery_rate"]),
+        scale="log",
     )
 
 

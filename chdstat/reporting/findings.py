@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from chdstat.analysis import Overview
+from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison
+from chdstat.overviews import Overview
 from chdstat.reporting.text import NAMES, number, percent
 
 __all__ = ["Finding", "findings"]
@@ -32,10 +33,12 @@ class Finding:
     figure: str
 
 
-def findings(scene: Overview, comparison: Comparison | None) -> list[Finding]:
+def findings(scene: Overview, atlas: Atlas | None, comparison: Comparison | None) -> list[Finding]:
     """Return the findings on a scene, in the order of the report."""
     rows = [_nulls(scene), _spread(scene), _family(scene), _log_shape(scene), _tails(scene)]
-    rows += [_modes(scene), *_averages(scene), _bad(scene)]
+    rows += [_fireflies(scene), _modes(scene), _neighbours(scene), *_averages(scene), _bad(scene)]
+    if atlas is not None:
+        rows.insert(-1, _shapes(atlas))
     if comparison is not None:
         rows += _estimators(comparison)
     return rows
@@ -64,17 +67,22 @@ def _spread(scene: Overview) -> Finding:
 
 
 def _family(scene: Overview) -> Finding:
+    question = "Which family describes the samples?"
     if not any(share > 0 for share in scene.families.values()):
-        return Finding("Which family describes the samples?", "No pixel could be fitted.", "—")
+        return Finding(question, "No pixel could be fitted.", "—")
     best, share = max(scene.families.items(), key=lambda item: item[1])
-    rest = {name: s for name, s in scene.families.items() if name != best}
-    others = ", ".join(f"{NAMES.get(name, name)} {percent(s)}" for name, s in rest.items())
+    held_out = max(scene.families_held_out.items(), key=lambda item: item[1], default=None)
+    agreed = (
+        ""
+        if held_out is None
+        else f"By held-out likelihood it is {_name(held_out[0])}, {percent(held_out[1])}. "
+    )
     return Finding(
-        "Which family describes the samples?",
-        f"Of those compared, {NAMES.get(best, best)} describes {percent(share)} of the pixel "
-        f"channels best ({others}); the evidence is very strong for {percent(scene.decided)}. "
-        "The better one need not be good.",
-        f"{NAMES.get(best, best)} {percent(share)}",
+        question,
+        f"By BIC, {_name(best)} describes {percent(share)} of the pixel channels best "
+        f"({_listed(scene.families, best)}); the evidence is very strong for "
+        f"{percent(scene.decided)}. {agreed}The best of them need not be good.",
+        f"{_name(best)} {percent(share)}",
     )
 
 
@@ -95,35 +103,78 @@ def _tails(scene: Overview) -> Finding:
     question = "Are tails long?"
     if not math.isfinite(scene.doubtful_variance):
         return Finding(question, "No pixel has enough positive samples to look at its tail.", "—")
+    long = scene.patterns["long_tail"]
     return Finding(
         question,
-        f"In {percent(scene.long_tails)} of the pixels, the tail index is above the threshold. In "
-        f"{percent(scene.doubtful_variance)} its estimate reaches 1/2, where the variance of such "
+        f"{percent(long)} of the pixels have a long tail. In {percent(scene.doubtful_variance)} of "
+        "the pixel channels the tail index is estimated at 1/2 or more, where the variance of such "
         "a tail, and every error bar that rests on it, is not to be trusted.",
-        percent(scene.long_tails),
+        percent(long),
+    )
+
+
+def _fireflies(scene: Overview) -> Finding:
+    share = scene.patterns["firefly_dominated"]
+    return Finding(
+        "Does one sample decide a pixel?",
+        f"In {percent(share)} of the pixels, a single one of {scene.spp} samples carries a large "
+        "share of the mean."
+        if share
+        else f"In no pixel does a single one of {scene.spp} samples carry a large share of the "
+        "mean.",
+        percent(share),
     )
 
 
 def _modes(scene: Overview) -> Finding:
+    two, more = scene.patterns["bimodal"], scene.patterns["multimodal"]
     return Finding(
-        "Do two kinds of paths mix?",
-        f"{percent(scene.bimodal)} of the pixels have two clearly separated modes of log "
-        "luminance.",
-        percent(scene.bimodal),
+        "Do several kinds of paths mix?",
+        f"{percent(two)} of the pixels have two clearly separated modes of log luminance, "
+        f"{percent(more)} three or more.",
+        percent(two + more),
     )
+
+
+def _neighbours(scene: Overview) -> Finding:
+    question = "Do patterns form regions?"
+    if not math.isfinite(scene.label_agreement):
+        return Finding(question, "All pixels have the same label, or none.", "—")
+    return Finding(
+        question,
+        f"Neighbouring pixels share their primary pattern with a kappa of "
+        f"{number(scene.label_agreement)}: 0 would be chance, 1 complete agreement.",
+        f"κ = {number(scene.label_agreement)}",
+    )
+
+
+def _shapes(atlas: Atlas) -> Finding:
+    question = "Which shapes recur?"
+    count = len(atlas.share)
+    if not count:
+        return Finding(question, "No pixel has enough positive samples for a shape.", "—")
+    if count == 1:
+        answer = "All pixels have one shape, but for scale and noise."
+    else:
+        answer = (
+            f"{count} typical shapes tell apart what repeats; the most frequent is that of "
+            f"{percent(float(atlas.share[0]))} of the pixels. Pixels are a continuum, of which "
+            "these are landmarks."
+        )
+    return Finding(question, answer, f"{count}")
 
 
 def _averages(scene: Overview) -> Iterator[Finding]:
     if not scene.averages or not any(math.isfinite(share) for share in scene.averages.values()):
         return
-    n = 32 if 32 in scene.averages else max(scene.averages)
     largest = max(scene.averages)
     yield Finding(
         "Are pixel estimates Gaussian?",
-        f"Averages of {n} samples are told from Gaussian in {percent(scene.averages[n])} of the "
-        f"pixel channels, averages of {largest} in {percent(scene.averages[largest])}. A test of "
-        "few averages is weak: more would be found with more samples.",
-        f"N = {n}: {percent(scene.averages[n])}",
+        f"Averages of {largest} samples are told from Gaussian in "
+        f"{percent(scene.averages[largest])} of the pixel channels, single samples in "
+        f"{percent(scene.averages[min(scene.averages)])}. A test of few averages is weak: more "
+        "would be found with more samples.",
+        f"N = {largest}: {percent(scene.averages[largest])}",
     )
 
 
@@ -155,3 +206,12 @@ def _estimators(comparison: Comparison) -> Iterator[Finding]:
             f"the relative squared error, with a bias of {percent(row['bias'], sign=True)}.",
             f"improved {percent(row['improved'])}",
         )
+
+
+def _name(family: str) -> str:
+    return NAMES.get(family, family)
+
+
+def _listed(shares: Mapping[str, float], best: str) -> str:
+    rest = sorted((item for item in shares.items() if item[0] != best), key=lambda item: -item[1])
+    return ", ".join(f"{_name(name)} {percent(share)}" for name, share in rest)

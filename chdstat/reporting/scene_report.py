@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from chdstat.analysis import analyze, overview
+from chdstat.analysis import analyze
+from chdstat.atlases import Atlas, atlas
 from chdstat.backend import Backend
 from chdstat.capture import render, scene_size
 from chdstat.comparison import Comparison, compare
 from chdstat.errors import InputError
+from chdstat.overviews import overview
 from chdstat.recipes import Recipe, choose_regions, find_recipe, load_recipe
 from chdstat.reporting.content import Study, document
 from chdstat.reporting.typeset import typeset
@@ -101,6 +103,7 @@ def report(
         overview=overview(dataset),
         regions=regions or choose_regions(dataset),
         chosen=not regions,
+        atlas=_atlas(samples, progress),
         comparison=comparison,
         why_not=why_not,
     )
@@ -139,6 +142,12 @@ def _defaults(scene: Scene) -> dict[str, Any]:
     scale = _EDGE / max(width, height)
     size = max(1, round(width * scale)), max(1, round(height * scale))
     return {"spp": _SPP, "size": size}
+
+
+def _atlas(samples: Samples, progress: bool | None) -> Atlas | None:
+    """Return the shapes that recur; None where no pixel has one."""
+    found = atlas(samples, progress=progress)
+    return found if len(found.share) else None
 
 
 def _compare(

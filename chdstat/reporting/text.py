@@ -12,8 +12,15 @@ NAMES = {
     "elek2019": "Elek et al. 2019",
     "gamma": "gamma",
     "lognormal": "log-normal",
+    "weibull": "Weibull",
+    "burr": "Burr",
+    "null_heavy": "null-heavy",
+    "long_tail": "long tail",
+    "firefly_dominated": "firefly-dominated",
+    "gamma_like": "gamma-like",
+    "lognormal_like": "log-normal-like",
 }
-"""Names of estimators and families in running text."""
+"""Names of estimators, families and patterns in running text."""
 
 
 def number(value: float) -> str:

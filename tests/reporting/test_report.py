@@ -102,10 +102,10 @@ def test_a_scene_is_rendered_and_its_store_is_kept(tmp_path):
 
 def test_findings_name_the_verdict_on_the_papers_claim(radiance):
     samples = chd.Samples.from_array(radiance)
-    from chdstat.analysis import overview
+    from chdstat.overviews import overview
 
     numbers = overview(chd.analyze(samples))
-    rows = findings(numbers, chd.compare(samples, FIXED))
+    rows = findings(numbers, None, chd.compare(samples, FIXED))
     (row,) = (r for r in rows if "median of means" in r.question)
     assert "fewer than half" in row.answer
 
