@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping
 from dataclasses import is_dataclass
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def take_rows(result: Result, rows: int | slice, *, axis: int) -> Result:
     >>> take_rows({"mean": np.arange(6).reshape(2, 3), "n": np.array([7, 8])}, 2, axis=1)
     {'mean': array([2, 5]), 'n': array([7, 8])}
     """
-    return _take(result, (slice(None),) * axis + (rows,))
+    return cast("Result", _take(result, (slice(None),) * axis + (rows,)))
 
 
 def _take(value: Any, index: tuple[int | slice, ...]) -> Any:

@@ -144,7 +144,7 @@ class _Tile:
     def __init__(self, block: npt.NDArray[np.float32], *, held_out: bool) -> None:
         self.block = block
         self.held_out = held_out
-        self.bad = is_bad(block).any(axis=-2, keepdims=True)
+        self.bad = np.asarray(is_bad(block).any(axis=-2, keepdims=True))
         self._channels = block.shape[-2]
 
     @cached_property
