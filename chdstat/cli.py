@@ -142,6 +142,14 @@ def analyze(
             "--out", "-o", help="Write all maps to this new zarr store.", show_default=False
         ),
     ] = None,
+    threshold: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--threshold",
+            metavar="NAME=VALUE",
+            help="When a pattern counts, such as tail_index=0.3; repeat for more.",
+        ),
+    ] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -152,7 +160,8 @@ def analyze(
 
     if out is not None:
         unused(out)  # refused before the work, not after
-    dataset = chdstat.analyze(chdstat.open(store), progress=_progress(quiet))
+    thresholds = _thresholds(threshold)
+    dataset = chdstat.analyze(chdstat.open(store), thresholds=thresholds, progress=_progress(quiet))
     if out is not None:
         save(dataset, out)
     numbers = overview(dataset).to_dict()
@@ -230,14 +239,37 @@ def doctor(
 def _scene(name: str, define: list[str] | None) -> Any:
     from chdstat.scenes import load_scene
 
-    parameters = {}
-    for text in define or []:
+    return load_scene(name, **_pairs("-D", define))
+
+
+def _thresholds(given: list[str] | None) -> Any:
+    from dataclasses import fields
+
+    from chdstat.patterns import Thresholds
+
+    pairs = _pairs("--threshold", given)
+    known = [field.name for field in fields(Thresholds)]
+    for name, value in pairs.items():
+        if name not in known:
+            message = f"--threshold takes one of {', '.join(known)}, got {name!r}"
+            raise InputError(message)
+        try:
+            float(value)
+        except ValueError:
+            message = f"--threshold {name} takes a number, got {value!r}"
+            raise InputError(message) from None
+    return Thresholds(**{name: float(value) for name, value in pairs.items()})
+
+
+def _pairs(option: str, given: list[str] | None) -> dict[str, str]:
+    pairs = {}
+    for text in given or []:
         key, equals, value = text.partition("=")
         if not equals or not key:
-            message = f"-D takes KEY=VALUE, got {text!r}"
+            message = f"{option} takes KEY=VALUE, got {text!r}"
             raise InputError(message)
-        parameters[key] = value
-    return load_scene(name, **parameters)
+        pairs[key] = value
+    return pairs
 
 
 def _size(text: str | None) -> tuple[int, int] | None:
@@ -304,7 +336,8 @@ def _readable(value: Any) -> str:
     if isinstance(value, dict):
         return "\n".join(f"{k}: {_readable(v)}" for k, v in value.items()) or "none"
     if isinstance(value, (list, tuple)):
-        return ", ".join(_readable(v) for v in value) or "none"
+        nested = any(isinstance(v, (list, tuple)) for v in value)
+        return ("\n" if nested else ", ").join(_readable(v) for v in value) or "none"
     if isinstance(value, float):
         return f"{value:.4g}"
     return "unknown" if value is None else str(value)
