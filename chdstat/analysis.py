@@ -19,6 +19,8 @@ from chdstat._rows import Result, take_rows
 from chdstat.averages import N_MEANS, finish_means, means_of_block, means_variables, sizes_of_means
 from chdstat.errors import StoreError
 from chdstat.fit.families import FAMILIES
+from chdstat.fit.goodness_of_fit import goodness_of_part, stream_of
+from chdstat.fit.goodness_results import Goodness, finish_goodness, goodness_variables
 from chdstat.fit.selection import (
     SELECTED,
     Selection,
@@ -50,6 +52,8 @@ def analyze(
     *,
     thresholds: Thresholds | None = None,
     held_out: bool = True,
+    resamples: int = 0,
+    seed: int = 0,
     progress: bool | None = None,
 ) -> xr.Dataset:
     """Return everything per pixel: statistics, fits, tails, modes, normality, patterns.
@@ -65,6 +69,9 @@ def analyze(
         When a pattern counts; None for the defaults.
     held_out
         Compare the families by held-out likelihood, too, which nearly doubles the cost of fits.
+    resamples, seed
+        Bootstrap replicates of the goodness of the best family, and their seed. Without any, there
+        are statistics and effect sizes and no p-values. Each costs about as much as the fits.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -73,10 +80,10 @@ def analyze(
     xarray.Dataset
         The variables of `summarize`, `fit.select`, `fit.tail_index` and `classify`; those of
         `modality` with the prefix ``modality_``, of `gaussianity` with ``normality_`` and of
-        `gaussianity_of_means` with ``averages_``; and ``luminance_mean``,
+        `gaussianity_of_means` with ``averages_``; those of `fit.goodness` for the family that is
+        best at each pixel with ``best_goodness_``; and ``luminance_mean``,
         ``coefficient_of_variation`` (y, x). Where there are too few samples for averages, their
-        variables are absent. `fit.mixture`, `fit.goodness` and `atlas` are not part of it: they
-        answer further questions at a price of their own.
+        variables are absent. `atlas`, which looks at the image as a whole, is apart.
 
     Examples
     --------
@@ -91,7 +98,7 @@ def analyze(
     import xarray as xr
 
     summary = summarize(samples, progress=progress)
-    stages = _stages(samples.spp, thresholds or Thresholds())
+    stages = _stages(samples.spp, thresholds or Thresholds(), resamples, seed)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         tile = _Tile(block, held_out=held_out)
@@ -165,6 +172,11 @@ class _Tile:
     def of_luminance(self, result: Result) -> Result:
         return take_rows(result, -1, axis=2)
 
+    def goodness(self, resamples: int, seed: int) -> Goodness:
+        part, selection = self.of_channels(self.part), self.of_channels(self.selection)
+        stream = stream_of(part, seed)
+        return goodness_of_part(part, selection, resamples=resamples, seed=stream)
+
     @cached_property
     def tail(self) -> Tail:
         return tail_of_part(self.part)
@@ -194,12 +206,16 @@ class _Stage:
         return dataset.rename({str(n): f"{self.prefix}{n}" for n in dataset.data_vars})
 
 
-def _stages(spp: int, thresholds: Thresholds) -> list[_Stage]:
+def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list[_Stage]:
     stages = [
         _Stage(_luminance, _label_luminance),
         _Stage(
             lambda t: selection_variables(t.of_channels(t.selection)),
             lambda d: finish_selection(d, list(SELECTED), "bic"),
+        ),
+        _Stage(
+            lambda t: goodness_variables(t.goodness(resamples, seed)),
+            lambda d: finish_goodness(d, "best"),
         ),
         _Stage(lambda t: tail_variables(t.of_channels(t.tail)), finish_tail),
         _Stage(lambda t: modality_variables(t.of_channels(t.modes)), finish_modality, "modality_"),

@@ -150,6 +150,10 @@ def analyze(
             help="When a pattern counts, such as tail_index=0.3; repeat for more.",
         ),
     ] = None,
+    resamples: Annotated[
+        int,
+        typer.Option(min=0, help="Bootstrap replicates of goodness of fit: minutes for an image."),
+    ] = 0,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -161,7 +165,12 @@ def analyze(
     if out is not None:
         unused(out)  # refused before the work, not after
     thresholds = _thresholds(threshold)
-    dataset = chdstat.analyze(chdstat.open(store), thresholds=thresholds, progress=_progress(quiet))
+    dataset = chdstat.analyze(
+        chdstat.open(store),
+        thresholds=thresholds,
+        resamples=resamples,
+        progress=_progress(quiet),
+    )
     if out is not None:
         save(dataset, out)
     numbers = overview(dataset).to_dict()

@@ -43,6 +43,9 @@ class Overview:
         held-out likelihood; the latter is empty where it was not asked for.
     decided
         Share of the choices by BIC that are very strong: a margin above 10.
+    misfit
+        Quartiles over the pixel channels of the largest distance between the distribution functions
+        of the samples and of their best family.
     log_rejected, log_skewness
         Share of the pixel channels whose log samples are told from Gaussian, and quartiles of
         their skewness.
@@ -73,6 +76,7 @@ class Overview:
     families: dict[str, float]
     families_held_out: dict[str, float]
     decided: float
+    misfit: tuple[float, float, float]
     log_rejected: float
     log_skewness: tuple[float, float, float]
     patterns: dict[str, float]
@@ -103,6 +107,7 @@ def _plain(value: Any) -> Any:
 def overview(found: xr.Dataset) -> Overview:
     """Return the numbers of the whole scene from the dataset of `analyze`."""
     log = found[["normality_p_value", "normality_rejected", "normality_skewness"]].sel(_TEST)
+    distance = found["best_goodness_effect"].sel(fit_test="kolmogorov-smirnov")
     null = found["null_share"].values
     tail = found["tail_index"].values
     averages, skewness, predicted = _averages(found)
@@ -116,6 +121,7 @@ def overview(found: xr.Dataset) -> Overview:
         families=_family_shares(found, "best_family"),
         families_held_out=_family_shares(found, "held_out_best_family"),
         decided=_share(found["margin"] > 10, found["margin"].notnull()),
+        misfit=_quartiles(distance.values),
         log_rejected=_share(log["normality_rejected"], log["normality_p_value"].notnull()),
         log_skewness=_quartiles(log["normality_skewness"].values),
         patterns={p.name: float(found[p.name].mean()) for p in PATTERNS},

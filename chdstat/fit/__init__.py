@@ -1,16 +1,18 @@
 """Fits: distributions for the positive part of a CHD, the share of nulls apart.
 
 `gamma`, `lognormal`, `weibull`, `burr` and `pareto` fit a family, `select` compares families,
-`mixture` adds several components up, `tail_index` looks at the largest samples only. All take one
-pixel, a batch with the samples on the last axis, or a whole `Samples`; families and mixtures can be
-fitted to log histograms, too.
+`goodness` tests whether a family describes the samples at all; `mixture` adds several components
+up, `tail_index` looks at the largest samples only. All take one pixel, a batch with the samples on
+the last axis, or a whole `Samples`; families and mixtures can be fitted to log histograms, too.
 """
 
 from chdstat.fit.by_name import burr, gamma, lognormal, pareto, weibull
 from chdstat.fit.families import FAMILIES, Family
-from chdstat.fit.mle import fit
+from chdstat.fit.goodness_of_fit import goodness
+from chdstat.fit.goodness_results import Goodness
 from chdstat.fit.mixture_results import Mixture
 from chdstat.fit.mixtures import mixture
+from chdstat.fit.mle import fit
 from chdstat.fit.results import Fit
 from chdstat.fit.selection import HeldOut, Selection, select
 from chdstat.fit.shares import family_shares
@@ -20,6 +22,7 @@ __all__ = [
     "FAMILIES",
     "Family",
     "Fit",
+    "Goodness",
     "HeldOut",
     "Mixture",
     "Selection",
@@ -28,6 +31,7 @@ __all__ = [
     "family_shares",
     "fit",
     "gamma",
+    "goodness",
     "lognormal",
     "mixture",
     "pareto",

@@ -133,12 +133,13 @@ def maps(found: xr.Dataset) -> Figure:
     """Draw the maps of the image."""
     height, width = found.sizes["y"], found.sizes["x"]
     skewness = found["normality_skewness"].sel(transform="log").mean("channel")
+    misfit = found["best_goodness_effect"].sel(fit_test="kolmogorov-smirnov").mean("channel")
     draw = [
         viz.value_map(found["null_share"], title="Share of null samples", limits=(0, 1)),
         viz.value_map(found["coefficient_of_variation"], title="Coefficient of variation"),
         viz.value_map(found["long_tail_statistic"], title="Tail index ξ", limits=(-0.5, 1.0)),
         _categories(found["luminance_family"], "Best family"),
-        viz.value_map(found["misfit"], title="Misfit: Kolmogorov's distance", limits=(0, 0.2)),
+        viz.value_map(misfit, title="Misfit of the best family", limits=(0, 0.2)),
         viz.value_map(skewness, title="Skewness of log samples"),
         _categories(found["label"], "Primary pattern"),
         viz.value_map(found["label_agreement"], title="Agreement with neighbours", limits=(0, 1)),

@@ -35,8 +35,15 @@ class Finding:
 
 def findings(scene: Overview, atlas: Atlas | None, comparison: Comparison | None) -> list[Finding]:
     """Return the findings on a scene, in the order of the report."""
-    rows = [_nulls(scene), _spread(scene), _family(scene), _log_shape(scene), _tails(scene)]
-    rows += [_fireflies(scene), _modes(scene), _neighbours(scene), *_averages(scene), _bad(scene)]
+    rows = [_nulls(scene), _spread(scene), _family(scene), _fit(scene), _log_shape(scene)]
+    rows += [
+        _tails(scene),
+        _fireflies(scene),
+        _modes(scene),
+        _neighbours(scene),
+        *_averages(scene),
+        _bad(scene),
+    ]
     if atlas is not None:
         rows.insert(-1, _shapes(atlas))
     if comparison is not None:
@@ -81,8 +88,21 @@ def _family(scene: Overview) -> Finding:
         question,
         f"By BIC, {_name(best)} describes {percent(share)} of the pixel channels best "
         f"({_listed(scene.families, best)}); the evidence is very strong for "
-        f"{percent(scene.decided)}. {agreed}The best of them need not be good.",
+        f"{percent(scene.decided)}. {agreed}".rstrip(),
         f"{_name(best)} {percent(share)}",
+    )
+
+
+def _fit(scene: Overview) -> Finding:
+    question = "Is the best family a good one?"
+    if not math.isfinite(scene.misfit[1]):
+        return Finding(question, "No pixel could be fitted.", "—")
+    low, middle, high = (percent(v) for v in scene.misfit)
+    return Finding(
+        question,
+        f"The distribution function of the samples is at most {middle} away from that of the best "
+        f"family in the median pixel channel (quartiles {low} and {high}).",
+        middle,
     )
 
 

@@ -1,0 +1,268 @@
+"""Goodness of fit: whether a fitted family describes the samples, and by how much it does not.
+
+`goodness` gives, for each test, a p-value that knows the parameters were estimated, and an effect
+size: with thousands of samples every family is rejected, and the effect says whether it matters.
+Use `chdstat.fit.select` to compare families with each other.
+
+Which test? Anderson-Darling has the most power against tails that differ, which decide noise;
+Cramer-von Mises looks at the body, Kolmogorov-Smirnov at the largest gap, whose size is the easiest
+to read; chi-square at all cells alike, whatever their order, and is the weakest of the four.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import generator
+from chdstat._positive import Counts, Floats, Mask
+from chdstat._reasons import Reason
+from chdstat._routes import Part, Source, run
+from chdstat.errors import InputError
+from chdstat.fit._bootstrap import bootstrap
+from chdstat.fit._distances import DISTANCES, FitTest
+from chdstat.fit._mixture_family import mixture_family, mixture_parameters
+from chdstat.fit.families import Family, Parameters, get_family
+from chdstat.fit.goodness_results import FIT_TESTS, Goodness, finish_goodness, goodness_variables
+from chdstat.fit.mixture_results import Mixture
+from chdstat.fit.mle import fit_part
+from chdstat.fit.results import Fit
+from chdstat.fit.selection import Selection
+from chdstat.histograms import Histogram
+from chdstat.samples import Samples
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "FIT_TESTS",
+    "FitTest",
+    "Goodness",
+    "finish_goodness",
+    "goodness",
+    "goodness_of_part",
+    "goodness_variables",
+    "stream_of",
+]
+
+Fitted: TypeAlias = Fit | Mixture | Selection
+"""What was fitted, and can be tested."""
+
+_MINIMUM = 8
+
+
+@overload
+def goodness(
+    x: Samples | xr.Dataset,
+    fit: str | Family,
+    *,
+    tests: Sequence[FitTest] = ...,
+    resamples: int = ...,
+    seed: int | None = ...,
+    alpha: float = ...,
+    progress: bool | None = None,
+) -> xr.Dataset: ...
+@overload
+def goodness(
+    x: Histogram | npt.ArrayLike,
+    fit: str | Family | Fitted,
+    *,
+    tests: Sequence[FitTest] = ...,
+    resamples: int = ...,
+    seed: int | np.random.Generator | None = ...,
+    null: npt.ArrayLike | None = None,
+) -> Goodness: ...
+def goodness(
+    x: Source,
+    fit: str | Family | Fitted,
+    *,
+    tests: Sequence[FitTest] = FIT_TESTS,
+    resamples: int = 99,
+    seed: int | np.random.Generator | None = 0,
+    alpha: float = 0.05,
+    null: npt.ArrayLike | None = None,
+    progress: bool | None = None,
+) -> Goodness | xr.Dataset:
+    """Test whether the positive samples are of a family whose parameters are estimated from them.
+
+    Estimated parameters make the distance between samples and family smaller than that to the true
+    one, so that textbook tables do not hold. The parametric bootstrap does: B times, as many
+    samples are drawn from the fitted family and fitted again; ``p = (b + 1) / (B + 1)`` where b of
+    them are as far from their fit as the samples are from theirs. It is never 0.
+
+    Parameters
+    ----------
+    x, null, progress
+        As for `chdstat.fit.fit`.
+    fit
+        Name of a family, a `Family`, or, for an array or a `Histogram`, a `Fit`, a `Mixture` or a
+        `Selection` that was fitted to it. Replicates of a mixture are fitted with as many
+        components as it has; of a selection, the best family of each pixel is tested.
+    tests
+        Some of 'kolmogorov-smirnov', 'cramer-von-mises', 'anderson-darling', 'chi-square'.
+    resamples
+        Replicates B; 0 for statistics and effects alone.
+    seed
+        Of all replicates: consecutive draws of one generator. The tiles of an image have
+        independent ones, made of the seed and of what the tile holds.
+    alpha
+        For an image: false discovery rate of ``rejected``.
+
+    Returns
+    -------
+    Goodness or xarray.Dataset
+        `Goodness` for an array or a `Histogram`. For an image, its fields over (y, x, channel,
+        fit_test), as ``gamma_goodness_p_value``; the q-value of Benjamini and Hochberg over the
+        image, for each channel and test apart; and ``gamma_goodness_rejected``, where it is at most
+        `alpha`.
+
+    Raises
+    ------
+    InputError
+        If there is no such family or test, a number is out of range, or a fit is not one to `x`.
+
+    Notes
+    -----
+    Chi-square counts samples in ``2 n^(2/5)`` equiprobable cells of the fitted family. Of a log
+    histogram, it counts bins, merged until 5 samples are expected in each; the other statistics are
+    sums over bins there, and replicates are histograms. Replicates that cannot be fitted, as the
+    samples could, do not count.
+
+    References
+    ----------
+    Stute, Gonzalez Manteiga and Presedo Quindimil, "Bootstrap based goodness-of-fit-tests", 1993,
+    doi:10.1007/BF02613687. Davison and Hinkley, "Bootstrap methods and their application", 1997,
+    equation 4.11, doi:10.1017/CBO9780511802843. Anderson and Darling, "Asymptotic theory of certain
+    goodness of fit criteria", 1952, doi:10.1214/aoms/1177729437. Cohen, "Statistical power analysis
+    for the behavioral sciences", 1988, chapter 7, doi:10.4324/9780203771587.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(1).gamma(2.0, size=500)
+    >>> gamma, lognormal = goodness(x, "gamma"), goodness(x, "lognormal")
+    >>> gamma.p_value > 0.05
+    array([ True,  True,  True,  True])
+    >>> lognormal.p_value[:3], bool(lognormal.effect[0] > gamma.effect[0])
+    (array([0.01, 0.01, 0.01]), True)
+    """
+    _check(tests, resamples, alpha)
+    image = isinstance(x, Samples) or hasattr(x, "data_vars")
+    if image and (not isinstance(fit, (str, Family)) or isinstance(seed, np.random.Generator)):
+        message = "an image needs the name of a family and an integer seed, got a fit or generator"
+        raise InputError(message)
+
+    fit = get_family(fit) if isinstance(fit, (str, Family)) else fit
+    name = _name(fit)
+
+    def of_part(part: Part) -> Goodness:
+        stream = stream_of(part, seed) if image else seed
+        return goodness_of_part(part, fit, tests=tests, resamples=resamples, seed=stream)
+
+    result = run(
+        x,
+        of_part,
+        goodness_variables,
+        null=null,
+        description=f"testing {name}",
+        progress=progress,
+    )
+    if isinstance(result, Goodness):
+        return result
+    return finish_goodness(result, name, tests=tests, alpha=alpha)
+
+
+def goodness_of_part(
+    part: Part,
+    fit: Family | Fitted,
+    *,
+    tests: Sequence[FitTest] = FIT_TESTS,
+    resamples: int = 0,
+    seed: int | np.random.Generator | None = 0,
+) -> Goodness:
+    """Test samples that are already split; a `Family` is fitted to them first.
+
+    Of a `Selection`, each row is tested for the family that is best there. Its p-value then is a
+    little too large, as replicates are fitted with that family alone.
+
+    Raises
+    ------
+    InputError
+        If the fit has another batch shape.
+    """
+    rng = generator(seed)
+    given = fit if isinstance(fit, Family) else None
+    fit = fit_part(part, fit) if isinstance(fit, Family) else fit
+    if fit.reason.shape != part.n.shape:
+        message = f"expected a fit of batch shape {part.n.shape}, got {fit.reason.shape}"
+        raise InputError(message)
+    reason = fit.reason.copy()
+    values = np.full((3, *part.n.shape, len(tests)), np.nan)
+    for family, parameters, rows in _cases(fit, given):
+        few = rows & (reason == Reason.OK) & (part.n < max(_MINIMUM, family.minimum + 1))
+        reason[few] = Reason.TOO_FEW
+        usable = rows & (reason == Reason.OK)
+        found = bootstrap(part, usable, family, parameters, tests, resamples, rng)
+        for value, of_rows in zip(values, found, strict=True):
+            value[usable] = of_rows.reshape(value.shape)[usable]
+    statistic, p_value, fitted = values
+    reasons = np.repeat(reason[..., np.newaxis], len(tests), axis=-1)
+    reasons[(reasons == Reason.OK) & np.isnan(statistic)] = Reason.TOO_FEW
+    return Goodness(
+        family=_name(fit),
+        tests=tuple(tests),
+        statistic=statistic,
+        p_value=p_value,
+        effect=_effects(statistic, part.n, tests),
+        resamples=np.nan_to_num(fitted).astype(np.int64),
+        n=part.n,
+        reason=reasons,
+    )
+
+
+def stream_of(part: Part, seed: Any) -> np.random.Generator:
+    """Return a generator of this tile's own: tiles that share a seed must not share replicates."""
+    held = zlib.crc32(part.n.tobytes() + part.log_statistics.mean.tobytes())
+    return generator(None) if seed is None else np.random.default_rng([seed, held])
+
+
+def _name(fit: Family | Fitted) -> str:
+    if isinstance(fit, Mixture):
+        return f"{fit.family}_mixture"
+    if isinstance(fit, Selection):
+        return "best"
+    return fit.name if isinstance(fit, Family) else fit.family
+
+
+def _cases(fit: Fitted, given: Family | None) -> Iterator[tuple[Family, Parameters, Mask]]:
+    """Yield each family that there is, its parameters, and its rows."""
+    if isinstance(fit, Selection):
+        for i, name in enumerate(fit.families):
+            rows = np.asarray(fit.best == i)
+            yield get_family(name), fit.fits[name].parameters, rows
+        return
+    if isinstance(fit, Fit):
+        family = given or get_family(fit.family)
+        yield family, fit.parameters, np.ones(fit.n.shape, dtype=bool)
+        return
+    for k in np.unique(fit.k[fit.k > 0]).tolist():
+        rows = np.asarray(fit.k == k)
+        yield mixture_family(fit.family, k), mixture_parameters(fit, k), rows
+
+
+def _effects(statistic: Floats, n: Counts, tests: Sequence[FitTest]) -> Floats:
+    count = np.maximum(n, 1)
+    effects = [DISTANCES[test].effect(statistic[..., i], count) for i, test in enumerate(tests)]
+    return np.stack(effects, axis=-1)
+
+
+def _check(tests: Sequence[FitTest], resamples: int, alpha: float) -> None:
+    if isinstance(tests, str) or not tests or not set(tests) <= set(FIT_TESTS):
+        message = f"tests must be some of {', '.join(FIT_TESTS)}, got {tests!r}"
+        raise InputError(message)
+    if resamples < 0 or not 0 < alpha < 1:
+        message = f"resamples must be >= 0 and alpha lie in (0, 1), got {resamples} and {alpha}"
+        raise InputError(message)

@@ -1,0 +1,301 @@
+"""Goodness of fit: statistics of SciPy, p-values that are uniform, power, and false discoveries."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import chdstat as chd
+from chdstat._positive import PositivePart
+from chdstat._reasons import Reason
+from chdstat.errors import InputError
+from chdstat.fit.families import FAMILIES
+from chdstat.fit.goodness_of_fit import FIT_TESTS, goodness, goodness_of_part
+from chdstat.fit.selection import select
+
+PARAMETERS = {
+    "gamma": {"shape": 2.0, "scale": 3.0},
+    "lognormal": {"mu": 0.0, "sigma": 1.0},
+    "weibull": {"shape": 0.8, "scale": 1.0},
+    "burr": {"c": 2.0, "d": 1.5, "scale": 1.0},
+    "pareto": {"xi": 0.4, "scale": 1.0},
+}
+RESAMPLES = 19
+
+
+def draw(family, shape, seed):
+    distribution = FAMILIES[family].distribution(PARAMETERS[family])
+    return distribution.rvs(size=shape, random_state=np.random.default_rng(seed))
+
+
+def least_uniformity(p_value, resamples, seed):
+    """Spread discrete p-values evenly over their steps; return the p-value of uniformity."""
+    fitted = resamples > 0
+    # Of 100 Burr samples, 2 % look like Weibull ones, which are no Burr distribution.
+    assert fitted.mean() > 0.95
+    u = np.random.default_rng(seed).random(fitted.sum())
+    spread = p_value[fitted] - u / (resamples[fitted] + 1)
+    return stats.kstest(spread, "uniform").pvalue
+
+
+@pytest.mark.parametrize("route", ["samples", "histogram"])
+@pytest.mark.parametrize("family", PARAMETERS)
+def test_p_values_are_uniform(family, route):
+    """Of 40 tests of uniformity, one fails by chance at 1e-4 once in 250 runs."""
+    x = draw(family, (300, 100), 71)
+    source = x if route == "samples" else chd.histogram(x)
+    result = goodness(source, family, resamples=RESAMPLES, seed=72)
+    for test in range(len(FIT_TESTS)):
+        uniformity = least_uniformity(result.p_value[:, test], result.resamples[:, test], test)
+        assert uniformity > 1e-4
+
+
+def test_textbook_tables_would_not_be():
+    """Negative control: with estimated parameters, tables of known ones reject almost nothing."""
+    x = draw("lognormal", (300, 100), 73)
+    result = goodness(x, "lognormal", resamples=0)
+    naive = stats.kstwo.sf(result.statistic[:, 0], 100)
+    assert (naive < 0.05).mean() < 0.005
+
+
+@pytest.mark.parametrize("family", PARAMETERS)
+def test_statistics_are_those_of_scipy(family):
+    x = draw(family, 200, 74)
+    result = goodness(x, family, resamples=0)
+    fitted = chd.fit.fit(x, family)
+    distribution = FAMILIES[family].distribution(fitted.parameters)
+    expected = stats.ks_1samp(x, distribution.cdf).statistic
+    assert result.statistic[0] == pytest.approx(expected, rel=1e-9)
+    expected = stats.cramervonmises(x, distribution.cdf).statistic
+    assert result.statistic[1] == pytest.approx(expected, rel=1e-9)
+    below, i = distribution.cdf(np.sort(x)), np.arange(1, 201)
+    terms = (2 * i - 1) * (np.log(below) + np.log1p(-below[::-1]))
+    assert result.statistic[2] == pytest.approx(-200 - terms.sum() / 200, rel=1e-7)
+    cells = int(2 * 200**0.4)
+    observed = np.histogram(below, bins=cells, range=(0, 1))[0]
+    assert result.statistic[3] == pytest.approx(stats.chisquare(observed).statistic, rel=1e-9)
+
+
+def test_statistics_of_bins_by_their_formulas():
+    x = draw("gamma", 2000, 75)
+    histogram = chd.histogram(x)
+    fitted = chd.fit.gamma(histogram)
+    result = goodness(histogram, fitted, resamples=0)
+    distribution = FAMILIES["gamma"].distribution(fitted.parameters)
+    edges = histogram.edges
+    gap = np.searchsorted(np.sort(x), edges) / 2000 - distribution.cdf(edges)
+    assert result.statistic[0] == pytest.approx(np.abs(gap).max(), abs=1e-9)
+    weight = np.diff(distribution.cdf(edges))
+    assert result.statistic[1] == pytest.approx(2000 * np.sum(gap[1:] ** 2 * weight), rel=1e-6)
+    fine = goodness(x, fitted, resamples=0)
+    np.testing.assert_allclose(result.effect[1:3], fine.effect[1:3], rtol=0.3)
+    assert result.effect[0] <= fine.effect[0]
+
+
+def test_effects_do_not_grow_with_the_number_of_samples():
+    rng = np.random.default_rng(76)
+    few, many = rng.lognormal(0, 1, size=(100, 500)), rng.lognormal(0, 1, size=(100, 8000))
+    small, large = (goodness(x, "gamma", resamples=0) for x in (few, many))
+    np.testing.assert_allclose(
+        large.effect.mean(axis=0)[:3], small.effect.mean(axis=0)[:3], rtol=0.2
+    )
+    assert (large.statistic[:, 1:].mean(axis=0) > 5 * small.statistic[:, 1:].mean(axis=0)).all()
+    n = large.n[:, np.newaxis]
+    np.testing.assert_allclose(large.effect[:, 1:], np.sqrt(large.statistic[:, 1:] / n))
+
+
+@pytest.mark.parametrize(
+    ("family", "wrong"),
+    [("lognormal", "gamma"), ("gamma", "lognormal"), ("gamma", "pareto"), ("pareto", "weibull")],
+)
+@pytest.mark.parametrize("route", ["samples", "histogram"])
+def test_wrong_families_are_rejected(family, wrong, route):
+    x = draw(family, (40, 1000), 77)
+    source = x if route == "samples" else chd.histogram(x)
+    result = goodness(source, wrong, resamples=RESAMPLES)
+    power = (result.p_value <= 0.05).mean(axis=0)
+    assert (power[:3] > 0.9).all()
+    assert power[3] > 0.5
+
+
+def test_false_discoveries_over_an_image():
+    """80 % of the pixels are log-normal: of those that are rejected, 4 % are false on average.
+
+    There are about 75: that more than 13 % are false has a probability below 1e-3.
+    """
+    rng = np.random.default_rng(78)
+    truth = rng.random((15, 25)) < 0.8
+    lognormal, other = (
+        rng.lognormal(size=(*truth.shape, 120)),
+        rng.gamma(1, size=(*truth.shape, 120)),
+    )
+    samples = chd.Samples.from_array(np.where(truth[..., np.newaxis], lognormal, other))
+    tests = ("anderson-darling",)
+    dataset = goodness(samples, "lognormal", tests=tests, resamples=199, progress=False)
+    rejected = dataset["lognormal_goodness_rejected"].to_numpy()[..., 0, 0]
+    assert (rejected & truth).sum() / rejected.sum() < 0.13
+    assert rejected[~truth].mean() > 0.7
+    uncorrected = dataset["lognormal_goodness_p_value"].to_numpy()[..., 0, 0] <= 0.05
+    assert (uncorrected & truth).sum() > (rejected & truth).sum()
+
+
+def test_image_has_names_units_and_coordinates():
+    rng = np.random.default_rng(79)
+    samples = chd.Samples.from_array(rng.gamma(2.0, size=(2, 3, 3, 64)))
+    tests = ("kolmogorov-smirnov", "chi-square")
+    dataset = goodness(samples, "gamma", tests=tests, resamples=9, alpha=0.1, progress=False)
+    p_value = dataset["gamma_goodness_p_value"]
+    assert p_value.dims == ("y", "x", "channel", "fit_test")
+    assert tuple(p_value["fit_test"].to_numpy()) == tests
+    assert (dataset["gamma_goodness_q_value"] >= p_value).all()
+    assert dataset["gamma_goodness_rejected"].attrs["false_discovery_rate"] == 0.1
+    assert all({"long_name", "units"} <= set(v.attrs) for v in dataset.data_vars.values())
+    again = goodness(samples, "gamma", tests=tests, resamples=9, progress=False)
+    np.testing.assert_array_equal(again["gamma_goodness_p_value"], p_value)
+
+
+def test_histograms_of_an_image():
+    samples = chd.Samples.from_array(draw("lognormal", (2, 2, 1, 300), 80))
+    dataset = goodness(chd.histogram(samples), "lognormal", resamples=19)
+    assert (dataset["lognormal_goodness_p_value"] > 0.05).mean() > 0.5
+    assert dataset["lognormal_goodness_effect"].dims == ("y", "x", "channel", "fit_test")
+
+
+def test_a_family_of_ones_own():
+    own = replace(FAMILIES["gamma"], name="own")
+    x = draw("gamma", (2, 100), 89)
+    ours, theirs = goodness(x, own, resamples=9), goodness(x, "gamma", resamples=9)
+    assert ours.family == "own"
+    np.testing.assert_array_equal(ours.p_value, theirs.p_value)
+
+
+def test_a_fit_is_not_repeated():
+    x = draw("weibull", (3, 200), 81)
+    fitted = chd.fit.weibull(x)
+    by_name, by_fit = goodness(x, "weibull", resamples=9), goodness(x, fitted, resamples=9)
+    np.testing.assert_array_equal(by_name.p_value, by_fit.p_value)
+    part = goodness_of_part(PositivePart.of(x), fitted)
+    np.testing.assert_array_equal(part.statistic, by_fit.statistic)
+    with pytest.raises(InputError, match=r"\(2,\), got \(3,\)"):
+        goodness(x[:2], fitted)
+
+
+@pytest.mark.parametrize("component", ["lognormal", "gamma"])
+def test_p_values_of_mixtures_are_uniform(component):
+    """Of 8 tests of uniformity, one fails by chance at 1e-4 once in 1000 runs."""
+    rng = np.random.default_rng(86)
+    one, two = rng.gamma(3.0, size=(80, 150)), 40 * rng.gamma(3.0, size=(80, 150))
+    if component == "lognormal":
+        one, two = rng.lognormal(-2, 0.5, size=one.shape), rng.lognormal(1, 0.5, size=two.shape)
+    x = np.where(rng.random(one.shape) < 0.4, one, two)
+    result = goodness(x, chd.fit.mixture(x, 2, family=component), resamples=RESAMPLES, seed=87)
+    assert result.family == f"{component}_mixture"
+    for test in range(len(FIT_TESTS)):
+        uniformity = least_uniformity(result.p_value[:, test], result.resamples[:, test], test)
+        assert uniformity > 1e-4
+    assert (goodness(x, component, resamples=RESAMPLES).p_value == 0.05).mean() > 0.95
+
+
+def test_mixtures_of_several_numbers_of_components():
+    rng = np.random.default_rng(88)
+    x = rng.lognormal(0, 0.5, size=(3, 400))
+    x[1, ::2] *= 100
+    x[2] = 0
+    mixture = chd.fit.mixture(x)
+    assert mixture.k.tolist() == [1, 2, 0]
+    for source in (x, chd.histogram(x)):
+        result = goodness(source, mixture, resamples=9)
+        assert (result.effect[:2, 0] < 0.06).all()
+        assert np.isfinite(result.p_value[:2]).all()
+        assert (result.reason[2] == Reason.ALL_NULL).all()
+    single = goodness(x, "lognormal", resamples=0)
+    np.testing.assert_allclose(result.n, single.n)
+    samples = goodness(x, mixture, resamples=0)
+    np.testing.assert_allclose(samples.statistic[0, :3], single.statistic[0, :3], rtol=0.02)
+
+
+def test_replicates_are_independent_and_seeded():
+    x = np.broadcast_to(draw("gamma", 100, 82), (50, 100))
+    one, same, other = (goodness(x, "gamma", resamples=19, seed=s) for s in (1, 1, 2))
+    np.testing.assert_array_equal(one.p_value, same.p_value)
+    assert (one.p_value != other.p_value).any()
+    # Equal rows have replicates of their own: their p-values differ as binomial numbers do.
+    more = 20 * one.p_value[:, 0] - 1
+    share = more.mean() / 19
+    assert 0.4 < more.var() / (19 * share * (1 - share)) < 2.2
+
+
+def test_radiance_scales_and_nulls_take_no_part():
+    rng = np.random.default_rng(83)
+    x = rng.gamma(2.0, size=300)
+    mixed = rng.permutation(np.concatenate([x, np.zeros(200), [np.nan, np.inf, -1.0]]))
+    alone = goodness(x, "gamma", resamples=0)
+    for other in (mixed, 1e30 * mixed, 1e-40 * mixed):
+        found = goodness(other, "gamma", resamples=0)
+        np.testing.assert_allclose(found.statistic, alone.statistic, rtol=1e-6)
+
+
+def test_unusable_pixels_are_data():
+    rng = np.random.default_rng(84)
+    few = np.where(np.arange(100) < 5, rng.random(100), 0)
+    some = np.where(np.arange(100) < 12, rng.gamma(2.0, size=100), 0)
+    x = np.stack([np.zeros(100), few, np.ones(100), np.full(100, np.nan), some])
+    result = goodness(x, "gamma", resamples=9)
+    expected = [Reason.ALL_NULL, Reason.TOO_FEW, Reason.CONSTANT, Reason.ALL_BAD, Reason.OK]
+    np.testing.assert_array_equal(result.reason[:, 0], expected)
+    for values in (result.statistic, result.p_value, result.effect):
+        assert np.isnan(values[:4]).all()
+        assert np.isfinite(values[4, :3]).all()
+    assert not result.resamples[:4].any()
+    # A dozen samples fill no four cells with five each.
+    assert result.reason[4, 3] == Reason.TOO_FEW
+    assert np.isnan(result.p_value[4, 3])
+
+
+def test_ties_and_extremes_warn_of_nothing():
+    rng = np.random.default_rng(85)
+    x = rng.pareto(0.5, size=(4, 200)) + 1e-6
+    x[0, 0], x[1, :50], x[2, 100:] = 1e300, 1e-310, x[2, 0]
+    x[3] = np.round(x[3], 1) + 0.1
+    for family in PARAMETERS:
+        result = goodness(x, family, resamples=5)
+        ok = result.reason == Reason.OK
+        assert np.isfinite(result.statistic[ok]).all()
+        np.testing.assert_array_equal(result.p_value > 0, result.resamples > 0)
+        assert (result.resamples[~ok] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"fit": "normal"}, "normal"),
+        ({"tests": ("lilliefors",)}, "lilliefors"),
+        ({"tests": "chi-square"}, "chi-square"),
+        ({"resamples": -1}, "-1"),
+        ({"alpha": 2}, "2"),
+    ],
+)
+def test_wrong_options_are_refused(options, match):
+    with pytest.raises(InputError, match=match):
+        goodness(np.ones(100), **{"fit": "gamma", **options})
+
+
+def test_an_image_needs_a_name_and_an_integer():
+    samples = chd.Samples.from_array(np.ones((2, 2, 1, 64)))
+    with pytest.raises(InputError, match="integer seed"):
+        goodness(samples, "gamma", seed=np.random.default_rng(1))
+    with pytest.raises(InputError, match="name of a family"):
+        goodness(samples, chd.fit.gamma(np.ones(64)))
+
+
+def test_of_a_selection_the_best_family_of_each_pixel_is_tested():
+    rng = np.random.default_rng(41)
+    x = np.stack([rng.gamma(0.7, size=400), rng.lognormal(sigma=1.0, size=400), np.zeros(400)])
+    chosen = select(x, ("gamma", "lognormal"))
+    found = goodness(x, chosen, resamples=0)
+    assert found.family == "best"
+    for row, name in enumerate(("gamma", "lognormal")):
+        alone = goodness(x[row], name, resamples=0)
+        np.testing.assert_allclose(found.statistic[row], alone.statistic, rtol=1e-9)
+    assert (found.reason[2] == Reason.ALL_NULL).all()
