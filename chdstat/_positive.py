@@ -18,7 +18,15 @@ from chdstat._arrays import as_samples, is_bad, is_null, spans
 from chdstat._reasons import Reason
 from chdstat.errors import InputError
 
-__all__ = ["CONSTANT_SPREAD", "Counts", "Floats", "LogStatistics", "Mask", "PositivePart"]
+__all__ = [
+    "CONSTANT_SPREAD",
+    "SMALLEST",
+    "Counts",
+    "Floats",
+    "LogStatistics",
+    "Mask",
+    "PositivePart",
+]
 
 Floats = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
@@ -26,6 +34,9 @@ Mask = npt.NDArray[np.bool_]
 
 CONSTANT_SPREAD = 1e-6
 """Standard deviation of log x at or below which samples count as equal: 8 float32 spacings."""
+
+SMALLEST = 5e-324
+"""The smallest positive number in double precision."""
 
 _CHUNK = 2**16
 """Samples worked on at once: their float64 copies stay in the cache."""
@@ -186,10 +197,13 @@ def _log_sums(rows: npt.NDArray[Any], positive: Mask) -> tuple[Floats, Floats, F
         np.copyto(ratio, 0, where=left_out)
     # What is left out is 0 by now, becomes the ratio 1, and has the logarithm 0: arithmetic with
     # masks takes a quarter of the time of assignments through them.
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore", under="ignore"):
         mean = ratio.sum(axis=-1) / n
         # Ratios to the mean have small, hence exact, logarithms where samples are nearly equal.
         ratio /= np.where(n > 0, mean, 1)[:, np.newaxis]
+        if rows.dtype == np.float64:
+            # The ratio of 1e-300 to 1e30 is below what there is, and its logarithm infinite.
+            np.maximum(ratio, SMALLEST, out=ratio)
         ratio += left_out
         log = np.log(ratio, out=ratio)
         gap = -log.sum(axis=-1) / n

@@ -25,6 +25,8 @@ class Reason(enum.IntEnum):
     """An iteration ended before its tolerance was met."""
     ALL_BAD = 5
     """Every sample is NaN, infinite or negative."""
+    AT_LIMIT = 6
+    """The likelihood has no maximum: it rises towards a limit of the family."""
 
 
 def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:

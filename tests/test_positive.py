@@ -54,6 +54,12 @@ def test_log_statistics_are_those_of_the_positive_samples():
         assert statistics.gap[row] == pytest.approx(gap)
 
 
+def test_samples_of_all_magnitudes_have_finite_sums():
+    x = np.array([5e-324, 1.0, 1e30, 0.0])
+    for values in vars(PositivePart.of(x).log_statistics).values():
+        assert np.isfinite(values).all()
+
+
 def test_reasons():
     expected = [Reason.OK, Reason.ALL_NULL, Reason.CONSTANT, Reason.ALL_BAD]
     np.testing.assert_array_equal(PositivePart.of(X).reason(), expected)

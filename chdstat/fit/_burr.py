@@ -31,12 +31,12 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
     goes to 0 and the profile stays smooth: where it rises all the way to q = 0 there is no Burr
     distribution of maximum likelihood (Shao 2004, doi:10.1016/S0167-9473(02)00367-5).
     """
-    c, d, scale, c_error, d_error, scale_error, converged = climb(
+    c, d, scale, c_error, d_error, scale_error, converged, at_limit = climb(
         part,
         _profile,
         start=_start,
         finish=_finish,
-        names=7,
+        names=8,
         minimum=BURR.minimum,
         floor=_LEAST,
         near=None if near is None else _coordinates(part, near),
@@ -45,6 +45,7 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
         parameters={"c": c, "d": d, "scale": scale},
         standard_errors={"c": c_error, "d": d_error, "scale": scale_error},
         converged=converged == 1,
+        at_limit=at_limit == 1,
     )
 
 
@@ -56,16 +57,25 @@ def _coordinates(part: Part, near: Parameters) -> tuple[Floats, Floats]:
 
 
 def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
-    """Return parameters, standard errors and convergence, shape (7, row)."""
+    """Return parameters, standard errors, convergence, and where it is at a limit, (8, row)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         c, rho = np.exp(at[0]), _log_expm1(at[1])
-        level, share, rest = _logistic(points, c, rho)
+        level, rest = _logistic(points, c, rho)
         d = 1 / level
         scale = np.exp(points.log_mean - rho / c)
-        errors = _standard_errors(points, share, rest, c, d, rho)
+        errors = _standard_errors(points, rest, c, d, rho)
         errors[2] *= scale
-        interior = (at[1] > 2 * _LEAST) & np.isfinite(errors).all(axis=0)
-    return np.stack([c, d, scale, *errors, converged & interior])
+        # A maximum at the floor is the Weibull limit. Where the search does not end, c grows
+        # without bound if the power law above the smallest sample is likelier than what it reached.
+        reached = at[0] + rho - np.log(level) - level
+        at_limit = np.where(converged, at[1] <= 2 * _LEAST, _power_law(points) >= reached)
+        interior = ~at_limit & np.isfinite(errors).all(axis=0)
+    return np.stack([c, d, scale, *errors, converged & interior, at_limit])
+
+
+def _power_law(points: Points) -> Floats:
+    """Return the limit of the profile as c goes to infinity, ``-log mean log(x / smallest x)``."""
+    return np.asarray(-np.log(-np.where(points.weight > 0, points.log, 0).min(axis=-1)))
 
 
 def _start(points: Points) -> Floats:
@@ -92,14 +102,9 @@ def _profile(points: Points, at: Floats) -> Surface:
     """Profile log-likelihood per sample, ``log c + mean v - log L - L`` with L = 1 / d."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         c, rho = np.exp(at[0]), _log_expm1(at[1])
-        level, share, rest = _logistic(points, c, rho)
-        # Weighted sums of the logistic function and of its derivative, share (1 - share), in place.
-        slope = np.multiply(share, points.weight, out=share)
-        l_rho, l_c = points.sums(slope)
-        slope *= rest
-        l_rho_rho, l_rho_c = points.sums(slope)
-        slope *= points.log
-        _, l_c_c = points.sums(slope)
+        level, rest = _logistic(points, c, rho)
+        l_rho, l_c, _ = points.moments(1 - rest)
+        l_rho_rho, l_rho_c, l_c_c = points.moments(_slope(rest))
         f, g = 1 + 1 / level, 1 / level**2
         by_c, by_rho = 1 / c - f * l_c, 1 - f * l_rho
         by_c_c = -1 / c**2 + g * l_c**2 - f * l_c_c
@@ -120,18 +125,12 @@ def _profile(points: Points, at: Floats) -> Surface:
         )
 
 
-def _standard_errors(
-    points: Points, share: Floats, rest: Floats, c: Floats, d: Floats, rho: Floats
-) -> Floats:
+def _standard_errors(points: Points, rest: Floats, c: Floats, d: Floats, rho: Floats) -> Floats:
     """Return those of c, d and log scale, shape (3, row), from the observed information."""
     offset = rho / c
     # Moments of the logistic function and its derivative by t = log x - log scale.
-    slope = share * points.weight
-    mean, first = points.sums(slope)
-    slope *= rest
-    zero, one = points.sums(slope)
-    slope *= points.log
-    _, two = points.sums(slope)
+    mean, first, _ = points.moments(1 - rest)
+    zero, one, two = points.moments(_slope(rest))
     two = two + 2 * offset * one + offset**2 * zero
     one = one + offset * zero
     cc, cs, ss = 1 / c**2 + (d + 1) * two, -(d + 1) * c * one, (d + 1) * c**2 * zero
@@ -141,15 +140,20 @@ def _standard_errors(
     return np.asarray(np.sqrt(np.where(inverse > 0, inverse, np.nan) / points.n))
 
 
-def _logistic(points: Points, c: Floats, rho: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return mean log(1 + e^v), and e^v / (1 + e^v) and 1 / (1 + e^v) at every point."""
+def _logistic(points: Points, c: Floats, rho: Floats) -> tuple[Floats, Floats]:
+    """Return mean log(1 + e^v), and 1 / (1 + e^v) at every point."""
     v = points.log * c[:, np.newaxis]
     v += rho[:, np.newaxis]
     power = np.exp(v, out=v)
     power += 1
     rest = np.reciprocal(power)
-    level = points.average(np.log(power, out=power))
-    return level, np.subtract(1, rest, out=power), rest
+    return points.average(np.log(power, out=power)), rest
+
+
+def _slope(rest: Floats) -> Floats:
+    """Return the derivative of the logistic function, e^v / (1 + e^v)^2; works in `rest`."""
+    square = rest * rest
+    return np.subtract(rest, square, out=rest)
 
 
 def _log_expm1(q: Floats) -> Floats:
@@ -169,6 +173,13 @@ def _log_density(points: Points, parameters: Parameters) -> Floats:
     return np.asarray(density)
 
 
+def _mean(parameters: Parameters) -> Floats:
+    """Return ``s d B(1 + 1/c, d - 1/c)``, infinite where c d <= 1; SciPy has NaN there."""
+    c, d = parameters["c"], parameters["d"]
+    log_mean = np.log(parameters["scale"]) + np.log(d) + special.betaln(1 + 1 / c, d - 1 / c)
+    return np.asarray(np.where(c * d <= 1, np.inf, np.exp(log_mean)))
+
+
 BURR = Family(
     name="burr",
     units={"c": "1", "d": "1", "scale": RADIANCE},
@@ -176,5 +187,6 @@ BURR = Family(
     log_likelihood=summed(_log_density),
     log_density=_log_density,
     distribution=lambda p: stats.burr12(p["c"], p["d"], scale=p["scale"]),
+    mean=_mean,
 )
 """``f(x) = (c d / s) (x/s)^(c-1) (1 + (x/s)^c)^(-d-1)``."""

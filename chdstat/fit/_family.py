@@ -24,11 +24,15 @@ RADIANCE = "W sr-1 m-2"
 
 @dataclass(frozen=True)
 class Estimate:
-    """Parameters and standard errors by name, and where the estimate is a maximum."""
+    """Parameters and standard errors by name, and where the estimate is a maximum.
+
+    `at_limit` says where there is none, for the likelihood rises towards a limit of the family.
+    """
 
     parameters: Parameters
     standard_errors: Parameters
     converged: Mask
+    at_limit: Mask | None = None
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,8 @@ class Family:
         these rows, shape (row,). That of x is smaller by log x, for every family alike.
     distribution
         SciPy's frozen distribution with given parameters, which may be arrays.
+    mean
+        Expectation at given parameters; None where SciPy's will do.
     """
 
     name: str
@@ -59,6 +65,7 @@ class Family:
     log_likelihood: Callable[[Part, Parameters], Floats]
     log_density: LogDensity
     distribution: Callable[[Parameters], Any]
+    mean: Callable[[Parameters], Floats] | None = None
 
     @property
     def minimum(self) -> int:

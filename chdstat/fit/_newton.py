@@ -16,15 +16,17 @@ import numpy.typing as npt
 
 from chdstat._positive import Floats, Mask
 from chdstat._routes import Part
-from chdstat.fit._points import Points, of_rows
+from chdstat.fit._points import Halves, Points, of_rows
 
 __all__ = ["Surface", "climb", "maximize"]
 
 _ITERATIONS = 60
 _REACH = 2.0
-_ROUGHLY, _EXACTLY = 1e-3, 2e-5
+_ROUGHLY, _HALVES, _EXACTLY = 1e-2, 1e-2, 3e-5
 """Newton steps at which to stop: what they leave is of the order of their squares."""
 _CONCAVE = 1e-3
+_NEXT, _APART = 0.3, 0.05
+"""Distances below which a start leads to the same maximum, and above which two ends are two."""
 _CLOSE = 0.05
 """Difference per sample that a few points may get wrong."""
 
@@ -83,7 +85,7 @@ def maximize(
     for _ in range(_ITERATIONS):
         step = _within(at, _step(_along(at, here, floor), damping), floor)
         # The last step is taken on trust: what it leaves is of the order of its square.
-        done = (np.abs(step) < tolerance).all(axis=0) & (damping == 0)
+        done = (np.abs(step) < tolerance * _unit(at, floor)).all(axis=0) & (damping == 0)
         best[:, rows] = np.where(done, at + step, at)
         converged[rows] = done
         active = ~done & np.isfinite(step).all(axis=0) & (damping < 1e8)
@@ -103,6 +105,10 @@ def maximize(
         there = surface(points, trial)
         with np.errstate(invalid="ignore"):
             climbs = there.value >= here.value - 1e-11 * (1 + np.abs(here.value))
+        if climbs.all():
+            at, here = trial, there
+            damping = np.where(damping < 1e-2, 0, damping / 10) if damping.any() else damping
+            continue
         at = np.where(climbs, trial, at)
         here = _merge(climbs, there, here)
         damping = np.where(climbs, np.where(damping < 1e-2, 0, damping / 10), 10 * damping + 0.1)
@@ -138,7 +144,7 @@ def climb(
         Samples that a row needs.
     near
         First parameters, if they are known, each of the batch's shape: a row that has them needs no
-        start.
+        start. Of `Halves`, rows that have none are left out.
 
     Returns
     -------
@@ -147,9 +153,11 @@ def climb(
     """
 
     def roughly(points: Points) -> Floats:
-        starts = start(points).reshape(-1, 2, len(points.n))
-        ends = [maximize(surface, points, s, floor=floor, tolerance=_ROUGHLY)[0] for s in starts]
-        return _in_order(surface, points, ends)
+        first, *others = start(points).reshape(-1, 2, len(points.n))
+        end, _ = maximize(surface, points, first, floor=floor, tolerance=_ROUGHLY)
+        if not others:
+            return np.concatenate([end, np.full_like(end, np.nan)])
+        return _in_order(surface, points, end, _from_afar(surface, points, end, others[0], floor))
 
     def exactly(points: Points) -> Floats:
         begin, other = rough[:2, points.rows], rough[2:, points.rows]
@@ -157,30 +165,49 @@ def climb(
         if lost.any():
             # The few points were all equal, while some others are not.
             begin = np.where(lost, start(points).reshape(-1, *begin.shape)[0], begin)
-        at, converged = maximize(surface, points, begin, floor=floor)
+        at, converged = maximize(surface, points, begin, floor=floor, tolerance=tolerance)
         _try_others(surface, points, other, floor, at, converged)
         return finish(points, at, converged)
 
+    tolerance = _EXACTLY
     rough = np.full((4, part.n.size), np.nan)
     if near is not None:
         rough[:2] = np.stack(near).reshape(2, -1)
     unknown = np.asarray(np.isnan(rough[:2]).any(axis=0))
+    if isinstance(part, Halves) and near is not None:
+        tolerance = _HALVES
+        return of_rows(part, minimum, names, exactly, among=~unknown).reshape(names, *part.n.shape)
     if unknown.any():
         found = of_rows(part, minimum, 4, roughly, thin=True, among=unknown)
         rough = np.where(unknown, found, rough)
     return of_rows(part, minimum, names, exactly).reshape(names, *part.n.shape)
 
 
+def _from_afar(
+    surface: Callable[[Points, Floats], Surface],
+    points: Points,
+    end: Floats,
+    start: Floats,
+    floor: float,
+) -> Floats:
+    """Climb from another start where that is not next to where the first climb ended; else NaN."""
+    other = np.full_like(end, np.nan)
+    rows = np.flatnonzero(~(np.abs(start - end) < _NEXT).all(axis=0))
+    if len(rows):
+        some = points.take(rows)
+        other[:, rows], _ = maximize(surface, some, start[:, rows], floor=floor, tolerance=_ROUGHLY)
+    return other
+
+
 def _in_order(
-    surface: Callable[[Points, Floats], Surface], points: Points, ends: list[Floats]
+    surface: Callable[[Points, Floats], Surface], points: Points, one: Floats, two: Floats
 ) -> Floats:
     """Return the higher end, then the other if all points may make it the higher; else NaN."""
-    if len(ends) == 1:
-        return np.concatenate([ends[0], np.full_like(ends[0], np.nan)])
-    (one, two), (first, second) = ends, [surface(points, end).value for end in ends]
+    first, second = surface(points, one).value, surface(points, two).value
     with np.errstate(invalid="ignore"):
-        swap = (second > first) | np.isnan(first)
-        open_question = (np.abs(two - one) > 0.01).any(axis=0) & (np.abs(second - first) < _CLOSE)
+        swap = (second > first) | (np.isnan(first) & np.isfinite(second))
+        open_question = (np.abs(two - one) > _APART).any(axis=0)
+        open_question &= np.abs(second - first) < _CLOSE
     higher, lower = np.where(swap, two, one), np.where(swap, one, two)
     return np.concatenate([higher, np.where(open_question, lower, np.nan)])
 
@@ -205,6 +232,13 @@ def _try_others(
     converged[rows] = np.where(better, done, converged[rows])
 
 
+def _unit(at: Floats, floor: float) -> Floats | float:
+    """Return what steps are small in comparison with: 1, or a positive parameter that is less."""
+    if not np.isfinite(floor):
+        return 1.0
+    return np.stack([np.ones_like(at[1]), np.minimum(at[1], 1)])
+
+
 def _along(at: Floats, here: Surface, floor: float) -> Surface:
     """Return the surface along the floor for rows that lie on it and would fall through."""
     held = (at[1] <= floor) & (here.gradient[1] < 0)
@@ -219,23 +253,27 @@ def _along(at: Floats, here: Surface, floor: float) -> Surface:
 
 
 def _within(at: Floats, step: Floats, floor: float) -> Floats:
-    """Cut steps that go too far; towards the floor, to nine tenths of the way to 0."""
+    """Cut steps that go too far; towards the floor, to a hundredth of what there is."""
     step = np.clip(step, -_REACH, _REACH)
     if np.isfinite(floor):
-        step[1] = np.maximum(step[1], np.maximum(-0.9 * at[1], floor - at[1]))
+        step[1] = np.maximum(step[1], np.maximum(-0.99 * at[1], floor - at[1]))
     return step
 
 
 def _step(here: Surface, damping: Floats) -> Floats:
     """Solve (H - shift) step = -gradient, the shift large enough to make H negative definite."""
-    (a, b, d), (p, q) = here.curvature, here.gradient
+    a, b, d = here.curvature
+    determinant = a * d - b * b
+    concave = (a < 0) & (determinant > 0)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        largest = (a + d) / 2 + np.sqrt(((a - d) / 2) ** 2 + b**2)
-        size = np.abs(a) + np.abs(d)
-        shift = np.where(largest < 0, 0, largest + _CONCAVE * size) + damping * size
-        a, d = a - shift, d - shift
-        determinant = a * d - b * b
-        return np.stack([(b * q - d * p) / determinant, (b * p - a * q) / determinant])
+        if not concave.all() or damping.any():
+            size = np.abs(a) + np.abs(d)
+            largest = (a + d) / 2 + np.sqrt(((a - d) / 2) ** 2 + b**2)
+            shift = np.where(concave, 0, largest + _CONCAVE * size) + damping * size
+            a, d = a - shift, d - shift
+            determinant = a * d - b * b
+        p, q = here.gradient / determinant
+        return np.stack([b * q - d * p, b * p - a * q])
 
 
 def _choose(surface: Surface, rows: npt.NDArray[np.intp]) -> Surface:

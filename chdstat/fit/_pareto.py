@@ -15,6 +15,10 @@ __all__ = ["PARETO"]
 
 _GRID = np.r_[-7.0, -5:-1:5j, -0.5, 0.25, 1:4, 4:12:2, 14:46:4]
 """Starts s: the ratio xi / scale is (e^s - 1) / largest x."""
+_LEAST = -0.99
+"""Below, a search that does not end was on its way past xi = -1."""
+_AT_EDGE = -6.0
+"""Below this s, the support ends within 0.3 % of the largest x, and the profile is flat."""
 _SMALL = 1e-2
 _TERMS = 9
 """Terms of the series about xi = 0; the first left out is below double precision."""
@@ -27,8 +31,8 @@ def _estimate(part: Part, _near: Parameters | None) -> Estimate:
     to -1 / max x, where xi < -1: what is looked for is the local maximum above that
     (doi:10.1080/00401706.1993.10485040).
     """
-    xi, scale, converged = climb(
-        part, _profile, start=_best_of_grid, finish=_finish, names=3, minimum=PARETO.minimum
+    xi, scale, converged, at_limit = climb(
+        part, _profile, start=_best_of_grid, finish=_finish, names=4, minimum=PARETO.minimum
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         # Smith 1987, doi:10.1214/aos/1176350499; from xi = -1/2 down they hold no more.
@@ -37,17 +41,21 @@ def _estimate(part: Part, _near: Parameters | None) -> Estimate:
             "xi": regular / np.sqrt(part.n),
             "scale": scale * np.sqrt(2 * regular / part.n),
         }
-    return Estimate({"xi": xi, "scale": scale}, errors, converged == 1)
+    return Estimate({"xi": xi, "scale": scale}, errors, converged == 1, at_limit == 1)
 
 
 def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
-    """Return xi, scale and convergence, shape (3, row)."""
+    """Return xi, scale, convergence and where there is no maximum, shape (4, row)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         u = np.expm1(at[0])
         relative, _, _ = _moments(points, _ratio(points), u)
         xi = u * relative
         scale = np.exp(points.log_mean + points.log_top) * relative
-    return np.stack([xi, scale, converged & (xi > -1)])
+        # Bins hold no sample at their edge: a support that ends there may be likeliest.
+        bounded = np.zeros_like(converged) if points.single else at[0] < _AT_EDGE
+        converged = (converged | bounded) & (xi > -1)
+    # A search that meets xi = -1 cannot end: beyond, the likelihood has no bound.
+    return np.stack([xi, scale, converged, ~converged & (xi < _LEAST)])
 
 
 def _best_of_grid(points: Points) -> Floats:

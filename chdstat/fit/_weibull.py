@@ -16,16 +16,12 @@ __all__ = ["WEIBULL"]
 
 def _profile(points: Points, at: Floats) -> Surface:
     """Profile log-likelihood per sample, ``log k + k mean(log x) - log mean(x^k)``, by log k."""
-    k, log = np.exp(at[0]), points.log
-    top = points.log_top
+    k, top = np.exp(at[0]), points.log_top
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        weighted = _powers(points, k, top)
-        weighted *= points.weight
-        total = weighted.sum(axis=-1)
-        weighted *= log
-        first = weighted.sum(axis=-1) / total
-        second = np.vecdot(weighted, log) / total - first**2
-        value = at[0] - np.log(total / points.n) - k * top
+        total, first, second = points.moments(_powers(points, k, top))
+        first, second = first / total, second / total
+        second -= first**2
+        value = at[0] - np.log(total) - k * top
     slope, curvature, zero = 1 - k * first, -k * first - k**2 * second, np.zeros_like(k)
     return Surface(value, np.stack([slope, zero]), np.stack([curvature, zero, zero - 1]))
 

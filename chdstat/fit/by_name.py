@@ -140,7 +140,7 @@ def burr(
     ``f(x) = (c d / s) (x/s)^(c-1) (1 + (x/s)^c)^(-d-1)``, known to economists as Singh-Maddala; its
     tail index is ``1 / (c d)``. As d grows without bound it becomes a Weibull distribution. Where
     the samples are likeliest there, or at the other end, there is no maximum: the row is NaN with
-    the reason `NOT_CONVERGED`, and the Weibull fit is the answer.
+    the reason `AT_LIMIT`, and the Weibull fit is the answer.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def pareto(
 
     ``P(X > x) = (1 + xi x / scale)^(-1/xi)``: excesses over a threshold, or a CHD whose density
     falls from the start. From xi = -1/2 down the standard errors are NaN, since the likelihood is
-    not regular there; below -1 it has no maximum, and the reason is `NOT_CONVERGED`.
+    not regular there; below -1 it has no maximum, and the reason is `AT_LIMIT`.
 
     Parameters
     ----------

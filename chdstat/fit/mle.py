@@ -24,7 +24,7 @@ from chdstat.samples import Samples
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["estimate_part", "fit", "fit_part"]
+__all__ = ["estimate_part", "fit", "fit_part", "zero_log_likelihood"]
 
 
 @overload
@@ -108,7 +108,7 @@ def fit_part(part: Part, family: Family) -> Fit:
     """Fit a family to samples that are already split; several families share one part."""
     estimate, reason = estimate_part(part, family)
     parameters = estimate.parameters
-    log_likelihood = np.asarray(family.log_likelihood(part, parameters) + _bernoulli(part))
+    log_likelihood = np.asarray(family.log_likelihood(part, parameters) + zero_log_likelihood(part))
     count = len(parameters) + 1
     with np.errstate(invalid="ignore", divide="ignore"):
         null_share = np.asarray(part.n_null / part.n_good)
@@ -141,7 +141,10 @@ def estimate_part(
     """
     estimate = family.estimate(part, near)
     reason = part.reason(family.minimum)
-    reason[(reason == Reason.OK) & ~estimate.converged] = Reason.NOT_CONVERGED
+    failed = (reason == Reason.OK) & ~estimate.converged
+    reason[failed] = Reason.NOT_CONVERGED
+    if estimate.at_limit is not None:
+        reason[failed & estimate.at_limit] = Reason.AT_LIMIT
     ok = np.asarray(reason == Reason.OK)
     kept = Estimate(
         parameters=_keep(estimate.parameters, ok),
@@ -151,11 +154,12 @@ def estimate_part(
     return kept, reason
 
 
-def _keep(values: Parameters, ok: Mask) -> dict[str, Floats]:
-    return {name: np.where(ok, value, np.nan) for name, value in values.items()}
-
-
-def _bernoulli(part: Part) -> Floats:
+def zero_log_likelihood(part: Part) -> Floats:
+    """Return the log-likelihood of which good samples are 0, shape (...)."""
     zeros = part.n_null + part.n_zero
     total = np.maximum(part.n_good, 1)
     return np.asarray(special.xlogy(zeros, zeros / total) + special.xlogy(part.n, part.n / total))
+
+
+def _keep(values: Parameters, ok: Mask) -> dict[str, Floats]:
+    return {name: np.where(ok, value, np.nan) for name, value in values.items()}

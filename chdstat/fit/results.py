@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     from chdstat.samples import Mapped
 
-__all__ = ["Fit", "fit_variables", "label_fit"]
+__all__ = ["SHARED", "Fit", "expand", "fit_variables", "label_fit"]
 
-_SHARED = {
+SHARED = {
     "null_share": "share of null samples among the good ones",
     "null_interval": "Wilson interval of the share of null samples",
     "n": "samples that the family was fitted to",
@@ -29,6 +29,7 @@ _SHARED = {
     "n_zero": "zeros of this channel in samples that are not null",
     "n_bad": "samples left out: a channel is NaN, infinite or negative",
 }
+"""Variables that all fits of the same samples share, with their long names."""
 _OF_FAMILY = {
     "log_likelihood": "log-likelihood of the zero-inflated model",
     "aic": "Akaike information criterion",
@@ -100,13 +101,16 @@ class Fit:
             Shape of the batch followed by that of `x`.
         """
         x = np.asarray(x, dtype=np.float64)
-        return np.asarray(self._distribution(x.ndim).pdf(x))
+        with np.errstate(all="ignore"):
+            return np.asarray(self._distribution(x.ndim).pdf(x))
 
     def cdf(self, x: npt.ArrayLike) -> Floats:
         """Return P(X <= x) of the zero-inflated model, shape of the batch, then that of `x`."""
         x = np.asarray(x, dtype=np.float64)
-        zero = _expand(self.zero_share, x.ndim)
-        return np.where(x < 0, 0 * zero, zero + (1 - zero) * self._distribution(x.ndim).cdf(x))
+        zero = expand(self.zero_share, x.ndim)
+        with np.errstate(all="ignore"):
+            positive = self._distribution(x.ndim).cdf(x)
+        return np.where(x < 0, 0 * zero, zero + (1 - zero) * positive)
 
     def ppf(self, q: npt.ArrayLike) -> Floats:
         """Return quantiles of the zero-inflated model, shape of the batch, then that of `q`."""
@@ -118,19 +122,26 @@ class Fit:
         return self._quantile(generator(seed).random((*self.null_share.shape, size)), 1)
 
     def mean(self) -> Floats:
-        """Return the expectation of the zero-inflated model, shape (...)."""
-        return np.asarray((1 - self.zero_share) * self._distribution(0).mean())
+        """Return the expectation of the zero-inflated model, shape (...).
+
+        It is infinite where the family has none (a tail index of 1 or more), and where that of a
+        very wide log-normal is too large for double precision.
+        """
+        with np.errstate(all="ignore"):
+            own = get_family(self.family).mean
+            mean = self._distribution(0).mean() if own is None else own(self.parameters)
+            return np.asarray((1 - self.zero_share) * mean)
 
     def _distribution(self, trailing: int) -> Any:
-        expanded = {name: _expand(value, trailing) for name, value in self.parameters.items()}
+        expanded = {name: expand(value, trailing) for name, value in self.parameters.items()}
         return get_family(self.family).distribution(expanded)
 
     def _quantile(self, q: Floats, trailing: int) -> Floats:
-        zero = _expand(self.zero_share, trailing)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            level = np.clip((q - zero) / (1 - zero), 0, 1)
+        zero = expand(self.zero_share, trailing)
         # Every family puts its quantile 0 at radiance 0: up to the mass at 0, the answer is 0.
-        return np.asarray(self._distribution(trailing).ppf(level))
+        with np.errstate(all="ignore"):
+            level = np.clip((q - zero) / (1 - zero), 0, 1)
+            return np.asarray(self._distribution(trailing).ppf(level))
 
 
 def fit_variables(fit: Fit) -> Mapped:
@@ -142,7 +153,7 @@ def fit_variables(fit: Fit) -> Mapped:
         f"{fit.family}_converged": fit.converged,
         f"{fit.family}_reason": fit.reason,
     }
-    shared = {name: getattr(fit, name) for name in _SHARED}
+    shared = {name: getattr(fit, name) for name in SHARED}
     variables = estimates | errors | own | states | shared
     return {
         name: (("channel", "bound") if name == "null_interval" else ("channel",), value)
@@ -158,7 +169,7 @@ def label_fit(dataset: xr.Dataset, family: str) -> xr.Dataset:
                 long_name=f"{what}{family} {name}", units=units
             )
     names: Mapping[str, str] = {f"{family}_{name}": text for name, text in _OF_FAMILY.items()}
-    for name, text in {**names, **_SHARED}.items():
+    for name, text in {**names, **SHARED}.items():
         dataset[name].attrs.update(long_name=text, units="1")
     dataset[f"{family}_converged"].attrs.update(long_name=f"{family} fit converged", units="1")
     dataset[f"{family}_reason"].attrs.update(
@@ -167,5 +178,6 @@ def label_fit(dataset: xr.Dataset, family: str) -> xr.Dataset:
     return dataset.assign_coords(bound=np.array(["low", "high"], dtype=object))
 
 
-def _expand(value: npt.NDArray[Any], trailing: int) -> npt.NDArray[Any]:
+def expand(value: npt.NDArray[Any], trailing: int) -> npt.NDArray[Any]:
+    """Append axes of length 1 to the batch's, to broadcast against an argument."""
     return np.asarray(value).reshape((*np.shape(value), *(1,) * trailing))

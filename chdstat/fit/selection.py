@@ -84,7 +84,7 @@ class Selection:
     @property
     def names(self) -> npt.NDArray[np.str_]:
         """Name of the best family, shape (...); empty where none could be fitted."""
-        return np.asarray([*self.families, ""])[self.best]
+        return np.asarray(np.asarray([*self.families, ""])[self.best])
 
     @property
     def reason(self) -> npt.NDArray[np.int8]:
@@ -127,6 +127,14 @@ def select(
     minus the log-likelihood per positive sample when the even samples, in stored order, are scored
     by a fit to the odd ones, and the other way round. The best of poor families is still poor: the
     margin compares the families, not the family with the data.
+
+    Prefer BIC where one of the families may be true and its name is what matters: with many samples
+    it finds the smallest that holds the truth. Prefer AIC or the held-out loss where all families
+    are approximations and the likelihood of further samples matters. A split in two is noisy: of
+    512 gamma or Weibull samples, Burr, which has a parameter more and comes close to both, has the
+    smaller held-out loss in up to one pixel in six. Count a pixel only where `HeldOut.decided`, its
+    margin being above two standard errors: there, fewer than one in a hundred of all such pixels
+    have a wrong winner, but most are a draw.
 
     Parameters
     ----------

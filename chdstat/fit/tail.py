@@ -107,6 +107,12 @@ def tail_index(
     Clauset's minimum of Kolmogorov's distance, and of Lepski's rule. Hill's estimate goes by the
     same rule, with a test of the power law.
 
+    A 95 % interval covers the index of generalised Pareto samples in 93 to 96 % of cases. Where the
+    tail begins somewhere within the samples, it is 91 % on average with 512 samples and 94 % with
+    8192, and worst for a heavy tail of a tenth of 512 samples: 76 to 80 %, as the body biases xi
+    towards 0. Hill's interval is one for pure power laws only: with an offset, as generalised
+    Pareto samples have, it is too high at any threshold within the samples.
+
     An index at finite radiance is that of the range of the samples. A gamma tail gives about 0, as
     it should. A log-normal tail has index 0 too, but only far beyond the largest sample: where
     it was seen, at the 90 % quantile and above, it is that of a power law of index 0.2 to

@@ -56,7 +56,7 @@ def test_burr_ends_where_weibull_begins():
     """
     x = np.random.default_rng(3).weibull(1.3, size=(400, 2000))
     burr, weibull = chd.fit.burr(x), chd.fit.weibull(x)
-    at_limit = burr.reason == Reason.NOT_CONVERGED
+    at_limit = burr.reason == Reason.AT_LIMIT
     assert 150 < at_limit.sum() < 250
     # A small d, larger than nothing, must be likelier than the limit; what has none says nothing.
     assert (burr.log_likelihood > weibull.log_likelihood - 1e-9)[~at_limit].all()
@@ -65,6 +65,12 @@ def test_burr_ends_where_weibull_begins():
     # than an exponential variable.
     w = (x / weibull.parameters["scale"][:, np.newaxis]) ** weibull.parameters["shape"][:, None]
     assert (((w**2).mean(axis=-1) <= 2) == at_limit).mean() > 0.97
+
+
+def test_burr_ends_where_a_power_law_has_an_edge():
+    """Samples from 1 on, likeliest at 1: no Burr distribution is as likely as that jump."""
+    x = 1 + np.random.default_rng(4).pareto(2.0, size=(50, 200))
+    assert (chd.fit.burr(x).reason == Reason.AT_LIMIT).all()
 
 
 def test_burr_with_the_shape_of_weibull_has_its_tail():
@@ -88,7 +94,7 @@ def test_pareto_needs_a_regular_likelihood():
     assert below.mean() > 0.8
     assert np.isnan(fit.standard_errors["xi"][below]).all()
     fit = chd.fit.pareto(edge)
-    assert (fit.reason == Reason.NOT_CONVERGED).mean() > 0.9
+    assert (fit.reason == Reason.AT_LIMIT).mean() > 0.9
     assert not (fit.parameters["xi"] <= -1).any()
 
 
@@ -133,6 +139,20 @@ def test_histogram_route_agrees_with_samples(family):
     loss = (best - likelihood)[both] / 512
     assert loss.min() > -1e-9
     assert loss.max() < 1e-2
+
+
+def test_bounded_families_of_a_histogram_hold_every_sample():
+    """The support ends above the upper edge of the highest bin, whose samples may lie there."""
+    rng = np.random.default_rng(12)
+    x = stats.genpareto(-0.6).rvs((300, 512), random_state=rng)
+    fit, part = chd.fit.pareto(chd.histogram(x)), PositivePart.of(x)
+    fitted = fit.reason == Reason.OK
+    assert fitted.mean() > 0.7
+    assert (fit.parameters["xi"][fitted] < 0).all()
+    likelihood = FAMILIES["pareto"].log_likelihood(part, fit.parameters)
+    assert np.isfinite(likelihood[fitted]).all()
+    end = -fit.parameters["scale"] / fit.parameters["xi"]
+    assert (end[fitted] > x.max(axis=-1)[fitted]).all()
 
 
 def test_histograms_of_an_image_go_the_way_of_its_samples():

@@ -151,7 +151,7 @@ def test_unusable_pixels_are_data(family):
     x = np.array([[0.0] * 8, [np.nan] * 8, [0, 0, 0, 0, 0, 0, 0, 3], [2] * 8, last])
     fit = chd.fit.fit(x, family)
     # The six samples of the last row are likeliest where Burr becomes a power law with an edge.
-    last_one = Reason.NOT_CONVERGED if family == "burr" else Reason.OK
+    last_one = Reason.AT_LIMIT if family == "burr" else Reason.OK
     expected = [Reason.ALL_NULL, Reason.ALL_BAD, Reason.TOO_FEW, Reason.CONSTANT, last_one]
     np.testing.assert_array_equal(fit.reason, expected)
     for value in (*fit.parameters.values(), fit.log_likelihood, fit.bic):
@@ -201,6 +201,38 @@ def test_distribution_functions_agree(family):
 def test_gamma_model_has_the_mean_of_the_samples():
     x = sparse(np.random.default_rng(13), (6, 300))
     np.testing.assert_allclose(chd.fit.gamma(x).mean(), x.mean(axis=-1), rtol=1e-9)
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_mean_is_that_of_the_distribution(family):
+    fit = chd.fit.fit(typical(family, np.random.default_rng(17), (3, 400), nulls=0.4), family)
+    expected = (1 - fit.zero_share) * BY_SCIPY.DISTRIBUTIONS[family](fit.parameters).mean()
+    np.testing.assert_allclose(fit.mean(), expected, rtol=1e-9)
+    assert (fit.reason == Reason.OK).all()
+
+
+def test_a_power_tail_may_have_no_mean():
+    x = stats.burr12(2.0, 0.3).rvs((3, 2000), random_state=18)
+    assert np.isposinf(chd.fit.burr(x).mean()).all()
+    assert np.isposinf(chd.fit.pareto(x**2).mean()).all()
+
+
+@pytest.mark.parametrize("family", FAMILY_NAMES)
+def test_extreme_parameters_do_not_warn(family):
+    """Warnings are errors here; what is beyond double precision is infinite, nothing is NaN."""
+    x = np.exp(60 * np.random.default_rng(16).normal(size=(4, 200)))
+    fit = chd.fit.fit(x, family)
+    fitted = fit.reason == Reason.OK
+    for values in (
+        fit.mean(),
+        fit.pdf([0.0, 1e-300, 1.0, 1e300]),
+        fit.cdf([0.0, 1e-300, 1.0, 1e300]),
+        fit.ppf([0.0, 1e-9, 0.5, 1 - 1e-9]),
+        fit.rvs(50, seed=1),
+    ):
+        assert not np.isnan(values[fitted]).any()
+    # exp(mu + sigma^2 / 2) of a standard deviation of 60 is above 1e308.
+    assert family != "lognormal" or np.isinf(fit.mean()).all()
 
 
 def test_draws_follow_the_model_they_come_from():

@@ -9,7 +9,7 @@ from chdstat._reasons import Reason
 from chdstat.errors import InputError
 from chdstat.fit.tail import effective_tail_index
 
-ROWS, SPP = 1500, 1024
+ROWS, SPP = 1000, 1024
 
 
 def pareto(xi, shape, seed):
@@ -31,7 +31,7 @@ def grafted(xi, share, shape, seed, body=None):
 def test_index_and_interval_of_generalised_pareto_samples(xi):
     """Bias below 0.02, coverage 0.93 to 0.96 (measured).
 
-    4 deviations of the mean of 1500 rows are below 0.016, 4 of a coverage of 0.935 are 0.026: the
+    4 deviations of the mean of 1000 rows are below 0.02, 4 of a coverage of 0.935 are 0.031: the
     test fails by chance once in 10 000.
     """
     tail = chd.fit.tail_index(3 * pareto(xi, (ROWS, SPP), 31))
@@ -47,10 +47,10 @@ def test_index_and_interval_of_generalised_pareto_samples(xi):
 @pytest.mark.parametrize("samples", [512, 2048])
 @pytest.mark.parametrize(("xi", "share"), [(0.0, 0.2), (0.3, 0.15), (0.5, 0.25), (0.75, 0.25)])
 def test_interval_of_grafted_tails(xi, share, samples):
-    """The threshold is unknown: coverage 0.89 to 0.95 measured; 4 deviations are 0.06."""
-    tail = chd.fit.tail_index(grafted(xi, share, (500, samples), 41))
+    """The threshold is unknown: coverage 0.89 to 0.95 measured; 4 deviations are 0.07."""
+    tail = chd.fit.tail_index(grafted(xi, share, (300, samples), 41))
     covered = (tail.interval[:, 0] <= xi) & (xi <= tail.interval[:, 1])
-    assert 0.84 < covered.mean() < 0.985
+    assert 0.82 < covered.mean() < 0.985
 
 
 def test_automatic_threshold_is_better_than_a_fixed_one():
@@ -73,9 +73,9 @@ def test_a_threshold_within_the_body_is_rejected():
 @pytest.mark.parametrize(("tested", "name"), [(0.0, "p_exponential"), (0.25, "p_value")])
 @pytest.mark.parametrize("level", [0.05, 0.01])
 def test_level_at_the_tested_index(tested, name, level):
-    """Measured 4.7 to 5.8 % and, on the safe side, 0.6 to 1 %; 4 deviations are 1.2 and 0.5 %."""
-    p = getattr(chd.fit.tail_index(pareto(tested, (6000, 512), 32)), name)
-    assert 0.2 * level < (p < level).mean() < 1.5 * level
+    """Measured 4.7 to 5.8 % and, on the safe side, 0.6 to 1 %; 4 deviations are 1.4 and 0.6 %."""
+    p = getattr(chd.fit.tail_index(pareto(tested, (4000, 512), 32)), name)
+    assert 0.1 * level < (p < level).mean() < 1.6 * level
 
 
 @pytest.mark.parametrize("shape", [0.5, 1.0, 5.0])
@@ -110,7 +110,7 @@ def test_hill_by_its_formula():
 
 
 def test_interval_of_hill_for_power_laws():
-    """Coverage 0.94 measured, since the threshold is chosen; 4 deviations are 0.025."""
+    """Coverage 0.94 measured, since the threshold is chosen; 4 deviations are 0.03."""
     x = np.random.default_rng(44).pareto(2.0, size=(ROWS, 512)) + 1
     tail = chd.fit.tail_index(x)
     covered = (tail.hill_interval[:, 0] <= 0.5) & (tail.hill_interval[:, 1] >= 0.5)
