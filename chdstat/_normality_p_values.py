@@ -14,6 +14,7 @@ from scipy import special
 
 from chdstat._normality_statistics import SCALES
 from chdstat._normality_tables import LEVELS, QUANTILES
+from chdstat._null_quantiles import interpolated_p
 from chdstat._positive import Counts, Floats
 
 __all__ = [
@@ -63,18 +64,8 @@ def shapiro_wilk_p(statistic: Floats, n: Counts) -> Floats:
 
 
 def _simulated(name: str, statistic: Floats, n: Counts) -> Floats:
-    """Interpolate the log odds of p in the scaled statistic; beyond the table, extrapolate."""
     scaled = SCALES[name](statistic, n.astype(np.float64))
-    coefficients = QUANTILES[name]
-    powers = n[:, np.newaxis] ** (-0.5 * np.arange(coefficients.shape[-1]))
-    quantiles = np.maximum.accumulate(powers @ coefficients.T, axis=-1)
-    right = np.count_nonzero(quantiles <= scaled[:, np.newaxis], axis=-1)
-    right = np.clip(right, 1, len(LEVELS) - 1)
-    row = np.arange(len(right))
-    low, high = quantiles[row, right - 1], quantiles[row, right]
-    odds = special.logit(LEVELS)
-    slope = (odds[right] - odds[right - 1]) / (high - low)
-    return _floored(special.expit(odds[right - 1] + slope * (scaled - low)))
+    return interpolated_p(scaled, n, LEVELS, QUANTILES[name], _FLOOR)
 
 
 def _floored(p: Floats) -> Floats:

@@ -21,6 +21,7 @@ from chdstat.errors import StoreError
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.goodness_of_fit import goodness_of_part, stream_of
 from chdstat.fit.goodness_results import Goodness, finish_goodness, goodness_variables
+from chdstat.fit.mixture_results import Mixture, finish_mixture, mixture_variables
 from chdstat.fit.selection import (
     SELECTED,
     Selection,
@@ -30,7 +31,12 @@ from chdstat.fit.selection import (
 )
 from chdstat.fit.tail import tail_of_part
 from chdstat.fit.tail_results import Tail, finish_tail, tail_variables
-from chdstat.modes import Modality, finish_modality, modality_of_part, modality_variables
+from chdstat.modes import (
+    Modality,
+    finish_modality,
+    mixture_and_modes_of_part,
+    modality_variables,
+)
 from chdstat.normality import finish_gaussianity, gaussianity_of_part, gaussianity_variables
 from chdstat.patterns import Thresholds, finish_patterns, patterns_of_part, patterns_variables
 from chdstat.samples import Mapped, Samples
@@ -80,7 +86,8 @@ def analyze(
     xarray.Dataset
         The variables of `summarize`, `fit.select`, `fit.tail_index` and `classify`; those of
         `modality` with the prefix ``modality_``, of `gaussianity` with ``normality_`` and of
-        `gaussianity_of_means` with ``averages_``; those of `fit.goodness` for the family that is
+        `gaussianity_of_means` with ``averages_``; those of `fit.mixture` with log-normal components,
+        searched as for modes, with ``lognormal_mixture_``; those of `fit.goodness` for the family that is
         best at each pixel with ``best_goodness_``; and ``luminance_mean``,
         ``coefficient_of_variation`` (y, x). Where there are too few samples for averages, their
         variables are absent. `atlas`, which looks at the image as a whole, is apart.
@@ -182,9 +189,16 @@ class _Tile:
         return tail_of_part(self.part)
 
     @cached_property
+    def _mixture_and_modes(self) -> tuple[Mixture, Modality]:
+        return mixture_and_modes_of_part(self.part, fits=self.selection.fits.values())
+
+    @property
+    def mixture(self) -> Mixture:
+        return self._mixture_and_modes[0]
+
+    @property
     def modes(self) -> Modality:
-        bics = [fit.bic for fit in self.selection.fits.values()]
-        return modality_of_part(self.part, single_bic=np.fmin.reduce(bics))
+        return self._mixture_and_modes[1]
 
     @cached_property
     def selection(self) -> Selection:
@@ -218,6 +232,10 @@ def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list
             lambda d: finish_goodness(d, "best"),
         ),
         _Stage(lambda t: tail_variables(t.of_channels(t.tail)), finish_tail),
+        _Stage(
+            lambda t: mixture_variables(t.of_channels(t.mixture)),
+            lambda d: finish_mixture(d, "lognormal"),
+        ),
         _Stage(lambda t: modality_variables(t.of_channels(t.modes)), finish_modality, "modality_"),
         _Stage(
             lambda t: gaussianity_variables(

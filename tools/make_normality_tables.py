@@ -84,19 +84,24 @@ def simulate(names: list[str], n: int, repeats: int) -> dict[str, np.ndarray]:
     return found
 
 
-def smooth(sizes: list[int], repeats: list[int], quantiles: np.ndarray, degree: int) -> np.ndarray:
-    """Return the coefficients for quantiles of shape (size, level), shape (level, power)."""
+def smooth(
+    sizes: list[int], repeats: list[int], quantiles: np.ndarray, degree: int, *, least: float = 0
+) -> np.ndarray:
+    """Return the coefficients for quantiles of shape (size, level), shape (level, power).
+
+    Quantiles with fewer than `least` samples beyond them count for nothing.
+    """
     p = np.array(LEVELS)
     # The error of a quantile is that of its level over the density.
     slope = np.abs(np.gradient(quantiles, special.logit(p), axis=-1))
     error = slope / np.sqrt(np.array(repeats)[:, np.newaxis] * p * (1 - p))
+    known = np.array(repeats)[:, np.newaxis] * np.minimum(p, 1 - p) >= least
+    weight = known / error
     x = np.array(sizes) ** -0.5
     polynomial = np.polynomial.polynomial
-    fits = [
-        polynomial.polyfit(x, quantiles[:, j], degree, w=1 / error[:, j]) for j in range(len(p))
-    ]
-    residual = (polynomial.polyval(x, np.array(fits).T).T - quantiles) / error
-    free = 1 - (degree + 1) / len(sizes)
+    fits = [polynomial.polyfit(x, quantiles[:, j], degree, w=weight[:, j]) for j in range(len(p))]
+    residual = (polynomial.polyval(x, np.array(fits).T).T - quantiles) * weight
+    free = known.mean() - (degree + 1) / len(sizes)
     sys.stdout.write(f"residuals over errors: {np.sqrt((residual**2).mean() / free):.2f}\n")
     return np.array(fits)
 

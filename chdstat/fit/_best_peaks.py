@@ -5,6 +5,7 @@ The mixtures are those of 2 and more log-normal or gamma components; the smalles
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,6 @@ from chdstat.fit._cells import Cells
 from chdstat.fit._grounds import Solution
 from chdstat.fit._peaks import peaks_of
 from chdstat.fit._search import Found, search
-from chdstat.fit.mixtures import zero_log_likelihood
 
 __all__ = ["BestPeaks", "best_peaks"]
 
@@ -33,7 +33,7 @@ class BestPeaks:
     place, weight, ashman_d, ashman_d_se
         As of `Peaks`, shape (..., mode); the last entry of the two separations is not used.
     delta_bic
-        BIC of the best single family minus that of the best mixture, shape (...).
+        Twice what the score of the best mixture is above that of the rival, shape (...).
     """
 
     count: npt.NDArray[np.int8]
@@ -44,23 +44,31 @@ class BestPeaks:
     delta_bic: Floats
 
 
-def best_peaks(part: PositivePart, usable: Mask, single_bic: Floats, max_k: int) -> BestPeaks:
-    """Find the peaks of the usable rows; `single_bic` is the best one of the single families."""
+def best_peaks(
+    part: PositivePart,
+    usable: Mask,
+    rival: Floats,
+    max_k: int,
+    *,
+    also: Callable[[Found], None] = lambda _: None,
+) -> BestPeaks:
+    """Find the peaks of the usable rows.
+
+    `rival` is the best score of distributions of one mode, see `rival_scores`, shape (...). `also`
+    gets to see the log-normal mixtures as they are found.
+    """
     shape = part.n.shape
-    rest = zero_log_likelihood(part) - part.n * part.log_statistics.log_mean
-    # What BIC adds up in linear radiance, as a score of log radiance without the share of zeros.
-    rival = -0.5 * single_bic - rest
-    log_n = np.log(np.maximum(part.n_good, 1)).reshape(-1)
+    log_n = np.log(np.maximum(part.n, 1)).reshape(-1)
     count = np.zeros(part.n.size, dtype=np.int8)
     table = np.full((len(_FIELDS), part.n.size, max_k), np.nan)
     delta = np.full(part.n.size, np.nan)
-    usable = usable & np.isfinite(rival)
     for found in search(part, usable, "lognormal", max_k, effort="fast", rival=rival):
         rows = found.rows
         count[rows], table[:, rows], gain = _of_piece(
             found, rival.reshape(-1)[rows], log_n[rows], max_k
         )
-        delta[rows] = 2 * gain
+        delta[rows] = np.where(np.isfinite(gain), 2 * gain, np.nan)
+        also(found)
     place, weight, ashman_d, error = table.reshape(len(_FIELDS), *shape, max_k)
     return BestPeaks(count.reshape(shape), place, weight, ashman_d, error, delta.reshape(shape))
 

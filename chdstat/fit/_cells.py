@@ -24,8 +24,8 @@ _ENDS = 4
 """Samples at each end of a row that are cells by themselves: tails are sparse."""
 _SPIKE_EDGES = 4
 """Edges of cells that are set where spikes begin and end."""
-_ROWS = 64
-"""Rows of samples worked on at once: they stay in the cache."""
+_CHUNK = 2**15
+"""Samples worked on at once: they stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,8 @@ def cells_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> Cells:
     at the widest gap near each quantile, or where a spike begins or ends, so that equal samples, or
     nearly equal ones, come into cells of their own.
     """
-    groups = [_group(log_sorted[part], n[part], most) for part in spans(len(n), _ROWS)]
+    step = max(1, _CHUNK // log_sorted.shape[-1])
+    groups = [_group(log_sorted[part], n[part], most) for part in spans(len(n), step)]
     values = (np.concatenate(pieces) for pieces in zip(*groups, strict=True))
     count, log, square, ratio, origin = values
     return Cells(count, log, square, ratio, origin, np.full(len(n), SPREAD_FLOOR))
@@ -97,9 +98,12 @@ def cells_of_bins(counts: Floats, log_centers: Floats, width: Floats) -> tuple[C
     The second ones have Sheppard's corrections (see `BinnedPart.log_statistics`): h^2 / 12 less of
     mean squares, and means of exp(y) times (h / 2) / sinh(h / 2).
     """
-    filled = (counts > 0).any(axis=0)
-    count, centers = counts[:, filled], log_centers[:, filled]
-    last = count.shape[-1] - 1 - (count[:, ::-1] > 0).argmax(axis=-1)
+    # Filled bins come first: the width is that of the row that has most of them.
+    filled = counts > 0
+    most = int(np.count_nonzero(filled, axis=-1).max())
+    order = np.argsort(~filled, axis=-1, kind="stable")[:, :most]
+    count, centers = (np.take_along_axis(v, order, axis=-1) for v in (counts, log_centers))
+    last = np.count_nonzero(filled, axis=-1) - 1
     origin = np.take_along_axis(centers, last[:, np.newaxis], axis=-1)
     y, h = np.minimum(centers - origin, 0.0), width[:, np.newaxis]
     square, ratio = y * y, np.exp(y)

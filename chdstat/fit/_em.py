@@ -22,6 +22,8 @@ __all__ = ["Climb", "bound_at", "climb", "log_density", "maximise", "responsibil
 
 _LEAST = 1e-10
 """Least share of a component, so that it keeps a place and a width."""
+_VANISHING = -80.0
+"""Log of a share that is as good as none."""
 _REACH = 64.0
 """Longest extrapolation, in steps."""
 
@@ -35,13 +37,26 @@ class Climb(NamedTuple):
 
 
 class _Data(NamedTuple):
-    """What a step needs of cells: samples, y, t(y), shape (row, cell); floor, n, shape (row,)."""
+    """What a step needs of cells: samples, y, t(y), shape (cell, row); floor, n, shape (row,).
+
+    There are many more rows than cells: with rows last, loops are long, and take half the time.
+    """
 
     samples: Floats
     log: Floats
     statistic: Floats
     floor: Floats
     n: Floats
+
+    @classmethod
+    def of(cls, cells: Cells, family: ComponentFamily) -> _Data:
+        by_cell = (cells.count, cells.log, family.statistic(cells))
+        samples, log, statistic = (np.ascontiguousarray(values.T) for values in by_cell)
+        return cls(samples, log, statistic, cells.floor, cells.n)
+
+    def take(self, rows: Mask) -> _Data:
+        """Return some of the rows."""
+        return _Data(*(values[..., rows] for values in self))
 
 
 def climb(
@@ -52,7 +67,7 @@ def climb(
     bound = np.full(state.shape[-1], -np.inf)
     converged = np.zeros(state.shape[-1], dtype=bool)
     active = np.arange(state.shape[-1])
-    data = _Data(cells.count, cells.log, family.statistic(cells), cells.floor, cells.n)
+    data = _Data.of(cells, family)
     for _ in range(cycles):
         # Extrapolation may leave the numbers; what it reached is then not taken.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -64,32 +79,29 @@ def climb(
         # Leaving out rows costs a copy: it pays only for many of them.
         if 8 * np.count_nonzero(done) > done.size:
             active = active[~done]
-            data = _Data(*(values[~done] for values in data))
+            data = data.take(~done)
     return Climb(state, bound, converged)
 
 
 def responsibilities(cells: Cells, family: ComponentFamily, state: Floats) -> Floats:
     """Return how many samples of each cell belong to each component, (component, row, cell)."""
-    coefficients = family.coefficients(state)
-    return _expect(cells.count, cells.log, family.statistic(cells), coefficients)[0]
+    return _expect(_Data.of(cells, family), family.coefficients(state))[0].transpose(0, 2, 1)
 
 
 def bound_at(cells: Cells, family: ComponentFamily, state: Floats) -> Floats:
     """Return the bound at a state: the log-likelihood of y, if each cell is one sample."""
-    coefficients = family.coefficients(state)
-    return _expect(cells.count, cells.log, family.statistic(cells), coefficients)[1]
+    return _expect(_Data.of(cells, family), family.coefficients(state))[1]
 
 
 def maximise(cells: Cells, family: ComponentFamily, belonging: Floats) -> Floats:
     """Return the state of maximum likelihood, given responsibilities."""
-    data = _Data(cells.count, cells.log, family.statistic(cells), cells.floor, cells.n)
-    return _maximise(data, family, belonging)
+    return _maximise(_Data.of(cells, family), family, belonging.transpose(0, 2, 1))
 
 
 def log_density(log: Floats, statistic: Floats, coefficients: Floats) -> Floats:
     """Return the log density of y at cells or samples, shape (row, cell)."""
     with np.errstate(over="ignore", invalid="ignore"):
-        exponent, top = _exponents(log, statistic, coefficients)
+        exponent, top = _exponents(log, statistic, coefficients[..., np.newaxis])
         total = np.log(np.exp(exponent, out=exponent).sum(axis=0))
         # Far beyond every component, all terms are minus infinity, and so is their sum.
         return np.where(top == -np.inf, -np.inf, total + top)
@@ -119,35 +131,38 @@ def _extrapolate(state: Floats, one: Floats, two: Floats) -> Floats:
 
 def _step(data: _Data, family: ComponentFamily, state: Floats) -> tuple[Floats, Floats]:
     """Return the next state, and the bound at this one."""
-    belonging, bound = _expect(data.samples, data.log, data.statistic, family.coefficients(state))
+    belonging, bound = _expect(data, family.coefficients(state))
     return _maximise(data, family, belonging), bound
 
 
-def _expect(
-    count: Floats, log: Floats, statistic: Floats, coefficients: Floats
-) -> tuple[Floats, Floats]:
-    exponent, top = _exponents(log, statistic, coefficients)
+def _expect(data: _Data, coefficients: Floats) -> tuple[Floats, Floats]:
+    """Return responsibilities, shape (component, cell, row), and the bound."""
+    exponent, top = _exponents(data.log, data.statistic, coefficients[:, :, np.newaxis])
     belonging = np.exp(exponent, out=exponent)
     total = belonging.sum(axis=0)
-    belonging *= count / total
+    belonging *= data.samples / total
     np.log(total, out=total)
     total += top
-    return belonging, np.vecdot(count, total)
+    total *= data.samples
+    return belonging, total.sum(axis=0)
 
 
 def _exponents(log: Floats, statistic: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
     """Return the logs of weight times density of the components less their largest, and that."""
-    constant, slope, curvature = coefficients[..., np.newaxis]
-    exponent = slope * log
-    exponent += curvature * statistic
+    constant, slope, curvature = coefficients
+    # In this order, or else sums over components and cells take several times as long.
+    exponent = np.multiply(slope, log, order="C")
+    exponent += np.multiply(curvature, statistic, order="C")
     exponent += constant
     top = exponent.max(axis=0)
     exponent -= top
+    # The exponential function is slow where it vanishes.
+    np.maximum(exponent, _VANISHING, out=exponent)
     return exponent, top
 
 
 def _maximise(data: _Data, family: ComponentFamily, belonging: Floats) -> Floats:
-    sizes = np.maximum(belonging.sum(axis=-1), _LEAST)
-    log = np.vecdot(belonging, data.log) / sizes
-    statistic = np.vecdot(belonging, data.statistic) / sizes
+    sizes = np.maximum(belonging.sum(axis=1), _LEAST)
+    log = np.einsum("kcr,cr->kr", belonging, data.log) / sizes
+    statistic = np.einsum("kcr,cr->kr", belonging, data.statistic) / sizes
     return family.maximise(sizes / data.n, log, statistic, data.floor)

@@ -20,8 +20,8 @@ from chdstat.fit._starts import single
 
 __all__ = ["Bins", "Ground", "SampleRows", "Solution", "log_likelihood"]
 
-_ROWS = 64
-"""Rows of samples worked on at once: they stay in the cache."""
+_CHUNK = 2**15
+"""Samples worked on at once: they stay in the cache."""
 _TOLERANCE = 1e-6
 
 
@@ -121,7 +121,7 @@ class SampleRows:
             return Solution(family, state, origin, end.bound, converged)
         value = log_likelihood(self.log_sorted, self.n, family, state, origin)
         blurred = np.flatnonzero(value - end.bound > self.loss * self.n)
-        for piece in spans(len(blurred), _ROWS):
+        for piece in spans(len(blurred), _rows(self.log_sorted)):
             rows = blurred[piece]
             singles = single_cells(self.log_sorted[rows], self.n[rows])
             further = climb(
@@ -161,10 +161,14 @@ def log_likelihood(
     """Return the log-likelihood of log x of samples in ascending order, shape (row,)."""
     values = np.empty(len(n))
     coefficients = family.coefficients(state)
-    for part in spans(len(n), _ROWS):
+    for part in spans(len(n), _rows(log_sorted)):
         valid = np.arange(log_sorted.shape[-1]) < n[part, np.newaxis]
         y = np.where(valid, log_sorted[part] - origin[part, np.newaxis], 0.0)
         with np.errstate(over="ignore"):
             density = log_density(y, family.transform(y), coefficients[..., part])
         values[part] = np.vecdot(density, valid)
     return values
+
+
+def _rows(samples: Floats) -> int:
+    return max(1, _CHUNK // int(samples.shape[-1]))

@@ -17,7 +17,7 @@ from chdstat._positive import Counts, Floats, Mask
 from chdstat._routes import Part
 from chdstat.fit._cells import Cells, cells_of_bins, cells_of_samples
 from chdstat.fit._components import COMPONENTS, ComponentFamily, MixtureFamily
-from chdstat.fit._em import climb, maximise, responsibilities
+from chdstat.fit._em import Climb, bound_at, climb, maximise, responsibilities
 from chdstat.fit._grounds import Bins, Ground, SampleRows, Solution
 from chdstat.fit._starts import insertions, segmentations, single, split
 
@@ -61,11 +61,11 @@ class _Plan:
 EFFORTS: dict[Effort, _Plan] = {
     "fast": _Plan(
         rows=1024,
-        cells=40,
+        cells=32,
         windows=((1, 2, 4), (8, 16)),
         rounds=((1, 1),),
         cycles=6,
-        tolerance=3e-5,
+        tolerance=2e-4,
         loss=np.inf,
         sample_cycles=0,
     ),
@@ -149,21 +149,33 @@ def score(solution: Solution, n: Floats) -> Floats:
 
 def _pieces(part: Part, usable: Mask, plan: _Plan) -> Iterator[tuple[Counts, Ground]]:
     chosen = np.flatnonzero(usable.reshape(-1))
-    n = part.n.reshape(-1)[chosen]
     if isinstance(part, BinnedPart):
-        bins = part.counts.shape[-1]
-        counts = part.counts.reshape(-1, bins)
-        centers = np.broadcast_to(part.log_centers, part.counts.shape).reshape(-1, bins)
-        width = np.broadcast_to(part.width, part.n.shape).reshape(-1)
-        for piece in spans(len(n), plan.rows):
-            at = chosen[piece]
-            yield at, Bins(*cells_of_bins(counts[at], centers[at], width[at]))
+        yield from _binned_pieces(part, chosen, plan)
         return
+    n = part.n.reshape(-1)
     ascending = part.log_sorted.reshape(-1, part.x.shape[-1])
-    for piece in spans(len(n), plan.rows):
-        log_sorted = ascending[chosen[piece]]
-        cells = cells_of_samples(log_sorted, n[piece], plan.cells)
-        yield chosen[piece], SampleRows(cells, log_sorted, n[piece], plan.loss, plan.sample_cycles)
+    for rows in _alike(chosen, n[chosen], plan):
+        log_sorted = ascending[rows, : n[rows[-1]]]
+        cells = cells_of_samples(log_sorted, n[rows], plan.cells)
+        yield rows, SampleRows(cells, log_sorted, n[rows], plan.loss, plan.sample_cycles)
+
+
+def _binned_pieces(
+    part: BinnedPart, chosen: Counts, plan: _Plan
+) -> Iterator[tuple[Counts, Ground]]:
+    bins = part.counts.shape[-1]
+    counts = part.counts.reshape(-1, bins)
+    centers = np.broadcast_to(part.log_centers, part.counts.shape).reshape(-1, bins)
+    width = np.broadcast_to(part.width, part.n.shape).reshape(-1)
+    for rows in _alike(chosen, np.count_nonzero(counts[chosen], axis=-1), plan):
+        yield rows, Bins(*cells_of_bins(counts[rows], centers[rows], width[rows]))
+
+
+def _alike(rows: Counts, lengths: Counts, plan: _Plan) -> Iterator[Counts]:
+    """Yield pieces of rows of about the same length: little padding, the longest row last."""
+    ordered = rows[np.argsort(lengths, kind="stable")]
+    for piece in spans(len(ordered), plan.rows):
+        yield ordered[piece]
 
 
 def _fit(
@@ -186,9 +198,11 @@ def _fit(
 
 
 def _climb(ground: Ground, family: ComponentFamily, state: Floats, plan: _Plan) -> Solution:
-    # One component is there at once: its tolerance is that of anything.
-    cycles, tolerance = (2, np.inf) if state.shape[1] == 1 else (plan.cycles, plan.tolerance)
-    end = climb(ground.cells, family, state, cycles=cycles, tolerance=tolerance)
+    if state.shape[1] == 1:
+        # One component is at its maximum at once.
+        there = np.ones(state.shape[-1], dtype=bool)
+        return ground.finish(family, Climb(state, bound_at(ground.cells, family, state), there))
+    end = climb(ground.cells, family, state, cycles=plan.cycles, tolerance=plan.tolerance)
     return ground.finish(family, end)
 
 

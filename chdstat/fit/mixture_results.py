@@ -14,6 +14,7 @@ from chdstat._positive import Counts, Floats, Mask
 from chdstat._reasons import flag_attributes
 from chdstat.fit._components import MixtureFamily
 from chdstat.fit.families import Parameters, get_family
+from chdstat.fit.results import SHARED, expand
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,14 +28,6 @@ MixtureCriterion = Literal["bic", "held_out"]
 _HALVINGS = 70
 """Of the logarithmic interval that a quantile lies in: more than its 64 bits."""
 _DARKEST = 1e-320
-_SHARED = {
-    "null_share": "share of null samples among the good ones",
-    "null_interval": "Wilson interval of the share of null samples",
-    "n": "samples that were fitted",
-    "n_null": "null samples: all channels are 0",
-    "n_zero": "zeros of this channel in samples that are not null",
-    "n_bad": "samples left out: a channel is NaN, infinite or negative",
-}
 _OWN = {
     "k": "number of components",
     "weights": "weights of the components",
@@ -132,7 +125,7 @@ class Mixture:
     def cdf(self, x: npt.ArrayLike) -> Floats:
         """Return P(X <= x) of the zero-inflated model, shape of the batch, then that of `x`."""
         x = np.asarray(x, dtype=np.float64)
-        zero = _expand(self.zero_share, x.ndim)
+        zero = expand(self.zero_share, x.ndim)
         return np.where(x < 0, 0 * zero, zero + (1 - zero) * self._positive_cdf(x, x.ndim))
 
     def ppf(self, q: npt.ArrayLike) -> Floats:
@@ -141,7 +134,7 @@ class Mixture:
         A quantile of a mixture lies between those of its components: it is found by bisection.
         """
         q = np.asarray(q, dtype=np.float64)
-        zero = _expand(self.zero_share, q.ndim)
+        zero = expand(self.zero_share, q.ndim)
         with np.errstate(invalid="ignore", divide="ignore"):
             level = np.clip((q - zero) / (1 - zero), 0, 1)
         # The ends of the range are known; half stands in for them.
@@ -152,7 +145,7 @@ class Mixture:
             below = self._positive_cdf(middle, q.ndim, of_batch=True) < inside
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         ends = np.where(level == 0, 0.0, np.where(level == 1, np.inf, high))
-        return np.where(np.isnan(level + _expand(self.weights[..., 0], q.ndim)), np.nan, ends)
+        return np.where(np.isnan(level + expand(self.weights[..., 0], q.ndim)), np.nan, ends)
 
     def rvs(self, size: int, *, seed: int | np.random.Generator | None = None) -> Floats:
         """Draw samples of the zero-inflated model, shape (..., size)."""
@@ -171,15 +164,15 @@ class Mixture:
         return np.asarray((1 - self.zero_share) * self._mix(self._distribution(0).mean(), 0))
 
     def _distribution(self, trailing: int) -> Any:
-        expanded = {name: _expand(value, trailing) for name, value in self.parameters.items()}
+        expanded = {name: expand(value, trailing) for name, value in self.parameters.items()}
         return get_family(self.family).distribution(expanded)
 
     def _mix(self, values: Floats, trailing: int) -> Floats:
         """Add up what components say, weighted; NaN where there are none."""
-        weighted = _expand(self.weights, trailing) * values
-        used = _expand(~np.isnan(self.weights), trailing)
+        weighted = expand(self.weights, trailing) * values
+        used = expand(~np.isnan(self.weights), trailing)
         mixed = np.sum(np.where(used, weighted, 0.0), axis=-1 - trailing)
-        return np.where(_expand(self.k > 0, trailing), mixed, np.nan)
+        return np.where(expand(self.k > 0, trailing), mixed, np.nan)
 
     def _positive_cdf(self, x: Floats, trailing: int, *, of_batch: bool = False) -> Floats:
         if of_batch:
@@ -189,7 +182,7 @@ class Mixture:
     def _bracket(self, level: Floats, trailing: int) -> tuple[Floats, Floats]:
         axis = -1 - trailing
         each = self._distribution(trailing).ppf(np.expand_dims(level, axis=axis))
-        used = _expand(~np.isnan(self.weights), trailing) & ~np.isnan(each)
+        used = expand(~np.isnan(self.weights), trailing) & ~np.isnan(each)
         low = np.where(used, each, np.inf).min(axis=axis)
         high = np.where(used, each, 0.0).max(axis=axis)
         largest = np.finfo(np.float64).max
@@ -202,7 +195,7 @@ def mixture_variables(mixture: Mixture) -> Mapped:
     own = {f"{prefix}_{name}": getattr(mixture, name) for name in (*_OWN, "reason")}
     estimates = {f"{prefix}_{name}": value for name, value in mixture.parameters.items()}
     errors = {f"{prefix}_{name}_se": value for name, value in mixture.standard_errors.items()}
-    shared = {name: getattr(mixture, name) for name in _SHARED}
+    shared = {name: getattr(mixture, name) for name in SHARED}
     by_component = {*estimates, *errors, *(f"{prefix}_{name}" for name in _BY_COMPONENT)}
     return {
         name: (("channel", *_further(name, by_component)), value)
@@ -213,7 +206,7 @@ def mixture_variables(mixture: Mixture) -> Mapped:
 def finish_mixture(dataset: xr.Dataset, family: MixtureFamily) -> xr.Dataset:
     """Set long names, units and flag meanings of the variables of a mixture."""
     prefix = f"{family}_mixture"
-    for name, text in {**{f"{prefix}_{n}": t for n, t in _OWN.items()}, **_SHARED}.items():
+    for name, text in {**{f"{prefix}_{n}": t for n, t in _OWN.items()}, **SHARED}.items():
         dataset[name].attrs.update(long_name=text, units="1")
     units: Mapping[str, str] = {**get_family(family).units, "weight": "1"}
     for name, unit in units.items():
@@ -235,7 +228,3 @@ def _further(name: str, by_component: set[str]) -> tuple[str, ...]:
     if name == "null_interval":
         return ("bound",)
     return ("component",) if name in by_component else ()
-
-
-def _expand(value: npt.NDArray[Any], trailing: int) -> npt.NDArray[Any]:
-    return np.asarray(value).reshape((*np.shape(value), *(1,) * trailing))

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast, overload
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
 
-from chdstat._multiplicity import wilson
-from chdstat._positive import Counts, Floats, Mask, PositivePart
+from chdstat._positive import Floats, Mask, PositivePart
 from chdstat._reasons import Reason
 from chdstat._routes import Part, Source, run
 from chdstat.errors import InputError
+from chdstat.fit._chosen_mixtures import ChosenMixtures, allowed_components
 from chdstat.fit._components import COMPONENTS, MixtureFamily
-from chdstat.fit._grounds import Solution, log_likelihood
-from chdstat.fit._information import standard_errors
-from chdstat.fit._search import EFFORTS, Effort, Found, search
+from chdstat.fit._grounds import log_likelihood
+from chdstat.fit._search import EFFORTS, Effort, search
 from chdstat.fit.mixture_results import (
     Mixture,
     MixtureCriterion,
@@ -30,10 +27,9 @@ from chdstat.samples import Samples
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["mixture", "mixture_of_part", "zero_log_likelihood"]
+__all__ = ["mixture", "mixture_of_part"]
 
 _LARGEST_K = 8
-_NAMES = {"lognormal": ("mu", "sigma"), "gamma": ("shape", "scale")}
 
 
 @overload
@@ -149,120 +145,16 @@ def mixture_of_part(
     """Fit a mixture to samples that are already split; options as of `mixture`."""
     largest = max_k if k is None else k
     reason = part.reason()
-    allowed = _allowed(part, largest) & (reason == Reason.OK)[..., np.newaxis]
-    reason[(reason == Reason.OK) & ~allowed[..., 0 if k is None else k - 1]] = Reason.TOO_FEW
-    table = _Table.empty(part.n.size, largest)
-    held_out = np.full((part.n.size, largest), np.nan)
+    allowed = allowed_components(part, largest)
+    least = allowed[..., 0 if k is None else k - 1]
+    reason[(reason == Reason.OK) & ~least] = Reason.TOO_FEW
+    held_out = None
     if criterion == "held_out":
         held_out = _held_out(_samples_of(part), reason == Reason.OK, family, largest, effort)
-    held_out[~allowed.reshape(-1, largest)] = np.nan
+    chosen = ChosenMixtures.of(part, reason, largest, k=k, held_out=held_out)
     for found in search(part, reason == Reason.OK, family, largest, effort=effort):
-        table.enter(
-            found,
-            allowed.reshape(-1, largest)[found.rows],
-            chosen=k,
-            scores=held_out[found.rows] if criterion == "held_out" else None,
-        )
-    return _result(part, table, held_out, family, criterion, reason)
-
-
-def zero_log_likelihood(part: Part) -> Floats:
-    """Return the log-likelihood of which good samples are 0, shape (...)."""
-    zeros = part.n_null + part.n_zero
-    total = np.maximum(part.n_good, 1)
-    return np.asarray(special.xlogy(zeros, zeros / total) + special.xlogy(part.n, part.n / total))
-
-
-@dataclass(frozen=True)
-class _Table:
-    """What is found out about every row, shape (row,) or (row, component)."""
-
-    k: npt.NDArray[np.int8]
-    values: Floats
-    errors: Floats
-    likelihoods: Floats
-    converged: Mask
-
-    @classmethod
-    def empty(cls, rows: int, largest: int) -> _Table:
-        return cls(
-            k=np.zeros(rows, dtype=np.int8),
-            values=np.full((3, rows, largest), np.nan),
-            errors=np.full((3, rows, largest), np.nan),
-            likelihoods=np.full((rows, largest), np.nan),
-            converged=np.zeros(rows, dtype=bool),
-        )
-
-    def enter(
-        self,
-        found: Found,
-        allowed: Mask,
-        *,
-        chosen: int | None,
-        scores: Floats | None,
-    ) -> None:
-        """Take over some rows, with the chosen number of components or that of the best score."""
-        solutions = found.solutions
-        values = np.stack([s.log_likelihood for s in solutions], axis=-1)
-        self.likelihoods[found.rows] = np.where(allowed, values, np.nan)
-        if chosen is None:
-            n = np.log(found.cells.n)[:, np.newaxis]
-            parameters = 3 * np.arange(1, len(solutions) + 1)
-            score = values - parameters * n / 2 if scores is None else scores
-            best = np.where(allowed & ~np.isnan(score), score, -np.inf).argmax(axis=-1)
-        else:
-            best = np.full(len(found.rows), chosen - 1)
-        for k in np.unique(best):
-            at = np.flatnonzero(best == k)
-            self._describe(found.rows[at], solutions[k].take(at), found, at)
-
-    def _describe(self, rows: Counts, solution: Solution, found: Found, at: Counts) -> None:
-        k = solution.state.shape[1]
-        values = _parameters(solution)
-        errors = standard_errors(solution, found.cells.take(at))
-        names = ("weight", *_NAMES[solution.family.name])
-        order = np.argsort(_median(solution), axis=-1)
-        for i, name in enumerate(names):
-            self.values[i, rows, :k] = np.take_along_axis(values[name], order, axis=-1)
-            self.errors[i, rows, :k] = np.take_along_axis(errors[name], order, axis=-1)
-        self.k[rows] = k
-        self.converged[rows] = solution.converged
-
-
-def _allowed(part: Part, largest: int) -> Mask:
-    """Say how many components a row may have: with as many samples as parameters, or more.
-
-    Nor may there be more components than distinct values, shape (..., component).
-    """
-    k = np.arange(1, largest + 1)
-    if isinstance(part, PositivePart):
-        rises = part.sorted[..., 1:] > part.sorted[..., :-1]
-        distinct = np.count_nonzero(rises & part.valid[..., 1:], axis=-1) + (part.n > 0)
-    else:
-        distinct = np.count_nonzero(part.counts > 0, axis=-1)
-    enough = part.n[..., np.newaxis] >= 3 * k - 1
-    return np.asarray(enough & (distinct[..., np.newaxis] >= k))
-
-
-def _parameters(solution: Solution) -> dict[str, Floats]:
-    log_weight, location, log_scale = solution.state.transpose(0, 2, 1)
-    origin = solution.origin[:, np.newaxis]
-    weight = np.exp(log_weight)
-    weight /= weight.sum(axis=-1, keepdims=True)
-    if solution.family.name == "lognormal":
-        return {"weight": weight, "mu": location + origin, "sigma": np.exp(log_scale)}
-    scale = np.exp(location - log_scale + origin)
-    return {"weight": weight, "shape": np.exp(log_scale), "scale": scale}
-
-
-def _median(solution: Solution) -> Floats:
-    """Return the medians of the components as log radiance less origin, shape (row, component)."""
-    _, location, log_scale = solution.state.transpose(0, 2, 1)
-    if solution.family.name == "lognormal":
-        return np.asarray(location)
-    shape = np.exp(log_scale)
-    with np.errstate(divide="ignore"):
-        return np.asarray(location + np.log(special.gammaincinv(shape, 0.5) / shape))
+        chosen.enter(found)
+    return chosen.result(family)
 
 
 def _samples_of(part: Part) -> PositivePart:
@@ -300,53 +192,6 @@ def _half(part: PositivePart, start: int) -> PositivePart:
     n = np.asarray(np.count_nonzero(positive, axis=-1), dtype=np.int64)
     none = np.zeros_like(n)
     return PositivePart(part.x[..., start::2], positive, n, none, none, none)
-
-
-def _result(
-    part: Part,
-    table: _Table,
-    held_out: Floats,
-    family: MixtureFamily,
-    criterion: MixtureCriterion,
-    reason: npt.NDArray[np.int8],
-) -> Mixture:
-    shape, largest = part.n.shape, held_out.shape[-1]
-    rest = (zero_log_likelihood(part) - part.n * part.log_statistics.log_mean)[..., np.newaxis]
-    values = table.likelihoods.reshape(*shape, largest) + rest
-    k = table.k.reshape(shape)
-    at = np.maximum(k, 1).astype(np.int64)[..., np.newaxis] - 1
-    chosen = np.where(k > 0, np.take_along_axis(values, at, axis=-1)[..., 0], np.nan)
-    with np.errstate(divide="ignore"):
-        log_n = np.log(part.n_good)
-    parameters = 3 * np.arange(1, largest + 1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        null_share = np.asarray(part.n_null / part.n_good)
-        bics = parameters * log_n[..., np.newaxis] - 2 * values
-        bic = 3.0 * k * log_n - 2 * chosen
-    weights, *estimates = table.values.reshape(3, *shape, largest)
-    names = _NAMES[family]
-    errors = table.errors.reshape(3, *shape, largest)
-    return Mixture(
-        family=family,
-        criterion=criterion,
-        k=k,
-        weights=weights,
-        parameters=dict(zip(names, estimates, strict=True)),
-        standard_errors=dict(zip(("weight", *names), errors, strict=True)),
-        log_likelihood=chosen,
-        aic=6.0 * k - 2 * chosen,
-        bic=bic,
-        bics=bics,
-        held_out=held_out.reshape(*shape, largest),
-        null_share=null_share,
-        null_interval=wilson(part.n_null, part.n_good),
-        n=part.n,
-        n_null=part.n_null,
-        n_zero=part.n_zero,
-        n_bad=part.n_bad,
-        converged=table.converged.reshape(shape),
-        reason=reason,
-    )
 
 
 def _check(k: Any, family: str, criterion: str, max_k: Any, effort: str) -> None:

@@ -112,7 +112,9 @@ def fit_part(part: Part, family: Family) -> Fit:
     count = len(parameters) + 1
     with np.errstate(invalid="ignore", divide="ignore"):
         null_share = np.asarray(part.n_null / part.n_good)
-        bic = np.asarray(count * np.log(part.n_good) - 2 * log_likelihood)
+        # Nulls say nothing about the shape: only their own share is estimated from all samples.
+        of_shape = len(parameters) * np.log(part.n)
+        bic = np.asarray(of_shape + np.log(part.n_good) - 2 * log_likelihood)
     return Fit(
         family=family.name,
         parameters=parameters,

@@ -143,7 +143,8 @@ def test_the_likelihood_is_that_of_the_density(family):
         positive = np.log(density(result, row, x[row, 50:], family)).sum()
         zeros = 50 * np.log(0.25) + 150 * np.log(0.75)
         assert result.log_likelihood[row] == pytest.approx(positive + zeros, rel=1e-9)
-    np.testing.assert_allclose(result.bic, 3 * result.k * np.log(200) - 2 * result.log_likelihood)
+    penalty = (3 * result.k - 1) * np.log(150) + np.log(200)
+    np.testing.assert_allclose(result.bic, penalty - 2 * result.log_likelihood)
     at = result.k[:, np.newaxis] - 1
     np.testing.assert_allclose(result.bic, np.take_along_axis(result.bics, at, -1)[:, 0])
 

@@ -84,7 +84,7 @@ def test_log_likelihood_is_that_of_all_good_samples(family):
     count = len(fit.parameters) + 1
     assert fit.log_likelihood == pytest.approx(expected, rel=1e-12)
     assert fit.aic == pytest.approx(2 * count - 2 * expected)
-    assert fit.bic == pytest.approx(count * np.log(100) - 2 * expected)
+    assert fit.bic == pytest.approx((count - 1) * np.log(70) + np.log(100) - 2 * expected)
 
 
 @pytest.mark.parametrize("family", FAMILY_NAMES)
