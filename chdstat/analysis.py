@@ -33,6 +33,7 @@ from chdstat.fit.tail import tail_of_part
 from chdstat.fit.tail_results import Tail, finish_tail, tail_variables
 from chdstat.modes import (
     Modality,
+    bandwidths_of_part,
     finish_modality,
     mixture_and_modes_of_part,
     modality_variables,
@@ -84,13 +85,14 @@ def analyze(
     Returns
     -------
     xarray.Dataset
-        The variables of `summarize`, `fit.select`, `fit.tail_index` and `classify`; those of
-        `modality` with the prefix ``modality_``, of `gaussianity` with ``normality_`` and of
-        `gaussianity_of_means` with ``averages_``; those of `fit.mixture` with log-normal components,
-        searched as for modes, with ``lognormal_mixture_``; those of `fit.goodness` for the family that is
-        best at each pixel with ``best_goodness_``; and ``luminance_mean``,
-        ``coefficient_of_variation`` (y, x). Where there are too few samples for averages, their
-        variables are absent. `atlas`, which looks at the image as a whole, is apart.
+        The variables of `summarize`, `fit.select`, `fit.tail_index` and `classify`; with prefixes,
+        those of `modality` (``modality_``), of `gaussianity` (``normality_``), of
+        `gaussianity_of_means` (``averages_``), of `fit.mixture` with log-normal components,
+        searched as for modes (``lognormal_mixture_``), and of `fit.goodness` for the family that is
+        best at each pixel (``best_goodness_``); and, of luminance, ``luminance_mean``,
+        ``coefficient_of_variation`` (y, x) and ``critical_bandwidth`` (y, x, modes_left). Where
+        there are too few samples for averages, their variables are absent. `atlas`, which looks at
+        the image as a whole, is apart.
 
     Examples
     --------
@@ -224,6 +226,15 @@ def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list
     stages = [
         _Stage(_luminance, _label_luminance),
         _Stage(
+            lambda t: {
+                "critical_bandwidth": (
+                    ("modes_left",),
+                    bandwidths_of_part(t.of_luminance(t.part)),
+                )
+            },
+            _label_bandwidth,
+        ),
+        _Stage(
             lambda t: selection_variables(t.of_channels(t.selection)),
             lambda d: finish_selection(d, list(SELECTED), "bic"),
         ),
@@ -283,5 +294,12 @@ def _label_luminance(dataset: xr.Dataset) -> xr.Dataset:
     dataset["luminance_mean"].attrs.update(long_name="mean luminance", units="W sr-1 m-2")
     dataset["coefficient_of_variation"].attrs.update(
         long_name="standard deviation over mean of luminance", units="1"
+    )
+    return dataset
+
+
+def _label_bandwidth(dataset: xr.Dataset) -> xr.Dataset:
+    dataset["critical_bandwidth"].attrs.update(
+        long_name="bandwidth in log10 luminance that leaves one mode, or two", units="1"
     )
     return dataset

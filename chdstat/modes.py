@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "MODES",
     "Modality",
+    "bandwidths_of_part",
     "finish_modality",
     "mixture_and_modes_of_part",
     "modality",
@@ -174,6 +175,13 @@ def mixture_and_modes_of_part(
     return chosen.result("lognormal"), modality
 
 
+def bandwidths_of_part(part: PositivePart) -> Floats:
+    """Return the critical bandwidths of one mode and of two in decades, shape (..., 2)."""
+    ok = part.reason(_MINIMUM) == Reason.OK
+    bandwidth, _ = _smoothing(part, ok, silverman=True, resamples=0, rng=generator(0))
+    return bandwidth / np.log(10)
+
+
 def _modality(
     part: PositivePart,
     fits: Iterable[Fit] | None,
@@ -192,7 +200,9 @@ def _modality(
     bounded = p_value >= _LEVEL
     rival = rival_scores(part, ok, bounded, fits=fits, single_bic=single_bic)
     peaks = best_peaks(part, ok, rival, MODES, also=also)
-    bandwidth, silverman_p_value = _smoothing(part, ok, silverman, resamples, rng)
+    bandwidth, silverman_p_value = _smoothing(
+        part, ok, silverman=silverman, resamples=resamples, rng=rng
+    )
     return Modality(
         dip=dip,
         dip_p_value=p_value,
@@ -211,7 +221,7 @@ def _modality(
 
 
 def _smoothing(
-    part: PositivePart, ok: Mask, silverman: bool, resamples: int, rng: np.random.Generator
+    part: PositivePart, ok: Mask, *, silverman: bool, resamples: int, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Return critical bandwidths of log radiance, and their p-values if there are resamples."""
     bandwidth, p_value = np.full((2, *ok.shape, MODES - 1), np.nan)

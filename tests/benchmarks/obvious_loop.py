@@ -22,8 +22,8 @@ COMPONENTS = (1, 2, 3)
 AVERAGES = 32
 
 
-def characterize(x: np.ndarray) -> None:
-    """Ask everything of the samples of one pixel and channel."""
+def characterize(x: np.ndarray, *, bandwidths: bool) -> None:
+    """Ask everything of the samples of one pixel and channel; of luminance, bandwidths, too."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         positive = x[x > 0].astype(np.float64)
@@ -36,7 +36,10 @@ def characterize(x: np.ndarray) -> None:
         normality(positive)
         averages(x)
         tail(positive)
-        modes(positive)
+        diptest.diptest(np.log(positive))
+        if bandwidths:
+            for count in (1, 2):
+                critical_bandwidth(np.log(positive), count)
 
 
 def families(positive: np.ndarray) -> None:
@@ -84,13 +87,6 @@ def tail(positive: np.ndarray) -> None:
     if len(excess) > 1 and np.ptp(excess) > 0:
         stats.genpareto.fit(excess, floc=0)
         np.log1p(excess / threshold).mean()
-
-
-def modes(positive: np.ndarray) -> None:
-    log = np.log(positive)
-    diptest.diptest(log)
-    for modes in (1, 2):
-        critical_bandwidth(log, modes)
 
 
 def critical_bandwidth(log: np.ndarray, modes: int) -> float:
