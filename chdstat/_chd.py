@@ -157,7 +157,7 @@ class CHD:
         samples: int,
         seed: int | np.random.Generator | None = None,
     ) -> Floats:
-        """Draw radiance, shape (*size, samples), nulls among them."""
+        """Draw radiance, shape ``(*size, samples)``, nulls among them."""
         rng = generator(seed)
         shape = (*(size if isinstance(size, tuple) else (size,)), samples)
         x = self._draw_body(shape, rng)

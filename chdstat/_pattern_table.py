@@ -185,7 +185,7 @@ def _vuong_p_value(sign: int) -> Callable[[Evidence, Thresholds], Floats]:
 
 
 _TAIL_SOURCE = (
-    "Pickands 1975, doi:10.1214/aos/1176343247; Zhang and Stephens 2009, "
+    "Pickands 1975, doi:10.1214/aos/1176343003; Zhang and Stephens 2009, "
     "doi:10.1198/tech.2009.08017; Smith 1987, doi:10.1214/aos/1176350499"
 )
 _MODE_SOURCE = (

@@ -21,17 +21,22 @@ version = release = chdstat.__version__
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "sphinx.ext.extlinks",
     "sphinx.ext.viewcode",
     "numpydoc",
     "sphinx_copybutton",
     "sphinx_gallery.gen_gallery",
     "commands",
+    "docstrings",
     "figures",
+    "mathml",
+    "patterns",
     "public_names",
     "reasons",
 ]
 exclude_patterns = ["_build", "examples"]
 default_role = "autolink"
+extlinks = {"doi": ("https://doi.org/%s", "doi:%s")}
 smartquotes = False  # they would turn the -- of options into dashes
 
 autodoc_member_order = "bysource"
@@ -59,6 +64,7 @@ sphinx_gallery_conf = {
 }
 
 html_theme = "pydata_sphinx_theme"
+html_math_renderer = "mathml"
 html_title = "chdstat"
 html_static_path = ["_static"]
 html_css_files = ["chdstat.css"]

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import ast
+import pydoc
 import re
+import runpy
+import textwrap
 import tomllib
 from importlib import metadata
 from pathlib import Path
@@ -75,6 +78,31 @@ def test_commands_in_the_readme_exist() -> None:
 def test_every_public_name_is_on_the_api_page(name: str) -> None:
     page = (ROOT / "docs" / "api.rst").read_text(encoding="utf-8")
     assert re.search(rf"^   {name}$", page, re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", sorted(path.name for path in (ROOT / "docs").glob("*.rst")))
+def test_names_on_the_pages_exist(page: str) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    for name in re.findall(r"(?<!`)`(chdstat\.[\w.]+)`(?!`)", text):
+        assert pydoc.locate(name) is not None, name
+
+
+def test_code_on_the_page_of_methods_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (ROOT / "docs" / "methods.rst").read_text(encoding="utf-8")
+    blocks = re.findall(r"^\.\. code-block:: python\n\n((?:   .*\n|\n)+)", text, re.MULTILINE)
+    script = tmp_path / "methods.py"
+    script.write_text("\n".join(textwrap.dedent(block) for block in blocks), encoding="utf-8")
+    runpy.run_path(str(script))
+    assert len(capsys.readouterr().out.splitlines()) >= len(blocks) > 5
+
+
+def test_commands_on_the_page_of_methods_name_tests_that_exist() -> None:
+    text = (ROOT / "docs" / "methods.rst").read_text(encoding="utf-8")
+    named = set(re.findall(r"tests/[\w/.]+", text))
+    assert len(named) > 5
+    assert [name for name in named if not (ROOT / name).exists()] == []
 
 
 def test_every_dependency_is_pinned_within_its_range() -> None:

@@ -1,0 +1,55 @@
+"""The directive ``pattern-table``: flags, statistics, rules and thresholds, made from the code."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from docutils import nodes
+from sphinx.util.docutils import SphinxDirective
+
+from chdstat.patterns import PATTERNS, Pattern, Thresholds
+
+__all__ = ["PatternTable"]
+
+_THRESHOLDS = {
+    "null_heavy": ("null_share", "alpha"),
+    "long_tail": ("tail_index", "alpha"),
+    "bimodal": ("ashman_d",),
+    "multimodal": ("ashman_d",),
+    "gamma_like": ("tail_index", "misfit"),
+    "lognormal_like": ("tail_index", "misfit"),
+    "firefly_dominated": ("firefly_share", "firefly_samples"),
+    "constant": (),
+}
+"""Which thresholds a flag looks at; a new pattern without an entry is an error."""
+
+
+class PatternTable(SphinxDirective):
+    """List what sets each flag, with the default thresholds, and the sources below."""
+
+    def run(self) -> list[nodes.Node]:
+        rows = [("flag", "statistic", "set where", "defaults"), *map(_row, PATTERNS)]
+        lines = [".. list-table::", "   :header-rows: 1", "   :widths: 18 26 34 22", ""]
+        for row in rows:
+            starts = ("   * - ", *["     - "] * (len(row) - 1))
+            lines += [start + cell for start, cell in zip(starts, row, strict=True)]
+        lines += ["", *(f"- ``{p.name}``: {_linked(p.source)}." for p in PATTERNS)]
+        return self.parse_text_to_nodes("\n".join(lines))
+
+
+def _row(pattern: Pattern) -> tuple[str, str, str, str]:
+    defaults = Thresholds()
+    names = _THRESHOLDS[pattern.name]
+    values = ", ".join(f"``{name}`` {getattr(defaults, name):g}" for name in names)
+    return f"``{pattern.name}``", pattern.statistic, pattern.rule, values or "none"
+
+
+def _linked(source: str) -> str:
+    return re.sub(r"doi:(10\.[^\s;,]+)", r":doi:`\1`", source)
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Let Sphinx load this module as an extension."""
+    app.add_directive("pattern-table", PatternTable)
+    return {"parallel_read_safe": True}
