@@ -13,10 +13,8 @@ import numpy.typing as npt
 
 from chdstat._arrays import is_bad, is_null, luminance
 from chdstat._moments import Moments
-from chdstat._normality_tests import TESTS, TestName, Transform
 from chdstat._positive import PositivePart
 from chdstat._rows import Result, take_rows
-from chdstat.averages import N_MEANS, finish_means, means_of_block, means_variables, sizes_of_means
 from chdstat.errors import StoreError
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.goodness_of_fit import goodness_of_part, stream_of
@@ -38,7 +36,17 @@ from chdstat.modes import (
     mixture_and_modes_of_part,
     modality_variables,
 )
-from chdstat.normality import finish_gaussianity, gaussianity_of_part, gaussianity_variables
+from chdstat.normality import (
+    N_MEANS,
+    finish_gaussianity,
+    finish_means,
+    gaussianity_of_part,
+    gaussianity_variables,
+    means_of_block,
+    means_variables,
+    sizes_of_means,
+)
+from chdstat.normality._tests import TESTS, TestName, Transform
 from chdstat.patterns import Thresholds, finish_patterns, patterns_of_part, patterns_variables
 from chdstat.samples import Mapped, Samples
 from chdstat.summary import summarize

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._multiplicity import wilson
-from chdstat.averages import MORE_THAN_TESTED, UNTESTED
 from chdstat.fit.shares import family_shares
+from chdstat.normality import MORE_THAN_TESTED, UNTESTED
 from chdstat.patterns import PATTERNS
 
 if TYPE_CHECKING:

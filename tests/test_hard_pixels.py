@@ -14,7 +14,7 @@ import pytest
 
 import chdstat as chd
 from chdstat._reasons import Reason
-from chdstat.averages import gaussianity_of_means
+from chdstat.normality import gaussianity_of_means
 
 N = 96
 

@@ -1,4 +1,4 @@
-"""Simulate the null distribution of the dip; write chdstat/_dip_table.py.
+"""Simulate the null distribution of the dip; write chdstat/modes/_dip_table.py.
 
     python tools/make_dip_table.py
 
@@ -17,7 +17,9 @@ from pathlib import Path
 
 import diptest
 import numpy as np
-from make_normality_tables import LEVELS, TARGET, smooth, table
+from make_normality_tables import LEVELS, smooth, table
+
+from chdstat import modes
 
 SEED = 20240611
 SIZES = (
@@ -66,7 +68,7 @@ def main() -> None:
     """Simulate all, fit and write."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--work", type=float, default=5e8, help="samples for each size")
-    parser.add_argument("--out", type=Path, default=TARGET.with_name("_dip_table.py"))
+    parser.add_argument("--out", type=Path, default=Path(modes.__file__).with_name("_dip_table.py"))
     arguments = parser.parse_args()
     repeats = [int(min(CAP, arguments.work / n)) for n in SIZES]
     quantiles = []

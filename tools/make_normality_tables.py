@@ -1,4 +1,4 @@
-"""Simulate null distributions of statistics of normality; write chdstat/_normality_tables.py.
+"""Simulate null distributions of statistics of normality; write chdstat/normality/_tables.py.
 
     python tools/make_normality_tables.py
 
@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 from scipy import special
 
-from chdstat import _normality_statistics as statistics
-from chdstat._normality_statistics import SCALES
+from chdstat.normality import _statistics as statistics
+from chdstat.normality._statistics import SCALES
 
 SEED = 20240607
 SIZES = (
@@ -49,13 +49,13 @@ LIMIT = 10**12
 CAP = 2_000_000
 """Samples drawn of the smallest sizes: the table need not be better than the others there."""
 CHUNK = 2**15
-TARGET = Path(statistics.__file__).with_name("_normality_tables.py")
+TARGET = Path(statistics.__file__).with_name("_tables.py")
 
 HEADER = '''"""Quantiles of statistics of normality under the null.
 
 Written by tools/make_normality_tables.py: change that.
 
-Of each scaled statistic (`chdstat._normality_statistics.SCALES`), a row holds the coefficients of
+Of each scaled statistic (`chdstat.normality._statistics.SCALES`), a row holds the coefficients of
 the quantile with one of `LEVELS` above it: a polynomial in 1 / sqrt(n).
 """
 

@@ -11,10 +11,10 @@ import numpy.typing as npt
 from chdstat import viz
 from chdstat._arrays import is_bad, is_null
 from chdstat.atlases import Atlas
-from chdstat.averages import MORE_THAN_TESTED
 from chdstat.comparison import Comparison
 from chdstat.fit import select
 from chdstat.histograms import Histogram, histogram
+from chdstat.normality import MORE_THAN_TESTED
 from chdstat.overviews import Overview
 from chdstat.recipes import Region
 from chdstat.reporting.text import NAMES, percent

@@ -94,7 +94,7 @@ figure
 # its tails. Lilliefors comes last nearly everywhere.
 #
 # So take Shapiro-Wilk where samples are few; it is the default for the averages of
-# `chdstat.averages.gaussianity_of_means`. How many samples give a power of 80 %?
+# `chdstat.normality.gaussianity_of_means`. How many samples give a power of 80 %?
 
 for name, curve in curves.items():
     enough = [sizes[c > 0.8][0] if (c > 0.8).any() else "more" for c in curve.T]

@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator, spans
-from chdstat._chd import CHD
-from chdstat._component import Component, Kind
-from chdstat._evidence import firefly_limit
 from chdstat._positive import PositivePart
-from chdstat._truth import truth
 from chdstat.errors import InputError
 from chdstat.patterns import PATTERNS, Patterns, Thresholds, patterns_of_part
+from chdstat.patterns._evidence import firefly_limit
+from chdstat.simulation._chd import CHD
+from chdstat.simulation._component import Component, Kind
+from chdstat.simulation._truth import truth
 
 __all__ = ["FlagScore", "flag_scores", "random_chds"]
 

@@ -16,16 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import as_samples, is_bad, is_null, luminance
-from chdstat._evidence import Evidence, gather
 from chdstat._multiplicity import q_values
-from chdstat._neighbours import Agreement, agreement
-from chdstat._pattern_table import PATTERNS, Pattern, Thresholds
 from chdstat._positive import Floats, Mask, PositivePart
 from chdstat._reasons import Reason, flag_attributes
 from chdstat.errors import InputError
 from chdstat.fit.selection import SELECTED, Selection
 from chdstat.fit.tail import Tail
 from chdstat.modes import Modality
+from chdstat.patterns._evidence import Evidence, gather
+from chdstat.patterns._neighbours import Agreement, agreement
+from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
 from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:

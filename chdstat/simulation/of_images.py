@@ -19,11 +19,14 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import LUMINANCE, generator
-from chdstat._chd import CHD
-from chdstat._component import Component
-from chdstat._population import FlagScore, flag_scores, random_chds
 from chdstat._reasons import flag_attributes
-from chdstat._truth import (
+from chdstat.errors import InputError
+from chdstat.patterns import Label
+from chdstat.samples import Samples
+from chdstat.simulation._chd import CHD
+from chdstat.simulation._component import Component
+from chdstat.simulation._population import FlagScore, flag_scores, random_chds
+from chdstat.simulation._truth import (
     ALIKE,
     FIREFLY_ZONE,
     NULL_ZONE,
@@ -32,9 +35,6 @@ from chdstat._truth import (
     Truth,
     truth,
 )
-from chdstat.errors import InputError
-from chdstat.patterns import Label
-from chdstat.samples import Samples
 
 if TYPE_CHECKING:
     import xarray as xr

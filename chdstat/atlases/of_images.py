@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat import _shapes
 from chdstat._arrays import generator
-from chdstat._groups import Groups, find_groups
 from chdstat._multiplicity import wilson
 from chdstat._positive import Counts, Floats
 from chdstat._reasons import Reason, flag_attributes
+from chdstat.atlases import _shapes
+from chdstat.atlases._groups import Groups, find_groups
 from chdstat.errors import InputError
 from chdstat.samples import Samples
 

@@ -5,7 +5,6 @@ import pytest
 
 import chdstat as chd
 from chdstat import simulation
-from chdstat._neighbours import agreement
 from chdstat._reasons import Reason
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES
@@ -20,6 +19,7 @@ from chdstat.patterns import (
     luminance_part,
     patterns_of_part,
 )
+from chdstat.patterns._neighbours import agreement
 from chdstat.simulation import CHD, Component, simulate, truth_of
 
 SPP = 1024

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from chdstat._evidence import Evidence, firefly_limit
 from chdstat._multiplicity import wilson
 from chdstat._positive import Counts, Floats, Mask
 from chdstat.errors import InputError
+from chdstat.patterns._evidence import Evidence, firefly_limit
 
 __all__ = ["PATTERNS", "Pattern", "Thresholds"]
 

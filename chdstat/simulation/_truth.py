@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._chd import CHD
-from chdstat._component import Kind
 from chdstat.patterns import Label
+from chdstat.simulation._chd import CHD
+from chdstat.simulation._component import Kind
 
 __all__ = ["ALIKE", "FIREFLY_ZONE", "NULL_ZONE", "SEPARATION_ZONE", "TAIL_ZONE", "Truth", "truth"]
 

@@ -13,11 +13,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat import _normality_p_values as p_values
-from chdstat import _normality_statistics as statistics
 from chdstat._arrays import spans
-from chdstat._normality_statistics import Rows, standardise
 from chdstat._positive import Counts, Floats, Mask
+from chdstat.normality import _p_values as p_values
+from chdstat.normality import _statistics as statistics
+from chdstat.normality._statistics import Rows, standardise
 
 __all__ = [
     "TESTS",

@@ -2,7 +2,7 @@
 
 Written by tools/make_normality_tables.py: change that.
 
-Of each scaled statistic (`chdstat._normality_statistics.SCALES`), a row holds the coefficients of
+Of each scaled statistic (`chdstat.normality._statistics.SCALES`), a row holds the coefficients of
 the quantile with one of `LEVELS` above it: a polynomial in 1 / sqrt(n).
 """
 

@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator, spans
-from chdstat._dip_table import LEVELS, QUANTILES
 from chdstat._null_quantiles import interpolated_p
 from chdstat._positive import Counts, Floats, Mask, PositivePart
+from chdstat.modes._dip_table import LEVELS, QUANTILES
 
 __all__ = ["dip_p", "dips_of_part"]
 

@@ -5,10 +5,10 @@ import pytest
 from scipy import stats
 from statsmodels.stats import diagnostic
 
-from chdstat._normality_p_values import _floored, _simulated
-from chdstat._normality_statistics import SCALES
-from chdstat._normality_tables import LEVELS, QUANTILES
-from chdstat._normality_tests import TESTS, run_tests
+from chdstat.normality._p_values import _floored, _simulated
+from chdstat.normality._statistics import SCALES
+from chdstat.normality._tables import LEVELS, QUANTILES
+from chdstat.normality._tests import TESTS, run_tests
 
 ALL = tuple(TESTS)
 

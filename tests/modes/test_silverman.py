@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat._silverman import count_modes, critical_bandwidth, silverman_p
+from chdstat.modes._silverman import count_modes, critical_bandwidth, silverman_p
 
 ROWS, SAMPLES = 6, 300
 

@@ -1,6 +1,6 @@
 """Normality: how far samples and their logarithms are from Gaussian.
 
-Use `gaussianity` on the positive samples of a CHD, `chdstat.averages.gaussianity_of_means` on pixel
+Use `gaussianity` on the positive samples of a CHD, `chdstat.normality.gaussianity_of_means` on pixel
 estimates. At 2048 spp nearly every p-value is tiny: read skewness and kurtosis beside it.
 
 Which test? Shapiro-Wilk is among the most powerful against every shape that CHDs have, and best
@@ -20,12 +20,11 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._normality_maps import check_choice, check_level, finish
-from chdstat._normality_tests import TESTS, TRANSFORMS, TestName, Transform, run_tests
 from chdstat._positive import Counts, Floats, PositivePart
 from chdstat._reasons import Reason
-from chdstat.averages import GaussianityOfMeans, gaussianity_of_means
 from chdstat.errors import InputError
+from chdstat.normality._maps import check_choice, check_level, finish
+from chdstat.normality._tests import TESTS, TRANSFORMS, TestName, Transform, run_tests
 from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
@@ -35,12 +34,10 @@ __all__ = [
     "TESTS",
     "TRANSFORMS",
     "Gaussianity",
-    "GaussianityOfMeans",
     "TestName",
     "Transform",
     "finish_gaussianity",
     "gaussianity",
-    "gaussianity_of_means",
     "gaussianity_of_part",
     "gaussianity_variables",
 ]

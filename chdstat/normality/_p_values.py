@@ -1,6 +1,6 @@
 """P-values of statistics of normality, mean and variance estimated, by the number of samples.
 
-They are interpolated between simulated quantiles (`chdstat._normality_tables`), since the published
+They are interpolated between simulated quantiles (`chdstat.normality._tables`), since the published
 approximations are not uniform under the null: of 100 samples, p = 0.001 by chi-square happens in
 0.008 of the cases for Jarque and Bera, in 0.004 for D'Agostino and Pearson; Stephens' formulas for
 Anderson-Darling are off by 0.03 near p = 0.6. Those of Royston for Shapiro-Wilk are within 0.013 of
@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from chdstat._normality_statistics import SCALES
-from chdstat._normality_tables import LEVELS, QUANTILES
 from chdstat._null_quantiles import interpolated_p
 from chdstat._positive import Counts, Floats
+from chdstat.normality._statistics import SCALES
+from chdstat.normality._tables import LEVELS, QUANTILES
 
 __all__ = [
     "anderson_darling_p",

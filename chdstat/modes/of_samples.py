@@ -15,11 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator
-from chdstat._dip import dips_of_part
-from chdstat._modality import MODES, Modality, finish_modality, modality_variables
 from chdstat._positive import Floats, Mask, PositivePart
 from chdstat._reasons import Reason
-from chdstat._silverman import critical_bandwidth, silverman_p
 from chdstat.errors import InputError
 from chdstat.fit._best_peaks import best_peaks
 from chdstat.fit._chosen_mixtures import ChosenMixtures
@@ -27,6 +24,9 @@ from chdstat.fit._rivals import rival_scores
 from chdstat.fit._search import Found
 from chdstat.fit.mixture_results import Mixture
 from chdstat.fit.results import Fit
+from chdstat.modes._dip import dips_of_part
+from chdstat.modes._silverman import critical_bandwidth, silverman_p
+from chdstat.modes.results import MODES, Modality, finish_modality, modality_variables
 from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def bandwidths_of_part(part: PositivePart) -> Floats:
     """Return the critical bandwidths of one mode and of two in decades, shape (..., 2)."""
     ok = part.reason(_MINIMUM) == Reason.OK
     bandwidth, _ = _smoothing(part, ok, silverman=True, resamples=0, rng=generator(0))
-    return bandwidth / np.log(10)
+    return np.asarray(bandwidth / np.log(10))
 
 
 def _modality(

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import spans
-from chdstat._cascade import Averages, cascade, shapes
-from chdstat._normality_tests import NormalityTest, TestName, run_tests
 from chdstat._positive import CONSTANT_SPREAD, Counts, Floats, Mask
 from chdstat._reasons import Reason
+from chdstat.normality._cascade import Averages, cascade, shapes
+from chdstat.normality._tests import NormalityTest, TestName, run_tests
 
 __all__ = [
     "MORE_THAN_TESTED",

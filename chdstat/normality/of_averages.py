@@ -14,17 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import as_samples, is_bad
-from chdstat._averages import (
+from chdstat._positive import Counts
+from chdstat.errors import InputError
+from chdstat.normality._averages import (
     MORE_THAN_TESTED,
     UNTESTED,
     GaussianityOfMeans,
     gaussianity_of_rows,
     n_needed,
 )
-from chdstat._normality_maps import check_choice, check_level, finish
-from chdstat._normality_tests import TESTS, TestName
-from chdstat._positive import Counts
-from chdstat.errors import InputError
+from chdstat.normality._maps import check_choice, check_level, finish
+from chdstat.normality._tests import TESTS, TestName
 from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator
-from chdstat._component import Component
 from chdstat._positive import Floats
 from chdstat.errors import InputError
+from chdstat.simulation._component import Component
 
 __all__ = ["CHD"]
 

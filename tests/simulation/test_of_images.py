@@ -10,6 +10,7 @@ from chdstat import simulation
 from chdstat._arrays import luminance
 from chdstat.errors import InputError
 from chdstat.patterns import Label
+from chdstat.samples import Samples
 from chdstat.simulation import CHD, CHDS, Component, flag_scores, random_chds, truth, truth_of
 
 TWO = (Component("lognormal", 0.5, 0.02, 0.4), Component("lognormal", 0.4, 1.0, 0.6))
@@ -222,6 +223,6 @@ def test_wrong_input_is_refused():
     with pytest.raises(InputError, match="size"):
         simulation.simulate("gamma", size=(0, 2))
     with pytest.raises(InputError, match="made by chdstat.simulate"):
-        truth_of(simulation.Samples.from_array(np.ones((2, 2, 3, 4))))
+        truth_of(Samples.from_array(np.ones((2, 2, 3, 4))))
     with pytest.raises(InputError, match="black"):
         flag_scores([CHDS["black"]], 64)
