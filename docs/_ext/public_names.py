@@ -19,12 +19,15 @@ def resolve(app: Any, env: Any, node: nodes.Element, text: nodes.Element) -> nod
     target = getattr(chdstat, name)
     if not hasattr(target, "__module__"):
         return None
-    full_name = f"{target.__module__}.{target.__name__}"
     python = env.get_domain("py")
-    linked: nodes.Element | None = python.resolve_xref(
-        env, node["refdoc"], app.builder, "obj", full_name, node, text
-    )
-    return linked
+    # What a package offers is documented there, not in the module that it comes from.
+    for module in (target.__module__, target.__module__.rpartition(".")[0]):
+        linked: nodes.Element | None = python.resolve_xref(
+            env, node["refdoc"], app.builder, "obj", f"{module}.{target.__name__}", node, text
+        )
+        if linked is not None:
+            return linked
+    return None
 
 
 def setup(app: Any) -> dict[str, bool]:
