@@ -1,7 +1,7 @@
 """Normality: how far samples and their logarithms are from Gaussian.
 
-Use `gaussianity` on the positive samples of a CHD, `chdstat.normality.gaussianity_of_means` on pixel
-estimates. At 2048 spp nearly every p-value is tiny: read skewness and kurtosis beside it.
+Use `gaussianity` on the positive samples of a CHD, `gaussianity_of_means` on pixel estimates. At
+2048 spp nearly every p-value is tiny: read skewness and kurtosis beside it.
 
 Which test? Shapiro-Wilk is among the most powerful against every shape that CHDs have, and best
 with few samples. Anderson-Darling looks at the whole distribution function, which suits modes.
