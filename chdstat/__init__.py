@@ -18,6 +18,7 @@ _FUNCTIONS = {
     "atlas": "atlases",
     "classify": "patterns",
     "compare": "comparison",
+    "error_curve": "comparison",
     "gaussianity": "normality",
     "histogram": "histograms",
     "load_scene": "scenes",

@@ -25,6 +25,19 @@ app = typer.Typer(
 )
 
 _INTERRUPTED = 130
+_COMPARED = {
+    "estimator": "estimator",
+    "mse_ratio": "MSE ratio",
+    "relmse_ratio": "relMSE ratio",
+    "improved": "improved",
+    "unchanged": "unchanged",
+    "bias": "bias",
+    "fireflies_left": "fireflies left",
+    "time": "time, s",
+    "peak_memory": "memory, bytes",
+}
+"""Columns of the tables of estimators."""
+_WIDE = 200
 
 SceneName = Annotated[
     str,
@@ -178,6 +191,63 @@ def analyze(
         _print_json(numbers)
     else:
         _print_table(numbers)
+
+
+@app.command(epilog="Example: chdstat compare bathroom.zarr -e mean -e catoni --patterns -o found")
+def compare(
+    store: StorePath,
+    estimator: Annotated[
+        list[str] | None,
+        typer.Option("--estimator", "-e", metavar="NAME", help="What to compare; repeat for more."),
+    ] = None,
+    n: Annotated[int | None, typer.Option("--n", help="Samples per estimate.")] = None,
+    seed: Seed = None,
+    max_batches: Annotated[
+        int | None, typer.Option(help="Batches per pixel that estimate.", show_default=False)
+    ] = None,
+    patterns: Annotated[
+        bool, typer.Option("--patterns", help="Say which estimator for which pattern, too.")
+    ] = False,
+    curve: Annotated[
+        bool, typer.Option("--curve", help="Measure errors against the number of samples, too.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Folder for figures and numbers.", show_default=False),
+    ] = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Compare estimators on held-out pixels: errors, bias, fireflies, time and memory."""
+    import chdstat
+    from chdstat.reporting.comparison_files import save_comparison, unused_folder
+
+    if out is not None:
+        unused_folder(out)  # refused before the work, not after
+    samples = chdstat.open(store)
+    settings = _given(estimators=estimator, seed=seed, max_batches=max_batches)
+    found = chdstat.compare(
+        samples,
+        **settings,
+        **_given(n=n, labels="classify" if patterns else None),
+        progress=_progress(quiet),
+    )
+    errors = None
+    if curve:
+        model = next(iter(found.models.values()), None)
+        errors = chdstat.error_curve(
+            samples, **settings, **_given(model=model), progress=_progress(quiet)
+        )
+    if out is not None:
+        save_comparison(found, out, curve=errors)
+    if as_json:
+        _print_json(found.to_dict() | ({} if errors is None else {"curve": errors.to_dict()}))
+        return
+    _print_rows(found.table(), _COMPARED, apart="uses_neighbours")
+    if found.breakdown is not None:
+        _print_rows(found.breakdown.table(), {"label": "pattern", "pixels": "pixels", **_COMPARED})
+    if errors is not None:
+        _print_rows(errors.table(), {"n": "N", **_COMPARED})
 
 
 @app.command(epilog="Example: chdstat report bathroom -o report.pdf")
@@ -339,6 +409,30 @@ def _print_table(content: dict[str, Any]) -> None:
     for name, value in content.items():
         table.add_row(name.replace("_", " "), _readable(value))
     Console(highlight=False).print(table)
+
+
+def _print_rows(
+    rows: list[dict[str, Any]], columns: dict[str, str], *, apart: str | None = None
+) -> None:
+    """Print rows with the columns that they have; a line before the first that is `apart`."""
+    from rich.console import Console
+    from rich.table import Table
+
+    shown = {key: title for key, title in columns.items() if key in rows[0]}
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    for key, title in shown.items():
+        side: Any = "left" if isinstance(rows[0][key], str) else "right"
+        table.add_column(title, justify=side, no_wrap=True)
+    before = False
+    for row in rows:
+        if apart is not None and row[apart] and not before:
+            before = True
+            table.add_row("with neighbours:", style="bold")
+        table.add_row(*(_readable(row[key]) for key in shown))
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console.width = _WIDE  # whole lines for a pipe or a file
+    console.print(table)
 
 
 def _readable(value: Any) -> str:

@@ -35,7 +35,7 @@ def store(tmp_path_factory):
 def test_help_has_an_example_for_every_command(run):
     code, out, _ = run("--help")
     assert code == 0
-    for command in ("render", "info", "analyze", "report", "doctor"):
+    for command in ("render", "info", "analyze", "compare", "report", "doctor"):
         assert command in out
         assert "Example: chdstat" in run(command, "--help")[1]
 
@@ -76,6 +76,30 @@ def test_analyze_prints_numbers_and_writes_maps(run, store, tmp_path):
     assert "nothing was overwritten" in err
 
 
+def test_compare_prints_a_table_and_writes_a_folder(run, store, tmp_path):
+    target = tmp_path / "found"
+    asked = ("compare", store, "-e", "zirr2018", "-e", "mean", "--n", 4, "-q")
+    code, out, _ = run(*asked, "--patterns", "--curve", "-o", target)
+    assert code == 0
+    lines = [line.strip() for line in out.splitlines()]
+    assert lines.index("with neighbours:") < next(
+        k for k, line in enumerate(lines) if line.startswith("zirr2018")
+    )
+    written = {path.name for path in target.iterdir()}
+    assert written >= {"comparison.json", "comparison.zarr", "measures.pdf", "pixels.pdf"}
+    assert written >= {"breakdown.pdf", "curve.pdf", "estimates.pdf"}
+    code, _, err = run(*asked, "-o", target)
+    assert code == 1
+    assert "nothing was overwritten" in err
+
+
+def test_compare_speaks_json(run, store):
+    code, out, _ = run("compare", store, "-e", "mean", "--n", 4, "-q", "--json")
+    said = json.loads(out)
+    assert code == 0
+    assert (said["n"], said["table"][0]["mse_ratio"]) == (4, 1)
+
+
 def test_report_writes_a_pdf(run, store, tmp_path):
     target = tmp_path / "box.pdf"
     code, out, _ = run("report", store, "-o", target, "-q")
@@ -96,6 +120,7 @@ def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
     ("arguments", "message"),
     [
         (("render", "bathrom", "-o", "x.zarr"), "did you mean 'bathroom'"),
+        (("compare", "nowhere.zarr"), "no store at nowhere.zarr"),
         (("render", "cornell-box", "-o", "x.zarr", "--spp", "0"), "spp must be at least 1, got 0"),
         (("render", "cornell-box", "-o", "x.zarr", "--size", "12"), "--size takes WIDTHxHEIGHT"),
         (("render", "cornell-box", "-o", "x.zarr", "-D", "a"), "-D takes KEY=VALUE, got 'a'"),

@@ -39,7 +39,7 @@ ORDER = (
     "simulation atlases",
     "metrics",
     "estimators",
-    "_tally",
+    "io",
     "comparison",
     "analysis",
     "overviews",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from chdstat.atlases import Atlas
-from chdstat.comparison import Comparison
+from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.estimators import MLP
 from chdstat.overviews import Overview, pooled_shares
 from chdstat.patterns import PATTERNS
@@ -52,6 +52,7 @@ class Study:
     chosen: bool
     atlas: Atlas | None
     comparison: Comparison | None
+    curve: ErrorCurve | None
     why_not: str = ""
 
 
@@ -86,19 +87,8 @@ def document(study: Study) -> Document:
         drawn["averages"] = figures.averages(study.dataset, study.overview)
     if study.comparison is not None:
         content["estimators"] = _estimators(study.comparison)
-        drawn |= _estimator_figures(study.comparison)
+        drawn |= figures.of_comparison(study.comparison, study.curve)
     return Document("report.typ", content, drawn)
-
-
-def _estimator_figures(comparison: Comparison) -> Mapping[str, Figure]:
-    drawn = {
-        "estimates": figures.estimates(comparison),
-        "measures": figures.measures(comparison),
-    }
-    for model in comparison.models.values():
-        if isinstance(model, MLP):
-            drawn["training"] = figures.training(model.history)
-    return drawn
 
 
 def _provenance(samples: Samples) -> list[tuple[str, str]]:
@@ -213,6 +203,8 @@ def _estimators(comparison: Comparison) -> dict[str, Any]:
             "relmse_ratio": _with_interval(row, "relmse_ratio"),
             "improved": "" if row["estimator"] == "mean" else percent(row["improved"]),
             "bias": percent(row["bias"], sign=True),
+            "fireflies": number(row["fireflies_left"]),
+            "time": number(1e9 * row["time"]),
         }
         for row in comparison.table()
     ]

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from chdstat import viz
 from chdstat._arrays import is_bad, is_null
 from chdstat.atlases import Atlas
-from chdstat.comparison import Comparison
+from chdstat.comparison import Comparison, ErrorCurve
+from chdstat.estimators import MLP
 from chdstat.fit import select
 from chdstat.histograms import Histogram, histogram
 from chdstat.normality import MORE_THAN_TESTED
@@ -35,8 +36,8 @@ __all__ = [
     "estimates",
     "maps",
     "marks_of",
-    "measures",
     "names_of",
+    "of_comparison",
     "panel_of",
     "study",
     "training",
@@ -192,24 +193,21 @@ def estimates(comparison: Comparison) -> Figure:
     return viz.pictures(images | {"reference": comparison.reference}, errors=errors)
 
 
-def measures(comparison: Comparison) -> Figure:
-    """Draw the measures of all estimators with their intervals."""
-    titles = {
-        "mse_ratio": "MSE ratio",
-        "relmse_ratio": "relMSE ratio",
-        "improved": "improved share",
-        "bias": "bias",
+def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[str, Figure]:
+    """Draw everything that a comparison found, by name; what it has not is left out."""
+    drawn = {
+        "estimates": estimates(found),
+        "measures": viz.estimator_measures(found, names=NAMES),
+        "pixels": viz.pixel_estimates(found.draw_pixels(), names=NAMES),
     }
-    names = comparison.estimators
-    hidden = {"improved": [n == "mean" for n in names]}  # the mean does not improve on itself
-    drawn = {}
-    for measure, title in titles.items():
-        of_all = comparison.measures[measure][:, -1]
-        parts = (of_all.value, of_all.low, of_all.high)
-        hide = hidden.get(measure, [False] * len(names))
-        drawn[title] = tuple(np.where(hide, np.nan, part) for part in parts)
-    references = dict(zip(titles.values(), (1.0, 1.0, 0.5, 0.0), strict=True))
-    return viz.error_bars([NAMES.get(n, n) for n in names], drawn, references=references)  # type: ignore[arg-type]
+    if found.breakdown is not None:
+        drawn["breakdown"] = viz.pattern_breakdown(found.breakdown, names=NAMES)
+    if curve is not None:
+        drawn["curve"] = viz.error_curves(curve, names=NAMES)
+    for model in found.models.values():
+        if isinstance(model, MLP):
+            drawn["training"] = training(model.history)
+    return drawn
 
 
 def training(history: History) -> Figure:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from chdstat.analysis import analyze
 from chdstat.atlases import Atlas, atlas
 from chdstat.backend import Backend
 from chdstat.capture import render, scene_size
-from chdstat.comparison import Comparison, compare
+from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.errors import InputError
 from chdstat.overviews import overview
 from chdstat.recipes import Recipe, choose_regions, find_recipe, load_recipe
@@ -20,6 +20,9 @@ from chdstat.reporting.typeset import typeset
 from chdstat.samples import Samples
 from chdstat.samples import open as open_samples
 from chdstat.scenes import BUILTIN, Scene, load_scene
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = ["report"]
 
@@ -30,6 +33,8 @@ _IN_MEMORY = 2**29
 """Samples up to this many bytes are read once and held; larger ones are walked on disk."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
+_CURVE_SPP, _CURVE_BATCHES = 256, 4
+"""Samples from which errors are shown against N, and batches per pixel for each N."""
 
 
 def report(
@@ -96,7 +101,7 @@ def report(
         samples = samples.load()
     dataset = analyze(samples, progress=progress)
     regions = found.regions if found else ()
-    comparison, why_not = _compare(samples, estimators, progress)
+    comparison, why_not = _compare(samples, estimators, dataset["label"], progress)
     study = Study(
         samples=samples,
         dataset=dataset,
@@ -105,6 +110,7 @@ def report(
         chosen=not regions,
         atlas=_atlas(samples, progress),
         comparison=comparison,
+        curve=_curve(samples, comparison, progress),
         why_not=why_not,
     )
     with tempfile.TemporaryDirectory(prefix="chdstat-") as folder:
@@ -150,11 +156,26 @@ def _atlas(samples: Samples, progress: bool | None) -> Atlas | None:
     return found if len(found.share) else None
 
 
+def _curve(
+    samples: Samples, comparison: Comparison | None, progress: bool | None
+) -> ErrorCurve | None:
+    """Return errors against N of what was compared; None where there is only one N."""
+    if comparison is None or samples.spp < _CURVE_SPP:
+        return None
+    return error_curve(
+        samples,
+        comparison.estimators,
+        max_batches=_CURVE_BATCHES,
+        model=next(iter(comparison.models.values()), None),
+        progress=progress,
+    )
+
+
 def _compare(
-    samples: Samples, estimators: Sequence[str], progress: bool | None
+    samples: Samples, estimators: Sequence[str], labels: xr.DataArray, progress: bool | None
 ) -> tuple[Comparison | None, str]:
     """Compare the estimators, or say why these samples cannot judge them."""
     try:
-        return compare(samples, estimators, n=_BATCH, progress=progress), ""
+        return compare(samples, estimators, n=_BATCH, labels=labels, progress=progress), ""
     except InputError as error:
         return None, str(error)

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from chdstat.viz.chd import Curve, Panel, chd_axes, chd_grid, fits
 from chdstat.viz.curves import averages, error_bars, training
+from chdstat.viz.errors import error_curves, pattern_breakdown
+from chdstat.viz.estimates import estimator_measures, pixel_estimates
 from chdstat.viz.image import Mark, pictures, tonemap, with_marks
 from chdstat.viz.maps import categorical_map, map_grid, n_needed, value_map
 from chdstat.viz.shapes import atlas
@@ -26,10 +28,14 @@ __all__ = [
     "chd_axes",
     "chd_grid",
     "error_bars",
+    "error_curves",
+    "estimator_measures",
     "fits",
     "map_grid",
     "n_needed",
+    "pattern_breakdown",
     "pictures",
+    "pixel_estimates",
     "style",
     "tonemap",
     "training",

@@ -1,0 +1,26 @@
+"""Comparison: estimators side by side, on the same samples and against a held-out reference.
+
+`compare` measures estimators on batches of n samples; its `Comparison` holds every measure, the
+`Breakdown` of them by pattern, and `PixelEstimates` to look at one by one. `error_curve` does the
+same for many n, and returns an `ErrorCurve`. `MEASURES` says what is measured.
+"""
+
+from __future__ import annotations
+
+from chdstat.comparison._cost import Cost
+from chdstat.comparison._sums import MEASURES
+from chdstat.comparison.curves import ErrorCurve, error_curve
+from chdstat.comparison.parts import Breakdown, PixelEstimates
+from chdstat.comparison.results import Comparison
+from chdstat.comparison.side_by_side import compare
+
+__all__ = [
+    "MEASURES",
+    "Breakdown",
+    "Comparison",
+    "Cost",
+    "ErrorCurve",
+    "PixelEstimates",
+    "compare",
+    "error_curve",
+]

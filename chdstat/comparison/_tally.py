@@ -1,0 +1,231 @@
+"""Tally: many estimators judged on the same batches, their errors added up as they come.
+
+Memory is bounded: one batch of the picture, one estimate of it, and sums. These are kept for each
+pixel of a small picture, and for random groups of pixels of a large one: as many units as tell how
+sure a measure is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import generator
+from chdstat.comparison._sums import ErrorSums, errors_of
+from chdstat.errors import InputError
+from chdstat.estimators import mean
+from chdstat.estimators.heldout import Totals, batches
+from chdstat.progress import track
+from chdstat.samples import Samples
+
+__all__ = ["Function", "Pictures", "Tally", "Units", "judge"]
+
+Array = npt.NDArray[Any]
+Function = Callable[[npt.ArrayLike], Array]
+
+_MOST_UNITS = 128 * 128
+"""Units of a bootstrap: with so many, the standard error of a mean is itself 1 % off."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """Pixels that judge, gathered into units of like label.
+
+    Attributes
+    ----------
+    ys, xs
+        The pixels, unit by unit, shape (pixel,).
+    starts
+        Where each unit begins, shape (unit,).
+    label
+        Of each unit, shape (unit,).
+    pixels
+        Pixels in each unit, shape (unit,).
+    """
+
+    ys: npt.NDArray[np.intp]
+    xs: npt.NDArray[np.intp]
+    starts: npt.NDArray[np.intp]
+    label: npt.NDArray[np.int64]
+    pixels: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(
+        cls,
+        test: npt.NDArray[np.bool_],
+        labels: npt.NDArray[np.int64] | None = None,
+        *,
+        most: int = _MOST_UNITS,
+        seed: int = 0,
+    ) -> Units:
+        """Gather the pixels of `test`, one a unit where there are at most `most`.
+
+        Otherwise a unit is a random group, whose pixels have no more in common than their label: a
+        bootstrap over such groups has the same spread as one over pixels.
+        """
+        ys, xs = np.nonzero(test)
+        label = np.zeros(len(ys), np.int64) if labels is None else labels[ys, xs]
+        size = -(-len(ys) // most)
+        rank = generator(seed).permutation(len(ys)) if size > 1 else np.arange(len(ys))
+        order = np.lexsort((rank, label))
+        label = label[order]
+        within = np.arange(len(ys)) - np.searchsorted(label, label)
+        starts = np.flatnonzero(within % size == 0)
+        pixels = np.diff(starts, append=len(ys))
+        return cls(ys[order], xs[order], starts, label[starts], pixels)
+
+    def __call__(self, picture: Array) -> Array:
+        """Return a picture's values at the pixels, shape (pixel, ...)."""
+        return np.asarray(picture[self.ys, self.xs])
+
+    def sum(self, values: Array) -> Array:
+        """Add up values (pixel, ...) within each unit."""
+        return np.asarray(np.add.reduceat(values, self.starts, axis=0))
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The first batch over the whole picture, radiance.
+
+    Attributes
+    ----------
+    estimates
+        Shape (estimator, y, x, channel).
+    squared_error
+        Of the estimates against the reference, same shape.
+    mean
+        Sample mean of the batch, shape (y, x, channel).
+    reference
+        Mean of all other samples, shape (y, x, channel).
+    """
+
+    estimates: npt.NDArray[np.float32]
+    squared_error: npt.NDArray[np.float32]
+    mean: npt.NDArray[np.float32]
+    reference: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What many estimators did on the same batches.
+
+    Attributes
+    ----------
+    by_unit
+        Sums over batches, one row a unit of pixels.
+    by_batch
+        Sums over pixels, one row a batch.
+    excluded
+        Batches of test pixels without a reference.
+    pictures
+        What the first batch looks like; None where nobody asked.
+    """
+
+    by_unit: ErrorSums
+    by_batch: ErrorSums
+    excluded: int
+    pictures: Pictures | None
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """One batch of the picture, and what the estimates of it are judged by."""
+
+    samples: npt.NDArray[np.float32]
+    mean: npt.NDArray[np.float32]
+    reference: npt.NDArray[np.float64]
+
+    def estimates(self, functions: Mapping[str, Function]) -> Iterator[Array]:
+        """Yield the sample mean, then what each estimator says."""
+        yield self.mean
+        for name, function in functions.items():
+            found = np.asarray(function(self.samples))
+            if found.shape != self.mean.shape:
+                message = (
+                    f"{name} must return one estimate for each pixel and channel, shape "
+                    f"{self.mean.shape}, got {found.shape}"
+                )
+                raise InputError(message)
+            yield found
+
+
+def judge(
+    functions: Mapping[str, Function],
+    samples: Samples,
+    totals: Totals,
+    units: Units,
+    *,
+    n: int,
+    limit: int | None,
+    pictures: bool = True,
+    progress: bool | None = None,
+) -> Tally:
+    """Let every estimator estimate from the same batches and add up its errors.
+
+    The picture is read with n samples at a time and estimated by one estimator at a time.
+    """
+    height, width, channels, spp = samples.shape
+    rounds = spp // n if limit is None else min(limit, spp // n)
+    by_unit = ErrorSums.empty(len(units.starts), len(functions), channels)
+    by_batch = ErrorSums.empty(rounds, len(functions), channels)
+    scene_mean = totals.mean()[totals.count > 0].mean(axis=0)
+    shown, excluded = None, 0
+    work = rounds * height * width * len(functions)
+    with track(f"comparing at N = {n}", work, unit="px", show=progress) as advance:
+        for index, picture in enumerate(batches(samples, n, limit=limit)):
+            batch = _Batch(picture, mean(picture), totals.mean_without(picture))
+            if index == 0 and pictures:
+                shown = _empty_pictures(batch, len(functions))
+            excluded += _add_references(batch, units, by_unit, by_batch[index : index + 1])
+            for k, estimate in enumerate(batch.estimates(functions)):
+                sums = units.sum(_errors(estimate, batch, units, scene_mean))
+                by_unit.sums[:, :, k] += sums
+                by_batch.sums[index, :, k] = sums.sum(axis=0)
+                if shown is not None and index == 0 and k > 0:
+                    _keep(shown, k - 1, estimate)
+                advance(height * width if k > 0 else 0)
+    return Tally(by_unit, by_batch, excluded, shown)
+
+
+def _add_references(batch: _Batch, units: Units, by_unit: ErrorSums, by_batch: ErrorSums) -> int:
+    """Add what all estimators share; return how many pixels have no reference."""
+    reference = units(batch.reference)
+    usable = np.asarray(np.isfinite(reference).all(axis=-1))
+    total = units.sum(np.where(usable[:, np.newaxis], reference, 0))
+    count = units.sum(usable.astype(np.int64))
+    by_unit.reference[:] += total
+    by_unit.count[:] += count
+    by_batch.reference[0] = total.sum(axis=0)
+    by_batch.count[0] = count.sum()
+    return int((~usable).sum())
+
+
+def _errors(estimate: Array, batch: _Batch, units: Units, scene_mean: Array) -> Array:
+    """Return the errors of the pixels that judge, 0 where they have no reference."""
+    reference = units(batch.reference)
+    usable = np.asarray(np.isfinite(reference).all(axis=-1))
+    judged, mean_of_it = (units(a)[usable].astype(np.float64) for a in (estimate, batch.mean))
+    found = errors_of(judged, mean_of_it, reference[usable], scene_mean=scene_mean)
+    if usable.all():
+        return found
+    whole = np.zeros((len(usable), *found.shape[1:]))
+    whole[usable] = found
+    return whole
+
+
+def _empty_pictures(batch: _Batch, estimators: int) -> Pictures:
+    estimates = np.empty((estimators, *batch.mean.shape), np.float32)
+    return Pictures(
+        estimates, np.empty_like(estimates), batch.mean.astype(np.float32), batch.reference
+    )
+
+
+def _keep(pictures: Pictures, k: int, estimate: Array) -> None:
+    """Keep an estimate; float32 is what a picture holds, and 1e30 squared is beyond it."""
+    pictures.estimates[k] = estimate
+    with np.errstate(over="ignore"):
+        pictures.squared_error[k] = np.square(pictures.estimates[k] - pictures.reference)

@@ -1,0 +1,264 @@
+"""Curves: how the error of estimators falls with the number of samples.
+
+`error_curve` compares estimators, as `chdstat.compare` does, at many sizes of batches. Use it to
+see up to which size an estimator pays: where it has a bias that does not fall, its error does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.comparison._contestants import Contestants, resolve, totals_of
+from chdstat.comparison._sums import MEASURES, stack_intervals
+from chdstat.comparison._tables import (
+    dataset_of,
+    interval_variables,
+    names_array,
+    parts_of,
+    ready_for_json,
+)
+from chdstat.comparison._tally import Tally, Units, judge
+from chdstat.errors import InputError
+from chdstat.estimators.heldout import check_spp
+from chdstat.estimators.registry import Estimator, Model
+from chdstat.metrics import Interval
+from chdstat.samples import Samples
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["ErrorCurve", "error_curve"]
+
+_SMALLEST, _SHARE = 4, 8
+"""By default, sizes double from 4 to an eighth of the samples: the rest is the reference."""
+
+
+@dataclass(frozen=True)
+class ErrorCurve:
+    """What `error_curve` has found.
+
+    Attributes
+    ----------
+    estimators
+        Names, those that use neighbours last.
+    uses_neighbours
+        Which of them look at the pixels around, shape (estimator,).
+    sizes
+        Samples per estimate, ascending.
+    measures
+        By the names of `chdstat.comparison.MEASURES`: intervals over pixels, averaged over
+        channels, shape (size, estimator); NaN where an estimator does not take so many samples.
+    reference_noise
+        For "mse" and "relmse": the error that even a perfect estimator would show, since the
+        reference is noisy; the same unit, shape (size,).
+    batches
+        Estimates that count, over all test pixels, shape (size,).
+    test_pixels
+        How many pixels count.
+    models
+        Trained estimators by name.
+    provenance
+        Scene, samples, seed and settings, ready for JSON.
+    """
+
+    estimators: tuple[str, ...]
+    uses_neighbours: npt.NDArray[np.bool_]
+    sizes: tuple[int, ...]
+    measures: Mapping[str, Interval]
+    reference_noise: Mapping[str, npt.NDArray[np.float64]]
+    batches: npt.NDArray[np.int64]
+    test_pixels: int
+    models: Mapping[str, Model]
+    provenance: Mapping[str, Any]
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per size and estimator that takes it, with every measure."""
+        return [
+            {
+                "n": size,
+                "estimator": name,
+                "uses_neighbours": bool(self.uses_neighbours[k]),
+                **{
+                    measure + suffix: float(values[row, k])
+                    for measure, interval in self.measures.items()
+                    for suffix, values in parts_of(interval).items()
+                },
+            }
+            for row, size in enumerate(self.sizes)
+            for k, name in enumerate(self.estimators)
+            if np.isfinite(self.measures["mse"].value[row, k])
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the models, ready for JSON (NaN becomes None)."""
+        content = {
+            "sizes": self.sizes,
+            "batches": self.batches,
+            "test_pixels": self.test_pixels,
+            "reference_noise": dict(self.reference_noise),
+            "table": self.table(),
+            "provenance": dict(self.provenance),
+        }
+        return {key: ready_for_json(value) for key, value in content.items()}
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return the measures with dims (n, estimator), each with ``_se``, ``_low``, ``_high``."""
+        variables = interval_variables(self.measures, ("n", "estimator"))
+        for measure, noise in self.reference_noise.items():
+            long_name, units = MEASURES[measure]
+            about = {"long_name": f"{long_name} of a perfect estimator", "units": units}
+            variables[f"{measure}_reference_noise"] = (("n",), noise, about)
+        marks = {"long_name": "whether it looks at the pixels around", "units": "1"}
+        variables["uses_neighbours"] = (("estimator",), self.uses_neighbours, marks)
+        counts = {"long_name": "estimates that count", "units": "1"}
+        variables["batches"] = (("n",), self.batches, counts)
+        size = ("n", np.array(self.sizes), {"long_name": "samples per estimate", "units": "1"})
+        coordinates = {"n": size, "estimator": names_array(self.estimators)}
+        return dataset_of(variables, coordinates, self.provenance)
+
+
+def error_curve(
+    samples: Samples,
+    estimators: Sequence[str | Estimator] = ("mean", "median_of_means", "elek2019"),
+    *,
+    sizes: Sequence[int] | None = None,
+    seed: int = 0,
+    max_batches: int | None = 16,
+    model: Model | None = None,
+    progress: bool | None = None,
+) -> ErrorCurve:
+    r"""Measure the error of estimators at many numbers of samples, N.
+
+    At every N, batches of N samples estimate, and the mean of the other samples of the pixel is the
+    reference, as in `chdstat.compare`. The variance of a sample is :math:`\sigma^2`; the sample
+    mean shows :math:`\sigma^2 / N + \sigma^2 / (\text{spp} - N)`, of which the second part is the
+    noise of the reference. It is N/spp of the whole, which is how it is known without knowing
+    :math:`\sigma^2`; for relMSE, the same share is an approximation.
+
+    Parameters
+    ----------
+    samples
+        The picture, at least twice as many samples per pixel as the largest N.
+    estimators
+        Names of registered estimators, or entries of your own. Where one does not take N samples,
+        there is no number.
+    sizes
+        N, in any order; None doubles from 4 to an eighth of the samples.
+    seed, max_batches, model, progress
+        As for `chdstat.compare`. Pixels that trained a model count at no N. Small batches are
+        read one by one: `Samples.load` a store first.
+
+    Returns
+    -------
+    ErrorCurve
+
+    Raises
+    ------
+    InputError
+        If `sizes` are not different whole numbers from 1, there are too few samples for them, an
+        estimator takes none of them, or nothing is left to judge by.
+
+    Examples
+    --------
+    The bias of a median stays, so that its error stops falling:
+
+    >>> import chdstat as chd
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> samples = chd.Samples.from_array(rng.exponential(size=(16, 16, 1, 1024)))
+    >>> curve = error_curve(samples, ["mean", "median"], sizes=[16, 128])
+    >>> curve.measures["mse_ratio"].value.round()
+    array([[ 1.,  2.],
+           [ 1., 11.]])
+    """
+    chosen = _sizes(sizes, samples, max_batches)
+    entries = resolve(estimators, chosen)
+    totals = totals_of(samples)
+    contestants = Contestants.of(entries, samples, seed=seed, model=model, progress=progress)
+    units = Units.of(contestants.test_pixels(samples.shape[:2]), seed=seed)
+    tallies = [
+        judge(
+            contestants.taking(n),
+            samples,
+            totals,
+            units,
+            n=n,
+            limit=max_batches,
+            pictures=False,
+            progress=progress,
+        )
+        for n in chosen
+    ]
+    found = [
+        _measures(tally, contestants, n, seed) for tally, n in zip(tallies, chosen, strict=True)
+    ]
+    return ErrorCurve(
+        estimators=contestants.names,
+        uses_neighbours=contestants.uses_neighbours,
+        sizes=chosen,
+        measures={name: stack_intervals([part[name] for part in found]) for name in MEASURES},
+        reference_noise=_reference_noise(tallies, chosen, samples.spp),
+        batches=np.array([tally.by_unit.count.sum() for tally in tallies]),
+        test_pixels=len(units.ys),
+        models=contestants.models,
+        provenance={
+            "scene": samples.name,
+            "samples": samples.attrs,
+            "samples_shape": list(samples.shape),
+            "seed": seed,
+            "max_batches": max_batches,
+            "models": contestants.provenance,
+        },
+    )
+
+
+def _sizes(
+    given: Sequence[int] | None, samples: Samples, max_batches: int | None
+) -> tuple[int, ...]:
+    """Return the sizes in ascending order, checked."""
+    if max_batches is not None and max_batches < 1:
+        message = f"max_batches must be at least 1, got {max_batches}"
+        raise InputError(message)
+    if given is None:
+        largest = max(_SMALLEST, samples.spp // _SHARE)
+        given = [2**k for k in range(_SMALLEST.bit_length() - 1, largest.bit_length())]
+    sizes = tuple(sorted(given))
+    if not sizes or sizes[0] < 1 or len(set(sizes)) < len(sizes):
+        message = f"sizes must be one or more different numbers from 1, got {tuple(given)}"
+        raise InputError(message)
+    check_spp(samples, sizes[-1])
+    return sizes
+
+
+def _measures(tally: Tally, contestants: Contestants, n: int, seed: int) -> dict[str, Interval]:
+    """Return measures averaged over channels, NaN for those who do not take n samples."""
+    if tally.by_unit.count.sum() == 0:
+        message = (
+            f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
+        )
+        raise InputError(message)
+    found = tally.by_unit.measures(seed=seed)
+    names = list(contestants.taking(n))
+    place = [names.index(name) if name in names else len(names) for name in contestants.names]
+    return {measure: _placed(interval[:, -1], place) for measure, interval in found.items()}
+
+
+def _placed(interval: Interval, place: list[int]) -> Interval:
+    """Put estimators in their place; beyond the last there is NaN."""
+    return Interval(*(np.append(part, np.nan)[place] for part in parts_of(interval).values()))
+
+
+def _reference_noise(
+    tallies: list[Tally], sizes: tuple[int, ...], spp: int
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Return what the noise of the reference adds: the share N/spp of the sample mean's error."""
+    sums = np.stack([tally.by_unit.sums[:, :2, 0].sum(axis=0) for tally in tallies])
+    counts = np.array([tally.by_unit.count.sum() for tally in tallies])
+    of_mean = sums.mean(axis=-1) / counts[:, np.newaxis]
+    share = np.array(sizes) / spp
+    return {"mse": of_mean[:, 0] * share, "relmse": of_mean[:, 1] * share}

@@ -1,0 +1,246 @@
+"""Results: tables, dictionaries and datasets of what `chdstat.compare` found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import generator
+from chdstat.comparison._cost import Cost
+from chdstat.comparison._tables import (
+    ALL_CHANNELS,
+    OVER_BATCHES,
+    about_of,
+    dataset_of,
+    interval_variables,
+    names_array,
+    ready_for_json,
+    row_of,
+)
+from chdstat.comparison.parts import Breakdown, PixelEstimates
+from chdstat.errors import InputError
+from chdstat.estimators.registry import Model
+from chdstat.metrics import Interval
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Comparison"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What `compare` has found.
+
+    Attributes
+    ----------
+    estimators
+        Names, in the order asked for, those that use neighbours last.
+    uses_neighbours
+        Which of them look at the pixels around, shape (estimator,): a class of their own, as they
+        see more than n samples.
+    channels
+        Names of the channels.
+    measures
+        By the names of `MEASURES`: intervals over pixels, shape (estimator, channel + 1), the last
+        place being the average over channels. They say how the measure would vary with other
+        pixels of such a picture.
+    over_batches
+        The same measures with intervals over batches: how they would vary with other random
+        numbers, in the same pixels. The batches of a pixel share most of their reference, and with
+        few of them the interval is somewhat narrow. NaN for a single batch.
+    cost
+        Time and memory by estimator; none where they were not asked for.
+    estimates
+        One estimate of the whole picture from its first n samples, radiance, float32, shape
+        (estimator, y, x, channel).
+    squared_error
+        Squared error of `estimates` against the mean of all other samples, same shape; NaN where
+        the first n samples hold a bad one.
+    first_mean, first_reference
+        Mean of the first n samples and mean of all others, radiance, shape (y, x, channel).
+    reference
+        Mean of all good samples, radiance, shape (y, x, channel).
+    test_pixels
+        True where no estimator was trained: only these pixels count; shape (y, x).
+    n
+        Samples per estimate.
+    batches
+        Estimates that count, over all test pixels.
+    excluded
+        Estimates of test pixels left out for a bad sample.
+    breakdown
+        The measures by label; None where no labels were given.
+    models
+        Trained estimators by name.
+    provenance
+        Scene, samples, seed and settings, ready for JSON.
+    """
+
+    estimators: tuple[str, ...]
+    uses_neighbours: npt.NDArray[np.bool_]
+    channels: tuple[str, ...]
+    measures: Mapping[str, Interval]
+    over_batches: Mapping[str, Interval]
+    cost: Mapping[str, Cost]
+    estimates: npt.NDArray[np.float32]
+    squared_error: npt.NDArray[np.float32]
+    first_mean: npt.NDArray[np.float32]
+    first_reference: npt.NDArray[np.float64]
+    reference: npt.NDArray[np.float64]
+    test_pixels: npt.NDArray[np.bool_]
+    n: int
+    batches: int
+    excluded: int
+    breakdown: Breakdown | None
+    models: Mapping[str, Model]
+    provenance: Mapping[str, Any]
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per estimator: its name and every measure, averaged over channels.
+
+        Each measure also has ``_se``, ``_low`` and ``_high``, the standard error and the interval
+        over pixels, and the same with ``_over_batches``. ``time`` is in seconds for each estimate,
+        ``peak_memory`` in bytes; both are NaN where they were not measured.
+        """
+        return [
+            {
+                "estimator": name,
+                "uses_neighbours": bool(self.uses_neighbours[index]),
+                **row_of(self.measures, (index, ALL_CHANNELS)),
+                **row_of(self.over_batches, (index, ALL_CHANNELS), infix=OVER_BATCHES),
+                "time": self._cost(name, "time"),
+                "peak_memory": self._cost(name, "peak_memory"),
+            }
+            for index, name in enumerate(self.estimators)
+        ]
+
+    def draw_pixels(self, count: int = 25, *, seed: int = 0) -> PixelEstimates:
+        """Draw pixels at random from those that judge, with what was estimated for each.
+
+        Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte Carlo
+        variance reduction", show 25 of them.
+
+        Parameters
+        ----------
+        count
+            How many; fewer where fewer have a reference.
+        seed
+            Where the draw starts.
+
+        Raises
+        ------
+        InputError
+            If `count` is less than 1.
+        """
+        if count < 1:
+            message = f"count must be at least 1, got {count}"
+            raise InputError(message)
+        usable = self.test_pixels & np.isfinite(self.first_reference).all(axis=-1)
+        pixels = np.argwhere(usable)
+        drawn = pixels[generator(seed).permutation(len(pixels))[:count]]
+        brightness = self.first_reference[tuple(drawn.T)].sum(axis=-1)
+        drawn = drawn[np.argsort(brightness, kind="stable")]
+        ys, xs = drawn.T
+        return PixelEstimates(
+            pixels=drawn,
+            estimators=self.estimators,
+            channels=self.channels,
+            reference=self.first_reference[ys, xs],
+            mean=self.first_mean[ys, xs],
+            estimates=self.estimates[:, ys, xs],
+            n=self.n,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return measures, per channel and per label too, and provenance, ready for JSON.
+
+        NaN becomes None.
+        """
+        per_channel = {
+            name: {
+                measure: dict(zip(self.channels, values.value[index].tolist(), strict=False))
+                for measure, values in self.measures.items()
+            }
+            for index, name in enumerate(self.estimators)
+        }
+        content = {
+            "n": self.n,
+            "batches": self.batches,
+            "excluded": self.excluded,
+            "test_pixels": int(self.test_pixels.sum()),
+            "table": self.table(),
+            "per_channel": per_channel,
+            "per_label": [] if self.breakdown is None else self.breakdown.table(),
+            "provenance": dict(self.provenance),
+        }
+        return {key: ready_for_json(value) for key, value in content.items()}
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return measures and pictures with named dims.
+
+        Measures have dims (estimator, part), a part being a channel or "mean"; beside each stand
+        ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``. Those by label
+        have dims (label, estimator) and the prefix ``label_``.
+        """
+        dims = ("estimator", "part")
+        variables = interval_variables(self.measures, dims)
+        variables |= interval_variables(
+            self.over_batches, dims, infix=OVER_BATCHES, about=" over batches", skip_value=True
+        )
+        height, width = self.test_pixels.shape
+        coordinates: dict[str, Any] = {
+            "estimator": names_array(self.estimators),
+            "part": names_array([*self.channels, "mean"]),
+            "channel": names_array(self.channels),
+            "y": np.arange(height),
+            "x": np.arange(width),
+        }
+        variables |= self._pictures() | self._of_estimators()
+        if self.breakdown is not None:
+            coordinates["label"] = names_array(self.breakdown.labels)
+            variables |= _breakdown_variables(self.breakdown)
+        return dataset_of(variables, coordinates, {"n": self.n, **self.provenance})
+
+    def _pictures(self) -> dict[str, Any]:
+        dims = ("estimator", "y", "x", "channel")
+        radiance, squared = "W sr-1 m-2", "(W sr-1 m-2)^2"
+        return {
+            "estimate": (dims, self.estimates, about_of("estimate", radiance)),
+            "squared_error": (dims, self.squared_error, about_of("squared error", squared)),
+            "reference": (dims[1:], self.reference, about_of("reference", radiance)),
+            "first_mean": (dims[1:], self.first_mean, about_of("mean of the first n", radiance)),
+            "first_reference": (
+                dims[1:],
+                self.first_reference,
+                about_of("mean of all but the first n", radiance),
+            ),
+            "test_pixel": (dims[1:3], self.test_pixels, about_of("pixel counts", "1")),
+        }
+
+    def _of_estimators(self) -> dict[str, Any]:
+        about = {
+            "time": about_of("time for each estimate", "s"),
+            "peak_memory": about_of("peak memory beyond the samples", "byte"),
+        }
+        found = {
+            key: (("estimator",), [self._cost(name, key) for name in self.estimators], attrs)
+            for key, attrs in about.items()
+        }
+        looks = about_of("whether it looks at the pixels around", "1")
+        return {"uses_neighbours": (("estimator",), self.uses_neighbours, looks), **found}
+
+    def _cost(self, name: str, key: str) -> float:
+        return float(getattr(self.cost[name], key)) if name in self.cost else float("nan")
+
+
+def _breakdown_variables(found: Breakdown) -> dict[str, Any]:
+    about = about_of("pixels with the label that judge", "1")
+    return {
+        "label_pixels": (("label",), found.pixels, about),
+        **interval_variables(found.measures, ("label", "estimator"), prefix="label_"),
+    }

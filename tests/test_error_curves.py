@@ -1,0 +1,112 @@
+"""Error curves: what theory says of the sample mean, and what does not fall with N."""
+
+import json
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.comparison import error_curve
+from chdstat.errors import InputError
+from chdstat.estimators import MLP
+
+
+def picture(spp=160):
+    rng = np.random.default_rng(0)
+    brightness = rng.lognormal(0, 1, size=(16, 12, 1, 1)) * np.array([1, 0.8, 0.5])[:, None]
+    return chd.Samples.from_array(brightness * rng.gamma(0.7, size=(16, 12, 3, spp)))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return MLP.preset("elek2019").train(picture(), iterations=20)
+
+
+@pytest.fixture(scope="module")
+def curve():
+    rng = np.random.default_rng(7)
+    samples = chd.Samples.from_array(rng.exponential(size=(40, 40, 1, 256)))
+    return error_curve(samples, ["mean", "median", "median_of_means"])
+
+
+def test_sizes_double_up_to_an_eighth_of_the_samples(curve):
+    assert curve.sizes == (4, 8, 16, 32)
+    assert curve.batches.tolist() == [1600 * 16, 1600 * 16, 1600 * 16, 1600 * 8]
+
+
+def test_the_error_of_the_mean_falls_as_theory_says(curve):
+    """E = sigma^2 (1/N + 1/(spp - N)): 4 sizes, within 5 standard errors: fails by 2e-6."""
+    n = np.array(curve.sizes)
+    mse = curve.measures["mse"][:, 0]
+    expected = 1 / n + 1 / (256 - n)
+    assert (np.abs(mse.value - expected) < 5 * mse.standard_error).all()
+    assert curve.reference_noise["mse"] == pytest.approx(1 / (256 - n), rel=0.1)
+    # The error without the noise of the reference is 1/N; with it, it is not.
+    alone = mse.value - curve.reference_noise["mse"]
+    assert (np.abs(alone - 1 / n) < 5 * mse.standard_error).all()
+
+
+def test_the_bias_of_the_median_does_not_fall(curve):
+    # The median of an exponential distribution is log 2.
+    assert curve.measures["bias"].value[-1, 1] == pytest.approx(np.log(2) - 1, abs=0.02)
+    ratio = curve.measures["mse_ratio"].value[:, 1]
+    assert (np.diff(ratio) > 0).all()
+
+
+def test_where_an_estimator_takes_too_few_there_is_no_number(curve):
+    # median_of_means takes 11.
+    assert np.isfinite(curve.measures["mse"].value[:, 2]).tolist() == [False, False, True, True]
+    assert len(curve.table()) == 10
+
+
+def test_a_point_of_the_curve_is_a_comparison():
+    samples = picture(spp=128)
+    names = ["mean", "zirr2018", "trimmed_mean"]
+    curve = error_curve(samples, names, sizes=[32, 8])
+    assert curve.estimators == ("mean", "trimmed_mean", "zirr2018")
+    for row, n in enumerate((8, 32)):
+        alone = chd.compare(samples, names, n=n, cost=False)
+        for measure, interval in alone.measures.items():
+            whole = curve.measures[measure]
+            assert whole.value[row] == pytest.approx(interval.value[:, -1], nan_ok=True)
+            assert whole.low[row] == pytest.approx(interval.low[:, -1], nan_ok=True)
+
+
+def test_what_learns_is_measured_at_its_own_size(model):
+    curve = error_curve(picture(), ["mean", "elek2019"], sizes=[16, 32], model=model)
+    assert np.isfinite(curve.measures["relmse"].value).tolist() == [[True, False], [True, True]]
+    assert curve.test_pixels == 96
+    assert curve.batches.tolist() == [96 * 10, 96 * 5]
+
+
+def test_the_curve_is_ready_for_json_and_netcdf(curve):
+    content = json.loads(json.dumps(curve.to_dict(), allow_nan=False))
+    assert content["table"][0]["n"] == 4
+    dataset = curve.to_dataset()
+    assert dataset["relmse_low"].sel(n=32, estimator="mean") == curve.measures["relmse"].low[3, 0]
+    assert dataset["mse_reference_noise"].dims == ("n",)
+    assert all({"long_name", "units"} <= set(v.attrs) for v in dataset.data_vars.values())
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "match"),
+    [
+        (["mean"], {"sizes": []}, "different numbers from 1"),
+        (["mean"], {"sizes": [4, 4]}, "different numbers from 1"),
+        (["mean"], {"sizes": [0, 4]}, "different numbers from 1"),
+        (["mean"], {"sizes": [4, 81]}, "at least 162 spp, got 160"),
+        (["mean"], {"max_batches": 0}, "max_batches must be"),
+        (["median_of_means"], {"sizes": [4, 8]}, r"at least 11 samples, got sizes \(4, 8\)"),
+        (["elek2019"], {"sizes": [4]}, "exactly 32 samples, got n=4"),
+    ],
+)
+def test_what_has_no_curve_is_refused(names, options, match):
+    with pytest.raises(InputError, match=match):
+        error_curve(picture(), names, **options)
+
+
+def test_bad_samples_have_no_curve():
+    x = np.ones((2, 2, 3, 64))
+    x[..., ::32] = np.inf
+    with pytest.raises(InputError, match="every batch of 32"):
+        error_curve(chd.Samples.from_array(x), ["mean"], sizes=[32])

@@ -1,0 +1,152 @@
+"""Figures of a comparison: they show what was found, whoever took part and whatever failed."""
+
+from __future__ import annotations
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.patches import Rectangle
+
+import chdstat as chd
+from chdstat.comparison import error_curve
+from chdstat.errors import InputError
+from chdstat.estimators import Estimator
+from chdstat.patterns import Label
+from chdstat.viz.errors import error_curves, pattern_breakdown
+from chdstat.viz.estimates import estimator_measures, pixel_estimates
+
+NAMES = ["mean", "median", "median_of_means", "zirr2018"]
+
+
+@pytest.fixture(scope="module")
+def samples():
+    rng = np.random.default_rng(0)
+    x = rng.lognormal(size=(12, 10, 1, 1)) * rng.gamma(0.7, size=(12, 10, 3, 128))
+    x[:2] = 0
+    return chd.Samples.from_array(x)
+
+
+@pytest.fixture(scope="module")
+def found(samples):
+    labels = np.full((12, 10), int(Label.GAMMA_LIKE))
+    labels[:2] = Label.BLACK
+    return chd.compare(samples, NAMES, labels=labels)
+
+
+@pytest.fixture(scope="module")
+def curve(samples):
+    return error_curve(samples, NAMES, sizes=[4, 8, 16])
+
+
+def texts(figure):
+    figure.canvas.draw()
+    return {t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_visible()}
+
+
+def test_all_measures_of_all_estimators_are_shown(found):
+    figure = estimator_measures(found, names={"mean": "sample mean"})
+    assert len(figure.axes) == 6
+    seen = texts(figure)
+    assert {"sample mean", "median", "median of means", "zirr2018"} <= seen
+    assert {"MSE ratio", "relMSE ratio", "bias", "fireflies left", "time, ns"} <= seen
+    ratios = figure.axes[0].lines[0].get_xdata()
+    assert ratios == pytest.approx(found.measures["mse_ratio"].value[:, -1])
+
+
+def test_those_that_use_neighbours_stand_apart(found, samples):
+    apart = estimator_measures(found)
+    assert any("pixels around" in text for text in texts(apart))
+    rows = apart.axes[0].lines[0].get_ydata()
+    assert np.diff(rows).argmax() == 2
+    alone = estimator_measures(chd.compare(samples, ["mean", "median"], cost=False))
+    assert len(alone.axes) == 5
+    assert not any("pixels around" in text for text in texts(alone))
+
+
+def test_better_same_and_worse_fill_the_bar(found):
+    bars = [p for p in estimator_measures(found).axes[2].patches if isinstance(p, Rectangle)]
+    widths = np.array([bar.get_width() for bar in bars]).reshape(3, 4)
+    assert widths.sum(axis=0) == pytest.approx(1)
+    assert widths[1, 0] == 1  # the mean is the mean
+
+
+def test_an_estimator_without_a_measure_leaves_a_gap(samples):
+    fails = Estimator("fails", lambda x: np.full(x.shape[:-1], np.nan), source="this test")
+    texts(estimator_measures(chd.compare(samples, ["mean", fails])))
+    black = chd.Samples.from_array(np.zeros((4, 4, 3, 64)))
+    texts(estimator_measures(chd.compare(black, ["mean"])))
+
+
+@pytest.mark.parametrize("measure", ["mse_ratio", "relmse_ratio", "bias"])
+def test_a_breakdown_has_a_row_a_pattern_and_frames_the_best(found, measure):
+    figure = pattern_breakdown(found.breakdown, measure=measure, names={"gamma_like": "gamma"})
+    seen = texts(figure)
+    assert {"black, 17 %", "gamma, 83 %", "median of means"} <= seen
+    frames = [p for p in figure.axes[0].patches if isinstance(p, Rectangle)]
+    assert len(frames) == 1  # nothing is better or worse than no error at all
+
+
+def test_numbers_of_a_breakdown_are_those_found(found):
+    value = found.breakdown.measures["relmse_ratio"].value
+    assert f"{value[1, 1]:.2f}" in texts(pattern_breakdown(found.breakdown))
+    assert np.isnan(value[0]).all()
+
+
+def test_other_measures_cannot_be_broken_down(found):
+    with pytest.raises(InputError, match="one of mse_ratio, .* got 'time'"):
+        pattern_breakdown(found.breakdown, measure="time")
+
+
+def test_a_curve_has_a_line_an_estimator_and_the_noise(curve):
+    figure = error_curves(curve, measures=["mse", "relmse_ratio"], names={"mean": "sample mean"})
+    left, right = figure.axes
+    assert len(left.lines) == 5
+    assert len(right.lines) == 4  # a ratio has no such floor
+    seen = texts(figure)
+    assert {"sample mean", "noise of the reference", "MSE", "relMSE ratio"} <= seen
+    assert [line.get_linestyle() for line in left.lines] == ["-", "-", "-", "--", ":"]
+    with pytest.raises(InputError, match="at least one measure"):
+        error_curves(curve, measures=[])
+
+
+def test_an_estimator_that_takes_no_such_size_has_no_line(samples):
+    few = error_curve(samples, ["mean", "median_of_means"], sizes=[4, 8, 16])
+    few = type(few)(**{**vars(few), "measures": {k: v[:2] for k, v in few.measures.items()}})
+    few = type(few)(**{**vars(few), "sizes": (4, 8)})
+    noise = {k: v[:2] for k, v in few.reference_noise.items()}
+    figure = error_curves(type(few)(**{**vars(few), "reference_noise": noise}))
+    assert "median of means" not in texts(figure)
+
+
+def test_pixels_show_reference_mean_and_estimates(found):
+    figure = pixel_estimates(found.draw_pixels(9), names={"zirr2018": "Zirr"})
+    assert {"reference", "mean of 32", "median of means", "Zirr"} <= texts(figure)
+    assert "9 random pixels, from dark to bright" in texts(figure)
+
+
+def test_pixels_of_one_channel_are_those_of_the_channel(found):
+    drawn = found.draw_pixels(9)
+    axes = pixel_estimates(drawn, channel="G").axes[0]
+    means = axes.collections[2].get_offsets()[:, 1]
+    assert sorted(means) == pytest.approx(sorted(drawn.mean[:, 1]))
+    assert axes.get_ylabel().startswith("G,")
+    with pytest.raises(InputError, match="one of R, G, B, got 'Z'"):
+        pixel_estimates(drawn, channel="Z")
+
+
+def test_one_channel_and_black_pixels_can_be_drawn():
+    gray = chd.compare(chd.Samples.from_array(np.zeros((3, 3, 64))), ["mean"], cost=False)
+    assert "channel0" in pixel_estimates(gray.draw_pixels()).axes[0].get_ylabel()
+
+
+def test_no_pixel_is_nothing_to_draw(found):
+    none = found.draw_pixels(1)
+    empty = type(none)(**{**vars(none), "pixels": none.pixels[:0]})
+    with pytest.raises(InputError, match="at least one pixel"):
+        pixel_estimates(empty)
+
+
+def test_settings_are_left_alone(found):
+    before = dict(mpl.rcParams)
+    estimator_measures(found)
+    assert dict(mpl.rcParams) == before
