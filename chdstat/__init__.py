@@ -30,7 +30,7 @@ _FUNCTIONS = {
     "simulate": "simulation",
     "summarize": "summary",
 }
-_MODULES = ("errors", "estimators", "fit", "metrics", "simulation", "viz")
+_MODULES = ("errors", "estimators", "fit", "io", "metrics", "simulation", "viz")
 
 __all__ = ["__version__", *sorted((*_FUNCTIONS, *_MODULES))]
 

@@ -9,7 +9,9 @@ is the baseline, `MLP` learns from the scene; the others are
 - reweighting: `bayesian_median_of_means`, `lee_valiant`; resampling: `jung2015`;
 - shrinkage: `gmon_shrinkage`, `gamma_shrinkage`, `lognormal_shrinkage`, all by `james_stein`;
 - with the channels together: `zirr2018_pixel` and the shrinkage; and with the pixels around:
-  `zirr2018`, `decoro2010`.
+  `zirr2018`, `decoro2010`;
+- sharing statistics with alike pixels around: `delbracio2014`, `sakai2024`, `shared_patches`,
+  `shared_shape`.
 
 `names` lists what is registered, the mean first, and `lookup` says where it comes from and what it
 needs; ``estimators.<name>`` is the function.
@@ -35,6 +37,8 @@ from chdstat.estimators.shrinkage import (
 )
 from chdstat.estimators.cascades import Cascade, zirr2018, zirr2018_pixel
 from chdstat.estimators.density import decoro2010
+from chdstat.estimators.shared import delbracio2014, sakai2024
+from chdstat.estimators.alike import Fireflies, shared_patches, shared_shape
 from chdstat.estimators.mlp import MLP
 from chdstat.estimators.presets import PRESETS, Preset
 from chdstat.estimators.registry import (
@@ -54,6 +58,7 @@ __all__ = [
     "PRESETS",
     "Cascade",
     "Estimator",
+    "Fireflies",
     "History",
     "LearnedEstimator",
     "Model",
@@ -61,6 +66,7 @@ __all__ = [
     "bayesian_median_of_means",
     "catoni",
     "decoro2010",
+    "delbracio2014",
     "gamma_shrinkage",
     "gmon_adaptive",
     "gmon_binary",
@@ -77,6 +83,9 @@ __all__ = [
     "names",
     "register",
     "register_learned",
+    "sakai2024",
+    "shared_patches",
+    "shared_shape",
     "trimmed_mean",
     "tukey",
     "winsorized_mean",

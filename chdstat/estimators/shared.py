@@ -1,0 +1,187 @@
+"""Shared statistics, as published: pixels whose samples are alike average their estimates.
+
+`delbracio2014` compares histograms of the samples, patch by patch; `sakai2024` compares their means
+by a test of significance, pixel by pixel. Neither shares across an edge that the samples tell.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import as_samples
+from chdstat.estimators._exposure import exposure_unit
+from chdstat.estimators._likeness import (
+    Picture,
+    chi_square,
+    corrected_means,
+    histograms,
+    not_different,
+    significance,
+)
+from chdstat.estimators._rows import Floats, check_pixels
+from chdstat.estimators._windows import (
+    check_window,
+    patch_sum,
+    pool,
+    quotient,
+    with_own,
+    with_weight,
+)
+from chdstat.estimators.registry import register
+
+__all__ = ["delbracio2014", "sakai2024"]
+
+
+@register(
+    "delbracio2014",
+    source="Delbracio et al. 2014, doi:10.1145/2532708",
+    uses_neighbours=True,
+    joint_channels=True,
+)
+def delbracio2014(
+    x: npt.ArrayLike,
+    *,
+    threshold: float = 1.0,
+    radius: int = 6,
+    patch: int = 1,
+    unit: float | None = None,
+) -> npt.NDArray[np.floating[Any]]:
+    """Ray histogram fusion: average patches whose samples have alike histograms.
+
+    Pixels i and j share their samples if ``chi^2 = sum (n_j h_i - n_i h_j)^2 / (n_i n_j (h_i +
+    h_j)) <= threshold`` per used bin, summed over a patch around each and over the channels. Bins
+    are used that hold more than one sample of both. Every patch that is alike lends all its pixels.
+
+    Histogram and distance are those of the code of Bayesian collaborative denoising, a successor.
+    The coarse scales of the publication are left out, and the sums over patches that overlap are
+    divided once, by all their weights.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN, infinite or
+        negative is left out.
+    threshold
+        Distance up to which patches are alike, larger than 0; 1 is what noise gives.
+    radius
+        Of the search window, in pixels: 6 for 13 x 13.
+    patch
+        Radius of the patches: 1 for 3 x 3, 0 for single pixels.
+    unit
+        Radiance that is exposed as 1, see `zirr2018`; None makes the log-average of the picture
+        0.18. Histograms end at about 7.5 of it; their last bin is full at 34.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Where no whole sample is
+        good, the mean of a channel's good samples; NaN where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` is no picture, or an option is out of range.
+
+    References
+    ----------
+    M. Delbracio, P. Muse, A. Buades, J. Chauvier, N. Phelps and J.-M. Morel, "Boosting Monte Carlo
+    rendering by ray histogram fusion", ACM Transactions on Graphics 33(1), 2014,
+    doi:10.1145/2532708. M. Boughida and T. Boubekeur, "Bayesian collaborative denoising for Monte
+    Carlo rendering", Computer Graphics Forum 36(4), 2017, doi:10.1111/cgf.13231.
+
+    Examples
+    --------
+    >>> picture = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
+    >>> alone, shared = picture.mean(axis=-1), delbracio2014(picture)
+    >>> bool(shared.std() < alone.std() / 3)
+    True
+    """
+    check_window(radius, patch=patch, threshold=threshold)
+    samples = as_samples(x)
+    check_pixels(samples, picture=True)
+    picture = Picture.of(samples)
+    mean = picture.mean()
+    found = exposure_unit(mean.mean(axis=-1) * picture.unit, unit)
+    counts = picture.count[..., np.newaxis].astype(np.float64)
+    fields = (histograms(picture, found), counts)
+
+    def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
+        distance, used = chi_square(*here, *there)
+        alike = patch_sum(distance, patch) <= threshold * patch_sum(used, patch)
+        # A patch lends to each of its pixels what lies at the same place of the other patch.
+        return patch_sum(alike.astype(np.float64), patch) / (2 * patch + 1) ** 2
+
+    values = with_weight(mean, picture.count)
+    sums, _ = pool(weigh, fields, values, radius=radius, reach=2 * patch)
+    return with_own(quotient(sums) * picture.unit, samples, picture.count)
+
+
+@register(
+    "sakai2024",
+    source="Sakai et al. 2024, doi:10.1145/3680528.3687591",
+    minimum_samples=2,
+    uses_neighbours=True,
+    joint_channels=True,
+)
+def sakai2024(
+    x: npt.ArrayLike, *, alpha: float = 0.005, radius: int = 5
+) -> npt.NDArray[np.floating[Any]]:
+    """Statistical denoising: average pixels whose means do not differ significantly.
+
+    Pixels i and j share their samples if, in every channel, ``(m_i - m_j)^2 <= t_i^2 SE_i^2 + t_j^2
+    SE_j^2``: Welch's test on the samples after a Box-Cox transform with lambda = 1/2, their means
+    corrected for skewness as by Johnson. The estimate is the mean of all their samples.
+
+    Formulas are those of the authors' published code. Of their denoiser this is the membership of
+    pixels; its Gaussian weights in space and in albedo and normals are left out, and its window is
+    a square.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN, infinite or
+        negative is left out.
+    alpha
+        Level of the two-sided test, between 0 and 1: the smaller, the more is shared.
+    radius
+        Of the window, in pixels: 5 for 11 x 11.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Where no whole sample is
+        good, the mean of a channel's good samples; NaN where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` is no picture, has less than 2 samples, or an option is out of range.
+
+    References
+    ----------
+    H. Sakai, C. Freude, T. Auzinger, D. Hahn and M. Wimmer, "A statistical approach to Monte Carlo
+    denoising", SIGGRAPH Asia Conference Papers, 2024, doi:10.1145/3680528.3687591.
+    B. L. Welch, "The generalization of Student's problem when several different population
+    variances are involved", Biometrika 34, 1947, doi:10.1093/biomet/34.1-2.28.
+    G. E. P. Box and D. R. Cox, "An analysis of transformations", Journal of the Royal Statistical
+    Society B 26(2), 1964, doi:10.1111/j.2517-6161.1964.tb00553.x.
+
+    Examples
+    --------
+    >>> picture = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
+    >>> picture[:, 4:] *= 100
+    >>> sakai2024(picture)[4, [0, 3, 4, 7], 0].round(1).tolist()
+    [1.0, 1.0, 95.0, 95.0]
+    """
+    check_window(radius, alpha=alpha)
+    samples = as_samples(x, minimum=2)
+    check_pixels(samples, picture=True)
+    picture = Picture.of(samples)
+    # 2 (sqrt(x) - 1) gives the same test as sqrt(x).
+    fields = significance(corrected_means(picture, np.sqrt), picture.count, alpha)
+    values = with_weight(picture.mean(), picture.count)
+    sums, _ = pool(not_different, fields, values, radius=radius)
+    return with_own(quotient(sums) * picture.unit, samples, picture.count)

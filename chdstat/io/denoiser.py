@@ -1,0 +1,192 @@
+"""Denoiser: estimates handed over to Open Image Denoise, with features and certainty.
+
+A denoiser starts from one value per pixel. Any estimator of `chdstat.estimators` gives it a better
+one than the sample mean does: fewer fireflies to smear, less noise to mistake for texture.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.errors import ChdstatError, InputError
+from chdstat.estimators._exposure import exposure_unit
+
+__all__ = ["denoise"]
+
+Floats = npt.NDArray[np.float64]
+
+_INSTALL = (
+    "denoise needs Open Image Denoise, which is not installed: pip install 'chdstat[denoise]', "
+    "or pip install pyoidn"
+)
+
+
+def denoise(
+    estimate: npt.ArrayLike,
+    *,
+    albedo: npt.ArrayLike | None = None,
+    normal: npt.ArrayLike | None = None,
+    certainty: npt.ArrayLike | None = None,
+    hdr: bool = True,
+) -> npt.NDArray[np.floating[Any]]:
+    """Denoise a picture of estimates with Open Image Denoise.
+
+    With a certainty c, ``c estimate + (1 - c) denoised``: a pixel that is known is left alone, one
+    of which nothing is known is what the denoiser makes of its surroundings. The network itself has
+    no input for a certainty.
+
+    Linear radiance is brought to the exposure that the network was trained for, so that pictures
+    of any unit come out alike.
+
+    Parameters
+    ----------
+    estimate
+        Radiance, shape (y, x, channel), 1 or 3 channels.
+    albedo
+        First-hit albedo, at least 0, shape (y, x, 3). What exceeds 1, as that of emitters may,
+        counts as 1, what is not finite as 0.
+    normal
+        First-hit normals in world or camera space, -1 to 1, shape (y, x, 3). Only with `albedo`.
+    certainty
+        How far each estimate is certain, 0 to 1, shape (y, x) or (y, x, channel); None for 0.
+    hdr
+        Whether `estimate` is linear radiance; else it holds display values from 0 to 1.
+
+    Returns
+    -------
+    ndarray
+        Shape, unit and floating-point dtype of `estimate`. A pixel of which any channel is NaN,
+        infinite or negative is filled from the pixels next to it before the network sees it, and
+        comes back NaN.
+
+    Raises
+    ------
+    InputError
+        If Open Image Denoise is not installed, a shape is wrong, or a value is out of range.
+    ChdstatError
+        If Open Image Denoise fails.
+
+    References
+    ----------
+    A. T. Afra, "Intel Open Image Denoise", https://www.openimagedenoise.org. The blend with the
+    input is that of J. Firmino, J. R. Frisvad and H. W. Jensen, "Progressive denoising of Monte
+    Carlo rendered images", Computer Graphics Forum 41(2), 2022, doi:10.1111/cgf.14454; where they
+    learn its weight, ours is the certainty.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> from chdstat.io import denoise
+    >>> rng = np.random.default_rng(0)
+    >>> estimate = chd.estimators.zirr2018(rng.exponential(size=(64, 64, 3, 8)))
+    >>> smooth = denoise(estimate)  # doctest: +SKIP
+    """
+    picture = _picture(estimate, hdr=hdr)
+    features = _features(picture.shape, albedo, normal)
+    keep = _certainty(picture.shape, certainty)
+    network = _network()
+    known = np.asarray((np.isfinite(picture) & (picture >= 0)).all(axis=-1))
+    filled = _without_holes(picture, known)
+    unit = exposure_unit(filled.mean(axis=-1)) if hdr else 1.0
+    colour = np.broadcast_to(filled / unit, (*picture.shape[:2], 3)).astype(np.float32)
+    try:
+        found = network.denoise(colour, **features, hdr=hdr)
+    except RuntimeError as error:
+        message = f"Open Image Denoise failed on a picture of shape {picture.shape}: {error}"
+        raise ChdstatError(message) from error
+    smooth = found.astype(np.float64) * unit
+    if picture.shape[-1] == 1:
+        smooth = smooth.mean(axis=-1, keepdims=True)
+    result = keep * filled + (1 - keep) * smooth
+    result[~known] = np.nan
+    kind = np.asarray(estimate).dtype
+    return np.asarray(result.astype(kind if kind.kind == "f" else np.float64))
+
+
+def _network() -> Any:
+    try:
+        return importlib.import_module("pyoidn")
+    except ImportError as error:
+        raise InputError(_INSTALL) from error
+
+
+def _picture(estimate: npt.ArrayLike, *, hdr: bool) -> Floats:
+    picture = np.asarray(estimate)
+    if picture.ndim != 3 or picture.shape[-1] not in (1, 3) or 0 in picture.shape:
+        message = f"estimate must be a picture (y, x, 1 or 3 channels), got shape {picture.shape}"
+        raise InputError(message)
+    if picture.dtype.kind not in "fiu":
+        message = f"estimate must hold real numbers, got dtype {picture.dtype}"
+        raise InputError(message)
+    if not hdr and picture[np.isfinite(picture)].max(initial=0) > 1:
+        message = (
+            "with hdr=False, estimate must hold display values from 0 to 1, "
+            f"got up to {picture[np.isfinite(picture)].max()}"
+        )
+        raise InputError(message)
+    return picture.astype(np.float64)
+
+
+def _features(
+    shape: tuple[int, ...], albedo: npt.ArrayLike | None, normal: npt.ArrayLike | None
+) -> dict[str, npt.NDArray[np.float32]]:
+    if albedo is None and normal is not None:
+        message = "Open Image Denoise takes normals only beside albedo; give albedo, too"
+        raise InputError(message)
+    given = {"albedo": (albedo, 0.0, np.inf), "normal": (normal, -1.0, 1.0)}
+    return {
+        name: _feature(name, values, shape, lowest, highest)
+        for name, (values, lowest, highest) in given.items()
+        if values is not None
+    }
+
+
+def _feature(
+    name: str, values: npt.ArrayLike, shape: tuple[int, ...], lowest: float, highest: float
+) -> npt.NDArray[np.float32]:
+    feature = np.asarray(values, dtype=np.float64)
+    if feature.shape != (*shape[:2], 3):
+        message = f"{name} must have shape {(*shape[:2], 3)}, as the estimate, got {feature.shape}"
+        raise InputError(message)
+    known = np.where(np.isfinite(feature), feature, 0)
+    # Interpolated normals exceed their range by rounding.
+    if known.min() < lowest - 1e-3 or known.max() > highest + 1e-3:
+        message = (
+            f"{name} must lie between {lowest} and {highest}, got {known.min()} to {known.max()}"
+        )
+        raise InputError(message)
+    return np.clip(known, lowest, 1).astype(np.float32)
+
+
+def _certainty(shape: tuple[int, ...], certainty: npt.ArrayLike | None) -> Floats:
+    if certainty is None:
+        return np.zeros((1, 1, 1))
+    keep = np.asarray(certainty, dtype=np.float64)
+    if keep.shape not in (shape, shape[:2]):
+        message = f"certainty must have shape {shape[:2]} or {shape}, got {keep.shape}"
+        raise InputError(message)
+    if not ((keep >= 0) & (keep <= 1)).all():
+        message = f"certainty must lie between 0 and 1, got {keep.min()} to {keep.max()}"
+        raise InputError(message)
+    return keep if keep.ndim == 3 else keep[..., np.newaxis]
+
+
+def _without_holes(picture: Floats, known: npt.NDArray[np.bool_]) -> Floats:
+    """Fill what is not known by the average of the known pixels next to it, 0 where none is."""
+    if known.all():
+        return picture
+    padded = np.pad(np.where(known[..., np.newaxis], picture, 0), ((1, 1), (1, 1), (0, 0)))
+    counted = np.pad(known.astype(np.float64), 1)[..., np.newaxis]
+    total, count = (_around(values, known.shape) for values in (padded, counted))
+    return np.where(known[..., np.newaxis], picture, total / np.maximum(count, 1))
+
+
+def _around(padded: Floats, shape: tuple[int, ...]) -> Floats:
+    """Add up 3 x 3 pixels."""
+    height, width = shape
+    parts = [padded[i : i + height, j : j + width] for i in range(3) for j in range(3)]
+    return np.asarray(sum(parts[1:], parts[0]))
