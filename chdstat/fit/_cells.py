@@ -24,7 +24,7 @@ _ENDS = 4
 """Samples at each end of a row that are cells by themselves: tails are sparse."""
 _SPIKE_EDGES = 4
 """Edges of cells that are set where spikes begin and end."""
-_CHUNK = 2**15
+_CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
 
 

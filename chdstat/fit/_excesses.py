@@ -22,7 +22,7 @@ __all__ = ["MINIMUM_EXCESSES", "Fitted", "candidates", "hill_tail", "pareto_tail
 MINIMUM_EXCESSES = 10
 """Fewer samples above the threshold give no tail index."""
 
-_CHUNK = 2**15
+_CHUNK = 2**17
 """Samples worked on at once: several float64 copies of them stay in the cache."""
 _LARGEST_SHARE = 0.5
 _STEPS = 3

@@ -20,7 +20,7 @@ from chdstat.fit._starts import single
 
 __all__ = ["Bins", "Ground", "SampleRows", "Solution", "log_likelihood"]
 
-_CHUNK = 2**15
+_CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
 _TOLERANCE = 1e-6
 

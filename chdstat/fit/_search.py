@@ -60,7 +60,7 @@ class _Plan:
 
 EFFORTS: dict[Effort, _Plan] = {
     "fast": _Plan(
-        rows=1024,
+        rows=4096,
         cells=32,
         windows=((1, 2, 4), (8, 16)),
         rounds=((1, 1),),

@@ -28,7 +28,7 @@ _HALVINGS = 11
 """Of the logarithm of the bandwidth: the last interval is 0.3 % wide."""
 _LOWEST = 0.1
 """Lowest mode, relative to what a single sample adds to the highest: the rest is rounding."""
-_CHUNK = 2**14
+_CHUNK = 2**17
 """Samples, or points of the grid, worked on at once."""
 
 

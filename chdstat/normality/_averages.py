@@ -29,7 +29,7 @@ MORE_THAN_TESTED = -1
 UNTESTED = 0
 """As N needed: no answer, since samples are equal, null, bad or too few for every N."""
 
-_CHUNK = 2**15
+_CHUNK = 2**17
 """Samples worked on at once: their float64 copies stay in the cache."""
 
 

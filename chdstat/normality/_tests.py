@@ -32,7 +32,7 @@ __all__ = [
 TestName = Literal["anderson-darling", "shapiro-wilk", "dagostino", "jarque-bera", "lilliefors"]
 Transform = Literal["log", "linear", "sqrt"]
 
-_CHUNK = 2**15
+_CHUNK = 2**17
 """Samples worked on at once: their float64 copies stay in the cache."""
 _ROWS = 2**11
 """Rows whose p-values are computed at once."""
