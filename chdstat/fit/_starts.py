@@ -30,7 +30,7 @@ _APART, _NARROWER = 0.8, 0.6
 """Of the halves of a split component: their distance from it, and their spread, in spreads."""
 _LARGEST = 0.9
 """Largest weight of an inserted component."""
-_LOG_PEAK = -0.5 * np.log(2 * np.pi * np.e)
+_LOG_PEAK = -0.5 * (1 + np.log(2 * np.pi))
 """Mean log density of a Gaussian sample of variance 1, at maximum likelihood."""
 
 
