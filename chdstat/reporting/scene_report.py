@@ -33,7 +33,7 @@ _IN_MEMORY = 2**29
 """Samples up to this many bytes are read once and held; larger ones are walked on disk."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
-_CURVE_SPP, _CURVE_BATCHES = 256, 4
+_CURVE_SPP, _CURVE_BATCHES = 256, 2
 """Samples from which errors are shown against N, and batches per pixel for each N."""
 
 
