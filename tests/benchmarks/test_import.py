@@ -34,4 +34,5 @@ def test_import_against_numpy(benchmark):
 
 def test_start_of_the_interpreter_is_left_out():
     start = time.perf_counter()
-    assert seconds("sys") < 0.01 < time.perf_counter() - start
+    inside = seconds("sys")
+    assert inside < (time.perf_counter() - start) / 4
