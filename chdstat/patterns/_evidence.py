@@ -135,7 +135,7 @@ def _measure(
     tail = tail or tail_of_part(part)
     families = families or select_part(part, [FAMILIES[name] for name in SELECTED])
     if modes is None:
-        modes = modality_of_part(part, seed=seed, single_bic=_smallest_bic(families))
+        modes = modality_of_part(part, seed=seed, fits=families.fits.values())
     widest = np.argsort(-np.nan_to_num(modes.ashman_d), axis=-1)
     statistics = part.log_statistics
     body_index, body_index_se = _body_index(families)
@@ -162,12 +162,6 @@ def _measure(
         body_index=body_index,
         body_index_se=body_index_se,
     )
-
-
-def _smallest_bic(families: Selection) -> Floats:
-    """Return the BIC of the best family, infinite where none could be fitted."""
-    values = np.stack([fit.bic for fit in families.fits.values()])
-    return np.asarray(np.where(np.isnan(values), np.inf, values).min(axis=0))
 
 
 def _replace_shape(evidence: Evidence, rest: Evidence, rows: Mask) -> Evidence:
