@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._positive import Counts, Floats, LogStatistics
-from chdstat._reasons import Reason
+from chdstat._positive import Counts, Floats, LogStatistics, reason_of
 from chdstat.errors import InputError
 from chdstat.histograms import Histogram
 
@@ -154,15 +153,8 @@ class BinnedPart:
         return LogStatistics(n=self.n, mean=mean, gap=gap, log_variance=variance)
 
     def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
-        """Say which rows have no usable positive part, as `PositivePart.reason` does."""
-        cases = {
-            Reason.ALL_BAD: self.n_good == 0,
-            Reason.ALL_NULL: self.n == 0,
-            Reason.TOO_FEW: self.n < minimum,
-            Reason.CONSTANT: self.log_statistics.constant,
-        }
-        codes = [np.int8(code) for code in cases]
-        return np.asarray(np.select(list(cases.values()), codes, np.int8(Reason.OK)), dtype=np.int8)
+        """Say which rows have no usable positive part, as `reason_of` does."""
+        return reason_of(self.n_good, self.log_statistics, minimum)
 
 
 def _shared(values: Floats) -> Floats:

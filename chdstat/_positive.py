@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad, is_null, spans
+from chdstat._arrays import as_samples, is_bad, is_null, luminance, spans
 from chdstat._reasons import Reason
 from chdstat.errors import InputError
 
@@ -26,6 +26,7 @@ __all__ = [
     "LogStatistics",
     "Mask",
     "PositivePart",
+    "reason_of",
 ]
 
 Floats = npt.NDArray[np.float64]
@@ -120,13 +121,30 @@ class PositivePart:
         return cls(x=x, positive=positive, n=n, n_null=n_null, n_zero=n_zero, n_bad=n_bad)
 
     @classmethod
-    def of_pixels(cls, block: npt.NDArray[np.floating[Any]]) -> PositivePart:
+    def of_pixels(
+        cls,
+        block: npt.NDArray[np.floating[Any]],
+        *,
+        rows: Literal["channels", "luminance", "both"] = "channels",
+    ) -> PositivePart:
         """Split samples by whole samples, shape (..., channel, sample).
 
-        A sample is null where all its channels are 0, bad where any of them is bad.
+        A sample is null where all its channels are 0, bad where any of them is bad. The rows of the
+        part are the channels; or the luminance alone, shape (..., sample); or both, the luminance
+        last, which a single channel is already.
+
+        Raises
+        ------
+        InputError
+            If luminance is asked for, and there are neither 1 nor 3 channels.
         """
-        null = is_null(block)[..., np.newaxis, :]
-        return cls.of(block, null=null, bad=is_bad(block).any(axis=-2, keepdims=True))
+        null, bad = is_null(block), np.asarray(is_bad(block).any(axis=-2))
+        if rows == "luminance":
+            return cls.of(_luminance(block), null=null, bad=bad)
+        x = block
+        if rows == "both" and block.shape[-2] > 1:
+            x = np.concatenate([block, _luminance(block)[..., np.newaxis, :]], axis=-2)
+        return cls.of(x, null=null[..., np.newaxis, :], bad=bad[..., np.newaxis, :])
 
     @property
     def n_good(self) -> Counts:
@@ -163,18 +181,28 @@ class PositivePart:
         return np.asarray(np.arange(self.x.shape[-1]) < self.n[..., np.newaxis])
 
     def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
-        """Say which rows have no usable positive part, as `Reason` codes, shape (...).
+        """Say which rows have no usable positive part, as `reason_of` does."""
+        return reason_of(self.n_good, self.log_statistics, minimum)
 
-        A channel that is 0 in every good sample is as good as null, whatever the other channels.
-        """
-        cases = {
-            Reason.ALL_BAD: self.n_good == 0,
-            Reason.ALL_NULL: self.n == 0,
-            Reason.TOO_FEW: self.n < minimum,
-            Reason.CONSTANT: self.log_statistics.constant,
-        }
-        codes = [np.int8(code) for code in cases]
-        return np.asarray(np.select(list(cases.values()), codes, np.int8(Reason.OK)), dtype=np.int8)
+
+def reason_of(n_good: Counts, statistics: LogStatistics, minimum: int) -> npt.NDArray[np.int8]:
+    """Say which rows have no usable positive part, as `Reason` codes, shape (...).
+
+    A channel that is 0 in every good sample is as good as null, whatever the other channels.
+    """
+    cases = {
+        Reason.ALL_BAD: n_good == 0,
+        Reason.ALL_NULL: statistics.n == 0,
+        Reason.TOO_FEW: statistics.n < minimum,
+        Reason.CONSTANT: statistics.constant,
+    }
+    codes = [np.int8(code) for code in cases]
+    return np.asarray(np.select(list(cases.values()), codes, np.int8(Reason.OK)), dtype=np.int8)
+
+
+def _luminance(block: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:
+    with np.errstate(invalid="ignore", over="ignore"):
+        return luminance(block)
 
 
 def _mask(mask: npt.ArrayLike, shape: tuple[int, ...]) -> Mask:

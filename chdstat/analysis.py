@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import is_bad, is_null, luminance
+from chdstat._arrays import is_bad
 from chdstat._moments import Moments
 from chdstat._positive import PositivePart
 from chdstat._rows import Result, take_rows
@@ -168,20 +168,11 @@ class _Tile:
     def __init__(self, block: npt.NDArray[np.float32], *, held_out: bool) -> None:
         self.block = block
         self.held_out = held_out
-        self.bad = np.asarray(is_bad(block).any(axis=-2, keepdims=True))
         self._channels = block.shape[-2]
 
     @cached_property
-    def luminance(self) -> npt.NDArray[np.floating[Any]]:
-        with np.errstate(invalid="ignore", over="ignore"):
-            return luminance(self.block)
-
-    @cached_property
     def part(self) -> PositivePart:
-        rows = self.block
-        if self._channels > 1:
-            rows = np.concatenate([rows, self.luminance[..., np.newaxis, :]], axis=-2)
-        return PositivePart.of(rows, null=is_null(self.block)[..., np.newaxis, :], bad=self.bad)
+        return PositivePart.of_pixels(self.block, rows="both")
 
     def of_channels(self, result: Result) -> Result:
         return take_rows(result, slice(0, self._channels), axis=2)
@@ -290,8 +281,9 @@ def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list
 
 def _luminance(tile: _Tile) -> Mapped:
     """Return mean and coefficient of variation of the luminance of every pixel."""
-    good = ~tile.bad[..., 0, :]
-    moments = Moments.of(np.where(good, tile.luminance, 0), good)
+    good = ~np.asarray(is_bad(tile.block).any(axis=-2))
+    luminance = tile.part.x[..., -1, :]
+    moments = Moments.of(np.where(good, luminance, 0), good)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio: npt.NDArray[Any] = np.sqrt(moments.variance) / moments.mean
     variation = np.where(moments.mean > 0, ratio, np.nan)

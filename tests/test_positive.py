@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from chdstat._arrays import luminance
 from chdstat._positive import PositivePart
 from chdstat._reasons import Reason
+from chdstat.errors import InputError
 
 X = np.array(
     [
@@ -64,3 +66,36 @@ def test_reasons():
     expected = [Reason.OK, Reason.ALL_NULL, Reason.CONSTANT, Reason.ALL_BAD]
     np.testing.assert_array_equal(PositivePart.of(X).reason(), expected)
     np.testing.assert_array_equal(PositivePart.of(X[:1]).reason(4), [Reason.TOO_FEW])
+
+
+def test_the_rows_of_a_pixel_are_its_channels_its_luminance_or_both():
+    block = np.random.default_rng(0).gamma(0.5, size=(2, 3, 8))
+    block[0, :, 0], block[0, 1, 1], block[1, 2, 2] = 0, 0, np.nan
+    channels, light, both = (
+        PositivePart.of_pixels(block, rows=rows) for rows in ("channels", "luminance", "both")
+    )
+    np.testing.assert_array_equal(channels.x, block)
+    assert light.x == pytest.approx(luminance(block), rel=1e-12, nan_ok=True)
+    np.testing.assert_array_equal(both.x, np.concatenate([block, light.x[:, None]], axis=1))
+    for name in ("positive", "n", "n_null", "n_zero", "n_bad"):
+        parts = [getattr(channels, name), getattr(light, name)[:, None]]
+        np.testing.assert_array_equal(getattr(both, name), np.concatenate(parts, axis=1))
+    # Of the zeros of one channel alone, the luminance knows nothing.
+    assert (light.n_null.tolist(), light.n_zero.tolist(), light.n_bad.tolist()) == (
+        [1, 0],
+        [0, 0],
+        [0, 1],
+    )
+    assert channels.n_zero.tolist() == [[0, 1, 0], [0, 0, 0]]
+
+
+def test_a_single_channel_is_its_own_luminance():
+    block = np.random.default_rng(1).gamma(0.5, size=(2, 1, 8))
+    np.testing.assert_array_equal(PositivePart.of_pixels(block, rows="both").x, block)
+    np.testing.assert_array_equal(PositivePart.of_pixels(block, rows="luminance").x, block[:, 0])
+
+
+@pytest.mark.parametrize("rows", ["luminance", "both"])
+def test_other_numbers_of_channels_have_no_luminance(rows):
+    with pytest.raises(InputError, match="1 or 3 channels, got 2"):
+        PositivePart.of_pixels(np.ones((4, 2, 8)), rows=rows)

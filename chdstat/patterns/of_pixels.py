@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad, is_null, luminance
+from chdstat._arrays import as_samples
 from chdstat._multiplicity import q_values
 from chdstat._positive import Floats, Mask, PositivePart
 from chdstat._reasons import Reason, flag_attributes
@@ -205,9 +205,7 @@ def luminance_part(x: npt.ArrayLike) -> PositivePart:
     if array.ndim < 2:
         message = f"x must have shape (..., channel, sample), got {array.shape}"
         raise InputError(message)
-    bad = is_bad(array).any(axis=-2)
-    with np.errstate(invalid="ignore", over="ignore"):
-        return PositivePart.of(luminance(array), null=is_null(array), bad=bad)
+    return PositivePart.of_pixels(array, rows="luminance")
 
 
 def patterns_of_part(
