@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -253,10 +252,6 @@ class Store:
         """Return the first-hit features that are stored, by name."""
         folder = self.group["features"]
         return {name: _read(folder[name]) for name in _FEATURES if name in folder}
-
-    def remove(self) -> None:
-        """Delete the store from disk."""
-        shutil.rmtree(self.path)
 
 
 def _create_arrays(group: zarr.Group, shape: tuple[int, int, int, int]) -> None:

@@ -340,9 +340,3 @@ def test_a_full_disk_keeps_what_is_stored(tmp_path, monkeypatch, what):
             fill(store, x)
     assert chd.open(path).spp == BATCH
     assert np.array_equal(fill(Store.open(path, writable=True), x).read(ALL, ALL, ALL), x)
-
-
-def test_removing(tmp_path):
-    store = create(tmp_path / "s.zarr", radiance(4, 4, 4))
-    store.remove()
-    assert not store.path.exists()

@@ -8,7 +8,7 @@ colour-blind readers.
 from __future__ import annotations
 
 from chdstat.viz.chd import Curve, Panel, chd_axes, chd_grid, fits
-from chdstat.viz.curves import averages, error_bars, training
+from chdstat.viz.curves import averages, training
 from chdstat.viz.errors import error_curves, pattern_breakdown
 from chdstat.viz.estimates import estimator_measures, pixel_estimates
 from chdstat.viz.image import Mark, pictures, tonemap, with_marks
@@ -27,7 +27,6 @@ __all__ = [
     "categorical_map",
     "chd_axes",
     "chd_grid",
-    "error_bars",
     "error_curves",
     "estimator_measures",
     "fits",

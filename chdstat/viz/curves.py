@@ -1,8 +1,8 @@
-"""Curves: how averages become Gaussian, how training goes, how estimators err."""
+"""Curves: how averages become Gaussian, and how training goes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator
 
 from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
 
-__all__ = ["averages", "error_bars", "training"]
+__all__ = ["averages", "training"]
 
 Array = npt.NDArray[Any]
 
@@ -115,39 +115,4 @@ def training(
         if baseline:  # a few spikes of the optimiser must not squeeze the rest
             axes.set_ylim(top=3 * max(baseline.values()))
         axes.legend(loc="upper right")
-    return figure
-
-
-def error_bars(
-    names: Sequence[str],
-    measures: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike, npt.ArrayLike]],
-    *,
-    references: Mapping[str, float] | None = None,
-) -> Figure:
-    """Draw estimators side by side: one panel a measure, points with intervals.
-
-    Parameters
-    ----------
-    names
-        Estimators, top to bottom.
-    measures
-        By title: value, lower and upper end of the interval, each of shape (estimator,); NaN is
-        left out.
-    references
-        By title: a value to compare with, drawn as a dashed line.
-    """
-    rank = np.arange(len(names))[::-1]
-    with style():
-        figure = Figure(figsize=(WIDTH, 0.6 + 0.26 * len(names)), layout="constrained")
-        panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
-        for axes, (title, parts) in zip(panels, measures.items(), strict=True):
-            value, low, high = (np.asarray(part, dtype=float) for part in parts)
-            axes.hlines(rank, low, high, color=PALETTE[4], linewidth=1.6)
-            axes.plot(value, rank, "o", color=PALETTE[4], markersize=4)
-            if references and title in references:
-                axes.axvline(references[title], color="#888888", linewidth=0.9, linestyle="--")
-            axes.set_title(title)
-            axes.set_ylim(-0.6, len(names) - 0.4)
-            axes.grid(axis="x", linewidth=0.4, color="#DDDDDD")
-        panels[0].set_yticks(rank, list(names))
     return figure

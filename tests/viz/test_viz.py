@@ -107,9 +107,6 @@ def test_curves_draw_what_they_are_given():
     assert {"R", "measured", r"CLT: $1/\sqrt{N}$"} <= texts(figure)
     figure = viz.training([1, 2, 3], {"training": [3, 2, 1]}, {"training": 2.0})
     assert "sample mean, training" in texts(figure)
-    intervals = ([1.0, 0.8], [0.9, 0.7], [1.1, np.nan])
-    figure = viz.error_bars(["mean", "other"], {"MSE": intervals}, references={"MSE": 1})
-    assert {"MSE", "mean", "other"} <= texts(figure)
 
 
 def test_the_central_limit_theorem_is_a_straight_line_on_a_log_scale():
