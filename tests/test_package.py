@@ -57,7 +57,7 @@ Those on one line are helpers that may import each other, as long as no cycle ar
 
 RANK = {name: rank for rank, line in enumerate(ORDER) for name in line.split()}
 
-HEAVY = ("mitsuba", "drjit", "torch", "matplotlib", "xarray", "zarr", "dask", "sklearn", "scipy")
+HEAVY = ("mitsuba", "drjit", "torch", "matplotlib", "xarray", "zarr", "dask", "sklearn", "scipy", "OpenEXR")
 
 RENDERING = {"backend", "capture", "_renderer", "scenes"}
 """What may import Mitsuba."""

@@ -1,10 +1,12 @@
-"""Exchange with other programs: the hand-over of estimates to a denoiser.
+"""Exchange with other programs: EXR files, and the hand-over of estimates to a denoiser.
 
-`denoise` gives a picture of estimates to Open Image Denoise.
+`write_exr` and `read_exr` keep pictures with their layers in EXR files; `denoise` gives a picture
+of estimates to Open Image Denoise.
 """
 
 from __future__ import annotations
 
 from chdstat.io.denoiser import denoise
+from chdstat.io.exr import ExrImage, read_exr, write_exr
 
-__all__ = ["denoise"]
+__all__ = ["ExrImage", "denoise", "read_exr", "write_exr"]

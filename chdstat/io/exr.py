@@ -1,0 +1,289 @@
+"""EXR: pictures of linear radiance for Nuke, tev and other programs, with what belongs to them.
+
+`write_exr` puts certainties, intervals and other layers beside the picture in one file; `read_exr`
+reads such files, and those of other programs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.errors import InputError
+from chdstat.io._exrfile import OF_THE_FORMAT, read_planes, write_planes
+
+__all__ = ["ExrImage", "read_exr", "write_exr"]
+
+Array = npt.NDArray[Any]
+
+_USUAL = {1: ("Y",), 3: ("R", "G", "B")}
+_TYPES: dict[str, type[np.floating[Any]]] = {"float": np.float32, "half": np.float16}
+_LONGEST_NAME = 255
+_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
+"""x and y of red, green, blue and white of linear sRGB (ITU-R BT.709)."""
+
+
+@dataclass(frozen=True)
+class ExrImage:
+    """A picture as an EXR file holds it.
+
+    Attributes
+    ----------
+    picture
+        Linear radiance, float32, shape (y, x, channel).
+    channels
+        Names of its channels.
+    extra
+        Other layers by name, shape (y, x); or (y, x, channel) where a layer has a channel for each
+        one of the picture. float32, or uint32 where the file holds whole numbers.
+    attributes
+        Text in the header of the file.
+    """
+
+    picture: npt.NDArray[np.float32]
+    channels: tuple[str, ...]
+    extra: Mapping[str, Array]
+    attributes: Mapping[str, str]
+
+
+def write_exr(
+    path: str | Path,
+    picture: npt.ArrayLike,
+    *,
+    channels: Sequence[str] | None = None,
+    extra: Mapping[str, npt.ArrayLike] | None = None,
+    attributes: Mapping[str, str] | None = None,
+    pixel_type: Literal["float", "half"] = "float",
+) -> Path:
+    """Write a picture and its layers to an EXR file, compressed without loss.
+
+    The file is written as a whole or not at all: one that is there already is replaced at the end.
+
+    Parameters
+    ----------
+    path
+        The file.
+    picture
+        Linear radiance, shape (y, x, channel). NaN and infinite values are kept.
+    channels
+        Names of the channels; None for R, G, B, or for Y where there is one. Viewers take R, G, B
+        for a picture, and linear sRGB for its colours.
+    extra
+        Layers by name: of shape (y, x), one channel of that name; of shape (y, x, channel), a
+        layer, whose channels are called as in ``low.R``, ``low.G``, ``low.B``. uint32 stays, as
+        for object numbers.
+    attributes
+        Text for the header, such as the provenance of the picture.
+    pixel_type
+        'float' for 32 bits, or 'half' for 16, which hold 11 significant bits, up to 65504.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If a shape, a name or an option is wrong, or a finite value is too large for the type.
+    StoreError
+        If the file cannot be written.
+
+    References
+    ----------
+    Academy Software Foundation, "OpenEXR file layout", https://openexr.com.
+
+    Examples
+    --------
+    >>> from tempfile import TemporaryDirectory
+    >>> picture = np.random.default_rng(0).gamma(2.0, size=(4, 6, 3))
+    >>> layers = {"certainty": np.full((4, 6), 0.9), "low": picture / 2}
+    >>> with TemporaryDirectory() as folder:
+    ...     file = write_exr(f"{folder}/picture.exr", picture, extra=layers)
+    ...     read = read_exr(file)
+    >>> read.channels, sorted(read.extra), read.extra["low"].shape
+    (('R', 'G', 'B'), ['certainty', 'low'], (4, 6, 3))
+    """
+    if pixel_type not in _TYPES:
+        message = f"pixel_type must be one of {', '.join(_TYPES)}, got {pixel_type!r}"
+        raise InputError(message)
+    image = _real("picture", picture)
+    if image.ndim != 3 or 0 in image.shape:
+        message = f"picture must have shape (y, x, channel), got {image.shape}"
+        raise InputError(message)
+    image = image if image.dtype.kind == "f" else image.astype(np.float64)
+    names = _channel_names(channels, image.shape[-1])
+    planes = _planes(image, names, extra or {})
+    stored = {name: _stored(name, plane, pixel_type) for name, plane in planes.items()}
+    header: dict[str, Any] = _checked_attributes(attributes or {})
+    if names == _USUAL[3]:
+        header["chromaticities"] = _CHROMATICITIES
+    write_planes(Path(path), header, stored)
+    return Path(path)
+
+
+def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrImage:
+    """Read a picture and its layers from an EXR file of one part.
+
+    Parameters
+    ----------
+    path
+        The file.
+    channels
+        Which channels are the picture; None for R, G, B, or for Y where these are missing. All
+        others become `ExrImage.extra`.
+
+    Returns
+    -------
+    ExrImage
+        What the file's data window holds.
+
+    Raises
+    ------
+    InputError
+        If the file holds no such channels.
+    StoreError
+        If there is no such file, it is damaged, or an EXR of a kind that is not read here: of
+        several parts, deep, or with channels of lower resolution.
+
+    Examples
+    --------
+    >>> read_exr("nowhere.exr")
+    Traceback (most recent call last):
+        ...
+    chdstat.errors.StoreError: no EXR file at nowhere.exr
+    """
+    file = Path(path)
+    text, planes = read_planes(file)
+    names = _found_names(file, planes, channels)
+    stacked = np.stack([planes.pop(name) for name in names], axis=-1)
+    return ExrImage(
+        picture=stacked.astype(np.float32, copy=False),
+        channels=names,
+        extra=_layers(planes, names),
+        attributes=text,
+    )
+
+
+def _real(name: str, values: npt.ArrayLike) -> Array:
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiub":
+        message = f"{name} must hold real numbers, got dtype {array.dtype}"
+        raise InputError(message)
+    return array
+
+
+def _channel_names(channels: Sequence[str] | None, count: int) -> tuple[str, ...]:
+    if channels is None and count not in _USUAL:
+        message = f"name the {count} channels of the picture with channels=: only 1 or 3 are usual"
+        raise InputError(message)
+    names = _USUAL[count] if channels is None else tuple(channels)
+    if len(names) != count or len(set(names)) != count:
+        message = f"channels must be {count} different names, as the picture has, got {names}"
+        raise InputError(message)
+    if any("." in name for name in names):
+        message = f"channels must be names without a dot, which marks layers, got {names}"
+        raise InputError(message)
+    return names
+
+
+def _planes(
+    image: Array, names: tuple[str, ...], extra: Mapping[str, npt.ArrayLike]
+) -> dict[str, Array]:
+    """Return all channels of the file by name, each of shape (y, x)."""
+    planes = dict(zip(names, np.moveaxis(image, -1, 0), strict=True))
+    for layer, values in extra.items():
+        array = _real(layer, values)
+        if array.shape not in (image.shape, image.shape[:2]):
+            message = (
+                f"extra {layer!r} must have shape {image.shape[:2]} or {image.shape}, "
+                f"as the picture, got {array.shape}"
+            )
+            raise InputError(message)
+        whole = array.ndim == 2
+        parts = [array] if whole else np.moveaxis(array, -1, 0)
+        for name, plane in zip([layer] if whole else _of_layer(layer, names), parts, strict=True):
+            if name in planes:
+                message = f"extra {layer!r} gives a second channel {name!r}; rename it"
+                raise InputError(message)
+            planes[name] = plane
+    for name in planes:
+        _check_name("channel", name)
+    return planes
+
+
+def _of_layer(layer: str, names: tuple[str, ...]) -> list[str]:
+    return [f"{layer}.{name}" for name in names]
+
+
+def _check_name(what: str, name: str) -> None:
+    if not (name and name.isprintable() and len(name.encode()) <= _LONGEST_NAME):
+        message = (
+            f"a name of a {what} must have 1 to {_LONGEST_NAME} printable characters, got {name!r}"
+        )
+        raise InputError(message)
+
+
+def _stored(name: str, plane: Array, pixel_type: str) -> Array:
+    """Convert to what the file holds; infinity stays, but nothing finite may become it."""
+    if plane.dtype == np.uint32:
+        return np.ascontiguousarray(plane)
+    kind = _TYPES[pixel_type]
+    with np.errstate(over="ignore", under="ignore"):
+        # The writer does not look at strides: what is not contiguous would come out scrambled.
+        stored = np.ascontiguousarray(plane, dtype=kind)
+    lost = np.isinf(stored) & np.isfinite(plane)
+    if lost.any():
+        message = (
+            f"channel {name!r} must be at most {np.finfo(kind).max:.6g} to be written as "
+            f"{pixel_type}, got {np.abs(plane[lost]).max():.6g}"
+        )
+        raise InputError(message)
+    return stored
+
+
+def _checked_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    for name, value in attributes.items():
+        _check_name("header attribute", name)
+        if name in OF_THE_FORMAT:
+            message = f"attribute {name!r} belongs to the format; choose another name"
+            raise InputError(message)
+        if not isinstance(value, str):
+            message = f"attribute {name!r} must be text, got {type(value).__name__}"
+            raise InputError(message)
+    return dict(attributes)
+
+
+def _found_names(
+    path: Path, planes: Mapping[str, Array], channels: Sequence[str] | None
+) -> tuple[str, ...]:
+    wanted = [tuple(channels)] if channels else [_USUAL[3], _USUAL[1]]
+    for names in wanted:
+        if set(names) <= planes.keys():
+            return names
+    message = (
+        f"{path} has no channels {' or '.join(', '.join(names) for names in wanted)}; "
+        f"name those of the picture with channels=, out of {', '.join(planes)}"
+    )
+    raise InputError(message)
+
+
+def _layers(planes: Mapping[str, Array], names: tuple[str, ...]) -> dict[str, Array]:
+    """Stack the channels of each layer that has those of the picture, and no others."""
+    members: dict[str, set[str]] = {}
+    for name in planes:
+        layer, _, channel = name.rpartition(".")
+        members.setdefault(layer, set()).add(channel)
+    whole = [layer for layer, found in members.items() if layer and found == set(names)]
+    stacked = {
+        layer: np.stack([planes[name] for name in _of_layer(layer, names)], axis=-1)
+        for layer in whole
+        if layer not in planes
+    }
+    single = {n: p for n, p in planes.items() if n.rpartition(".")[0] not in stacked}
+    return {**single, **stacked}
