@@ -7,7 +7,8 @@ is the baseline, `MLP` learns from the scene; the others are
 - M-estimators: `huber`, `tukey`, `catoni`;
 - buckets: `median_of_means`, `gmon_binary`, `gmon_adaptive`;
 - reweighting: `bayesian_median_of_means`, `lee_valiant`; resampling: `jung2015`;
-- shrinkage: `gmon_shrinkage`, `gamma_shrinkage`, `lognormal_shrinkage`, all by `james_stein`;
+- shrinkage: `gmon_shrinkage`, `gamma_shrinkage`, `lognormal_shrinkage`, `mixture_shrinkage`, all by
+  `james_stein`;
 - with the channels together: `zirr2018_pixel` and the shrinkage; and with the pixels around:
   `zirr2018`, `decoro2010`;
 - sharing statistics with alike pixels around: `delbracio2014`, `sakai2024`, `shared_patches`,
@@ -29,12 +30,8 @@ from chdstat.estimators.m_estimators import catoni, huber, tukey
 from chdstat.estimators.robust import gmon_adaptive, gmon_binary, median_of_means
 from chdstat.estimators.reweight import bayesian_median_of_means, lee_valiant
 from chdstat.estimators.resampling import jung2015
-from chdstat.estimators.shrinkage import (
-    gamma_shrinkage,
-    gmon_shrinkage,
-    james_stein,
-    lognormal_shrinkage,
-)
+from chdstat.estimators.shrinkage import gmon_shrinkage, james_stein
+from chdstat.estimators.plug_in import gamma_shrinkage, lognormal_shrinkage, mixture_shrinkage
 from chdstat.estimators.cascades import Cascade, zirr2018, zirr2018_pixel
 from chdstat.estimators.density import decoro2010
 from chdstat.estimators.shared import delbracio2014, sakai2024
@@ -80,6 +77,7 @@ __all__ = [
     "mean",
     "median",
     "median_of_means",
+    "mixture_shrinkage",
     "names",
     "register",
     "register_learned",

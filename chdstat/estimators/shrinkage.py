@@ -1,7 +1,7 @@
 """Shrinkage: the mean, pulled towards a biased estimate as far as their difference may be noise.
 
-`james_stein` combines any two estimates; `gmon_shrinkage` pulls towards a robust estimate,
-`gamma_shrinkage` and `lognormal_shrinkage` towards the mean of a fitted family.
+`james_stein` combines any two estimates; `gmon_shrinkage` pulls towards a robust estimate. What
+pulls towards the mean of a fitted family is in `chdstat.estimators.plug_in`.
 
 The values that are shrunk together are the channels of a pixel: a pixel then needs no other, and
 all its channels move by one factor, which keeps its hue between those of the two estimates. With
@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat import fit
 from chdstat._arrays import as_samples, is_bad
 from chdstat.errors import InputError
 from chdstat.estimators._rows import Floats, check_pixels, estimate_rows
@@ -26,15 +25,16 @@ from chdstat.estimators.registry import register
 from chdstat.estimators.robust import gmon_adaptive
 
 __all__ = [
-    "gamma_shrinkage",
+    "SOURCE",
     "gmon_shrinkage",
     "james_stein",
-    "lognormal_shrinkage",
     "shrink_mean",
     "standard_error",
+    "whole_samples",
 ]
 
-_SOURCE = "Green and Strawderman 1991, doi:10.1080/01621459.1991.10475144"
+SOURCE = "Green and Strawderman 1991, doi:10.1080/01621459.1991.10475144"
+"""Of the combination."""
 
 
 def james_stein(
@@ -142,7 +142,7 @@ def standard_error(x: npt.NDArray[np.floating[Any]]) -> Floats:
     return estimate_rows(x, kernel).astype(np.float64)
 
 
-@register("gmon_shrinkage", source=_SOURCE, minimum_samples=11, joint_channels=True)
+@register("gmon_shrinkage", source=SOURCE, minimum_samples=11, joint_channels=True)
 def gmon_shrinkage(x: npt.ArrayLike, *, buckets: int = 11) -> npt.NDArray[np.floating[Any]]:
     """James-Stein combination of the mean with the adaptive G-MoN, see `james_stein`.
 
@@ -178,98 +178,11 @@ def gmon_shrinkage(x: npt.ArrayLike, *, buckets: int = 11) -> npt.NDArray[np.flo
     >>> gmon_shrinkage(x).round(1).tolist()
     [19.7, 19.7, 19.7]
     """
-    samples = _whole(x)
+    samples = whole_samples(x)
     return shrink_mean(samples, gmon_adaptive(samples, buckets=buckets))
 
 
-@register("gamma_shrinkage", source=_SOURCE, joint_channels=True)
-def gamma_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
-    """James-Stein combination of the mean with that of a fitted zero-inflated gamma.
-
-    It is the mean: of a gamma distribution, the maximum-likelihood estimate of the expectation is
-    the sample mean, and so it is with the share of nulls. The family that most CHDs look like has
-    nothing to offer here. Kept so that a comparison shows it.
-
-    Parameters
-    ----------
-    x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN, infinite or
-        negative is left out.
-
-    Returns
-    -------
-    ndarray
-        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
-        samples where no whole sample is good, NaN where there are none of these.
-
-    Raises
-    ------
-    InputError
-        If `x` has no channels, or holds no sample.
-
-    References
-    ----------
-    E. J. Green and W. E. Strawderman, "A James-Stein type estimator for combining unbiased and
-    possibly biased estimators", Journal of the American Statistical Association 86(416), 1991,
-    doi:10.1080/01621459.1991.10475144.
-
-    Examples
-    --------
-    >>> gamma_shrinkage([[1.0, 2.0, 6.0], [2.0, 1.0, 6.0], [6.0, 1.0, 2.0]]).round(9).tolist()
-    [3.0, 3.0, 3.0]
-    """
-    samples = _whole(x)
-    return shrink_mean(samples, _mean_of_fit(fit.gamma(samples)))
-
-
-@register("lognormal_shrinkage", source=_SOURCE, joint_channels=True)
-def lognormal_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
-    """James-Stein combination of the mean with that of a fitted zero-inflated log-normal.
-
-    The plug-in ``(1 - null share) exp(mu + sigma^2 / 2)`` weighs the largest samples less than the
-    mean does where sigma is small, but extrapolates a tail where it is large; then the two are far
-    apart and the mean counts. Where no log-normal can be fitted it is the mean.
-
-    Parameters
-    ----------
-    x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN, infinite or
-        negative is left out.
-
-    Returns
-    -------
-    ndarray
-        Estimates, shape (..., channel), in the unit and dtype of `x`; the mean of a channel's good
-        samples where no whole sample is good, NaN where there are none of these.
-
-    Raises
-    ------
-    InputError
-        If `x` has no channels, or holds no sample.
-
-    References
-    ----------
-    E. J. Green and W. E. Strawderman, "A James-Stein type estimator for combining unbiased and
-    possibly biased estimators", Journal of the American Statistical Association 86(416), 1991,
-    doi:10.1080/01621459.1991.10475144.
-
-    Examples
-    --------
-    >>> x = np.tile([0.5, 1.0, 2.0, 4.0], (3, 1))
-    >>> float(x.mean()), lognormal_shrinkage(x)[0].round(2).item()
-    (1.875, 1.91)
-    """
-    samples = _whole(x)
-    return shrink_mean(samples, _mean_of_fit(fit.lognormal(samples)))
-
-
-def _mean_of_fit(found: fit.Fit) -> Floats:
-    # A very wide log-normal has no finite mean in doubles; then the sample mean stands.
-    with np.errstate(over="ignore", invalid="ignore"):
-        return found.mean()
-
-
-def _whole(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+def whole_samples(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     """Spoil all channels of a sample of which one is bad, unless that leaves a pixel with none."""
     samples = as_samples(x)
     check_pixels(samples)

@@ -22,6 +22,7 @@ NAMES = {
     "gmon_shrinkage": "shrinkage to G-MoN",
     "gamma_shrinkage": "shrinkage to gamma",
     "lognormal_shrinkage": "shrinkage to log-normal",
+    "mixture_shrinkage": "shrinkage to mixture",
     "zirr2018_pixel": "Zirr et al. 2018, pixel",
     "zirr2018": "Zirr et al. 2018",
     "decoro2010": "DeCoro et al. 2010",
