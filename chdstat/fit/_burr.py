@@ -166,7 +166,12 @@ def _log_density(points: Points, parameters: Parameters) -> Floats:
     shift = (points.log_mean - np.log(parameters["scale"])) * c
     v = points.log * c[:, np.newaxis]
     v += shift[:, np.newaxis]
-    density = np.logaddexp(0, v) if v.max(initial=0) > 700 else np.log1p(np.exp(v))
+    # A row without a fit is NaN, which must not hide that another is too large for exp.
+    if np.fmax.reduce(v, axis=None, initial=0) > 700:
+        with np.errstate(invalid="ignore"):
+            density = np.logaddexp(0, v)
+    else:
+        density = np.log1p(np.exp(v))
     density *= -(d + 1)[:, np.newaxis]
     density += v
     density += np.log(c * d)[:, np.newaxis]
