@@ -34,8 +34,18 @@ PHENOMENA = (
     "texture",
     "firefly",
     "highlight",
+    "shadow",
+    "virtual-source",
+    "albedo-contrast",
+    "multi-light",
+    "caustic",
+    "volume",
 )
-"""What a region may show, in the words of the case study of Elek et al. 2019."""
+"""What a region may show; all but the last three after the case study of Elek et al. 2019.
+
+``texture`` covers several colours under one light; regions of ``albedo-contrast`` come in pairs, a
+dark and a pale one of the same texture side by side.
+"""
 
 
 @dataclass(frozen=True)
@@ -93,6 +103,9 @@ class Recipe:
         As for `chdstat.render`.
     regions
         What to look at, in the order of the report.
+    integrator
+        Mitsuba's name of the integrator that the scene asks for, such as ``path``; None where the
+        recipe does not say.
     """
 
     scene: str
@@ -101,6 +114,7 @@ class Recipe:
     seed: int
     max_depth: int | None
     regions: tuple[Region, ...]
+    integrator: str | None = None
 
     def settings(self) -> dict[str, Any]:
         """Return the arguments of `chdstat.render`."""
@@ -150,41 +164,70 @@ def load_recipe(path: str | Path) -> Recipe:
 
 def _recipe(content: Mapping[str, Any]) -> Recipe:
     _expect(content.get("schema") == SCHEMA, "schema", SCHEMA, content.get("schema"))
+    _only_known(content, ("schema", "scene", "integrator", "size", "spp", "seed", "regions"))
     size = _key(content, "size", list)
-    _expect(len(size) == 2 and min(size) >= 1, "size", "[width, height]", size)
-    integrator = content.get("integrator", {})
-    _expect(isinstance(integrator, Mapping), "integrator", "a table", integrator)
+    good = len(size) == 2 and all(type(v) is int and v >= 1 for v in size)
+    _expect(good, "size", "[width, height]", size)
+    spp, seed = _key(content, "spp", int), _key(content, "seed", int)
+    _expect(spp >= 1, "spp", "at least 1", spp)
+    _expect(seed >= 0, "seed", "at least 0", seed)
+    kind, max_depth = _integrator(content.get("integrator", {}))
     regions = content.get("regions", [])
+    tables = isinstance(regions, list) and all(isinstance(r, Mapping) for r in regions)
+    _expect(tables, "regions", "tables [[regions]]", regions)
     names = [r.get("name") for r in regions]
-    _expect(len(set(names)) == len(names), "regions", "distinct names", names)
+    _expect(len({str(n) for n in names}) == len(names), "regions", "distinct names", names)
     return Recipe(
         scene=_key(content, "scene", str),
-        size=(int(size[0]), int(size[1])),
-        spp=_key(content, "spp", int),
-        seed=_key(content, "seed", int),
-        max_depth=integrator.get("max_depth"),
+        size=(size[0], size[1]),
+        spp=spp,
+        seed=seed,
+        max_depth=max_depth,
         regions=tuple(_region(i, region) for i, region in enumerate(regions)),
+        integrator=kind,
     )
+
+
+def _integrator(content: Any) -> tuple[str | None, int | None]:
+    """Return the type and the path length of a recipe's integrator; -1 is no limit in Mitsuba."""
+    _expect(isinstance(content, Mapping), "integrator", "a table", content)
+    _only_known(content, ("type", "max_depth"), "integrator.")
+    kind, depth = content.get("type"), content.get("max_depth")
+    _expect(kind is None or isinstance(kind, str), "integrator.type", "a str", kind)
+    good = depth is None or (type(depth) is int and (depth >= 1 or depth == -1))
+    _expect(good, "integrator.max_depth", "at least 1, or -1 for no limit", depth)
+    return kind, depth
 
 
 def _region(index: int, content: Mapping[str, Any]) -> Region:
     where = f"regions[{index}]."
+    _only_known(content, ("name", "phenomenon", "rectangle", "note"), where)
     rectangle = _key(content, "rectangle", list, where)
-    inside = len(rectangle) == 4 and all(0 <= float(v) <= 1 for v in rectangle)
+    numbers = len(rectangle) == 4 and all(type(v) in (int, float) for v in rectangle)
+    inside = numbers and all(0 <= v <= 1 for v in rectangle)
     ordered = inside and rectangle[0] < rectangle[2] and rectangle[1] < rectangle[3]
     _expect(ordered, f"{where}rectangle", "0 <= left < right <= 1, top < bottom alike", rectangle)
     phenomenon = _key(content, "phenomenon", str, where)
     known = ", ".join(PHENOMENA)
     _expect(phenomenon in PHENOMENA, f"{where}phenomenon", f"one of {known}", phenomenon)
-    name = _key(content, "name", str, where)
+    note = content.get("note", "")
+    _expect(isinstance(note, str), f"{where}note", "a str", note)
     left, top, right, bottom = (float(v) for v in rectangle)
-    return Region(name, phenomenon, (left, top, right, bottom), content.get("note", ""))
+    return Region(_key(content, "name", str, where), phenomenon, (left, top, right, bottom), note)
 
 
 def _key(content: Mapping[str, Any], name: str, kind: type, where: str = "") -> Any:
     value = content.get(name)
-    _expect(isinstance(value, kind), f"{where}{name}", f"a {kind.__name__}", value)
+    # In Python a truth value is a whole number; in a recipe it is a mistake.
+    good = isinstance(value, kind) and not isinstance(value, bool)
+    _expect(good, f"{where}{name}", f"a {kind.__name__}", value)
     return value
+
+
+def _only_known(content: Mapping[str, Any], known: tuple[str, ...], where: str = "") -> None:
+    """Refuse a key that would be ignored: it is misspelt or from another version."""
+    for name in content:
+        _expect(name in known, f"key {where}{name}", f"one of {', '.join(known)}", name)
 
 
 def _expect(holds: bool, key: str, expected: object, got: object) -> None:

@@ -9,8 +9,8 @@ import xarray as xr
 from chdstat._reasons import flag_attributes
 from chdstat.errors import InputError
 from chdstat.patterns import Label
-from chdstat.recipes import Region, choose_regions, find_recipe, load_recipe
-from chdstat.scenes import BUILTIN
+from chdstat.recipes import PHENOMENA, Region, choose_regions, find_recipe, load_recipe
+from chdstat.scenes import BUILTIN, load_scene
 
 GOOD = """
 schema = 1
@@ -35,7 +35,19 @@ def write(tmp_path, text):
 def test_a_recipe_is_read(tmp_path):
     recipe = load_recipe(write(tmp_path, GOOD))
     assert recipe.settings() == {"size": (128, 96), "spp": 64, "seed": 3, "max_depth": 9}
+    assert recipe.integrator == "path"
     assert recipe.regions == (Region("wall", "diffuse", (0.5, 0.25, 0.75, 0.5)),)
+
+
+def test_what_a_recipe_does_not_say_is_left_to_the_scene(tmp_path):
+    recipe = load_recipe(write(tmp_path, GOOD.replace("integrator =", "# integrator =")))
+    assert (recipe.integrator, recipe.max_depth) == (None, None)
+
+
+def test_two_regions_of_one_name_are_refused(tmp_path):
+    again = GOOD[GOOD.index("[[regions]]") :]
+    with pytest.raises(InputError, match="regions must be distinct names"):
+        load_recipe(write(tmp_path, GOOD + again))
 
 
 @pytest.mark.parametrize(
@@ -52,6 +64,22 @@ def test_a_recipe_is_read(tmp_path):
         ("[0.5, 0.25, 0.75, 0.5]", "[0.5, 0.25, 0.5, 0.5]", r"regions\[0\].rectangle must be 0 <="),
         ('"diffuse"', '"glow"', "phenomenon must be one of diffuse, .*, got 'glow'"),
         ("schema = 1", "schema = ", "not valid TOML"),
+        ("schema = 1", "", "schema must be 1, got None"),
+        ("[128, 96]", '["a", 96]', r"size must be \[width, height\]"),
+        ("spp = 64", "spp = true", "spp must be a int, got True"),
+        ("spp = 64", "spp = 0", "spp must be at least 1, got 0"),
+        ("seed = 3", "seed = -3", "seed must be at least 0, got -3"),
+        ("max_depth = 9", 'max_depth = "9"', "integrator.max_depth must be at least 1"),
+        ("max_depth = 9", "max_depth = 0", "integrator.max_depth must be at least 1"),
+        ("max_depth = 9", "depth = 9", "key integrator.depth must be one of type, max_depth"),
+        ('type = "path"', "type = 3", "integrator.type must be a str, got 3"),
+        ("seed = 3", "seeds = 3", "key seeds must be one of schema, .*, got 'seeds'"),
+        ("[[regions]]", "[regions]", r"regions must be tables \[\[regions\]\]"),
+        ('name = "wall"', "", r"regions\[0\].name must be a str, got None"),
+        ('name = "wall"', 'name = "a"\nnote = 3', r"regions\[0\].note must be a str, got 3"),
+        ("[0.5, 0.25, 0.75, 0.5]", '["a", 0, 1, 1]', r"regions\[0\].rectangle must be 0 <="),
+        ("[0.5, 0.25, 0.75, 0.5]", "[0.5, 0.25]", r"regions\[0\].rectangle must be 0 <="),
+        ("[0.5, 0.25, 0.75, 0.5]", "[nan, 0, 1, 1]", r"regions\[0\].rectangle must be 0 <="),
     ],
 )
 def test_a_broken_recipe_names_file_and_key(tmp_path, old, new, message):
@@ -67,16 +95,44 @@ def test_a_missing_recipe_is_an_error_and_an_unknown_scene_has_none(tmp_path):
     assert find_recipe("no-such-scene") is None
 
 
-def test_built_in_recipes_fit_their_scene():
-    found = {name: find_recipe(name) for name in BUILTIN}
-    assert found["bathroom"] is not None
-    for name, recipe in found.items():
-        if recipe is not None:
-            assert recipe.scene == name
-            for region in recipe.regions:
-                ys, xs = region.pixels(recipe.size[1], recipe.size[0])
-                assert ys.start < ys.stop <= recipe.size[1]
-                assert xs.start < xs.stop <= recipe.size[0]
+STUDY = [name for name in BUILTIN if name != "cornell-box"]
+
+
+@pytest.mark.parametrize("name", STUDY)
+def test_every_study_scene_has_a_recipe_that_fits_it(name):
+    recipe = find_recipe(name)
+    assert recipe is not None
+    assert recipe.scene == name
+    integrator = load_scene(name).source["integrator"]
+    assert (recipe.integrator, recipe.max_depth) == (integrator["type"], integrator["max_depth"])
+    assert (recipe.size, recipe.spp) == ((128, 128), 1024)
+    assert 4 <= len(recipe.regions) <= 9
+
+
+@pytest.mark.parametrize("name", STUDY)
+def test_regions_hold_a_dozen_pixels_inside_the_image(name):
+    recipe = find_recipe(name)
+    assert recipe is not None
+    for region in recipe.regions:
+        ys, xs = region.pixels(recipe.size[1], recipe.size[0])
+        assert 0 <= ys.start < ys.stop <= recipe.size[1], region.name
+        assert 0 <= xs.start < xs.stop <= recipe.size[0], region.name
+        assert (ys.stop - ys.start) * (xs.stop - xs.start) >= 12, region.name
+        assert region.note, region.name
+
+
+def test_every_phenomenon_is_shown_by_some_scene():
+    recipes = [find_recipe(name) for name in STUDY]
+    shown = {region.phenomenon for recipe in recipes if recipe for region in recipe.regions}
+    assert shown == set(PHENOMENA)
+
+
+@pytest.mark.parametrize("name", STUDY)
+def test_regions_of_albedo_contrast_come_in_pairs(name):
+    recipe = find_recipe(name)
+    assert recipe is not None
+    names = [r.name for r in recipe.regions if r.phenomenon == "albedo-contrast"]
+    assert sorted(n.rpartition("-")[2] for n in names) in ([], ["dark", "pale"])
 
 
 def test_regions_cover_at_least_a_pixel():

@@ -18,7 +18,13 @@ __all__ = ["BUILTIN", "Scene", "load_scene"]
 
 BUILTIN: dict[str, str] = {
     "bathroom": "A closed room lit through one window: nulls, long tails, a penumbra, a mirror.",
+    "caustic": "Glass and gold under a small lamp: caustics, fireflies, hard shadows.",
     "cornell-box": "The classic test box: seconds to render.",
+    "day-room": "A living room by day, a red evening sky before three windows: few nulls.",
+    "fog": "A park in fog at dawn: a participating medium, halos, silhouettes. Uses volpath.",
+    "gallery": "A symmetric hall of columns, lit by white panels and small yellow lamps.",
+    "many-lights": "A terrace under strings of 112 coloured bulbs: mixtures of many modes.",
+    "night-room": "The same living room by night, two lamps with paper shades: mostly nulls.",
 }
 """Names of the built-in scenes and what each shows; one module each, dashes as underscores."""
 

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat.scenes import textures
-from chdstat.scenes.materials import Entry, glass, glossy, matte, metal, rgb
+from chdstat.scenes.materials import Entry, glass, glossy, matte, metal, rgb, walnut
 from chdstat.scenes.shapes import (
     Mesh,
+    ball,
     box,
     join,
     loft,
@@ -91,7 +92,7 @@ def vanity(place: Matrix) -> Entry:
     basin = revolve(_BASIN, crease=70.0).moved(translate(0, -0.28, top + 0.03))
     tap = _swan_neck().moved(translate(0, -0.06, top + 0.03))
     return {
-        "vanity": join(body, *drawers).mapped(scale=(0.8, 2.2)).moved(place).shape(_walnut(7)),
+        "vanity": join(body, *drawers).mapped(scale=(0.8, 2.2)).moved(place).shape(walnut(7)),
         "vanity-top": slab.moved(place).shape(glossy(rgb(0.62, 0.60, 0.57), roughness=0.2)),
         "vanity-handles": join(*handles).moved(place).shape(_BRASS),
         "basin": basin.moved(place).shape(_CERAMIC),
@@ -133,9 +134,9 @@ def tub_tap(place: Matrix) -> Entry:
 def door(place: Matrix) -> Entry:
     """Return a walnut door, 0.8 m by 2.05 m, closed in the wall at its back."""
     leaf = box((-0.4, -0.03, 0), (0.4, 0.05, 2.05), bevel=0.008, grain="z")
-    knob = _ball(0.03).moved(translate(-0.32, -0.07, 1.02))
+    knob = ball(0.03).moved(translate(-0.32, -0.07, 1.02))
     return {
-        "door": leaf.mapped(scale=(0.5, 2.0)).moved(place).shape(_walnut(2)),
+        "door": leaf.mapped(scale=(0.5, 2.0)).moved(place).shape(walnut(2)),
         "door-knob": knob.moved(place).shape(_BRASS),
     }
 
@@ -216,7 +217,7 @@ def wall_lamp(place: Matrix, *, name: str) -> Entry:
     """Return an opal globe on a brass arm, unlit."""
     plate = tube([(0, 0, -0.09), (0, -0.006, -0.09), (0, -0.012, -0.09)], 0.035)
     bend = [(0, 0, -0.09), (0, -0.09, -0.09), (0, -0.12, -0.085), (0, -0.13, -0.06)]
-    globe = _ball(0.075).moved(translate(0, -0.13, 0))
+    globe = ball(0.075).moved(translate(0, -0.13, 0))
     return {
         f"{name}-globe": globe.moved(place).shape(_CERAMIC),
         f"{name}-arm": join(plate, tube(bend, 0.008)).moved(place).shape(_BRASS),
@@ -267,13 +268,3 @@ def _swan_neck() -> Mesh:
 
 def _bar(x: float, y: float, z: float) -> Mesh:
     return tube([(x - 0.11, y, z), (x, y, z), (x + 0.11, y, z)], 0.007, segments=12)
-
-
-def _ball(radius: float) -> Mesh:
-    turn = np.linspace(-np.pi / 2, np.pi / 2, 17)
-    return revolve(radius * np.column_stack([np.cos(turn).round(12), np.sin(turn)]), segments=32)
-
-
-def _walnut(seed: int) -> Entry:
-    image = textures.wood((0.085, 0.036, 0.016), (0.36, 0.185, 0.085), seed=seed)
-    return glossy(textures.bitmap(image), roughness=0.12)

@@ -1,14 +1,17 @@
 """Materials for the built-in scenes, as plain scene entries.
 
-Use `matte` for plaster and cloth, `glossy` for glaze and lacquer, `metal` for taps and frames,
-`glass` for what light goes through. All but glass look the same from both sides.
+Use `matte` for plaster and cloth, `glossy` for glaze and lacquer, `walnut` for furniture, `metal`
+for taps and frames, `glass` for what light goes through, `translucent` for lamp shades and paper.
+All but glass look the same from both sides.
 """
 
 from __future__ import annotations
 
 from typing import Any, Literal
 
-__all__ = ["Entry", "glass", "glossy", "matte", "metal", "rgb"]
+from chdstat.scenes import textures
+
+__all__ = ["Entry", "glass", "glossy", "matte", "metal", "rgb", "translucent", "walnut"]
 
 Entry = dict[str, Any]
 
@@ -46,6 +49,25 @@ def metal(material: Literal["Ag", "Au", "Cr"], *, roughness: float = 0.0) -> Ent
 def glass() -> Entry:
     """Return clear glass in air."""
     return {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+
+
+def translucent(color: Entry, *, through: float) -> Entry:
+    """Return thin cloth or paper that scatters the share `through` of its light to the far side."""
+    # Mitsuba counts from 0, all reflected, to 2, all transmitted.
+    return {
+        "type": "principledthin",
+        "base_color": color,
+        "roughness": 0.7,
+        "spec_trans": 0.0,
+        "eta": 1.3,
+        "diff_trans": 2.0 * through,
+    }
+
+
+def walnut(seed: int, *, roughness: float = 0.12) -> Entry:
+    """Return walnut under a clear coat; the seed tells which board."""
+    image = textures.wood((0.085, 0.036, 0.016), (0.36, 0.185, 0.085), seed=seed)
+    return glossy(textures.bitmap(image), roughness=roughness)
 
 
 def _twosided(bsdf: Entry) -> Entry:

@@ -21,6 +21,7 @@ from chdstat.scenes.transforms import Axis
 
 __all__ = [
     "Mesh",
+    "ball",
     "box",
     "join",
     "loft",
@@ -212,6 +213,14 @@ def revolve(profile: npt.ArrayLike, *, segments: int = 48, crease: float = 50.0)
     points[..., :2] = radius[:, None, None] * turn
     points[..., 2] = height[:, None]
     return surface(points, crease=crease)
+
+
+def ball(radius: float, *, rows: int = 16, segments: int = 32) -> Mesh:
+    """Return a sphere about the origin."""
+    turn = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)
+    return revolve(
+        radius * np.column_stack([np.cos(turn).round(12), np.sin(turn)]), segments=segments
+    )
 
 
 def tube(path: npt.ArrayLike, radius: float, *, segments: int = 16) -> Mesh:

@@ -1,7 +1,8 @@
 """Procedural image textures for the built-in scenes, in NumPy alone.
 
-Every texture is linear RGB, shape (height, width, 3), float32, repeats seamlessly, and is the
-same on every call. `bitmap` makes a scene entry of one.
+Every texture is linear RGB, shape (height, width, 3), float32, and the same on every call; all but
+`panes` and `gradient` repeat seamlessly. `bitmap` makes a scene entry of one, `light` one that
+shines.
 """
 
 from __future__ import annotations
@@ -12,7 +13,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["bands", "bitmap", "planks", "tile_colors", "wood"]
+__all__ = [
+    "bands",
+    "bitmap",
+    "checks",
+    "gradient",
+    "light",
+    "panes",
+    "planks",
+    "tile_colors",
+    "wood",
+]
 
 Array = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
@@ -83,6 +94,39 @@ def bands(ground: Color, stripe: Color, *, edges: Sequence[tuple[float, float]])
     inside = np.any([(height >= low) & (height < high) for low, high in edges], axis=0)
     weave = 1 - 0.12 * (np.indices((128, 32)).sum(axis=0) % 2)
     return _stored(_mix(ground, stripe, inside[:, None] * np.ones((1, 32))) * weave[..., None])
+
+
+def light(stops: Sequence[tuple[float, Color]], radiance: float) -> dict[str, Any]:
+    """Return the scene entry of a `gradient` that shines, times `radiance`."""
+    image = (radiance * gradient(stops)).astype(np.float32)
+    # Raw: what shines is not a reflectance, which Mitsuba would hold below 1.
+    return {"type": "bitmap", "data": image, "filter_type": "bilinear", "raw": True}
+
+
+def panes(colors: Sequence[Sequence[Color]]) -> Image:
+    """Return one pixel per pane of a grid of colours, the first row at v = 0.
+
+    Examples
+    --------
+    >>> panes([[(0, 0, 0), (1, 1, 1)]]).shape
+    (1, 2, 3)
+    """
+    return _stored(np.asarray(colors, dtype=float))
+
+
+def checks(dark: Color, light: Color, *, rows: int, columns: int) -> Image:
+    """Return a chessboard of one pixel per field that starts with a dark one."""
+    odd = np.indices((rows, columns)).sum(axis=0) % 2
+    return _mix(dark, light, odd.astype(float))
+
+
+def gradient(stops: Sequence[tuple[float, Color]], *, rows: int = 64) -> Image:
+    """Return a column of colours between (position, colour) stops, the first row at v = 0."""
+    place = (np.arange(rows) + 0.5) / rows
+    at = [position for position, _ in stops]
+    channels = np.asarray([color for _, color in stops], dtype=float).T
+    column = np.stack([np.interp(place, at, channel) for channel in channels], axis=-1)
+    return _stored(np.repeat(column[:, None], 2, axis=1))
 
 
 def _mix(first: Color, second: Color, share: Array) -> Image:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from chdstat.errors import InputError
 
-__all__ = ["Axis", "look_at", "rotate", "scale", "translate"]
+__all__ = ["Axis", "Vector", "look_at", "rotate", "scale", "translate"]
 
 Array = npt.NDArray[np.float64]
 Vector = Sequence[float] | Array

@@ -17,9 +17,7 @@ def polygon_area(n: int) -> float:
 
 
 def sphere(segments: int = 48) -> shapes.Mesh:
-    turn = np.linspace(-np.pi / 2, np.pi / 2, segments // 2 + 1)
-    profile = np.column_stack([np.cos(turn).round(12), np.sin(turn)])
-    return shapes.revolve(profile, segments=segments)
+    return shapes.ball(1.0, rows=segments // 2, segments=segments)
 
 
 def outline_loft() -> shapes.Mesh:

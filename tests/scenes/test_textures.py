@@ -11,6 +11,9 @@ IMAGES = {
     "wood": lambda: textures.wood(DARK, LIGHT, seed=3),
     "planks": lambda: textures.planks(DARK, LIGHT, seed=3),
     "tiles": lambda: textures.tile_colors([DARK, LIGHT], columns=5, seed=3),
+    "checks": lambda: textures.checks(DARK, LIGHT, rows=4, columns=6),
+    "gradient": lambda: textures.gradient([(0.0, DARK), (1.0, LIGHT)]),
+    "panes": lambda: textures.panes([[DARK, LIGHT], [LIGHT, LIGHT]]),
     "bands": lambda: textures.bands(DARK, LIGHT, edges=[(0.25, 0.5)]),
 }
 
@@ -51,3 +54,22 @@ def test_tile_colours_stay_within_their_spread():
     ratio = image / np.float32([DARK, LIGHT])[:, None]
     assert 0.89 < ratio.min() < 0.95
     assert 1.05 < ratio.max() < 1.11
+
+
+def test_checks_alternate_and_begin_dark():
+    image = textures.checks((0, 0, 0), (1, 1, 1), rows=2, columns=3)[..., 0]
+    np.testing.assert_array_equal(image, [[0, 1, 0], [1, 0, 1]])
+
+
+def test_a_gradient_passes_through_its_stops():
+    image = textures.gradient([(0.0, (0, 0, 0)), (0.5, (1, 0, 0)), (1.0, (1, 1, 0))], rows=400)
+    np.testing.assert_allclose(
+        image[[0, 200, 399], 0], [[0, 0, 0], [1, 0, 0], [1, 1, 0]], atol=0.01
+    )
+    assert (np.diff(image[:, 0].sum(axis=-1)) >= 0).all()
+
+
+def test_light_is_a_gradient_that_may_exceed_one():
+    entry = textures.light([(0.0, (0.5, 0.5, 0.5)), (1.0, (1, 1, 1))], 8.0)
+    assert entry["raw"]
+    assert entry["data"].max() == pytest.approx(8.0, rel=0.01)
