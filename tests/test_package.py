@@ -44,6 +44,7 @@ ORDER = (
     "analysis",
     "overviews",
     "recipes",
+    "findings",
     "viz",
     "reporting",
     "doctor",

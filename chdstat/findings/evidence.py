@@ -1,0 +1,190 @@
+"""Evidence: what the findings on one scene may look at.
+
+`Evidence` holds samples, regions and what else a claim compares with; `Patch` is what it says of
+the pixels of regions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import is_bad, luminance
+from chdstat.analysis import analyze
+from chdstat.findings.log_chds import LogChds, of_histograms
+from chdstat.findings.resampling import Blocks
+from chdstat.recipes import Region
+from chdstat.samples import Samples
+from chdstat.summary import summarize
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from chdstat.comparison import Comparison
+
+__all__ = ["Evidence", "Patch"]
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Pixels of one region or several, one after the other.
+
+    Attributes
+    ----------
+    names
+        Of the regions.
+    y, x
+        Where the pixels are, shape (pixel,).
+    region
+        Region of each pixel, shape (pixel,).
+    blocks
+        Blocks of them to resample.
+    """
+
+    names: tuple[str, ...]
+    y: npt.NDArray[np.int64]
+    x: npt.NDArray[np.int64]
+    region: npt.NDArray[np.int64]
+    blocks: Blocks
+
+    @classmethod
+    def of(cls, regions: tuple[Region, ...], height: int, width: int) -> Patch:
+        """Return the pixels of regions."""
+        ys, xs, numbers, blocks = [], [], [], []
+        for i, region in enumerate(regions):
+            rows, columns = region.pixels(height, width)
+            y, x = np.mgrid[rows, columns]
+            ys.append(y.ravel())
+            xs.append(x.ravel())
+            numbers.append(np.full(y.size, i))
+            blocks.append(Blocks.grid(*y.shape))
+        names = tuple(region.name for region in regions)
+        y, x, number = (np.concatenate(v) for v in (ys, xs, numbers))
+        return cls(names, y, x, number, Blocks.join(blocks))
+
+    def __len__(self) -> int:
+        """Return the number of pixels."""
+        return len(self.y)
+
+    def take(self, image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the values of the pixels of an image (y, x, ...), shape (pixel, ...)."""
+        return image[self.y, self.x]
+
+    def by_region(self, values: npt.NDArray[Any]) -> dict[str, float]:
+        """Return the mean of values (pixel, ...) over each region, NaN left out."""
+        found = {}
+        for i, name in enumerate(self.names):
+            here = values[self.region == i]
+            here = here[np.isfinite(here)]
+            found[name] = float(here.mean()) if here.size else float("nan")
+        return found
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One scene, as far as it is known.
+
+    Attributes
+    ----------
+    name
+        Name of the scene: what is expected of nulls depends on it.
+    samples
+        The image.
+    regions
+        Named regions with the phenomenon that each shows.
+    given
+        What `chdstat.analyze` returned for these samples; None to compute it when it is needed.
+    shorter
+        The same scene and view at a smaller path length.
+    integrator
+        The same scene and view by another integrator.
+    comparison
+        Estimators side by side on this scene, a learned one among them.
+    complexity
+        Any measure of how complex the scene is, alike for all scenes; None to take the share of
+        neighbouring pixels that see different surfaces.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> from chdstat.recipes import Region
+    >>> samples = chd.simulate("gamma", size=(8, 8), spp=64)
+    >>> wall = Region("wall", "diffuse", (0, 0, 0.5, 0.5))
+    >>> len(Evidence("simulated", samples, (wall,)).patch("diffuse"))
+    16
+    """
+
+    name: str
+    samples: Samples
+    regions: tuple[Region, ...] = ()
+    given: xr.Dataset | None = None
+    shorter: Samples | None = None
+    integrator: Samples | None = None
+    comparison: Comparison | None = None
+    complexity: float | None = None
+
+    @cached_property
+    def analysis(self) -> xr.Dataset:
+        """Everything per pixel."""
+        return analyze(self.samples, progress=False) if self.given is None else self.given
+
+    @cached_property
+    def summary(self) -> xr.Dataset:
+        """Statistics and histograms per pixel, from the analysis where that is at hand."""
+        if self.given is not None or "analysis" in self.__dict__:
+            return self.analysis
+        return summarize(self.samples, progress=False)
+
+    @cached_property
+    def shorter_summary(self) -> xr.Dataset | None:
+        """Statistics and histograms per pixel of the shorter paths."""
+        return None if self.shorter is None else summarize(self.shorter, progress=False)
+
+    @cached_property
+    def chds(self) -> LogChds:
+        """Distribution functions of all pixels, nulls counted, of the channel in the middle."""
+        return of_histograms(self.summary)
+
+    def patch(self, *phenomena: str) -> Patch | None:
+        """Return the pixels of all regions that show one of the phenomena; None without any."""
+        chosen = tuple(region for region in self.regions if region.phenomenon in phenomena)
+        return Patch.of(chosen, *self.samples.shape[:2]) if chosen else None
+
+    def whole(self, across: int = 8) -> Patch:
+        """Return all pixels of the image, in reading order, in `across` x `across` blocks."""
+        height, width = self.samples.shape[:2]
+        y, x = np.mgrid[:height, :width].reshape(2, -1)
+        region = np.zeros(len(y), dtype=np.int64)
+        return Patch(("image",), y, x, region, Blocks.grid(height, width, across=across))
+
+    def radiance(self, patch: Patch) -> Floats:
+        """Return the samples of a patch, shape (pixel, channel, sample); bad ones are NaN."""
+        return radiance_of(self.samples, patch)
+
+    def light(self, patch: Patch) -> Floats:
+        """Return the luminance of the samples of a patch, shape (pixel, sample); bad: NaN."""
+        return np.asarray(luminance(self.radiance(patch)))
+
+    def feature(self, name: str) -> Floats | None:
+        """Return a first-hit feature (y, x) or (y, x, component); None without it."""
+        found = self.samples.features.get(name)
+        return None if found is None else np.asarray(found, dtype=np.float64)
+
+
+def radiance_of(samples: Samples, patch: Patch) -> Floats:
+    """Return the samples of the pixels of a patch; a sample with a bad channel is NaN in all."""
+    parts = []
+    for i in range(len(patch.names)):
+        y, x = patch.y[patch.region == i], patch.x[patch.region == i]
+        top, left = int(y.min()), int(x.min())
+        block = samples.read(slice(top, int(y.max()) + 1), slice(left, int(x.max()) + 1))
+        parts.append(block[y - top, x - left].astype(np.float64))
+    found = np.concatenate(parts)
+    bad = is_bad(found).any(axis=-2, keepdims=True)
+    return np.where(bad, np.nan, found)

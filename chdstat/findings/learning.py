@@ -1,0 +1,160 @@
+"""Learning: what the learned model is worth, and to whom (finding 15)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from chdstat.comparison import Comparison
+from chdstat.errors import ChdstatError
+from chdstat.findings.conclusions import Conclusion, level_of
+from chdstat.findings.evidence import Evidence
+from chdstat.findings.resampling import Spread, interval_of
+from chdstat.findings.results import Exhibit, Part
+from chdstat.io.denoiser import denoise
+from chdstat.metrics import relative_squared_error
+
+__all__ = ["EARLY", "GAINED", "MAJORITY", "SUPPRESSED", "measure"]
+
+Floats = npt.NDArray[np.float64]
+
+MAJORITY = 0.5
+"""Share of estimates that a majority exceeds."""
+SUPPRESSED = 0.5
+"""Fireflies left, below which a majority of them is suppressed, as the paper says."""
+EARLY = 0.1
+"""Share of the iterations that is early; the paper's curves are flat after the first records."""
+GAINED = 0.5
+"""Share of the final gain that early training has to reach: most of it."""
+_PARTS = 4
+_RECORDS = 10
+"""Records of a training that say how far its losses scatter, at least."""
+
+
+def measure(evidence: Evidence) -> Conclusion:
+    """Read majority, fireflies, training and denoising off a comparison."""
+    comparison = evidence.comparison
+    if comparison is None:
+        return Conclusion(missing=("needs a comparison of estimators",))
+    name = _learned(comparison)
+    if name is None:
+        return Conclusion(missing=("needs a learned estimator in the comparison",))
+    index, level = comparison.estimators.index(name), level_of(_PARTS)
+    parts = [
+        Part.of(
+            "share of improved estimates",
+            _read(comparison, "improved", index, level),
+            least=MAJORITY,
+        ),
+        Part.of(
+            "share of fireflies left",
+            _read(comparison, "fireflies_left", index, level),
+            most=SUPPRESSED,
+        ),
+    ]
+    history: Any = getattr(comparison.models[name], "history", None)
+    missing = [] if history is not None else ["needs the history of a training"]
+    if history is not None:
+        gain = f"share of the gain after {EARLY:.0%} of the training"
+        parts.append(Part.of(gain, early_gain(history, level=level), least=GAINED))
+    try:
+        start = _better_start(evidence, comparison, index, level)
+        parts.append(
+            Part.of("error of its denoised estimates over that of the mean's", start, most=1.0)
+        )
+    except ChdstatError as error:
+        missing.append(f"needs a denoiser: {error}")
+    return Conclusion(
+        tuple(parts),
+        tuple(missing),
+        details={"estimator": name, "n": comparison.n, "bias": _value(comparison, "bias", index)},
+        exhibit=_exhibit(history),
+    )
+
+
+def early_gain(history: Any, *, level: float) -> Spread:
+    """Return the gain over the mean early in training, over that at its end.
+
+    A gain is the validation baseline less the validation loss. What is early is the first record
+    after a tenth of the iterations, the end the mean of the last tenth of the records. The interval
+    takes the scatter of records for independent, with the deviation that successive differences
+    have (von Neumann 1941, doi:10.1214/aoms/1177731677). Where nothing was gained at the end, the
+    share is 0.
+    """
+    gain = np.asarray(history.validation_baseline - history.validation_loss, dtype=np.float64)
+    if len(gain) < _RECORDS or not np.isfinite(gain).all():
+        return Spread.unknown(level=level)
+    iterations = np.asarray(history.iteration, dtype=np.float64)
+    last = max(len(gain) // 10, 2)
+    later = gain[len(gain) // 2 :]
+    deviation = math.sqrt(float(np.mean(np.diff(later) ** 2)) / 2)
+    end = float(gain[-last:].mean())
+    reach = float(stats.t.ppf((1 + level) / 2, len(later) - 1))
+    if end <= reach * deviation / math.sqrt(last):
+        return Spread(0.0, 0.0, 0.0, level)
+    early = float(gain[int((iterations >= EARLY * iterations[-1]).argmax())])
+    share = early / end
+    half = reach * deviation / end * math.sqrt(1 + share**2 / last)
+    return Spread(share, share - half, share + half, level)
+
+
+def _learned(comparison: Comparison) -> str | None:
+    """Return the paper's model where it was compared, else the first that was trained."""
+    names = [name for name in comparison.estimators if name in comparison.models]
+    return "elek2019" if "elek2019" in names else next(iter(names), None)
+
+
+def _value(comparison: Comparison, measure: str, index: int) -> float:
+    return float(comparison.measures[measure].value[index, -1])
+
+
+def _read(comparison: Comparison, measure: str, index: int, level: float) -> Spread:
+    """Return a measure with a normal interval over pixels and batches, of standard errors added."""
+    value = _value(comparison, measure, index)
+    errors = [
+        float(intervals[measure].standard_error[index, -1])
+        for intervals in (comparison.measures, comparison.over_batches)
+    ]
+    known = [error for error in errors if math.isfinite(error)]
+    if not known:
+        return Spread.unknown(value, level=level)
+    half = float(stats.norm.ppf((1 + level) / 2)) * math.hypot(*known)
+    return Spread(value, value - half, value + half, level)
+
+
+def _better_start(evidence: Evidence, comparison: Comparison, index: int, level: float) -> Spread:
+    """Return relMSE of the denoised learned estimates over that of the denoised means."""
+    albedo = evidence.feature("albedo")
+    normal = None if albedo is None else evidence.feature("normal")
+    reference = comparison.first_reference
+    scene_mean = np.nanmean(comparison.reference, axis=(0, 1))
+    denoised = (
+        denoise(start, albedo=albedo, normal=normal)
+        for start in (comparison.estimates[index], comparison.first_mean)
+    )
+    ours, theirs = (
+        relative_squared_error(d, reference, scene_mean=scene_mean).mean(axis=-1).ravel()
+        for d in denoised
+    )
+    used = comparison.test_pixels.ravel() & np.isfinite(ours + theirs)
+    if not used.any():
+        return Spread.unknown(level=level)
+    blocks = evidence.whole().blocks[used]
+    above, below = blocks.sums(ours[used]), blocks.sums(theirs[used])
+    return interval_of(
+        lambda w: (w @ above) / (w @ below), blocks, level=level, bounds=(0.0, np.inf)
+    )
+
+
+def _exhibit(history: Any) -> Exhibit:
+    if history is None:
+        return Exhibit("curves")
+    series = {
+        "validation": (history.iteration, history.validation_loss),
+        "sample mean": (history.iteration, history.validation_baseline),
+    }
+    return Exhibit("curves", series, "iteration", "squared error in (W sr-1 m-2)^2")

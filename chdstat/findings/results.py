@@ -1,0 +1,224 @@
+"""Results: what a finding says of a scene.
+
+A finding has one part or several: a statistic, its interval, and the range in which the claim has
+it. A part is supported where the whole interval lies in that range, not supported where all of it
+lies outside, and else there is no telling.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.findings.resampling import Spread
+
+__all__ = ["Exhibit", "Finding", "Part", "Statistic", "Verdict", "number", "plain"]
+
+Verdict = Literal["supported", "not supported", "cannot tell"]
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """A number with its name and unit.
+
+    Attributes
+    ----------
+    name
+        What it is, in words.
+    value
+        NaN where it could not be computed.
+    unit
+        "1" for pure numbers.
+    """
+
+    name: str
+    value: float
+    unit: str = "1"
+
+
+@dataclass(frozen=True)
+class Part:
+    """One statistic of a claim and the range in which the claim has it.
+
+    Attributes
+    ----------
+    statistic
+        The number.
+    low, high
+        Its interval, in the same unit; NaN where there is none.
+    level
+        Coverage of the interval.
+    least, most
+        Range of the claim; infinite where it is open.
+    """
+
+    statistic: Statistic
+    low: float
+    high: float
+    level: float
+    least: float = -math.inf
+    most: float = math.inf
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        found: Spread,
+        *,
+        least: float = -math.inf,
+        most: float = math.inf,
+        unit: str = "1",
+    ) -> Part:
+        """Make a part of a number with its interval."""
+        return cls(
+            Statistic(name, found.value, unit), found.low, found.high, found.level, least, most
+        )
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the interval lies inside the range, outside, or neither."""
+        if self.low >= self.least and self.high <= self.most:
+            return "supported"
+        if self.high < self.least or self.low > self.most:
+            return "not supported"
+        return "cannot tell"
+
+    @property
+    def margin(self) -> float:
+        """Distance of the value to the nearest end of the range, in half widths of the interval."""
+        ends = [e for e in (self.least, self.most) if math.isfinite(e)]
+        half = (self.high - self.low) / 2
+        if not ends or not half > 0 or not math.isfinite(self.statistic.value):
+            return math.nan
+        return min(abs(self.statistic.value - end) for end in ends) / half
+
+    def __str__(self) -> str:
+        value = f"{self.statistic.name} is {number(self.statistic.value)}"
+        between = f"{number(self.low)} to {number(self.high)}"
+        return f"{value} ({between}), claimed {self._range()}"
+
+    def _range(self) -> str:
+        if math.isinf(self.least):
+            return f"at most {number(self.most)}"
+        if math.isinf(self.most):
+            return f"at least {number(self.least)}"
+        return f"{number(self.least)} to {number(self.most)}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        return {
+            "name": self.statistic.name,
+            "value": plain(self.statistic.value),
+            "unit": self.statistic.unit,
+            "low": plain(self.low),
+            "high": plain(self.high),
+            "level": self.level,
+            "least": plain(self.least),
+            "most": plain(self.most),
+            "verdict": self.verdict,
+        }
+
+
+@dataclass(frozen=True)
+class Exhibit:
+    """What the figure of a finding draws.
+
+    Attributes
+    ----------
+    kind
+        "curves": a line for each series; "points": a mark for each place; "bars": one value each,
+        named by the series; "map": one image (y, x), named by the series.
+    series
+        By name: x and y, each of shape (point,); for a map, (an empty array, the image).
+    x_label, y_label
+        What the axes show, with the unit.
+    """
+
+    kind: Literal["curves", "points", "bars", "map"]
+    series: Mapping[str, tuple[npt.NDArray[Any], npt.NDArray[Any]]] = field(default_factory=dict)
+    x_label: str = ""
+    y_label: str = ""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What the samples say of one claim.
+
+    Attributes
+    ----------
+    number, name
+        Which claim, 1 to 15.
+    scene
+        Of which scene, or which scenes.
+    claim
+        One sentence.
+    statistic
+        Of the part that decides.
+    interval
+        Low end, high end and level, in the unit of the statistic; NaN where there is none.
+    p_value
+        Of a null hypothesis that the details name; None where it would mean nothing.
+    verdict
+        "supported", "not supported" or "cannot tell".
+    reason
+        One sentence; for "cannot tell" with what would be needed.
+    parts
+        All that the claim says, each with its own verdict; their intervals hold together.
+    details
+        Further numbers by region or channel, ready for JSON.
+    exhibit
+        What its figure draws.
+    """
+
+    number: int
+    name: str
+    scene: str
+    claim: str
+    statistic: Statistic
+    interval: tuple[float, float, float]
+    p_value: float | None
+    verdict: Verdict
+    reason: str
+    parts: tuple[Part, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
+    exhibit: Exhibit = field(default_factory=lambda: Exhibit("curves"))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the exhibit, ready for JSON; what is not finite is None."""
+        low, high, level = self.interval
+        return {
+            "number": self.number,
+            "name": self.name,
+            "scene": self.scene,
+            "claim": self.claim,
+            "statistic": plain(vars(self.statistic)),
+            "interval": {"low": plain(low), "high": plain(high), "level": plain(level)},
+            "p_value": plain(self.p_value),
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "parts": [part.to_dict() for part in self.parts],
+            "details": plain(self.details),
+        }
+
+
+def plain(value: Any) -> Any:
+    """Return a value ready for JSON: arrays as lists, what is not finite as None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (tuple, list, np.ndarray)):
+        return [plain(item) for item in value]
+    if value is None or isinstance(value, (str, bool, np.bool_)):
+        return bool(value) if isinstance(value, np.bool_) else value
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    return float(value) if math.isfinite(value) else None
+
+
+def number(value: float) -> str:
+    """Return a number in three digits."""
+    return "unknown" if math.isnan(value) else f"{value:.3g}"

@@ -1,0 +1,167 @@
+"""Scene shapes: whether a scene can be told by the shapes of its CHDs alone (finding 12)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import generator
+from chdstat.atlases._shapes import BINS, WIDTH, of_histograms
+from chdstat.findings.conclusions import Conclusion, level_of
+from chdstat.findings.evidence import Evidence
+from chdstat.findings.log_chds import SAME_SHAPE, LogChds, squared_distance
+from chdstat.findings.resampling import Blocks, Spread, interval_of, median_of
+from chdstat.findings.results import Exhibit, Part
+from chdstat.summary import summarize
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["measure", "tells_apart"]
+
+Floats = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+_FOLDS = 4
+_ACROSS = 4
+_PIXELS = 1500
+"""Pixels of each scene that take part, at most."""
+_LEAST = 64
+_TREES = 30
+_PARTS = 2
+
+
+def measure(evidences: Sequence[Evidence]) -> Conclusion:
+    """Tell scenes apart by shapes, and compare shapes of integrators pixel by pixel."""
+    level = level_of(_PARTS)
+    parts, missing = list[Part](), list[str]()
+    details: dict[str, Any] = {}
+    looks = [_shapes(evidence) for evidence in evidences]
+    if len(evidences) < 2:
+        missing.append("needs a second scene")
+    else:
+        found, confusion = tells_apart(looks, level=level)
+        if confusion is None:
+            missing.append(f"needs {_LEAST} pixels of each scene with enough positive samples")
+        else:
+            details["confusion"] = confusion
+            chance = 1 / len(evidences)
+            name = "accuracy of telling scenes apart"
+            parts.append(Part.of(name, found, least=(1 + chance) / 2))
+    changed = [e for e in evidences if (e.integrator or e.shorter) is not None]
+    if changed:
+        spread = _between_integrators(changed, level)
+        name, unit = "distance between the shapes of two integrators", "decade^1/2"
+        parts.append(Part.of(name, spread, least=SAME_SHAPE, unit=unit))
+    else:
+        missing.append("needs a scene rendered by another integrator, or with shorter paths")
+    return Conclusion(
+        tuple(parts),
+        tuple(missing),
+        details={"scenes": [e.name for e in evidences], **details},
+        exhibit=_exhibit(evidences, looks),
+    )
+
+
+def tells_apart(
+    looks: Sequence[tuple[Floats, Blocks]], *, level: float
+) -> tuple[Spread, list[list[float]] | None]:
+    """Return the accuracy of a classifier of shapes, and its table of shares by scene.
+
+    Each scene comes with shapes, (pixel, edge), and the blocks that its pixels lie in.
+
+    Extremely randomised trees (Geurts, Ernst and Wehenkel 2006, doi:10.1007/s10994-006-6226-1) see
+    shapes without place, scale or share of nulls. Each image is cut into 16 blocks; a quarter of
+    them is held out at a time, as neighbours resemble each other (Roberts et al. 2017,
+    doi:10.1111/ecog.02881). Every scene counts alike.
+
+    Half-way between chance and certainty, the claim's border, is a choice of ours.
+    """
+    from sklearn.ensemble import ExtraTreesClassifier
+
+    shapes, blocks = zip(*looks, strict=True)
+    if min(len(s) for s in shapes) < _LEAST:
+        return Spread.unknown(level=level), None
+    x = np.concatenate(shapes)
+    scene = np.repeat(np.arange(len(shapes)), [len(s) for s in shapes])
+    # Blocks of one fold do not touch.
+    fold = np.concatenate(
+        [(b.of_pixel % _ACROSS + 2 * (b.of_pixel // _ACROSS)) % _FOLDS for b in blocks]
+    )
+    guess = np.full(len(x), -1)
+    for k in range(_FOLDS):
+        if (held := fold == k).any():
+            model = ExtraTreesClassifier(
+                _TREES, min_samples_leaf=3, class_weight="balanced", random_state=0
+            )
+            guess[held] = model.fit(x[~held], scene[~held]).predict(x[held])
+    joined = Blocks.join([b[:] for b in blocks])  # without blocks that have no pixel
+    right, count = joined.sums((guess == scene).astype(float)), joined.sums(np.ones(len(x)))
+    confusion = [
+        [float((guess[scene == i] == j).mean()) for j in range(len(shapes))]
+        for i in range(len(shapes))
+    ]
+    accuracy = _balanced(right, count, joined.region)
+    return interval_of(accuracy, joined, level=level, bounds=(0.0, 1.0)), confusion
+
+
+def _balanced(right: Floats, count: Floats, scene: Ints) -> Callable[[Floats], Floats]:
+    member = (scene[:, np.newaxis] == np.unique(scene)).astype(np.float64)
+
+    def accuracy(weights: Floats) -> Floats:
+        hits, all_ = (weights * right) @ member, (weights * count) @ member
+        return np.asarray((hits / all_).mean(axis=1))
+
+    return accuracy
+
+
+def _shapes(evidence: Evidence) -> tuple[Floats, Blocks]:
+    """Return shapes of some pixels, shape (pixel, edge), and the blocks that they lie in."""
+    aligned = of_histograms(evidence.summary, generator(0))
+    rows = aligned.whole.cumulative.reshape(-1, aligned.whole.cumulative.shape[-1])
+    known = np.flatnonzero(np.isfinite(rows).all(axis=1))
+    some = np.sort(generator(0).permutation(known)[:_PIXELS])
+    return rows[some].astype(np.float64), _kept(evidence.whole(across=_ACROSS).blocks, some)
+
+
+def _kept(blocks: Blocks, pixels: Ints) -> Blocks:
+    """Return the blocks of some pixels under the numbers they had."""
+    return Blocks(blocks.of_pixel[pixels], blocks.region)
+
+
+def _between_integrators(evidences: Sequence[Evidence], level: float) -> Spread:
+    """Return the median distance between the shapes that two integrators give a pixel."""
+    squares, blocks = [], []
+    for evidence in evidences:
+        theirs = _other_summary(evidence)
+        if theirs is not None and theirs["count"].shape == evidence.samples.shape[:2]:
+            pair = (_halves(dataset) for dataset in (evidence.summary, theirs))
+            squares.append(squared_distance(*pair, width=WIDTH).ravel())
+            blocks.append(evidence.whole().blocks)
+    if not squares:
+        return Spread.unknown(level=level)
+    return median_of(np.concatenate(squares), Blocks.join(blocks), level=level).root()
+
+
+def _other_summary(evidence: Evidence) -> xr.Dataset | None:
+    if evidence.integrator is None:
+        return evidence.shorter_summary
+    return summarize(evidence.integrator, progress=False)
+
+
+def _halves(dataset: xr.Dataset) -> LogChds:
+    one, two = of_histograms(dataset, generator(0)).halves
+    halves = np.stack([one.cumulative, two.cumulative], axis=-2)
+    return LogChds(halves.astype(np.float64))
+
+
+def _exhibit(evidences: Sequence[Evidence], looks: Sequence[tuple[Floats, Blocks]]) -> Exhibit:
+    edges = WIDTH * (np.arange(1, BINS) - BINS / 2)
+    series = {}
+    for evidence, (shapes, _) in zip(evidences, looks, strict=True):
+        if len(shapes):
+            series[evidence.name] = (edges, shapes.mean(axis=0))
+    return Exhibit("curves", series, "log10 radiance around its mean", "share below")

@@ -1,0 +1,192 @@
+"""Claims: each is found where it is true by construction, refused where false, and else left open.
+
+The worlds lie many standard errors away from the borders of the verdicts: that one of these tests
+fails by chance has a probability under 1 in 1000 for other seeds.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.findings import FINDINGS, Evidence, find
+from chdstat.recipes import PHENOMENA, Region
+
+SPP = 512
+BY_NUMBER = {claim.number: claim for claim in FINDINGS}
+
+
+def _worlds():
+    spec = importlib.util.spec_from_file_location("worlds", Path(__file__).with_name("worlds.py"))
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["worlds"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+worlds = _worlds()
+NUMBERS = pytest.mark.parametrize("number", BY_NUMBER)
+SEEDS = pytest.mark.parametrize("seed", range(3))
+
+
+def look(number, world, seed=0, spp=SPP):
+    if number == 15:
+        pytest.importorskip("pyoidn")
+    first, *others = world(np.random.default_rng([number, seed]), spp)
+    return BY_NUMBER[number].find(first, others)
+
+
+# --- verdicts -----------------------------------------------------------------------------------
+
+
+@NUMBERS
+@SEEDS
+def test_a_true_claim_is_supported(number, seed):
+    found = look(number, worlds.TRUE[number], seed)
+    assert found.verdict == "supported", found.reason
+
+
+@NUMBERS
+@SEEDS
+def test_a_false_claim_is_not_supported(number, seed):
+    found = look(number, worlds.FALSE[number], seed)
+    assert found.verdict == "not supported", found.reason
+
+
+@pytest.mark.parametrize(("number", "words", "world"), worlds.REFUTED)
+def test_every_part_of_a_claim_can_be_refuted(number, words, world):
+    found = look(number, world)
+    part = next(part for part in found.parts if words in part.statistic.name)
+    assert part.verdict == "not supported", part
+    assert found.verdict == "not supported"
+
+
+@NUMBERS
+def test_too_few_samples_tell_nothing(number):
+    claim = BY_NUMBER[number]
+    first, *others = worlds.TRUE[number](np.random.default_rng(0), 64)
+    found = claim.find(first, others) if claim.spp > 64 else None
+    if found is None:
+        short = replace(first, samples=chd.Samples.from_array(first.samples.read()[..., :16]))
+        found = claim.find(short, others)
+    assert found.verdict == "cannot tell"
+    assert f"eeds {claim.spp} spp" in found.reason
+
+
+def test_too_few_pixels_tell_nothing():
+    first = worlds.TRUE[2](np.random.default_rng(0), SPP)[0]
+    small = replace(first, regions=(Region("dot", "diffuse", (0, 0, 0.1, 0.1)),))
+    found = BY_NUMBER[2].find(small)
+    assert found.verdict == "cannot tell"
+    assert "too few pixels" in found.reason
+
+
+def test_what_lies_on_the_border_names_the_samples_that_would_decide():
+    found = look(1, worlds.nulls(0.448), spp=64)
+    assert found.verdict == "cannot tell"
+    assert "spp would decide" in found.reason
+
+
+def test_few_positive_samples_name_the_samples_that_would_suffice():
+    found = look(5, worlds.indirect, spp=128)
+    assert found.verdict == "cannot tell"
+    assert found.reason == "Needs 100 positive samples in a pixel, about 256 spp."
+
+
+# --- what is lacking ----------------------------------------------------------------------------
+
+
+def test_without_regions_and_other_scenes_the_reason_names_what_is_missing():
+    bare = worlds.evidence(worlds.image(np.random.default_rng(0).gamma(2, size=(6, 6, SPP))))
+    found = {f.number: f for f in find(bare)}
+    missing = {2: "diffuse", 3: "glossy", 4: "reflection", 5: "indirect", 6: "penumbra"}
+    missing |= {7: "albedo", 9: "shorter paths", 11: "5 scenes", 12: "second scene"}
+    missing |= {13: "albedo", 15: "comparison"}
+    for number, word in missing.items():
+        assert found[number].verdict == "cannot tell" or number == 13
+        assert word in found[number].reason or number == 13
+
+
+def test_an_integrator_of_another_size_is_no_comparison():
+    first = worlds.TRUE[9](np.random.default_rng(0), SPP)[0]
+    other = replace(first, shorter=chd.Samples.from_array(np.ones((2, 2, 3, SPP))))
+    assert "same size" in BY_NUMBER[9].find(other).reason
+
+
+def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():
+    rng = np.random.default_rng(0)
+    dark = worlds.nulls(0.7)(rng, 64)[0]
+    verdicts = {
+        name: BY_NUMBER[1].find(replace(dark, name=name)).verdict
+        for name in ("night-room", "gallery")
+    }
+    assert verdicts == {"night-room": "supported", "gallery": "not supported"}
+
+
+# --- laws ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [2, 3, 4, 5, 6, 7])
+def test_scaling_radiance_changes_nothing(number):
+    first = worlds.TRUE[number](np.random.default_rng(0), SPP)[0]
+    scaled = chd.Samples.from_array(first.samples.read() * 1024, features=first.samples.features)
+    one, two = (BY_NUMBER[number].find(e) for e in (first, replace(first, samples=scaled)))
+    values = [[part.statistic.value for part in found.parts] for found in (one, two)]
+    assert one.verdict == two.verdict
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-3, atol=1e-6)
+
+
+def test_findings_are_the_same_every_time():
+    first = worlds.TRUE[5](np.random.default_rng(0), SPP)[0]
+    one, two = (BY_NUMBER[5].find(first).to_dict() for _ in range(2))
+    assert one == two
+
+
+def test_findings_come_in_order_and_are_ready_for_json():
+    first, *others = worlds.TRUE[12](np.random.default_rng(0), 128)
+    found = find(first, others=others)
+    assert [f.number for f in found] == list(range(1, 16))
+    assert json.loads(json.dumps([f.to_dict() for f in found], allow_nan=False))
+    assert all(f.reason.endswith(".") for f in found)
+    assert all(f.scene == "scene 0" for f in found if not BY_NUMBER[f.number].across)
+
+
+HOSTILE = {
+    "black": lambda x: 0 * x,
+    "constant": lambda x: 0 * x + 0.1,
+    "bad": lambda x: x * np.nan,
+    "negative": lambda x: -x,
+    "huge": lambda x: 1e30 * x,
+    "subnormal": lambda x: 1e-42 * x,
+    "one bright sample": lambda x: np.where(np.arange(x.shape[-1]) == 7, 1e30, 0 * x),
+    "half black": lambda x: np.where(np.arange(6)[:, None, None, None] < 4, 0, x),
+    "one pixel": lambda x: x[:1, :1],
+    "one row": lambda x: x[:1],
+    "one channel": lambda x: x[:, :, :1],
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_samples_are_data(name):
+    rng = np.random.default_rng(0)
+    x = HOSTILE[name](rng.gamma(2, size=(6, 6, 3, 400))).astype(np.float32)
+    features = {
+        "albedo": rng.uniform(size=(*x.shape[:2], 3)).astype(np.float32),
+        "normal": rng.normal(size=(*x.shape[:2], 3)).astype(np.float32),
+        "depth": rng.uniform(1, 2, size=x.shape[:2]).astype(np.float32),
+    }
+    samples = chd.Samples.from_array(x, features=features)
+    regions = tuple(Region(p, p, (0.0, 0.0, 1.0, 1.0)) for p in PHENOMENA)
+    given = chd.analyze(samples, held_out=False, progress=False)
+    scene = Evidence(name, samples, regions, given=given, shorter=samples)
+    found = find(scene, others=[replace(scene, name=f"{name} {i}") for i in range(4)])
+    assert json.dumps([f.to_dict() for f in found], allow_nan=False)
+    if name in ("bad", "negative"):
+        assert {f.verdict for f in found} == {"cannot tell"}

@@ -1,0 +1,281 @@
+"""Statistics behind the findings: intervals that cover, distances without noise, fair p-values.
+
+Seeds are fixed. For other seeds, each test that counts would fail with a probability below 1e-3:
+its bound lies more than three standard errors of a binomial share from what is expected.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import chdstat as chd
+from chdstat.findings import Evidence, Part, Statistic
+from chdstat.findings._explained import explained_by_features
+from chdstat.findings._uniformity import uniformity
+from chdstat.findings.complexity import rank_correlation, scene_complexity
+from chdstat.findings.conclusions import Conclusion, level_of
+from chdstat.findings.diffuse import log_skewness
+from chdstat.findings.learning import early_gain
+from chdstat.findings.log_chds import EDGES, aligned, of_histograms, squared_distance
+from chdstat.findings.reflections import shape_spread
+from chdstat.findings.resampling import Blocks, Spread, interval_of, mean_of, median_of
+from chdstat.findings.results import Exhibit, plain
+from chdstat.findings.slopes import correlation_of, slope_of
+
+# --- intervals ----------------------------------------------------------------------------------
+
+
+def field(rng, blocks):
+    """Draw pixels whose neighbours share most of what they are."""
+    shared = rng.normal(size=len(blocks))
+    return shared[blocks.of_pixel] + 0.5 * rng.normal(size=len(blocks.of_pixel))
+
+
+@pytest.mark.parametrize("statistic", [mean_of, median_of])
+def test_intervals_cover_where_neighbours_resemble_each_other(statistic):
+    rng, blocks = np.random.default_rng(0), Blocks.grid(12, 12)
+    found = [statistic(field(rng, blocks), blocks) for _ in range(150)]
+    assert np.mean([f.low <= 0 <= f.high for f in found]) > 0.9
+
+
+def test_pixels_taken_for_independent_would_not_cover():
+    rng, blocks = np.random.default_rng(0), Blocks.grid(12, 12)
+    alone = Blocks(np.arange(144), np.zeros(144, dtype=np.int64))
+    found = [mean_of(field(rng, blocks), alone) for _ in range(50)]
+    assert np.mean([f.low <= 0 <= f.high for f in found]) < 0.75
+
+
+def test_regions_are_given_and_their_differences_are_no_noise():
+    two = Blocks.join([Blocks.grid(8, 8), Blocks.grid(8, 8)])
+    values = np.repeat([0.0, 100.0], 64) + np.random.default_rng(0).normal(size=128)
+    found = mean_of(values, two)
+    assert found.high - found.low < 1
+
+
+def test_few_blocks_have_no_interval():
+    found = mean_of(np.arange(4.0), Blocks.grid(2, 2))
+    assert found.value == 1.5
+    assert np.isnan([found.low, found.high]).all()
+
+
+def test_missing_pixels_take_no_part():
+    blocks, values = Blocks.grid(8, 8), np.random.default_rng(0).normal(size=(64, 3))
+    values[::2] = np.nan
+    assert mean_of(values, blocks).value == pytest.approx(np.nanmean(values))
+    assert np.isnan(mean_of(values * np.nan, blocks).value)
+    assert np.isnan(median_of(values * np.nan, blocks).value)
+
+
+def test_more_sure_is_wider():
+    blocks, values = Blocks.grid(8, 8), np.random.default_rng(0).normal(size=64)
+    narrow, wide = (mean_of(values, blocks, level=level) for level in (0.8, 0.99))
+    assert wide.low < narrow.low < narrow.high < wide.high
+
+
+def test_blocks_of_some_pixels_keep_their_company():
+    blocks = Blocks.grid(4, 4, across=2)
+    some = blocks[np.array([0, 1, 15])]
+    assert some.of_pixel.tolist() == [0, 0, 1]
+    assert len(some) == 2
+
+
+def test_a_statistic_without_a_number_has_no_interval():
+    found = interval_of(lambda w: np.full(len(w), np.nan), Blocks.grid(8, 8))
+    assert np.isnan(found.low)
+
+
+# --- log CHDs -----------------------------------------------------------------------------------
+
+
+def test_equal_chds_have_no_distance_on_average():
+    x = np.random.default_rng(0).lognormal(size=(800, 128))
+    chds = aligned(x)
+    square = squared_distance(chds[::2], chds[1::2])
+    naive = ((chds.whole[::2] - chds.whole[1::2]) ** 2).sum(axis=-1) * 0.05
+    assert abs(square.mean()) < 4 * square.std() / np.sqrt(len(square))
+    assert naive.mean() > 20 * abs(square.mean())
+
+
+def test_the_distance_of_log_normals_is_the_integral():
+    rng = np.random.default_rng(0)
+    x, y = (rng.lognormal(0, sigma, size=(200, 1024)) for sigma in (0.5, 1.0))
+    grid = np.linspace(-4, 4, 4001)
+    apart = [stats.norm.cdf(grid * np.log(10) / sigma) for sigma in (0.5, 1.0)]
+    exact = ((apart[0] - apart[1]) ** 2).sum() * (grid[1] - grid[0])
+    assert squared_distance(aligned(x), aligned(y)).mean() == pytest.approx(exact, rel=0.03)
+
+
+def test_shapes_do_not_know_of_scale_nulls_and_what_is_out_of_sight():
+    x = np.random.default_rng(0).lognormal(size=(1, 512))
+    out = np.concatenate([x, np.full((1, 2), 1e-17), np.zeros((1, 60))], axis=1)
+    np.testing.assert_allclose(aligned(x).halves, aligned(1e20 * x).halves)
+    np.testing.assert_allclose(aligned(x).whole, aligned(out).whole, atol=1e-12)
+    assert log_skewness(out) == pytest.approx(log_skewness(x))
+
+
+def test_constants_and_few_samples_have_no_shape():
+    assert np.isnan(log_skewness(np.full(100, 0.1)))
+    assert not aligned(np.ones((1, 20))).known.any()
+
+
+def test_log_skewness_is_that_of_scipy():
+    x = np.random.default_rng(0).gamma(2, size=400)
+    assert log_skewness(x) == pytest.approx(stats.skew(np.log(x)))
+
+
+def test_histograms_count_nulls_below_every_edge():
+    x = np.where(np.arange(400) % 4, 1.0, 0.0) * np.ones((2, 2, 3, 1))
+    chds = of_histograms(chd.summarize(chd.Samples.from_array(x), progress=False))
+    assert chds.whole[..., 0] == pytest.approx(0.25, abs=0.08)
+    assert chds.halves[..., -1] == pytest.approx(1)
+    assert len(EDGES) == 161
+
+
+# --- tests and correlations ---------------------------------------------------------------------
+
+
+def uniform_noise(rng, spread):
+    mean = np.repeat(np.linspace(1, 4, 20), 20)
+    return mean[:, np.newaxis] + spread(mean)[:, np.newaxis] * rng.normal(size=(400, 12))
+
+
+def test_uniform_noise_is_seldom_told_from_uniform():
+    rng, blocks = np.random.default_rng(0), Blocks.grid(20, 20)
+    found = [uniformity(uniform_noise(rng, np.ones_like), blocks) for _ in range(150)]
+    assert np.mean([min(p.values()) < 0.05 for p in found]) < 0.11
+
+
+def test_noise_that_grows_with_radiance_is_told():
+    rng, blocks = np.random.default_rng(0), Blocks.grid(20, 20)
+    found = uniformity(uniform_noise(rng, lambda mean: mean), blocks)
+    assert 0 < found["breusch_pagan"] < 1e-6
+    assert 0 < found["levene"] < 1e-6
+
+
+def test_features_that_fix_the_variance_explain_all_but_noise():
+    rng = np.random.default_rng(0)
+    depth = rng.uniform(0, 1, size=(40, 40)).astype(np.float32)
+    flat = np.zeros((40, 40, 3), dtype=np.float32)
+    features = {"albedo": flat, "normal": flat, "depth": depth}
+    samples = chd.Samples.from_array(np.ones((40, 40, 1, 4)), features=features)
+    batches = np.exp(2 * depth).reshape(-1, 1) * rng.normal(size=(1600, 16))
+    found = explained_by_features(Evidence("x", samples), batches, level=0.95)
+    assert 0.9 < found.share.value < 1.05
+    assert found.reliability < 0.95
+
+
+def test_rank_correlation_is_that_of_scipy():
+    x, y = np.random.default_rng(0).normal(size=(2, 9))
+    found, p = rank_correlation(x, y)
+    exact = stats.spearmanr(x, y, alternative="greater")
+    assert found.value == pytest.approx(exact.statistic)
+    assert p == pytest.approx(exact.pvalue, abs=0.03)
+
+
+def test_equal_values_have_no_rank_correlation():
+    found, p = rank_correlation(np.ones(6), np.arange(6.0))
+    assert np.isnan(found.value)
+    assert p == 1
+
+
+def test_complexity_is_what_the_camera_sees():
+    depth = np.ones((8, 8), dtype=np.float32)
+    features = {"normal": np.tile([0.0, 0, 1], (8, 8, 1)), "albedo": np.ones((8, 8, 3))}
+    x = np.ones((8, 8, 1, 2))
+    wall = Evidence("wall", chd.Samples.from_array(x, features={**features, "depth": depth}))
+    checks = depth + np.indices((8, 8)).sum(axis=0) % 2
+    leaves = Evidence("leaves", chd.Samples.from_array(x, features={**features, "depth": checks}))
+    assert scene_complexity(wall) == 0
+    assert scene_complexity(leaves) == 1
+    assert np.isnan(scene_complexity(Evidence("bare", chd.Samples.from_array(x))))
+
+
+def history(gain):
+    n = len(gain)
+    return SimpleNamespace(
+        iteration=np.arange(1.0, n + 1), validation_loss=1 - gain, validation_baseline=np.ones(n)
+    )
+
+
+def test_early_gain_is_a_share_of_the_last_one():
+    noise = np.random.default_rng(0).normal(0, 0.01, size=100)
+    early = early_gain(history(np.minimum(np.arange(100) / 18, 1) + noise), level=0.95)
+    assert early.low < 0.5 < early.high
+    assert early_gain(history(noise), level=0.95).value == 0
+    assert np.isnan(early_gain(history(noise[:5]), level=0.95).value)
+
+
+# --- verdicts -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "verdict"),
+    [
+        (0.2, 0.4, "supported"),
+        (0.0, 0.05, "not supported"),
+        (0.6, 0.7, "not supported"),
+        (0.05, 0.4, "cannot tell"),
+        (0.0, 0.9, "cannot tell"),
+        (np.nan, np.nan, "cannot tell"),
+    ],
+)
+def test_the_whole_interval_has_to_be_on_one_side(low, high, verdict):
+    part = Part.of("x", Spread(0.3, low, high, 0.95), least=0.1, most=0.5)
+    assert part.verdict == verdict
+
+
+def test_a_claim_is_as_strong_as_its_weakest_part():
+    good, bad, open_ = (
+        Part(Statistic("x", 0.5), low, high, 0.95, least=0.0)
+        for low, high in ((0.1, 1.0), (-1.0, -0.1), (-1.0, 1.0))
+    )
+    assert Conclusion((good, good)).verdict == "supported"
+    assert Conclusion((good, open_)).verdict == "cannot tell"
+    assert Conclusion((good, open_, bad)).verdict == "not supported"
+    assert Conclusion((good,), ("needs light",)).verdict == "cannot tell"
+    assert Conclusion((bad,), ("needs light",)).verdict == "not supported"
+    assert Conclusion((good, open_)).deciding is open_
+    assert Conclusion().deciding is None
+
+
+def test_parts_share_what_may_go_wrong():
+    assert 1 - level_of(4) == pytest.approx(0.05 / 4)
+
+
+def test_json_has_no_numbers_that_are_none():
+    assert plain({"a": np.array([1.0, np.nan]), "b": np.int64(2), 3: (np.bool_(True), "x")}) == {
+        "a": [1.0, None],
+        "b": 2,
+        "3": [True, "x"],
+    }
+    assert Exhibit("curves").series == {}
+
+
+# --- several regions ----------------------------------------------------------------------------
+
+
+def test_regions_of_different_shape_are_each_of_one_shape():
+    rng = np.random.default_rng(0)
+    sigma = np.where(np.arange(16) < 8, 0.4, 1.5)[:, np.newaxis]
+    x = rng.lognormal(0, sigma, size=(8, 16, 512))
+    one, two = (Blocks.grid(8, 8) for _ in range(2))
+    shapes = aligned(np.concatenate([x[:, :8].reshape(64, -1), x[:, 8:].reshape(64, -1)]))
+    apart = shape_spread(shapes, Blocks.join([one, two]), level=0.95)
+    together = shape_spread(shapes, Blocks.grid(16, 8), level=0.95)
+    assert apart.high < 0.05 < 0.1 < together.low
+
+
+def test_slopes_with_an_instrument_are_not_flattened_by_noise():
+    rng = np.random.default_rng(0)
+    true = rng.normal(size=1600)
+    x, z = true + rng.normal(size=(2, 1600))
+    blocks = Blocks.grid(40, 40, across=8)
+    fair = slope_of(x, 2 * true, blocks, instrument=z, level=0.999)
+    flat = slope_of(x, 2 * true, blocks, level=0.999)
+    assert fair.low < 2 < fair.high
+    assert flat.high < 1.5
+    assert correlation_of(x, z, blocks, level=0.95).value == pytest.approx(np.corrcoef(x, z)[0, 1])

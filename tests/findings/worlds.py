@@ -1,0 +1,402 @@
+"""Worlds in which a claim of the paper is true, or false, by construction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+
+import chdstat as chd
+from chdstat.findings import Evidence
+from chdstat.metrics import Interval
+from chdstat.recipes import Region
+
+World = Callable[[np.random.Generator, int], Sequence[Evidence]]
+
+EDGE = 12
+WHITE = np.ones(3)
+BROWN = np.array([0.8, 0.4, 0.2])
+
+
+def image(light: np.ndarray, color: np.ndarray = WHITE) -> np.ndarray:
+    """Give luminance (y, x, sample) a colour, (channel,) or (y, x, channel)."""
+    return light[:, :, np.newaxis] * np.broadcast_to(color, (*light.shape[:2], 3))[..., np.newaxis]
+
+
+def evidence(
+    x: np.ndarray, *phenomena: str, name: str = "simulated", features=None, **more
+) -> Evidence:
+    """Cut an image (y, x, channel, sample) from left to right into regions."""
+    edges = np.linspace(0, 1, len(phenomena) + 1)
+    regions = tuple(
+        Region(f"{phenomenon}", phenomenon, (float(left), 0.0, float(right), 1.0))
+        for phenomenon, left, right in zip(phenomena, edges, edges[1:], strict=False)
+    )
+    return Evidence(name, chd.Samples.from_array(x, features=features), regions, **more)
+
+
+def nulled(x: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    return np.where(rng.random(x.shape) < share, 0, x)
+
+
+def size(spp: int, edge: int = EDGE) -> tuple[int, int, int]:
+    return edge, edge, spp
+
+
+# --- 1 to 5 -------------------------------------------------------------------------------------
+
+
+def nulls(share: float) -> World:
+    def world(rng, spp):
+        return [evidence(image(nulled(rng.gamma(2, size=size(spp)), share, rng)), "indirect")]
+
+    return world
+
+
+def diffuse(shape: float) -> World:
+    """Return a gamma distribution, whose logarithm has a skewness of about -shape**-0.5."""
+
+    def world(rng, spp):
+        return [evidence(image(rng.gamma(shape, size=size(spp))), "diffuse")]
+
+    return world
+
+
+def glossy(sigma: float) -> World:
+    """Return brown gloss beside plaster of log-normal radiance with a deviation of 0.5."""
+
+    def world(rng, spp):
+        spread = np.where(np.arange(EDGE) < EDGE // 2, sigma, 0.5)[:, np.newaxis]
+        x = image(rng.lognormal(0, spread, size=size(spp)), BROWN)
+        return [evidence(x, "glossy", "diffuse")]
+
+    return world
+
+
+def reflection(*sigmas: float) -> World:
+    """Return pixels whose log-normal radiance has one of the deviations, by chance."""
+
+    def world(rng, spp):
+        sigma = rng.choice(sigmas, size=(EDGE, EDGE, 1))
+        bright = rng.uniform(0.5, 2, size=(EDGE, EDGE, 1))
+        return [evidence(image(bright * rng.lognormal(0, sigma, size(spp))), "noisy-reflection")]
+
+    return world
+
+
+def indirect(rng, spp):
+    """Return a long tail with many nulls, and dark samples that skew logarithms downwards."""
+    dark = rng.random(size(spp)) < 0.25
+    x = rng.lognormal(np.where(dark, -4, 0), 1.0)
+    return [evidence(image(nulled(x, 0.6, rng)), "indirect")]
+
+
+def bright(rng, spp):
+    """Return a short tail, which starts slowly, without nulls."""
+    return [evidence(image(rng.gamma(2, size=size(spp))), "indirect")]
+
+
+# --- 6 to 10 ------------------------------------------------------------------------------------
+
+
+def penumbra(follows: bool) -> World:
+    """Return pixels that see the sun in a share of the samples: by position, or by chance."""
+
+    def world(rng, spp):
+        share = np.broadcast_to(np.linspace(0.02, 0.98, EDGE), (EDGE, EDGE))
+        if not follows:
+            share = rng.permutation(share.ravel()).reshape(share.shape)
+        lit = rng.random(size(spp)) < share[..., np.newaxis]
+        x = np.where(lit, rng.lognormal(0, 0.2, size(spp)), rng.lognormal(-3.5, 0.4, size(spp)))
+        return [evidence(image(x), "penumbra")]
+
+    return world
+
+
+def texture(multiplies: bool) -> World:
+    """Return light times albedo, or with the albedo added to noise that does not know of it."""
+
+    def world(rng, spp):
+        albedo = BROWN * rng.uniform(0.2, 1, size=(EDGE, EDGE, 1))
+        light = rng.gamma(2, size=size(spp))
+        x = image(light, albedo) if multiplies else 5 * albedo[..., np.newaxis] + image(light)
+        return [evidence(x, "texture", features={"albedo": albedo.astype(np.float32)})]
+
+    return world
+
+
+def fireflies(rng, spp):
+    """Return equal CHDs that have a sample a thousand times as bright now and then."""
+    rare = rng.random(size(spp)) < 1e-3
+    return [evidence(image(rng.gamma(2, size=size(spp)) * np.where(rare, 1000, 1)))]
+
+
+def glints(rng, spp):
+    """Return rows that are brighter than those between them, in every sample."""
+    row = np.where(np.arange(EDGE) % 2, 8, 1)[:, np.newaxis, np.newaxis]
+    return [evidence(image(rng.gamma(2, size=size(spp)) * row))]
+
+
+def path_lengths(short: float, long: float) -> World:
+    """Return log-normal radiance with these deviations."""
+
+    def world(rng, spp):
+        x, y = (image(rng.lognormal(0, sigma, size(spp))) for sigma in (long, short))
+        return [evidence(x, shorter=chd.Samples.from_array(y))]
+
+    return world
+
+
+def neighbours(ordered: bool) -> World:
+    """Return two sides with a seam between, where every pixel sees both; or a jumble of them."""
+
+    def world(rng, spp):
+        shape = (36, 13, spp)
+        column = np.arange(13)
+        share = np.select([column < 6, column == 6], [0, 0.5], 1) * np.ones((36, 1))
+        if not ordered:
+            share = rng.random((36, 13))
+        right = rng.random(shape) < share[..., np.newaxis]
+        sides = rng.lognormal(-3, 0.5, shape), nulled(rng.gamma(2, size=shape), 0.4, rng)
+        return [evidence(image(np.where(right, sides[1], sides[0])))]
+
+    return world
+
+
+# --- 11 to 15 -----------------------------------------------------------------------------------
+
+
+def complexity(sign: int) -> World:
+    """Return eight scenes of which ever more pixels have two modes, and their complexity."""
+
+    def world(rng, spp):
+        found = []
+        for i in range(8):
+            several = np.arange(12).reshape(3, 4, 1) < 1.5 * i
+            high = (rng.random((3, 4, spp)) < 0.5) & several
+            x = chd.Samples.from_array(image(rng.lognormal(np.where(high, 3, 0), 0.3)))
+            modes = chd.modality(x, silverman=False, progress=False)[["modes"]]
+            given = modes.rename(modes="modality_modes")
+            found.append(Evidence(f"scene {i}", x, given=given, complexity=sign * i))
+        return found
+
+    return world
+
+
+def scenes(*sigmas: float) -> World:
+    """Return one scene for each deviation, the first also by an integrator of another shape."""
+
+    def world(rng, spp):
+        def one(sigma):
+            return image(rng.lognormal(0, sigma, size(spp, 16)))
+
+        other = chd.Samples.from_array(one(sigmas[-1]))
+        return [
+            evidence(one(s), name=f"scene {i}", integrator=other if i == 0 else None)
+            for i, s in enumerate(sigmas)
+        ]
+
+    return world
+
+
+def _features(rng, mean):
+    features = {
+        "albedo": rng.uniform(size=(*mean.shape, 3)),
+        "normal": rng.normal(size=(*mean.shape, 3)),
+        "depth": rng.uniform(1, 2, size=mean.shape),
+    }
+    return {name: values.astype(np.float32) for name, values in features.items()}
+
+
+def broken_assumptions(rng, spp):
+    """Return two patches of long-tailed multiplicative noise, features that say nothing of them."""
+    mean = np.where(np.arange(24) < 12, 1.0, 30.0) * np.ones((24, 1))
+    x = mean[..., np.newaxis] * rng.lognormal(0, 1.8, (24, 24, spp))
+    return [evidence(image(x), features=_features(rng, mean))]
+
+
+def kept_assumptions(rng, spp):
+    """Return a gentle slope with additive Gaussian noise of a variance that albedo knows."""
+    mean = np.linspace(2, 4, 24) * np.ones((24, 1))
+    features = _features(rng, mean)
+    deviation = 0.05 + 0.3 * features["albedo"][..., :1]
+    x = np.maximum(mean[..., np.newaxis] + deviation * rng.normal(size=(24, 24, spp)), 0)
+    return [evidence(image(x), features=features)]
+
+
+def families(draw: str, *parameters: float) -> World:
+    def world(rng, spp):
+        return [evidence(image(getattr(rng, draw)(*parameters, size=(6, 6, spp))))]
+
+    return world
+
+
+def learned(good: bool) -> World:
+    """Return a comparison with a model that keeps what the paper promises of it, or nothing."""
+
+    def world(rng, spp):
+        x = rng.gamma(2, size=(32, 32, spp)) * np.where(rng.random((32, 32, spp)) < 2e-3, 300, 1)
+        scene = evidence(image(x))
+        found = chd.compare(scene.samples, ["mean", "median_of_means"], cost=False, progress=False)
+        means = {"improved": (0.7, 0.3), "fireflies_left": (0.2, 1.1)}
+        measures = dict(found.measures)
+        for name, values in means.items():
+            value = np.full((2, 4), values[0] if good else values[1])
+            measures[name] = Interval(value, np.full((2, 4), 0.02), value - 0.04, value + 0.04)
+        estimates = found.estimates.copy()
+        estimates[1] = (2.6 if good else 8) * np.ones_like(estimates[1])
+        model = SimpleNamespace(history=_history(rng, good))
+        comparison = replace(
+            found,
+            estimators=("mean", "elek2019"),
+            measures=measures,
+            over_batches=measures,
+            estimates=estimates,
+            models={"elek2019": model},
+        )
+        return [replace(scene, comparison=comparison)]
+
+    return world
+
+
+def _history(rng, good):
+    iteration = np.arange(100, 10001, 100.0)
+    gain = 1 - np.exp(-iteration / 300) if good else iteration / 1e4
+    loss = 2 - gain + rng.normal(0, 0.01, len(iteration))
+    return SimpleNamespace(
+        iteration=iteration, validation_loss=loss, validation_baseline=np.full(len(loss), 2.0)
+    )
+
+
+TRUE: dict[int, World] = {
+    1: nulls(0.6),
+    2: diffuse(8),
+    3: glossy(0.5),
+    4: reflection(1.2),
+    5: indirect,
+    6: penumbra(True),
+    7: texture(True),
+    8: fireflies,
+    9: path_lengths(0.5, 1.0),
+    10: neighbours(True),
+    11: complexity(1),
+    12: scenes(0.4, 1.5),
+    13: broken_assumptions,
+    14: families("gamma", 2),
+    15: learned(True),
+}
+FALSE: dict[int, World] = {
+    1: nulls(0.2),
+    2: diffuse(1),
+    3: glossy(1.5),
+    4: reflection(0.5, 2.5),
+    5: bright,
+    6: penumbra(False),
+    7: texture(False),
+    8: glints,
+    9: path_lengths(1.0, 0.5),
+    10: neighbours(False),
+    11: complexity(-1),
+    12: scenes(0.8, 0.8),
+    13: kept_assumptions,
+    14: families("lognormal", 0, 0.8),
+    15: learned(False),
+}
+
+# --- one part false at a time -------------------------------------------------------------------
+
+
+def diffuse_of(draw: Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]) -> World:
+    def world(rng, spp):
+        return [evidence(image(draw(rng, size(spp))), "diffuse")]
+
+    return world
+
+
+def two_peaks(rng, shape):
+    return rng.lognormal(np.where(rng.random(shape) < 0.5, -3, 3), 0.1)
+
+
+def leaning_left(rng, shape):
+    return 1 - rng.beta(1, 4, shape) / 2
+
+
+def gray_gloss(rng, spp):
+    return [evidence(image(rng.lognormal(0, 0.5, size(spp))), "glossy", "diffuse")]
+
+
+def additive_gloss(rng, spp):
+    color = 10 * BROWN[:, np.newaxis] + np.zeros((EDGE, EDGE, 3, 1))
+    return [evidence(color + image(rng.gamma(2, size=size(spp))), "glossy", "diffuse")]
+
+
+def lit_indirect(skewed: bool) -> World:
+    """Return a long tail without nulls, or one whose logarithms lean upwards."""
+
+    def world(rng, spp):
+        x = np.exp(rng.gamma(1, 0.6, size(spp))) if skewed else rng.lognormal(0, 1.2, size(spp))
+        return [evidence(image(x), "indirect")]
+
+    return world
+
+
+def one_mode(rng, spp):
+    return [evidence(image(rng.gamma(2, size=size(spp))), "penumbra")]
+
+
+def other_texture(color: np.ndarray, sigma: float) -> World:
+    """Return a texture of grey, or one whose red channel has a shape of its own."""
+
+    def world(rng, spp):
+        albedo = color * rng.uniform(0.2, 1, size=(EDGE, EDGE, 1))
+        x = image(rng.lognormal(0, 0.5, size(spp)), albedo)
+        x[:, :, 0] **= sigma / 0.5
+        return [evidence(x, "texture", features={"albedo": albedo.astype(np.float32)})]
+
+    return world
+
+
+def moved_seam(rng, spp):
+    """Return a seam whose CHD lies between those of both sides, and is none of them."""
+    shape = (36, 13, spp)
+    place = np.select([np.arange(13) < 6, np.arange(13) == 6], [-4.0, 0.0], 4.0)
+    return [evidence(image(rng.lognormal(place[:, np.newaxis], 0.2, shape)))]
+
+
+def same_integrator(rng, spp):
+    return [
+        evidence(image(rng.lognormal(0, s, size(spp, 16))), name=f"scene {s}", integrator=other)
+        for s, other in (
+            (0.4, chd.Samples.from_array(image(rng.lognormal(0, 0.4, size(spp, 16))))),
+            (1.5, None),
+        )
+    ]
+
+
+REFUTED: list[tuple[int, str, World]] = [
+    (1, "share of nulls", nulls(0.9)),
+    (2, "to a Gaussian", diffuse_of(two_peaks)),
+    (2, "to a gamma", diffuse_of(two_peaks)),
+    (2, "mode over mean", diffuse_of(leaning_left)),
+    (3, "shift between channels", gray_gloss),
+    (3, "slope", additive_gloss),
+    (4, "deviation over mean", reflection(0.3)),
+    (5, "quantile", bright),
+    (5, "kurtosis", bright),
+    (5, "skewness", lit_indirect(True)),
+    (5, "share of nulls", lit_indirect(False)),
+    (6, "bimodal", one_mode),
+    (6, "rank correlation", penumbra(False)),
+    (7, "shift between channels", other_texture(WHITE, 0.5)),
+    (7, "shapes of channels", other_texture(BROWN, 1.5)),
+    (7, "slope", texture(False)),
+    *((9, part, path_lengths(1.0, 0.5)) for part in ("support", "tail", "skewness", "variance")),
+    (10, "neighbours", neighbours(False)),
+    (10, "blend", moved_seam),
+    (12, "integrators", same_integrator),
+    *((13, part, kept_assumptions) for part in ("slope", "skewness", "steps", "features")),
+    *((15, part, learned(False)) for part in ("improved", "fireflies", "gain", "denoised")),
+]
+"""Claim, a part of it by words of its name, and a world in which that part is false."""
