@@ -37,6 +37,7 @@ from chdstat.estimators.density import decoro2010
 from chdstat.estimators.shared import delbracio2014, sakai2024
 from chdstat.estimators.alike import Fireflies, shared_patches, shared_shape
 from chdstat.estimators.mlp import MLP
+from chdstat.estimators.empirical_prior import EmpiricalPrior, Posterior
 from chdstat.estimators.presets import PRESETS, Preset
 from chdstat.estimators.registry import (
     Estimator,
@@ -54,11 +55,13 @@ __all__ = [
     "MLP",
     "PRESETS",
     "Cascade",
+    "EmpiricalPrior",
     "Estimator",
     "Fireflies",
     "History",
     "LearnedEstimator",
     "Model",
+    "Posterior",
     "Preset",
     "bayesian_median_of_means",
     "catoni",
