@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,11 +31,14 @@ class Contestants:
         By name: those that look at one pixel in the order asked for, then those that use
         neighbours.
     models
-        Those that were trained, by name.
+        Those that were trained, by name; entries that share a training share a model.
+    features
+        First-hit features of the picture, for those who look at them.
     """
 
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
+    features: Mapping[str, npt.NDArray[Any]]
 
     @classmethod
     def of(
@@ -55,13 +59,17 @@ class Contestants:
             raise InputError(message)
         wanted = max((e.pixels for e in learned.values()), default=0)
         pixels = draw_pixels(samples.shape[:2], wanted, seed=seed)
-        models = {
-            name: model
-            if model is not None and model.name == name
-            else entry.train(samples, seed=seed, pixels=pixels, progress=progress)
-            for name, entry in learned.items()
-        }
-        return cls(entries, models)
+        trained = {} if model is None else {learned[model.name].train: model}
+        for entry in learned.values():
+            if entry.train not in trained:
+                trained[entry.train] = entry.train(
+                    samples, seed=seed, pixels=pixels, progress=progress
+                )
+        return cls(
+            entries,
+            {name: trained[entry.train] for name, entry in learned.items()},
+            samples.features,
+        )
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -81,10 +89,16 @@ class Contestants:
     def taking(self, n: int) -> dict[str, Function]:
         """Return those that take n samples, as functions of them."""
         return {
-            name: self.models[name].predict if isinstance(entry, LearnedEstimator) else entry
-            for name, entry in self.entries.items()
-            if _takes(entry, n)
+            name: self._function(entry) for name, entry in self.entries.items() if _takes(entry, n)
         }
+
+    def _function(self, entry: Entry) -> Function:
+        options: dict[str, Any] = {}
+        if entry.uses_features and self.features:
+            options["features"] = self.features
+        if isinstance(entry, LearnedEstimator):
+            return partial(self.models[entry.name].predict, **entry.options, **options)
+        return partial(entry, **options)
 
     def test_pixels(self, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
         """Return the pixels that trained nothing.
@@ -148,10 +162,10 @@ def totals_of(samples: Samples) -> Totals:
 
 
 def _looks_around(entry: Entry) -> bool:
-    return isinstance(entry, Estimator) and entry.uses_neighbours
+    return entry.uses_neighbours
 
 
 def _takes(entry: Entry, n: int) -> bool:
     if isinstance(entry, LearnedEstimator):
-        return n == entry.inputs
+        return entry.inputs is None or n == entry.inputs
     return n >= entry.minimum_samples

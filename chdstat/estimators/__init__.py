@@ -1,7 +1,9 @@
 """Estimators: from a few samples of a pixel to its radiance.
 
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
-is the baseline, `MLP` learns from the scene; the others are
+is the baseline. `MLP` is the network of the paper, `Progressive` ours: from any number of samples,
+with a certainty and an interval, and without a reference as `self_trained`. `EmpiricalPrior` tells
+how far any of them is from what one pixel's samples tell. The others are
 
 - order statistics: `median`, `trimmed_mean`, `winsorized_mean`;
 - M-estimators: `huber`, `tukey`, `catoni`;
@@ -39,6 +41,13 @@ from chdstat.estimators.alike import Fireflies, shared_patches, shared_shape
 from chdstat.estimators.mlp import MLP
 from chdstat.estimators.empirical_prior import EmpiricalPrior, Posterior
 from chdstat.estimators.presets import PRESETS, Preset
+from chdstat.estimators.progressive import (
+    Estimates,
+    Profile,
+    Progressive,
+    Stream,
+    self_trained,
+)
 from chdstat.estimators.registry import (
     Estimator,
     LearnedEstimator,
@@ -56,6 +65,7 @@ __all__ = [
     "PRESETS",
     "Cascade",
     "EmpiricalPrior",
+    "Estimates",
     "Estimator",
     "Fireflies",
     "History",
@@ -63,6 +73,9 @@ __all__ = [
     "Model",
     "Posterior",
     "Preset",
+    "Profile",
+    "Progressive",
+    "Stream",
     "bayesian_median_of_means",
     "catoni",
     "decoro2010",
@@ -85,6 +98,7 @@ __all__ = [
     "register",
     "register_learned",
     "sakai2024",
+    "self_trained",
     "shared_patches",
     "shared_shape",
     "trimmed_mean",

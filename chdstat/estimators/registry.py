@@ -11,8 +11,8 @@ returns a `Model`. Both are found by name with `lookup`; `chdstat.compare` takes
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
@@ -44,10 +44,6 @@ class Model(Protocol):
         """Registered name of the estimator that it is."""
 
     @property
-    def inputs(self) -> int:
-        """Samples per estimate."""
-
-    @property
     def train_pixels(self) -> npt.NDArray[np.int64]:
         """Pixels that it has seen, rows (y, x); no judgement may use them."""
 
@@ -55,8 +51,8 @@ class Model(Protocol):
     def train_shape(self) -> tuple[int, int]:
         """Height and width of the picture that `train_pixels` lie in."""
 
-    def predict(self, x: npt.ArrayLike) -> Array:
-        """Estimate from samples (..., inputs); the result has shape (...)."""
+    def predict(self, x: npt.ArrayLike, /) -> Array:
+        """Estimate from samples (..., sample); the result has shape (...)."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +74,8 @@ class Estimator:
     joint_channels
         Whether it looks at the channels together; then it takes samples (..., channel, sample), and
         a sample of which any channel is bad is left out as a whole.
+    uses_features
+        Whether it takes ``features=``, the first-hit features of the picture, where there are any.
     """
 
     name: str
@@ -86,6 +84,7 @@ class Estimator:
     minimum_samples: int = 1
     uses_neighbours: bool = False
     joint_channels: bool = False
+    uses_features: bool = False
 
     def __call__(self, x: npt.ArrayLike, **options: Any) -> Array:
         """Estimate the radiance that the samples `x` are draws of.
@@ -111,16 +110,31 @@ class LearnedEstimator:
     source
         Author, year, DOI.
     inputs
-        Samples per estimate; it takes neither more nor fewer.
+        Samples per estimate, where it takes neither more nor fewer; None for any number.
     pixels
         Pixels that it wants to train on.
+    options
+        What its models are asked with: entries that share `train` share one model, and differ in
+        how they ask it.
+    uses_features
+        As for `Estimator`.
+    joint_channels
+        As for `Estimator`.
     """
 
     name: str
     train: Callable[..., Model]
     source: str
-    inputs: int
+    inputs: int | None
     pixels: int
+    options: Mapping[str, Any] = field(default_factory=dict)
+    uses_features: bool = False
+    joint_channels: bool = False
+
+    @property
+    def uses_neighbours(self) -> bool:
+        """Whether it looks across pixels: no learned estimator does that has a reference."""
+        return False
 
 
 Kind = Literal["fixed", "learned"]
@@ -135,6 +149,7 @@ def register(
     minimum_samples: int = 1,
     uses_neighbours: bool = False,
     joint_channels: bool = False,
+    uses_features: bool = False,
 ) -> Callable[[Function], Function]:
     """Enter the decorated function as the estimator `name`.
 
@@ -150,7 +165,8 @@ def register(
     """
 
     def enter(function: Function) -> Function:
-        _enter(Estimator(name, function, source, minimum_samples, uses_neighbours, joint_channels))
+        flags = uses_neighbours, joint_channels, uses_features
+        _enter(Estimator(name, function, source, minimum_samples, *flags))
         return function
 
     return enter

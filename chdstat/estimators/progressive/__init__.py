@@ -1,0 +1,15 @@
+"""Progressive: our estimator, which learns how far each octave of a pixel's samples counts.
+
+`Progressive` is the estimator, `Estimates` what it says; `Stream` feeds it samples as they are
+rendered, and `self_trained` trains it on the very picture that it improves.
+"""
+
+from __future__ import annotations
+
+from chdstat.estimators.progressive.entries import self_trained
+from chdstat.estimators.progressive.model import Progressive
+from chdstat.estimators.progressive.profiles import Profile
+from chdstat.estimators.progressive.results import Estimates
+from chdstat.estimators.progressive.streams import Stream
+
+__all__ = ["Estimates", "Profile", "Progressive", "Stream", "self_trained"]

@@ -1,0 +1,105 @@
+"""Entries: the progressive estimator in the registry, for comparisons and the command line."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import as_samples
+from chdstat.estimators.progressive.first_hit import Features
+from chdstat.estimators.progressive.model import Progressive
+from chdstat.estimators.registry import LearnedEstimator, register, register_learned
+from chdstat.samples import Samples
+
+__all__ = ["self_trained"]
+
+_SOURCE = "this library, after Zirr et al. 2018, doi:10.1111/cgf.13335"
+_PIXELS = 8192
+
+
+def _train(samples: Samples, **options: Any) -> Progressive:
+    return Progressive().train(samples, **options)
+
+
+def _train_with_features(samples: Samples, **options: Any) -> Progressive:
+    return Progressive(features=True).train(samples, **options)
+
+
+for _name, _function, _balance in (
+    ("progressive", _train, 0.5),
+    ("progressive_mse", _train, 0.0),
+    ("progressive_relmse", _train, 1.0),
+    ("progressive_features", _train_with_features, 0.5),
+):
+    register_learned(
+        LearnedEstimator(
+            _name,
+            _function,
+            _SOURCE,
+            inputs=None,
+            pixels=_PIXELS,
+            options={"balance": _balance},
+            uses_features=_function is _train_with_features,
+            joint_channels=True,
+        )
+    )
+
+
+@register(
+    "self_trained",
+    source="this library, after Lehtinen et al. 2018",
+    minimum_samples=4,
+    uses_neighbours=True,
+    joint_channels=True,
+    uses_features=True,
+)
+def self_trained(
+    x: npt.ArrayLike,
+    *,
+    features: Features | None = None,
+    seed: int = 0,
+    iterations: int | None = None,
+    progress: bool | None = False,
+) -> npt.NDArray[np.float32]:
+    """Train a progressive estimator on a picture's own samples, and estimate from all of them.
+
+    No reference and no second render is needed. It learns from splits of each pixel's samples, so
+    that the truth is the expectation of what it learns from, and it looks at features and
+    neighbours.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample), at least 4.
+    features
+        First-hit features of the picture, as of `Samples.features`.
+    seed, iterations, progress
+        As for `Progressive.train`.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit of `x`.
+
+    Raises
+    ------
+    InputError
+        If `x` is no picture, or has less than 4 samples.
+
+    References
+    ----------
+    J. Lehtinen et al., "Noise2Noise: learning image restoration without clean data", ICML 2018.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> picture = rng.exponential(size=(16, 16, 3, 16))
+    >>> self_trained(picture, iterations=5).shape
+    (16, 16, 3)
+    """
+    picture = Samples.from_array(as_samples(x, minimum=2), features=features)
+    model = Progressive(features=bool(features), neighbours=True)
+    model.train(picture, reference=False, seed=seed, iterations=iterations, progress=progress)
+    return model.predict(picture.read(), features=features)

@@ -1,0 +1,155 @@
+"""Network: how far each octave of a pixel is to be believed.
+
+A dense network looks at the profile of a pixel, and at what else is known of it, and answers with a
+weight for each octave of its own samples, for each band of its surroundings, and with an offset.
+The proposal g is the radiance under these weights: all weights 1 and no offset give the mean. The
+estimate is ``mean + (g - mean) / (1 + N / n0)``: n0, which the network answers too, is the number
+of samples that its experience is worth. So the estimate tends to the mean as N grows.
+
+There are two answers from the same hidden layers, one for each `AIMS`.
+
+It is what Zirr et al. 2018, doi:10.1145/3269978, do with the layers of their cascade, by weights
+that are learned, as kernels are by Bako et al. 2017, doi:10.1145/3072959.3073708.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import nn
+
+from chdstat.estimators.progressive.profiles import OCTAVES
+from chdstat.estimators.progressive.shapes import AIMS, Shape
+from chdstat.estimators.progressive.surroundings import BANDS
+
+__all__ = ["Answer", "Network", "Sight", "device"]
+
+_FAINT = 1e-3
+"""Radiance share, in units of the picture's, below which differences hardly show."""
+_LARGEST_WORTH = 12.0
+"""log2 of the most samples that experience may be worth."""
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What is seen of some pixels; all radiance in units of the picture's.
+
+    Attributes
+    ----------
+    bins
+        Share of the samples in each octave, then the radiance in each channel, divided by the
+        number of samples; shape (row, octave, 1 + channel).
+    count
+        Samples, shape (row,).
+    described
+        Of the first hit, shape (row, number).
+    bands, weight
+        Of the surroundings, shape (row, radius, band, 1 + channel) and (row, radius).
+    shared
+        What alike pixels around say, shape (row, channel).
+    """
+
+    bins: torch.Tensor
+    count: torch.Tensor
+    described: torch.Tensor
+    bands: torch.Tensor
+    weight: torch.Tensor
+    shared: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the network makes of pixels, in units of the picture's radiance.
+
+    Attributes
+    ----------
+    estimate
+        For each of `AIMS`, shape (row, aim, channel).
+    mean
+        Of the samples, shape (row, channel).
+    certainty
+        Weight of the proposal beside the mean, 0 to 1, shape (row, aim).
+    """
+
+    estimate: torch.Tensor
+    mean: torch.Tensor
+    certainty: torch.Tensor
+
+
+class Network(nn.Module):
+    """From what is seen of pixels to their radiance."""
+
+    def __init__(self, shape: Shape) -> None:
+        super().__init__()
+        self.shape = shape
+        sizes = [shape.inputs] + [shape.width] * shape.layers
+        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
+        self.answer = nn.Linear(sizes[-1], len(AIMS) * shape.answers)
+        # All weights begin near 1: training starts from the mean.
+        nn.init.zeros_(self.answer.weight)
+        nn.init.zeros_(self.answer.bias)
+
+    def forward(self, sight: Sight) -> Answer:
+        """Estimate under every aim."""
+        hidden = self._inputs(sight)
+        for layer in self.hidden:
+            hidden = torch.relu(layer(hidden))
+        radiance = sight.bins[..., 1:]
+        mean = radiance.sum(dim=1)
+        channels, pools = self.shape.channels, self.shape.pools
+        answers = self.answer(hidden).unflatten(1, (len(AIMS), -1))
+        sizes = (OCTAVES, channels, 1, pools * BANDS, int(self.shape.neighbours))
+        own, offset, worth, around, others = answers.split(sizes, dim=-1)
+        proposal = torch.exp(own.clamp(-8, 3)) @ radiance + torch.exp((offset - 5).clamp(-12, 4))
+        if pools:
+            weights = torch.exp((around - 3).clamp(-10, 2))
+            proposal = proposal + weights @ sight.bands[..., 1:].flatten(1, 2)
+            proposal = proposal + torch.exp((others - 1).clamp(-10, 2)) * sight.shared[:, None]
+        samples = torch.exp2((2 * worth + 5).clamp(-4, _LARGEST_WORTH))
+        certainty = samples / (samples + sight.count[:, None, None])
+        estimate = torch.lerp(mean[:, None].expand_as(proposal), proposal, certainty)
+        return Answer(estimate, mean, certainty[..., 0])
+
+    def _inputs(self, sight: Sight) -> torch.Tensor:
+        parts = [_legible(sight.bins).flatten(1), (torch.log2(sight.count) / 4 - 1.25)[:, None]]
+        if self.shape.described:
+            parts.append(sight.described)
+        if self.shape.neighbours:
+            parts += [_legible(sight.bands).flatten(1), torch.log1p(sight.weight)]
+            parts.append(0.2 * torch.log1p(sight.shared / _FAINT))
+        return torch.cat(parts, dim=1)
+
+    def load_arrays(self, arrays: dict[str, npt.NDArray[np.float32]]) -> None:
+        """Take over weights by name.
+
+        Raises
+        ------
+        ValueError
+            If one is missing, of another shape, or not finite.
+        """
+        if not all(np.isfinite(array).all() for array in arrays.values()):
+            message = "weights must be finite"
+            raise ValueError(message)
+        try:
+            self.load_state_dict({k: torch.from_numpy(v) for k, v in arrays.items()})
+        except RuntimeError as error:
+            raise ValueError(str(error)) from error
+
+    def to_arrays(self) -> dict[str, npt.NDArray[np.float32]]:
+        """Return the weights by name."""
+        return {name: w.detach().cpu().numpy().copy() for name, w in self.state_dict().items()}
+
+
+def _legible(bins: torch.Tensor) -> torch.Tensor:
+    """Return shares and radiance so that rare and bright samples do not outweigh all others."""
+    shares, radiance = bins[..., :1].clamp(min=0).sqrt(), bins[..., 1:]
+    return torch.cat([shares, 0.2 * torch.log1p(radiance / _FAINT)], dim=-1)
+
+
+def device() -> str:
+    """Return where torch computes: a GPU where it finds one."""
+    return "cuda" if torch.cuda.is_available() else "cpu"

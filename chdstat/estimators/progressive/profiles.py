@@ -1,0 +1,163 @@
+"""Profile: what a pixel's samples look like, octave by octave of luminance, in constant memory.
+
+A profile is to our estimator what the cascade is to `chdstat.estimators.zirr2018`: every sample
+enters the two octaves next to its luminance, linearly in the logarithm, with its weight and with
+its radiance in all channels. Profiles add up, do not depend on the order of the samples, and keep
+their mean exactly, as the radiance in all octaves together is that of all samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy import sparse
+
+from chdstat._arrays import LUMINANCE, as_samples, is_bad, spans
+from chdstat._workers import in_order
+from chdstat.errors import InputError
+
+__all__ = ["OCTAVES", "Profile"]
+
+OCTAVES = 24
+_LOWEST = -12
+"""The first octave stands for luminance up to 2^-12 of the unit, the last for 2^11 and more."""
+_TOP = OCTAVES - 1 - 2.0**-10
+_SAMPLES_AT_ONCE = 2**16
+"""Small enough for all that is made of a block to stay in the cache."""
+_FEW = 4
+
+Floats = npt.NDArray[np.floating[Any]]
+
+
+@dataclass
+class Profile:
+    """Sums over the good samples of pixels.
+
+    Attributes
+    ----------
+    bins
+        Weight of the samples in each octave, then their radiance in each channel in units of
+        `unit`; shape (..., octave, 1 + channel). Nulls enter no octave.
+    count
+        Good samples, nulls among them, shape (...).
+    unit
+        Radiance that octaves are counted from: that of the picture, so that a brighter picture of
+        the same scene has the same profiles.
+    """
+
+    bins: Floats
+    count: npt.NDArray[np.int64]
+    unit: float
+
+    @classmethod
+    def empty(cls, shape: tuple[int, ...], channels: int, *, unit: float) -> Self:
+        """Return profiles without a sample, to be updated; float64, for very many samples."""
+        return cls(np.zeros((*shape, OCTAVES, 1 + channels)), np.zeros(shape, np.int64), unit)
+
+    @classmethod
+    def of(cls, x: npt.ArrayLike, *, unit: float) -> Self:
+        """Return the profiles of samples (..., channel, sample).
+
+        A sample of which any channel is NaN, infinite or negative is left out.
+
+        Raises
+        ------
+        InputError
+            If `x` has no channels, or `unit` is not positive and finite.
+
+        Examples
+        --------
+        >>> one = Profile.of([[1.0, 0.0, 8.0]], unit=1.0)
+        >>> one.count.item(), one.bins.sum(axis=0).tolist(), one.mean().tolist()
+        (3, [2.0, 9.0], [3.0])
+        """
+        samples = as_samples(x)
+        if samples.ndim < 2:
+            message = f"x must have shape (..., channel, sample), got {samples.shape}"
+            raise InputError(message)
+        if not 0 < unit < np.inf:
+            message = f"unit must be a positive radiance, got {unit}"
+            raise InputError(message)
+        *shape, channels, n = samples.shape
+        rows = samples.reshape(-1, channels, n)
+        bins = np.empty((len(rows), OCTAVES, 1 + channels), np.float32)
+        count = np.empty(len(rows), np.int64)
+
+        def enter(part: slice) -> None:
+            bins[part], count[part] = _profile(rows[part], np.float32(unit))
+
+        parts = list(spans(len(rows), max(1, _SAMPLES_AT_ONCE // n)))
+        # A few parts are done before threads have started.
+        for _ in map(enter, parts) if len(parts) <= _FEW else in_order(enter, parts):
+            pass
+        return cls(bins.reshape(*shape, *bins.shape[1:]), count.reshape(shape), unit)
+
+    @property
+    def channels(self) -> int:
+        """How many channels there are."""
+        return int(self.bins.shape[-1]) - 1
+
+    def add(self, other: Profile) -> None:
+        """Add the samples of other profiles of the same pixels."""
+        self.bins += other.bins
+        self.count += other.count
+
+    def mean(self) -> Floats:
+        """Return the mean of the good samples, shape (..., channel); NaN where there is none."""
+        count = np.where(self.count > 0, self.count, np.nan)[..., np.newaxis]
+        return np.asarray(self.bins[..., 1:].sum(axis=-2) * self.unit / count)
+
+    def reshape(self, *shape: int) -> Self:
+        """Return the same profiles with their pixels in another shape."""
+        bins = self.bins.reshape(*shape, *self.bins.shape[-2:])
+        return type(self)(bins, self.count.reshape(shape), self.unit)
+
+    def __getitem__(self, pixels: Any) -> Self:
+        """Return the profiles of some pixels."""
+        return type(self)(self.bins[pixels], self.count[pixels], self.unit)
+
+
+def _profile(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return bins (row, octave, 1 + channel) and good samples of rows (row, channel, sample).
+
+    The bins are the product of a sparse matrix, with the two weights of each sample in its column,
+    and of the samples: one loop in C for all channels, on all cores.
+    """
+    rows, channels, n = x.shape
+    bad = is_bad(x).any(axis=1)
+    values = np.empty((rows, n, 1 + channels), np.float32)
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        for channel in range(channels):
+            np.divide(x[:, channel], unit, out=values[..., 1 + channel], casting="same_kind")
+        if bad.any():
+            values[bad] = 0
+        luminance = _luminance(values[..., 1:])
+    np.greater(luminance, 0, out=values[..., 0], casting="unsafe")
+    place = np.clip(luminance, 2.0**_LOWEST, 2.0 ** (_LOWEST + OCTAVES), out=luminance)
+    np.log2(place, out=place)
+    place -= _LOWEST
+    np.minimum(place, _TOP, out=place)
+    octave = place.astype(np.int32)
+    upper = np.subtract(place, octave, out=place)
+    octave += np.arange(0, rows * OCTAVES, OCTAVES, dtype=np.int32)[:, np.newaxis]
+    matrix = sparse.csc_array(
+        (
+            np.stack([1 - upper, upper], axis=-1).ravel(),
+            np.stack([octave, octave + 1], axis=-1).ravel(),
+            np.arange(0, 2 * rows * n + 1, 2, dtype=np.int32),
+        ),
+        shape=(rows * OCTAVES, rows * n),
+        copy=False,
+    )
+    bins = matrix @ values.reshape(rows * n, -1)
+    return bins.reshape(rows, OCTAVES, -1), n - bad.sum(axis=1)
+
+
+def _luminance(values: Floats) -> Floats:
+    """Return the luminance of RGB, shape (..., channel), or the mean of other channels."""
+    channels = values.shape[-1]
+    weights = LUMINANCE if channels == 3 else np.full(channels, 1 / channels, np.float32)
+    return np.asarray(values @ weights)

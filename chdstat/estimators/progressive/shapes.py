@@ -1,0 +1,58 @@
+"""Shape: what a network of the progressive estimator looks at, and how large it is."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from chdstat.estimators.progressive.profiles import OCTAVES
+from chdstat.estimators.progressive.surroundings import BANDS, RADII
+
+__all__ = ["AIMS", "Shape"]
+
+AIMS = ("mse", "relmse")
+"""What the answers of a network minimise."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What a network looks at, and how large it is.
+
+    Attributes
+    ----------
+    channels
+        Channels of a sample.
+    described
+        Numbers that describe the first hit; 0 without features.
+    neighbours
+        Whether it looks at its surroundings and at what alike pixels say.
+    width, layers
+        Neurons of a hidden layer, and how many of these there are.
+    """
+
+    channels: int
+    described: int = 0
+    neighbours: bool = False
+    width: int = 128
+    layers: int = 3
+
+    @property
+    def pools(self) -> int:
+        """Windows around a pixel that it looks at."""
+        return len(RADII) if self.neighbours else 0
+
+    @property
+    def inputs(self) -> int:
+        """Numbers that go in."""
+        own = OCTAVES * (1 + self.channels) + 1
+        around = self.pools * (BANDS * (1 + self.channels) + 1)
+        return own + self.described + around + self.channels * self.neighbours
+
+    @property
+    def answers(self) -> int:
+        """Numbers that come out for each aim: weights, offsets, and the worth of the experience."""
+        return OCTAVES + self.channels + 1 + self.pools * BANDS + int(self.neighbours)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields, ready for JSON."""
+        return asdict(self)

@@ -1,0 +1,206 @@
+"""Training: against a reference where there is one, or against the picture's own other samples.
+
+Squared errors are divided by a power of ``y^2 + 0.01 m^2``, m being the picture's mean. With a
+reference, y is the reference, and the powers 0 and 1 of the two answers make them minimise MSE and
+relMSE. Without one, y is the estimate itself, held fixed: then the weight says which pixels matter,
+and the minimiser remains the mean of the target, whatever its noise (the relative loss of Lehtinen
+et al. 2018, "Noise2Noise: learning image restoration without clean data").
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from chdstat._workers import cores, in_order
+from chdstat.estimators.progressive.lessons import Lesson, Material, Scenery
+from chdstat.estimators.progressive.network import Answer, Network, Sight, device
+from chdstat.estimators.progressive.profiles import Profile
+from chdstat.estimators.progressive.splits import Part, Splits
+
+__all__ = ["FLOOR", "learn", "look", "threads"]
+
+FLOOR = 0.01
+"""Part of the squared mean radiance of the picture that keeps relative errors finite."""
+_WITH_REFERENCE = (0.0, 1.0)
+_WITHOUT = (0.5, 0.75)
+"""Powers of the squared radiance in the loss of each aim. Without a reference they only say which
+pixels matter; at the ends few bright or many dark ones do, and both errors are larger."""
+_RECORDS = 40
+_VALIDATION_ROWS = 4096
+_LARGEST_GRADIENT = 1.0
+_KEEP = 0.995
+"""Of the average of the weights at each step, as Polyak and Juditsky 1992 average them: the targets
+are noisy, and so is each step."""
+
+Array = npt.NDArray[np.float32]
+Pixels = npt.NDArray[np.int64]
+
+
+def learn(
+    network: Network,
+    material: Material,
+    *,
+    train: Pixels,
+    validation: Pixels,
+    rng: np.random.Generator,
+    advance: Callable[[float], None],
+) -> npt.NDArray[np.float64]:
+    """Train a network in place.
+
+    Parameters
+    ----------
+    network
+        Left with the average of its weights over the last steps.
+    material
+        What to train with.
+    train, validation
+        Indices of the pixels that train and of those that only watch.
+    rng
+        Draws minibatches.
+    advance
+        Told of every iteration.
+
+    Returns
+    -------
+    ndarray
+        Rows (iteration, train loss, validation loss, train baseline, validation baseline), where
+        the baseline is the sample mean under the same loss.
+    """
+    splits, scenery, lesson = material.splits, material.scenery, material.lesson
+    network.to(device()).train()
+    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(_KEEP))  # type: ignore[no-untyped-call]
+    optimiser = torch.optim.Adam(network.parameters(), lr=lesson.learning_rate, fused=True)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, lesson.iterations)
+    judge = _Judge.of(splits, reference=lesson.reference)
+    watched = _watch(splits, validation, lesson, rng)
+    every, seen, history = max(1, lesson.iterations // _RECORDS), [], []
+    with threads(max(1, cores() - 1)):
+        parts = _minibatches(splits, train, lesson, rng)
+        for iteration, part in enumerate(parts, 1):
+            losses = judge(_answer(network, part, scenery), part)
+            optimiser.zero_grad()
+            losses[0].backward()  # type: ignore[no-untyped-call]
+            torch.nn.utils.clip_grad_norm_(network.parameters(), _LARGEST_GRADIENT)
+            optimiser.step()
+            schedule.step()
+            average.update_parameters(network)
+            seen.append([float(value.detach()) for value in losses])
+            if iteration % every == 0 or iteration == lesson.iterations:
+                watching = _validate(average.module, watched, scenery, judge)
+                fit, baseline = np.mean(seen, axis=0)
+                history.append((iteration, fit, watching[0], baseline, watching[1]))
+                seen.clear()
+            advance(1)
+    network.load_state_dict(average.module.state_dict())
+    network.to("cpu").eval()
+    return np.array(history)
+
+
+def look(profile: Profile, scenery: Scenery, shared: Array, place: str) -> Sight:
+    """Return what a network sees of pixels; rows of `scenery` are those of the profiles."""
+    count = np.maximum(profile.count, 1).astype(np.float32)
+    bins = profile.bins / count[:, np.newaxis, np.newaxis]
+    arrays = (bins, count, scenery.described, scenery.bands, scenery.weight, shared)
+    return Sight(*(torch.from_numpy(np.asarray(a, np.float32)).to(place) for a in arrays))
+
+
+def _minibatches(
+    splits: Splits, train: Pixels, lesson: Lesson, rng: np.random.Generator
+) -> Iterator[Part]:
+    """Yield minibatches, each drawn while the one before it trains."""
+    own = rng.spawn(1)[0]
+
+    def draw(size: int) -> Part:
+        return splits.draw(train, size, lesson.minibatch, own)
+
+    # One worker, so that the draws come in order.
+    return in_order(draw, rng.choice(lesson.sizes, lesson.iterations).tolist(), workers=1)
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """The losses, in units of what the mean of as many samples loses on average.
+
+    Attributes
+    ----------
+    floor
+        Of squared radiance, shape (channel,).
+    powers
+        Of the squared radiance that squared errors are divided by, shape (aim,).
+    scale
+        What one sample loses under each aim, shape (aim,).
+    reference
+        Whether a target is as good as the truth.
+    """
+
+    floor: torch.Tensor
+    powers: tuple[float, ...]
+    scale: npt.NDArray[np.float64]
+    reference: bool
+
+    @classmethod
+    def of(cls, splits: Splits, *, reference: bool) -> _Judge:
+        mean, variance = splits.mean, splits.variance
+        floor = FLOOR * mean.mean(axis=0) ** 2 + np.finfo(np.float32).tiny
+        powers = _WITH_REFERENCE if reference else _WITHOUT
+        scale = np.array([(variance / (mean**2 + floor) ** power).mean() for power in powers])
+        place = torch.from_numpy(floor.astype(np.float32)).to(device())
+        return cls(place, powers, np.where(scale > 0, scale, 1.0), reference)
+
+    def __call__(self, answer: Answer, part: Part) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the loss of both estimates together, and that of the mean."""
+        target = self._target(part)
+        truth = target if self.reference else answer.estimate.mean(dim=1).detach()
+        weight = torch.stack(
+            [
+                len(part.places) / scale / (truth**2 + self.floor) ** power
+                for power, scale in zip(self.powers, self.scale, strict=True)
+            ],
+            dim=1,
+        )
+        errors = answer.estimate - target[:, None], (answer.mean - target)[:, None]
+        loss, baseline = ((weight * error**2).mean() for error in errors)
+        return loss, baseline
+
+    def _target(self, part: Part) -> torch.Tensor:
+        return torch.from_numpy(part.target).to(self.floor.device)
+
+
+def _answer(network: torch.nn.Module, part: Part, scenery: Scenery) -> Answer:
+    place = next(network.parameters()).device.type
+    return network(look(part.profile, scenery[part.rows], part.shared, place))  # type: ignore[no-any-return]
+
+
+def _validate(
+    network: torch.nn.Module, watched: Sequence[Part], scenery: Scenery, judge: _Judge
+) -> tuple[float, float]:
+    """Return the loss and the baseline's over fixed splits; NaN where nothing watches."""
+    with torch.inference_mode():
+        found = [judge(_answer(network, part, scenery), part) for part in watched]
+    values = np.array([[float(value) for value in pair] for pair in found]).reshape(-1, 2)
+    loss, baseline = values.mean(axis=0) if len(values) else (np.nan, np.nan)
+    return float(loss), float(baseline)
+
+
+def _watch(splits: Splits, pixels: Pixels, lesson: Lesson, rng: np.random.Generator) -> list[Part]:
+    """Draw the splits that watch: the same for every record, at the middle number of samples."""
+    size = sorted(lesson.sizes)[len(lesson.sizes) // 2]
+    return [splits.draw(pixels, size, _VALIDATION_ROWS, rng)] if len(pixels) else []
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Let torch use so many threads while the context lasts."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
