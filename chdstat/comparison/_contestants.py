@@ -46,6 +46,7 @@ class Contestants:
         entries: Mapping[str, Entry],
         samples: Samples,
         *,
+        sizes: Sequence[int],
         seed: int,
         model: Model | None,
         progress: bool | None,
@@ -62,8 +63,10 @@ class Contestants:
         trained = {} if model is None else {learned[model.name].train: model}
         for entry in learned.values():
             if entry.train not in trained:
+                # Whoever takes any number of samples learns those that it is judged at.
+                options = {} if entry.inputs else {"sizes": tuple(sizes)}
                 trained[entry.train] = entry.train(
-                    samples, seed=seed, pixels=pixels, progress=progress
+                    samples, seed=seed, pixels=pixels, progress=progress, **options
                 )
         return cls(
             entries,

@@ -179,7 +179,9 @@ def error_curve(
     chosen = _sizes(sizes, samples, max_batches)
     entries = resolve(estimators, chosen)
     totals = totals_of(samples)
-    contestants = Contestants.of(entries, samples, seed=seed, model=model, progress=progress)
+    contestants = Contestants.of(
+        entries, samples, sizes=chosen, seed=seed, model=model, progress=progress
+    )
     units = Units.of(contestants.test_pixels(samples.shape[:2]), seed=seed)
     tallies = [
         judge(

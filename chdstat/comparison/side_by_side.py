@@ -124,7 +124,9 @@ def compare(
     check_spp(samples, n)
     totals = totals_of(samples)
     named = labels_of(labels, samples, progress=progress)
-    contestants = Contestants.of(entries, samples, seed=seed, model=model, progress=progress)
+    contestants = Contestants.of(
+        entries, samples, sizes=[n], seed=seed, model=model, progress=progress
+    )
     functions = contestants.taking(n)
     test = contestants.test_pixels(samples.shape[:2])
     units = Units.of(test, None if named is None else named.codes, seed=seed)

@@ -106,7 +106,8 @@ class LearnedEstimator:
     name
         What it is called by.
     train
-        ``train(samples, *, seed, pixels, progress)`` returns a trained `Model`.
+        ``train(samples, *, seed, pixels, progress)`` returns a trained `Model`; one that takes any
+        number of samples also takes ``sizes``, those that it will be asked for.
     source
         Author, year, DOI.
     inputs

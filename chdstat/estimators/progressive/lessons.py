@@ -122,6 +122,7 @@ def with_reference(
     *,
     features: Features | None,
     unit: float,
+    sizes: Sequence[int] | None,
     iterations: int | None,
     seed: int,
 ) -> Material:
@@ -130,14 +131,19 @@ def with_reference(
     Raises
     ------
     InputError
-        If there are fewer than 8 samples per pixel, or too few pixels without a bad sample.
+        If there are too few samples per pixel for a size and an equally large reference, or a size
+        is less than 1.
     """
-    check_spp(samples, min(_LADDER))
+    wanted = _LADDER if sizes is None else tuple(sizes)
+    if not wanted or min(wanted) < 1:
+        message = f"sizes must be one or more numbers of samples from 1, got {wanted}"
+        raise InputError(message)
+    check_spp(samples, min(wanted) if sizes is None else max(wanted))
     chosen = draw_pixels(samples.shape[:2], _PIXELS, seed=seed) if pixels is None else pixels
     rows, good = _rows(samples, chosen)
     spp = rows.shape[-1]
     lesson = Lesson(
-        sizes=[n for n in _LADDER if n <= spp // 2],
+        sizes=[n for n in wanted if n <= spp // 2],
         reference=True,
         iterations=_ITERATIONS if iterations is None else iterations,
     )

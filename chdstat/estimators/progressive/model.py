@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -134,6 +134,7 @@ class Progressive:
         *,
         reference: bool = True,
         seed: int = 0,
+        sizes: Sequence[int] | None = None,
         iterations: int | None = None,
         pixels: npt.ArrayLike | None = None,
         progress: bool | None = None,
@@ -149,6 +150,9 @@ class Progressive:
             numbers of samples that will be estimated from. False learns from splits of the samples.
         seed
             Draws the pixels, the first weights and the minibatches.
+        sizes
+            With a reference, the numbers of samples to learn from; None for 4 to 512. Fewer of them
+            are learned a little better; others can be estimated from all the same.
         iterations
             Minibatches; None for 6000 with a reference and 2000 without.
         pixels
@@ -173,15 +177,21 @@ class Progressive:
         if reference and self.neighbours:
             message = "neighbours=True learns without a reference: train(samples, reference=False)"
             raise InputError(message)
-        if pixels is not None and not reference:
-            message = "pixels are drawn with a reference only; without one, all train"
+        if not reference and (pixels is not None or sizes is not None):
+            message = "pixels and sizes are for training with a reference; without one, all train"
             raise InputError(message)
         features = self._features_of(samples)
         unit = picture_unit(_means(samples))
         if reference:
             chosen = None if pixels is None else np.unique(np.asarray(pixels, np.int64), axis=0)
             material = with_reference(
-                samples, chosen, features=features, unit=unit, iterations=iterations, seed=seed
+                samples,
+                chosen,
+                features=features,
+                unit=unit,
+                sizes=sizes,
+                iterations=iterations,
+                seed=seed,
             )
         else:
             material = without_reference(
@@ -402,6 +412,7 @@ class Progressive:
             "seed": seed,
             "pixels_used": count,
             "pixels_excluded": material.excluded,
+            "sizes": sorted(set(material.lesson.sizes)),
             "iterations": material.lesson.iterations,
             "chdstat": chdstat.__version__,
         }

@@ -34,7 +34,8 @@ _WITHOUT = (0.5, 0.75)
 pixels matter; at the ends few bright or many dark ones do, and both errors are larger."""
 _RECORDS = 40
 _VALIDATION_ROWS = 4096
-_LARGEST_GRADIENT = 1.0
+_LARGEST_GRADIENT = 10.0
+"""Norm at which gradients are cut: a firefly shall not undo many steps, nor often be cut."""
 _KEEP = 0.995
 """Of the average of the weights at each step, as Polyak and Juditsky 1992 average them: the targets
 are noisy, and so is each step."""
