@@ -19,8 +19,11 @@ _FUNCTIONS = {
     "classify": "patterns",
     "compare": "comparison",
     "error_curve": "comparison",
+    "estimate": "estimates",
+    "explore": "explorer",
     "gaussianity": "normality",
     "histogram": "histograms",
+    "load_model": "models",
     "load_scene": "scenes",
     "modality": "modes",
     "open": "samples",
@@ -29,8 +32,10 @@ _FUNCTIONS = {
     "report": "reporting",
     "simulate": "simulation",
     "summarize": "summary",
+    "train_model": "models",
+    "write_estimates": "estimates",
 }
-_MODULES = ("errors", "estimators", "fit", "io", "metrics", "simulation", "viz")
+_MODULES = ("errors", "estimators", "findings", "fit", "io", "metrics", "simulation", "viz")
 
 __all__ = ["__version__", *sorted((*_FUNCTIONS, *_MODULES))]
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import sys
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from chdstat.cli import main
@@ -35,7 +38,16 @@ def store(tmp_path_factory):
 def test_help_has_an_example_for_every_command(run):
     code, out, _ = run("--help")
     assert code == 0
-    for command in ("render", "info", "analyze", "compare", "report", "doctor"):
+    for command in (
+        "render",
+        "info",
+        "analyze",
+        "train",
+        "estimate",
+        "compare",
+        "report",
+        "doctor",
+    ):
         assert command in out
         assert "Example: chdstat" in run(command, "--help")[1]
 
@@ -100,6 +112,77 @@ def test_compare_speaks_json(run, store):
     assert (said["n"], said["table"][0]["mse_ratio"]) == (4, 1)
 
 
+def test_compare_judges_with_a_denoiser_too(run, store, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyoidn", SimpleNamespace(denoise=lambda colour, **_: colour))
+    asked = ("compare", store, "-e", "mean", "--n", 4, "-q", "--denoise")
+    code, out, _ = run(*asked, "--json", "--training-seeds", 2)
+    rows = json.loads(out)["table"]
+    assert code == 0
+    assert [row["estimator"] for row in rows] == ["mean", "mean + OIDN", "mean + OIDN features"]
+    assert rows[0]["mse_sd_over_trainings"] is None
+    assert "mean + OIDN features" in run(*asked)[1]
+    monkeypatch.setitem(sys.modules, "pyoidn", None)
+    code, _, err = run(*asked)
+    assert code == 1
+    assert "pip install 'chdstat[denoise]'" in err
+
+
+def test_a_model_is_trained_and_estimates(run, store, tmp_path):
+    import chdstat
+
+    model, picture = tmp_path / "box.safetensors", tmp_path / "box.exr"
+    asked = ("train", store, "-o", model, "--no-reference", "--iterations", 3, "--spp", 8, "-q")
+    assert run(*asked)[:2] == (0, f"wrote {model}\n")
+    asked = ("estimate", store, "-o", picture, "--model", model, "--level", 0.5, "-q")
+    assert run(*asked)[:2] == (0, f"wrote {picture}\n")
+    found = chdstat.io.read_exr(picture)
+    assert found.picture.shape == (10, 12, 3)
+    assert set(found.extra) == {"certainty", "low", "high", "mean"}
+    assert (found.attributes["spp"], found.attributes["level"]) == ("16", "0.5")
+
+
+def test_estimate_renders_a_scene_and_trains_on_it(run, tmp_path):
+    import chdstat
+
+    picture, kept = tmp_path / "box.exr", tmp_path / "box.zarr"
+    asked = ("estimate", "cornell-box", "-o", picture, "--spp", 8, "--size", "10x8", "-q")
+    code, _, err = run(*asked, "--iterations", 3, "--backend", "scalar", "--store", kept)
+    assert (code, err) == (0, "")
+    assert chdstat.open(kept).spp == 8
+    found = chdstat.io.read_exr(picture)
+    assert json.loads(found.attributes["model"])["features"]
+    assert found.picture.shape == (8, 10, 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--model", "nowhere.safetensors"), "no model at nowhere.safetensors"),
+        (("--model", "cut.safetensors"), "damaged or not a chdstat model"),
+        (("--model", "foreign.safetensors"), "not a chdstat model"),
+        (("--spp", 3), "at least 4 spp, got 3"),
+        (("--spp", 17), "spp must be from 1 to 16"),
+        (("--balance", 2), "balance must lie between 0 (MSE) and 1 (relMSE), got 2"),
+        (("-o", "nowhere/a.exr"), "create it first"),
+        (("-o", "a.png"), "must end in .exr"),
+    ],
+)
+def test_what_cannot_be_estimated_ends_with_a_message_and_no_file(
+    run, store, tmp_path, monkeypatch, arguments, message
+):
+    from safetensors.numpy import save_file
+
+    monkeypatch.chdir(tmp_path)
+    save_file({"a": np.zeros(9)}, "foreign.safetensors")
+    whole = (tmp_path / "foreign.safetensors").read_bytes()
+    (tmp_path / "cut.safetensors").write_bytes(whole[:-9])
+    code, out, err = run("estimate", store, "-o", "a.exr", *arguments, "-q")
+    assert code == 1
+    assert message in err
+    assert "Traceback" not in out + err
+    assert {path.suffix for path in tmp_path.iterdir()} == {".safetensors"}
+
+
 def test_report_writes_a_pdf(run, store, tmp_path):
     target = tmp_path / "box.pdf"
     code, out, _ = run("report", store, "-o", target, "-q")
@@ -132,6 +215,14 @@ def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
         (("analyze", "s.zarr", "--threshold", "alpha=many"), "takes a number, got 'many'"),
         (("analyze", "s.zarr", "--threshold", "alpha"), "--threshold takes KEY=VALUE"),
         (("analyze", "s.zarr", "--threshold", "alpha=2"), "null_share and firefly_share in (0, 1)"),
+        (("train", "box", "-o", "a.txt"), "must end in .safetensors"),
+        (("train", "box", "-o", "a.safetensors", "--model", "mean"), "mean learns nothing"),
+        (
+            ("train", "box", "-o", "a.safetensors", "--model", "elek2019", "--features"),
+            "are for 'progressive'",
+        ),
+        (("train", "nowhere.zarr", "-o", "a.safetensors"), "no built-in scene or file"),
+        (("estimate", "nowhere.zarr", "-o", "a.exr"), "no built-in scene or file"),
         (("report", "nowhere.xml", "-o", "x.pdf"), "no built-in scene or file 'nowhere.xml'"),
         (("report", "cornell-box", "-o", "x.txt"), "must end in .pdf"),
     ],

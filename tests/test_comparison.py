@@ -1,5 +1,6 @@
 """Comparison: same batches, held-out references and pixels, and what happens at the edges."""
 
+import inspect
 import json
 import time
 import tracemalloc
@@ -17,6 +18,8 @@ from chdstat.errors import InputError
 from chdstat.estimators import MLP, Estimator, registry
 from chdstat.patterns import Label
 
+THREE = ("mean", "median_of_means", "elek2019")
+
 
 def picture(height=20, width=16, spp=160, seed=0):
     rng = np.random.default_rng(seed)
@@ -32,7 +35,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def found(model):
-    return chd.compare(picture(), model=model)
+    return chd.compare(picture(), THREE, model=model)
 
 
 def expected_measures(x, n, estimator, keep):
@@ -172,7 +175,7 @@ def test_max_batches_limits_what_estimates_and_not_the_reference():
 def test_an_all_null_picture_has_no_error_and_no_ratio():
     black = chd.Samples.from_array(np.zeros((6, 6, 3, 64)))
     model = MLP.preset("elek2019").train(black, iterations=5)
-    for row in chd.compare(black, model=model).table():
+    for row in chd.compare(black, THREE, model=model).table():
         assert row["mse"] == row["relmse"] == row["improved"] == 0
         assert np.isnan([row["mse_ratio"], row["relmse_ratio"], row["bias"]]).all()
     json.dumps(chd.compare(black, ["mean"]).to_dict(), allow_nan=False)
@@ -293,6 +296,12 @@ def test_an_estimator_that_fails_has_no_measure_and_spoils_no_other():
 
 
 # --- who takes part -----------------------------------------------------------------------------
+
+
+def test_by_default_the_published_network_and_ours_take_part():
+    for function in (chd.compare, chd.error_curve):
+        default = inspect.signature(function).parameters["estimators"].default
+        assert default == (*THREE, "progressive")
 
 
 def test_those_that_use_neighbours_come_last_and_are_marked():
@@ -431,7 +440,7 @@ def labelled():
 
 
 def test_measures_by_label_add_up_to_those_of_all(model, labelled):
-    found = chd.compare(picture(), model=model, labels=labelled)
+    found = chd.compare(picture(), THREE, model=model, labels=labelled)
     parts = found.breakdown
     assert parts.labels == ("long_tail", "null_heavy", "other")
     assert parts.pixels.sum() == found.test_pixels.sum() == 160

@@ -19,6 +19,7 @@ ROOT = Path(chd.__file__).parent
 
 ORDER = (
     "errors",
+    "_targets",
     "_arrays _machine _reasons _workers progress",
     "scenes",
     "_store _streams",
@@ -41,12 +42,15 @@ ORDER = (
     "estimators",
     "io",
     "comparison",
+    "models",
+    "estimates",
     "analysis",
     "overviews",
     "recipes",
     "findings",
     "viz",
     "reporting",
+    "explorer",
     "doctor",
     "cli",
     "__main__",
@@ -58,7 +62,7 @@ Those on one line are helpers that may import each other, as long as no cycle ar
 
 RANK = {name: rank for rank, line in enumerate(ORDER) for name in line.split()}
 
-HEAVY = ("mitsuba", "drjit", "torch", "matplotlib", "xarray", "zarr", "dask", "sklearn", "scipy", "OpenEXR")
+HEAVY = ("mitsuba", "drjit", "torch", "matplotlib", "xarray", "zarr", "dask", "sklearn", "scipy", "OpenEXR", "bokeh")
 
 RENDERING = {"backend", "capture", "_renderer", "scenes"}
 """What may import Mitsuba."""

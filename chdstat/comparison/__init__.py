@@ -2,7 +2,8 @@
 
 `compare` measures estimators on batches of n samples; its `Comparison` holds every measure, the
 `Breakdown` of them by pattern, and `PixelEstimates` to look at one by one. `error_curve` does the
-same for many n, and returns an `ErrorCurve`. `MEASURES` says what is measured.
+same for many n, and returns an `ErrorCurve`. `denoised` puts a denoiser after an estimator.
+`MEASURES` says what is measured.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from chdstat.comparison._cost import Cost
 from chdstat.comparison._sums import MEASURES
 from chdstat.comparison.curves import ErrorCurve, error_curve
+from chdstat.comparison.denoising import Denoised, denoised
 from chdstat.comparison.parts import Breakdown, PixelEstimates
 from chdstat.comparison.results import Comparison
 from chdstat.comparison.side_by_side import compare
@@ -19,8 +21,10 @@ __all__ = [
     "Breakdown",
     "Comparison",
     "Cost",
+    "Denoised",
     "ErrorCurve",
     "PixelEstimates",
     "compare",
+    "denoised",
     "error_curve",
 ]

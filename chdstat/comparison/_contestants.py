@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat.comparison._entries import Entry, learned_of, looks_around, own_of, takes
 from chdstat.comparison._tally import Function
+from chdstat.comparison.denoising import Denoised, variants
 from chdstat.errors import InputError
 from chdstat.estimators.heldout import Totals, draw_pixels
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup
 from chdstat.samples import Samples
 
-__all__ = ["Contestants", "resolve", "totals_of"]
+__all__ = ["Contestants", "Given", "totals_of"]
 
-Entry = Estimator | LearnedEstimator
+Array = npt.NDArray[Any]
+Given = Model | Mapping[str, Model] | None
+"""A trained model, or several by the name of the estimator that they are trained for."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +38,14 @@ class Contestants:
         Those that were trained, by name; entries that share a training share a model.
     features
         First-hit features of the picture, for those who look at them.
+    pixels
+        What they were trained on, rows (y, x), but for those that came trained.
     """
 
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
-    features: Mapping[str, npt.NDArray[Any]]
+    features: Mapping[str, Array]
+    pixels: npt.NDArray[np.int64]
 
     @classmethod
     def of(
@@ -48,31 +55,46 @@ class Contestants:
         *,
         sizes: Sequence[int],
         seed: int,
-        model: Model | None,
+        model: Given,
         progress: bool | None,
     ) -> Contestants:
-        """Train what learns, all on the same pixels, except for the model that is at hand."""
-        learned = {k: e for k, e in entries.items() if isinstance(e, LearnedEstimator)}
-        if model is not None and model.name not in learned:
-            message = (
-                f"the model is a {model.name!r}, which is not among {list(entries)}; name it there"
-            )
-            raise InputError(message)
+        """Train what learns, all on the same pixels, except for the models that are at hand."""
+        for entry in entries.values():
+            if isinstance(entry, Denoised):
+                entry.check(samples)
+        learned = learned_of(entries)
+        given = _given(model, learned)
         wanted = max((e.pixels for e in learned.values()), default=0)
         pixels = draw_pixels(samples.shape[:2], wanted, seed=seed)
-        trained = {} if model is None else {learned[model.name].train: model}
-        for entry in learned.values():
-            if entry.train not in trained:
-                # Whoever takes any number of samples learns those that it is judged at.
-                options = {} if entry.inputs else {"sizes": tuple(sizes)}
-                trained[entry.train] = entry.train(
-                    samples, seed=seed, pixels=pixels, progress=progress, **options
-                )
-        return cls(
-            entries,
-            {name: trained[entry.train] for name, entry in learned.items()},
-            samples.features,
+        models = _train(learned, samples, pixels, given, sizes=sizes, seed=seed, progress=progress)
+        _check_certainty(entries, models)
+        return cls(entries, models, samples.features, pixels)
+
+    def trained_anew(
+        self, samples: Samples, *, sizes: Sequence[int], seed: int, progress: bool | None
+    ) -> Contestants:
+        """Train again on the same pixels with other random numbers; what learns nothing is out."""
+        learned = learned_of(self.entries)
+        models = _train(
+            learned, samples, self.pixels, {}, sizes=sizes, seed=seed, progress=progress
         )
+        entries = {name: e for name, e in self.entries.items() if own_of(e).name in learned}
+        return replace(self, entries=entries, models=models)
+
+    def with_denoised(self) -> Contestants:
+        """Enter all of them once more, followed by the denoiser, at the end."""
+        added = [
+            found
+            for entry in self.entries.values()
+            if not isinstance(entry, Denoised)
+            for found in variants(
+                entry,
+                certain=_says_certainty(self.models.get(entry.name)),
+                features=self.features,
+            )
+        ]
+        own = dict(self.entries)
+        return replace(self, entries=own | {e.name: e for e in added if e.name not in own})
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -82,26 +104,44 @@ class Contestants:
     @property
     def uses_neighbours(self) -> npt.NDArray[np.bool_]:
         """Which of them look at the pixels around, shape (estimator,)."""
-        return np.array([_looks_around(entry) for entry in self.entries.values()], bool)
+        return np.array([looks_around(entry) for entry in self.entries.values()], bool)
 
     @property
     def provenance(self) -> dict[str, Any]:
         """What the trained ones say of their training."""
         return {name: getattr(model, "provenance", {}) for name, model in self.models.items()}
 
-    def taking(self, n: int) -> dict[str, Function]:
-        """Return those that take n samples, as functions of them."""
+    def taking(self, n: int, *, ys: slice = slice(None)) -> dict[str, Function]:
+        """Return those that take n samples, as functions of the samples of some rows."""
+        features = {name: field[ys] for name, field in self.features.items()}
         return {
-            name: self._function(entry) for name, entry in self.entries.items() if _takes(entry, n)
+            name: self._function(entry, features)
+            for name, entry in self.entries.items()
+            if takes(entry, n)
         }
 
-    def _function(self, entry: Entry) -> Function:
-        options: dict[str, Any] = {}
-        if entry.uses_features and self.features:
-            options["features"] = self.features
+    def _function(self, entry: Entry, features: Mapping[str, Array]) -> Function:
+        if isinstance(entry, Denoised):
+            if entry.certainty:
+                return partial(entry, self._certain(entry.entry, features), features)
+            return partial(entry, _uncertain(self._function(entry.entry, features)), features)
+        options = _options(entry, features)
         if isinstance(entry, LearnedEstimator):
-            return partial(self.models[entry.name].predict, **entry.options, **options)
+            return partial(self.models[entry.name].predict, **options)
         return partial(entry, **options)
+
+    def _certain(
+        self, entry: Estimator | LearnedEstimator, features: Mapping[str, Array]
+    ) -> Callable[[npt.ArrayLike], tuple[Array, Array]]:
+        """Return a function from samples to estimates and their certainty."""
+        model: Any = self.models[entry.name]
+        options = _options(entry, features)
+
+        def estimate(x: npt.ArrayLike) -> tuple[Array, Array]:
+            found = model.estimate(x, **options)
+            return found.radiance, found.certainty
+
+        return estimate
 
     def test_pixels(self, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
         """Return the pixels that trained nothing.
@@ -123,32 +163,6 @@ class Contestants:
         return test
 
 
-def resolve(estimators: Sequence[str | Estimator], sizes: Sequence[int]) -> dict[str, Entry]:
-    """Look the names up, those that use neighbours last.
-
-    Raises
-    ------
-    InputError
-        If one is unknown, named twice, or takes none of the `sizes`.
-    """
-    found = [lookup(e) if isinstance(e, str) else e for e in estimators]
-    entries = {entry.name: entry for entry in sorted(found, key=_looks_around)}
-    if not entries or len(entries) < len(found):
-        message = f"estimators must be one or more different names, got {[e.name for e in found]}"
-        raise InputError(message)
-    for entry in found:
-        if not any(_takes(entry, n) for n in sizes):
-            least = (
-                f"exactly {entry.inputs}"
-                if isinstance(entry, LearnedEstimator)
-                else f"at least {entry.minimum_samples}"
-            )
-            given = f"n={sizes[0]}" if len(sizes) == 1 else f"sizes {tuple(sizes)}"
-            message = f"{entry.name} takes {least} samples, got {given}; give another n"
-            raise InputError(message)
-    return entries
-
-
 def totals_of(samples: Samples) -> Totals:
     """Return the sums that references are made of.
 
@@ -164,11 +178,63 @@ def totals_of(samples: Samples) -> Totals:
     return totals
 
 
-def _looks_around(entry: Entry) -> bool:
-    return entry.uses_neighbours
+def _given(model: Given, learned: Mapping[str, LearnedEstimator]) -> dict[Any, Model]:
+    """Return the models that are at hand, by the training that they stand for."""
+    if model is None:
+        return {}
+    named = model if isinstance(model, Mapping) else {model.name: model}
+    trainings = {entry.train for entry in learned.values()}
+    found = {}
+    for name, own in named.items():
+        entry = learned[name] if name in learned else lookup(name)
+        if not isinstance(entry, LearnedEstimator) or entry.train not in trainings:
+            message = (
+                f"the model is a {name!r}, which is not among {list(learned)}, those that learn; "
+                "name it there"
+            )
+            raise InputError(message)
+        found[entry.train] = own
+    return found
 
 
-def _takes(entry: Entry, n: int) -> bool:
-    if isinstance(entry, LearnedEstimator):
-        return entry.inputs is None or n == entry.inputs
-    return n >= entry.minimum_samples
+def _train(
+    learned: Mapping[str, LearnedEstimator],
+    samples: Samples,
+    pixels: npt.NDArray[np.int64],
+    given: Mapping[Any, Model],
+    *,
+    sizes: Sequence[int],
+    seed: int,
+    progress: bool | None,
+) -> dict[str, Model]:
+    trained = dict(given)
+    for entry in learned.values():
+        if entry.train not in trained:
+            # Whoever takes any number of samples learns those that it is judged at.
+            options = {} if entry.inputs else {"sizes": tuple(sizes)}
+            trained[entry.train] = entry.train(
+                samples, seed=seed, pixels=pixels, progress=progress, **options
+            )
+    return {name: trained[entry.train] for name, entry in learned.items()}
+
+
+def _options(entry: Estimator | LearnedEstimator, features: Mapping[str, Array]) -> dict[str, Any]:
+    """Return what an estimator is called with beside the samples."""
+    options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
+    return options | ({"features": features} if entry.uses_features and features else {})
+
+
+def _uncertain(function: Function) -> Callable[[npt.ArrayLike], tuple[Array, None]]:
+    return lambda x: (function(x), None)
+
+
+def _says_certainty(model: Model | None) -> bool:
+    return hasattr(model, "estimate")
+
+
+def _check_certainty(entries: Mapping[str, Entry], models: Mapping[str, Model]) -> None:
+    asked = (e for e in entries.values() if isinstance(e, Denoised) and e.certainty)
+    for entry in asked:
+        if not _says_certainty(models.get(entry.entry.name)):
+            message = f"{entry.entry.name} says no certainty; leave {entry.name!r} out"
+            raise InputError(message)

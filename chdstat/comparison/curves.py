@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.comparison._contestants import Contestants, resolve, totals_of
+from chdstat.comparison._contestants import Contestants, Given, totals_of
+from chdstat.comparison._entries import Entry, resolve
 from chdstat.comparison._sums import MEASURES, stack_intervals
 from chdstat.comparison._tables import (
     dataset_of,
@@ -25,7 +26,7 @@ from chdstat.comparison._tables import (
 from chdstat.comparison._tally import Tally, Units, judge
 from chdstat.errors import InputError
 from chdstat.estimators.heldout import check_spp
-from chdstat.estimators.registry import Estimator, Model
+from chdstat.estimators.registry import Model
 from chdstat.metrics import Interval
 from chdstat.samples import Samples
 
@@ -124,12 +125,12 @@ class ErrorCurve:
 
 def error_curve(
     samples: Samples,
-    estimators: Sequence[str | Estimator] = ("mean", "median_of_means", "elek2019"),
+    estimators: Sequence[str | Entry] = ("mean", "median_of_means", "elek2019", "progressive"),
     *,
     sizes: Sequence[int] | None = None,
     seed: int = 0,
     max_batches: int | None = 16,
-    model: Model | None = None,
+    model: Given = None,
     progress: bool | None = None,
 ) -> ErrorCurve:
     r"""Measure the error of estimators at many numbers of samples, N.

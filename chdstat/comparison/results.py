@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from chdstat._arrays import generator
 from chdstat.comparison._cost import Cost
+from chdstat.comparison._sums import MEASURES
 from chdstat.comparison._tables import (
     ALL_CHANNELS,
     OVER_BATCHES,
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["Comparison"]
+
+_OVER_TRAININGS = "_sd_over_trainings"
+"""What follows a measure's name for its standard deviation over trainings."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,9 @@ class Comparison:
         Trained estimators by name.
     provenance
         Scene, samples, seed and settings, ready for JSON.
+    over_trainings
+        Standard deviation of the same measures over trainings with other random numbers, shape
+        (estimator, channel + 1), NaN for what learns nothing; empty where each was trained once.
     """
 
     estimators: tuple[str, ...]
@@ -99,13 +106,23 @@ class Comparison:
     breakdown: Breakdown | None
     models: Mapping[str, Model]
     provenance: Mapping[str, Any]
+    over_trainings: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
+
+    @property
+    def reusable_models(self) -> dict[str, Model]:
+        """Those of `models` that take only n samples, and so serve wherever they serve at all.
+
+        Those that take any number were trained for n, and are better trained anew for others.
+        """
+        return {name: model for name, model in self.models.items() if hasattr(model, "inputs")}
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per estimator: its name and every measure, averaged over channels.
 
         Each measure also has ``_se``, ``_low`` and ``_high``, the standard error and the interval
-        over pixels, and the same with ``_over_batches``. ``time`` is in seconds for each estimate,
-        ``peak_memory`` in bytes; both are NaN where they were not measured.
+        over pixels, and the same with ``_over_batches``; where there were several trainings, also
+        ``_sd_over_trainings``. ``time`` is in seconds for each estimate, ``peak_memory`` in bytes;
+        both are NaN where they were not measured.
         """
         return [
             {
@@ -113,6 +130,10 @@ class Comparison:
                 "uses_neighbours": bool(self.uses_neighbours[index]),
                 **row_of(self.measures, (index, ALL_CHANNELS)),
                 **row_of(self.over_batches, (index, ALL_CHANNELS), infix=OVER_BATCHES),
+                **{
+                    measure + _OVER_TRAININGS: float(spread[index, ALL_CHANNELS])
+                    for measure, spread in self.over_trainings.items()
+                },
                 "time": self._cost(name, "time"),
                 "peak_memory": self._cost(name, "peak_memory"),
             }
@@ -184,14 +205,19 @@ class Comparison:
         """Return measures and pictures with named dims.
 
         Measures have dims (estimator, part), a part being a channel or "mean"; beside each stand
-        ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``. Those by label
-        have dims (label, estimator) and the prefix ``label_``.
+        ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``, and
+        ``_sd_over_trainings`` where there were several. Those by label have dims (label, estimator)
+        and the prefix ``label_``.
         """
         dims = ("estimator", "part")
         variables = interval_variables(self.measures, dims)
         variables |= interval_variables(
             self.over_batches, dims, infix=OVER_BATCHES, about=" over batches", skip_value=True
         )
+        for measure, spread in self.over_trainings.items():
+            long_name, units = MEASURES[measure]
+            about = about_of(f"{long_name}, standard deviation over trainings", units)
+            variables[measure + _OVER_TRAININGS] = (dims, spread, about)
         height, width = self.test_pixels.shape
         coordinates: dict[str, Any] = {
             "estimator": names_array(self.estimators),

@@ -14,16 +14,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.comparison._contestants import Contestants, resolve, totals_of
+from chdstat.comparison._contestants import Contestants, Given, totals_of
 from chdstat.comparison._cost import Cost, measure_cost
+from chdstat.comparison._entries import Entry, resolve
 from chdstat.comparison._labels import Labels, labels_of
 from chdstat.comparison._sums import MEASURES, stack_intervals
-from chdstat.comparison._tally import Function, Tally, Units, judge
+from chdstat.comparison._tally import Tally, Units, judge
+from chdstat.comparison._trainings import spread_over_trainings
+from chdstat.comparison.denoising import check_denoiser
 from chdstat.comparison.parts import Breakdown
 from chdstat.comparison.results import Comparison
 from chdstat.errors import InputError
 from chdstat.estimators.heldout import Totals, check_spp
-from chdstat.estimators.registry import Estimator, Model
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:
@@ -37,12 +39,14 @@ _COST_PIXELS = 64 * 64
 
 def compare(
     samples: Samples,
-    estimators: Sequence[str | Estimator] = ("mean", "median_of_means", "elek2019"),
+    estimators: Sequence[str | Entry] = ("mean", "median_of_means", "elek2019", "progressive"),
     *,
     n: int = 32,
     seed: int = 0,
     max_batches: int | None = 16,
-    model: Model | None = None,
+    model: Given = None,
+    training_seeds: int = 1,
+    denoise: bool = False,
     labels: npt.ArrayLike | xr.DataArray | xr.Dataset | str | None = None,
     cost: bool = True,
     progress: bool | None = None,
@@ -71,8 +75,8 @@ def compare(
     samples
         The picture, at least 2 n samples per pixel.
     estimators
-        Names of registered estimators, or entries of your own. Those that use neighbours come last
-        in the result, and are marked: they see more than n samples.
+        Names of registered estimators, or entries of your own, such as `denoised` returns. Those
+        that use neighbours come last in the result, and are marked: they see more than n samples.
     n
         Samples per estimate.
     seed
@@ -81,8 +85,17 @@ def compare(
         Batches per pixel that estimate, in stored order; None takes all. All samples count for
         the reference.
     model
-        A trained estimator to take in place of training the one of its name. Where it was trained
-        on a picture of the same size, its pixels do not count.
+        A trained estimator to take in place of training the one of its name, or several by the
+        name of the estimator that they are. Where one was trained on a picture of the same size,
+        its pixels do not count.
+    training_seeds
+        How often those that learn are trained: with the seeds `seed`, ``seed + 1``, ..., on the
+        same pixels. The measures are those of the first training; with more than one, their
+        standard deviation over the trainings stands beside them. Only the first models are kept.
+    denoise
+        Judge every estimator with Open Image Denoise after it, too: with the picture alone, with
+        first-hit features where there are any, and mixed with the estimate as far as it says how
+        certain it is.
     labels
         What to break the measures down by: ``label`` of `chdstat.classify` or the dataset itself,
         codes of `chdstat.patterns.Label`, shape (y, x), or any map with the attributes
@@ -102,7 +115,9 @@ def compare(
     ------
     InputError
         If an estimator is unknown, named twice, or does not take n samples; if there are too few
-        samples; if labels do not fit the picture; or if no pixel is left to judge by.
+        samples; if labels do not fit the picture; if Open Image Denoise is wanted and missing; if
+        a model is given that nobody asked for, or to be trained with several seeds; or if no pixel
+        is left to judge by.
 
     Examples
     --------
@@ -116,17 +131,24 @@ def compare(
     mean 1.0 False
     median_of_means 1.5 True
     """
-    for name, number in (("n", n), ("max_batches", max_batches)):
+    numbers = {"n": n, "max_batches": max_batches, "training_seeds": training_seeds}
+    for name, number in numbers.items():
         if number is not None and number < 1:
             message = f"{name} must be at least 1, got {number}"
             raise InputError(message)
+    if model is not None and training_seeds > 1:
+        message = f"training_seeds={training_seeds} trains anew; give no model with it"
+        raise InputError(message)
     entries = resolve(estimators, [n])
     check_spp(samples, n)
+    if denoise:
+        check_denoiser(samples)  # before the training, not after
     totals = totals_of(samples)
     named = labels_of(labels, samples, progress=progress)
     contestants = Contestants.of(
         entries, samples, sizes=[n], seed=seed, model=model, progress=progress
     )
+    contestants = contestants.with_denoised() if denoise else contestants
     functions = contestants.taking(n)
     test = contestants.test_pixels(samples.shape[:2])
     units = Units.of(test, None if named is None else named.codes, seed=seed)
@@ -136,17 +158,28 @@ def compare(
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
         )
         raise InputError(message)
+    over_trainings = spread_over_trainings(
+        contestants,
+        tally,
+        samples,
+        totals,
+        units,
+        n=n,
+        seeds=range(seed + 1, seed + training_seeds),
+        limit=max_batches,
+        progress=progress,
+    )
     return _comparison(
         samples,
         contestants,
         totals=totals,
         test=test,
         tally=tally,
+        over_trainings=over_trainings,
         breakdown=None if named is None else _breakdown(named, units, tally, contestants, seed),
-        cost=_costs(functions, samples, n) if cost else {},
+        cost=_costs(contestants, samples, n) if cost else {},
         n=n,
-        seed=seed,
-        max_batches=max_batches,
+        settings={"seed": seed, "max_batches": max_batches, "training_seeds": training_seeds},
     )
 
 
@@ -157,11 +190,11 @@ def _comparison(
     totals: Totals,
     test: npt.NDArray[np.bool_],
     tally: Tally,
+    over_trainings: Mapping[str, npt.NDArray[np.float64]],
     breakdown: Breakdown | None,
     cost: Mapping[str, Cost],
     n: int,
-    seed: int,
-    max_batches: int | None,
+    settings: Mapping[str, Any],
 ) -> Comparison:
     pictures = tally.pictures
     if pictures is None:
@@ -171,8 +204,9 @@ def _comparison(
         estimators=contestants.names,
         uses_neighbours=contestants.uses_neighbours,
         channels=samples.channels,
-        measures=tally.by_unit.measures(seed=seed),
-        over_batches=tally.by_batch.measures(seed=seed),
+        measures=tally.by_unit.measures(seed=settings["seed"]),
+        over_batches=tally.by_batch.measures(seed=settings["seed"]),
+        over_trainings=over_trainings,
         cost=cost,
         estimates=pictures.estimates,
         squared_error=pictures.squared_error,
@@ -189,8 +223,7 @@ def _comparison(
             "scene": samples.name,
             "samples": samples.attrs,
             "samples_shape": list(samples.shape),
-            "seed": seed,
-            "max_batches": max_batches,
+            **settings,
             "models": contestants.provenance,
         },
     )
@@ -214,8 +247,10 @@ def _breakdown(
     )
 
 
-def _costs(functions: Mapping[str, Function], samples: Samples, n: int) -> dict[str, Cost]:
+def _costs(contestants: Contestants, samples: Samples, n: int) -> dict[str, Cost]:
     """Measure time and memory on the first rows of the picture."""
     width: Any = samples.shape[1]
-    rows = samples.read(slice(0, -(-_COST_PIXELS // width)), ss=slice(0, n))
+    ys = slice(0, -(-_COST_PIXELS // width))
+    rows = samples.read(ys, ss=slice(0, n))
+    functions = contestants.taking(n, ys=ys)
     return {name: measure_cost(function, rows) for name, function in functions.items()}

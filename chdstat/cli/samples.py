@@ -1,0 +1,89 @@
+"""Samples: the commands that render them and say what is stored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from chdstat.cli._app import app
+from chdstat.cli._options import (
+    BackendName,
+    Defines,
+    Depth,
+    Json,
+    Quiet,
+    SceneName,
+    Scheduler,
+    Seed,
+    Size,
+    Spp,
+    StorePath,
+    client_of,
+    given,
+    progress_of,
+    scene_of,
+    size_of,
+)
+from chdstat.cli._output import print_json, print_table, say_samples
+from chdstat.errors import ChdstatError
+
+__all__ = ["info", "render"]
+
+
+@app.command(
+    epilog="Example: chdstat render bathroom -o bathroom.zarr --spp 512 --size 128x128",
+)
+def render(
+    scene: SceneName,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Store to write, resume or append to.")],
+    spp: Spp = None,
+    size: Size = None,
+    seed: Seed = None,
+    max_depth: Depth = None,
+    backend: BackendName = "auto",
+    define: Defines = None,
+    scheduler: Scheduler = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Render a scene and keep every sample.
+
+    A store that was stopped half-way is resumed; a larger --spp appends to it.
+    """
+    import chdstat
+
+    with client_of(scheduler) as client:
+        samples = chdstat.render(
+            scene_of(scene, define),
+            out=out,
+            client=client,
+            progress=progress_of(quiet),
+            **given(spp=spp, size=size_of(size), seed=seed, max_depth=max_depth, backend=backend),
+        )
+    say_samples(samples, as_json)
+
+
+@app.command(epilog="Example: chdstat info bathroom.zarr --json")
+def info(
+    store: StorePath,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Read everything and check its checksums.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Say what a store holds, and whether it is complete and sound."""
+    from chdstat.samples import inspect
+
+    found = inspect(store, verify=verify)
+    if as_json:
+        print_json(found)
+    else:
+        print_table(found)
+    if found.get("damaged"):
+        message = (
+            f"{len(found['damaged'])} damaged chunk(s) in {store}; delete the files listed above "
+            "and run the same 'chdstat render' again to repair them"
+        )
+        raise ChdstatError(message)

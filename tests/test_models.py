@@ -1,0 +1,88 @@
+"""Models: trained by name, saved, and read whatever they are."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError, StoreError
+from chdstat.estimators import MLP, Progressive
+from chdstat.estimators._modelfile import write_model
+from chdstat.models import first_samples, load_model, train_model
+
+
+def picture(spp=64, features=False):
+    rng = np.random.default_rng(0)
+    x = rng.lognormal(size=(16, 16, 1, 1)) * rng.gamma(0.7, size=(16, 16, 3, spp))
+    known = {"albedo": np.full((16, 16, 3), 0.5)} if features else None
+    return chd.Samples.from_array(x, features=known, scene="made up")
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "kind"),
+    [
+        ("progressive", {}, Progressive),
+        ("progressive", {"reference": False}, Progressive),
+        ("progressive_mse", {}, Progressive),
+        ("elek2019", {}, MLP),
+    ],
+)
+def test_what_is_saved_is_read_as_what_it_is(tmp_path, name, options, kind):
+    model = train_model(picture(), name, iterations=5, progress=False, **options)
+    model.save(tmp_path / "a.safetensors")
+    again = load_model(tmp_path / "a.safetensors")
+    assert type(model) is type(again) is kind
+    x = picture().read(ss=slice(0, 32))
+    assert (again.predict(x) == model.predict(x)).all()
+
+
+def test_options_reach_the_training():
+    model = train_model(
+        picture(features=True), features=True, reference=False, iterations=5, seed=3, spp=16
+    )
+    assert model.features
+    assert model.neighbours
+    provenance = model.provenance
+    assert (provenance["seed"], provenance["iterations"]) == (3, 5)
+    assert provenance["samples_shape"] == [16, 16, 3, 16]
+
+
+def test_the_first_samples_are_the_first():
+    samples = picture(features=True)
+    part = first_samples(samples, 5)
+    assert (part.read() == samples.read(ss=slice(0, 5))).all()
+    assert (part.name, part.features.keys()) == ("made up", samples.features.keys())
+    assert first_samples(samples, None) is first_samples(samples, 64) is samples
+    for wrong in (0, 65, -1):
+        with pytest.raises(InputError, match=f"from 1 to 64, .* got {wrong}"):
+            first_samples(samples, wrong)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "match"),
+    [
+        ("mean", {}, "mean learns nothing; give one of .*elek2019"),
+        ("nobody", {}, "no estimator is called 'nobody'"),
+        ("elek2019", {"features": True}, "are for 'progressive', not 'elek2019'"),
+        ("elek2019", {"reference": False}, "are for 'progressive', not 'elek2019'"),
+        ("progressive", {"features": True}, "no first-hit features"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused(name, options, match):
+    with pytest.raises(InputError, match=match):
+        train_model(picture(), name, **options)
+
+
+def test_foreign_and_damaged_files_are_refused(tmp_path):
+    path = tmp_path / "a.safetensors"
+    train_model(picture(), "elek2019", iterations=2, progress=False).save(path)
+    whole = path.read_bytes()
+    for content in (whole[:-50], b"", b"not a model" * 9):
+        path.write_bytes(content)
+        with pytest.raises(StoreError, match="damaged or not a chdstat model"):
+            load_model(path)
+    for about, kind in (({"kind": "other"}, "'other'"), ([], "None")):
+        write_model(path, {"a": np.zeros(3)}, about)
+        with pytest.raises(StoreError, match=f"kind {kind}; this version knows mlp, progressive"):
+            load_model(path)
