@@ -14,6 +14,7 @@ __version__ = "0.1.0"
 _FUNCTIONS = {
     "Samples": "samples",
     "Scene": "scenes",
+    "across": "comparison",
     "analyze": "analysis",
     "atlas": "atlases",
     "classify": "patterns",
@@ -31,6 +32,7 @@ _FUNCTIONS = {
     "render_pixels": "capture",
     "report": "reporting",
     "simulate": "simulation",
+    "study": "studies",
     "summarize": "summary",
     "train_model": "models",
     "write_estimates": "estimates",

@@ -90,10 +90,16 @@ class Renderer:
             return self._chunk_scalar(chunk, stopped)
         return self._chunk_wavefront(chunk)
 
-    def pixels(self, pixels: npt.NDArray[np.intp], spp: int) -> Image:
-        """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample)."""
+    def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, seed: int | None = None) -> Image:
+        """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample).
+
+        Another seed than that of the job draws other samples, independent of these.
+        """
+        streams = self._streams if seed is None else Streams(self.size, seed)
         draw = self._pixel_scalar if self._scalar else self._pixel_wavefront
-        return np.stack([draw(int(y), int(x), spp) for y, x in pixels])
+        numbers = [streams.of_pixel(int(y), int(x)) for y, x in pixels]
+        places = zip(pixels, numbers, strict=True)
+        return np.stack([draw(number, int(y), int(x), spp) for (y, x), number in places])
 
     def features(self) -> dict[str, Image]:
         """Render the first-hit features: albedo, shading normal, depth and position."""
@@ -208,11 +214,11 @@ class Renderer:
                 raise Interrupted
         return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
 
-    def _pixel_scalar(self, y: int, x: int, spp: int) -> Image:
+    def _pixel_scalar(self, number: int, y: int, x: int, spp: int) -> Image:
         mi, scene, integrator = self._mi, self._scene, self._integrator
         sensor = self._sensor((0, 0), self.size)
         sampler = sensor.sampler()
-        sampler.seed(self._streams.of_pixel(y, x), 1)
+        sampler.seed(number, 1)
         corner, scale = np.array((x, y)), 1 / np.array(self.size)
         result = np.empty((spp, 3), np.float32)
         for i in range(spp):
@@ -230,8 +236,8 @@ class Renderer:
         corner = (chunk.xs.start, chunk.ys.start)
         return self._wavefront(self._streams.of_chunk(chunk), corner, (width, height), samples)
 
-    def _pixel_wavefront(self, y: int, x: int, spp: int) -> Image:
-        block = self._wavefront(self._streams.of_pixel(y, x), (x, y), (1, 1), spp)
+    def _pixel_wavefront(self, number: int, y: int, x: int, spp: int) -> Image:
+        block = self._wavefront(number, (x, y), (1, 1), spp)
         samples: Image = block[0, 0]
         return samples
 

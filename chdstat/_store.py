@@ -30,14 +30,15 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from chdstat._arrays import spans
 from chdstat.errors import StoreError
 
-__all__ = ["BATCH", "TILE", "Chunk", "Store", "chunk_grid"]
+__all__ = ["BATCH", "BLOCK", "TILE", "Chunk", "Store", "chunk_grid"]
 
 SCHEMA_VERSION = 1
 TILE = 64
 """Edge of a tile in pixels; 64 x 64 lanes are one render pass."""
 BATCH = 64
 """Samples of a pixel in one chunk."""
-_BLOCK = 16
+BLOCK = 16
+"""Edge in pixels of what is compressed apart within a chunk."""
 _FEATURES = ("albedo", "normal", "depth", "position")
 _READ_ERRORS = (OSError, ValueError, RuntimeError, KeyError, zarr.errors.BaseZarrError)
 _ALL = slice(None)
@@ -260,7 +261,7 @@ def _create_arrays(group: zarr.Group, shape: tuple[int, int, int, int]) -> None:
         "radiance",
         shape=shape,
         dtype="float32",
-        chunks=(_BLOCK, _BLOCK, channels, BATCH),
+        chunks=(BLOCK, BLOCK, channels, BATCH),
         shards=(TILE, TILE, channels, BATCH),
         # Paths that end alike give equal numbers: unshuffled, zstd finds them (a fifth smaller).
         compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="noshuffle"), Crc32cCodec()],

@@ -50,6 +50,7 @@ ORDER = (
     "findings",
     "viz",
     "reporting",
+    "studies",
     "explorer",
     "doctor",
     "cli",
@@ -62,7 +63,19 @@ Those on one line are helpers that may import each other, as long as no cycle ar
 
 RANK = {name: rank for rank, line in enumerate(ORDER) for name in line.split()}
 
-HEAVY = ("mitsuba", "drjit", "torch", "matplotlib", "xarray", "zarr", "dask", "sklearn", "scipy", "OpenEXR", "bokeh")
+HEAVY = (
+    "mitsuba",
+    "drjit",
+    "torch",
+    "matplotlib",
+    "xarray",
+    "zarr",
+    "dask",
+    "sklearn",
+    "scipy",
+    "OpenEXR",
+    "bokeh",
+)
 
 RENDERING = {"backend", "capture", "_renderer", "scenes"}
 """What may import Mitsuba."""

@@ -245,6 +245,15 @@ def test_single_pixels_have_the_distribution_of_the_image(box, request, backend)
     assert not agree(scipy.stats.ks_2samp(a, b[::-1], axis=-1, method="asymp").pvalue)
 
 
+def test_another_seed_draws_other_samples_of_a_pixel_and_the_same_one_the_same():
+    with activate(probe("scalar")):
+        renderer = Renderer(Job(load_scene("cornell-box"), probe("scalar"), SIZE, seed=3))
+        own, same, other = (renderer.pixels(np.array(PIXELS), 64, seed=s) for s in (None, 3, 4))
+    assert np.array_equal(own, same)
+    lit = vectors(np.concatenate([own, other]))
+    assert repeats(lit[(lit > 0).any(axis=1)].T) == 0
+
+
 # --- LLVM ---------------------------------------------------------------------------------------
 
 

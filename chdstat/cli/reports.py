@@ -19,14 +19,15 @@ from chdstat.cli._options import (
     Size,
     Spp,
     StoreKept,
+    given,
     is_store,
     progress_of,
     scene_of,
     size_of,
 )
-from chdstat.cli._output import print_json, print_table
+from chdstat.cli._output import print_json, print_rows, print_table
 
-__all__ = ["doctor", "report"]
+__all__ = ["doctor", "explore", "report", "study"]
 
 
 @app.command(epilog="Example: chdstat report bathroom -o report.pdf")
@@ -61,6 +62,81 @@ def report(
         progress=progress_of(quiet),
     )
     typer.echo(f"wrote {path}")
+
+
+@app.command(epilog="Example: chdstat study bathroom fog -o study.pdf --json findings.json")
+def study(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME|PATH]...", help="Scenes; all study scenes without any."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="The PDF to write.")] = None,
+    json_out: Annotated[Path | None, typer.Option("--json", help="The JSON to write.")] = None,
+    folder: Annotated[Path, typer.Option(help="Where renders are kept.")] = Path("renders/out"),
+    spp: Spp = None,
+    size: Size = None,
+    seed: Seed = None,
+    max_depth: Depth = None,
+    backend: BackendName = "auto",
+    quiet: Quiet = False,
+) -> None:
+    """Ask scenes for the claims of the paper: verdicts, figures, a PDF."""
+    import chdstat
+    from chdstat._targets import checked_target
+
+    for path, suffix in ((out, ".pdf"), (json_out, ".json")):
+        if path:
+            checked_target(path, suffix)
+    found = chdstat.study(
+        scenes or None,
+        folder=folder,
+        spp=spp,
+        size=size_of(size),
+        seed=seed,
+        max_depth=max_depth,
+        backend=backend,
+        progress=progress_of(quiet),
+    )
+    rows = found.table()
+    print_rows(rows, {key: key for key in rows[0]})
+    if json_out:
+        found.save_json(json_out)
+    if out:
+        found.save_pdf(out)
+
+
+@app.command(epilog="Example: chdstat explore bathroom.zarr")
+def explore(
+    source: SceneOrStore,
+    other: Annotated[
+        Path | None, typer.Option(help="A second store to compare with.", show_default=False)
+    ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(help="Store that errors are measured against.", show_default=False),
+    ] = None,
+    port: Annotated[int, typer.Option(help="Where to listen; 0 takes a free port.")] = 5006,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
+    ] = True,
+    size: Size = None,
+    seed: Seed = None,
+    max_depth: Depth = None,
+    define: Defines = None,
+) -> None:
+    """Serve a page on which a click on a pixel shows its distribution, to this machine alone."""
+    import chdstat
+
+    explorer = chdstat.explore(
+        source if is_store(source) else scene_of(source, define),
+        other=other,
+        reference=reference,
+        port=port,
+        browser=browser,
+        **given(seed=seed, size=size_of(size), max_depth=max_depth),
+    )
+    typer.echo(f"{explorer.url} (Ctrl-C stops)")
+    explorer.wait()
 
 
 @app.command(epilog="Example: chdstat doctor --json")

@@ -153,7 +153,9 @@ class Contestants:
         """
         test = np.ones(shape, bool)
         for model in self.models.values():
-            if model.train_shape == shape:
+            if hasattr(model, "seen"):  # it may have been trained on several pictures
+                test[tuple(model.seen(shape).T)] = False
+            elif model.train_shape == shape:
                 test[tuple(model.train_pixels.T)] = False
         if not test.any():
             message = (

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from chdstat.analysis import save
 from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.errors import StoreError
-from chdstat.estimators import MLP
+from chdstat.estimators import MLP, Progressive
 from chdstat.reporting import figures
 
 __all__ = ["save_comparison", "unused_folder"]
@@ -78,7 +78,9 @@ def _save_figures(drawn: Mapping[str, Figure], target: Path) -> list[Path]:
 
 
 def _save_models(found: Comparison, target: Path) -> list[Path]:
-    trained = {name: model for name, model in found.models.items() if isinstance(model, MLP)}
+    trained = {
+        name: model for name, model in found.models.items() if isinstance(model, (MLP, Progressive))
+    }
     for name, model in trained.items():
         model.save(target / f"{name}.safetensors")
     return [target / f"{name}.safetensors" for name in trained]

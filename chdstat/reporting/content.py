@@ -17,6 +17,8 @@ from chdstat.recipes import Region
 from chdstat.reporting import figures
 from chdstat.reporting.findings import findings
 from chdstat.reporting.text import NAMES, between, number, percent
+from chdstat.reporting.trial_pages import trial_content, trial_figures
+from chdstat.reporting.trials import Trials
 from chdstat.reporting.typeset import Document
 from chdstat.samples import Samples
 
@@ -43,6 +45,10 @@ class Study:
         Shapes that recur; None where no pixel has one.
     comparison, why_not
         Estimators; None where these samples cannot judge them, and then why.
+    curve
+        Errors against the number of samples; None where there are too few.
+    trials
+        What was asked of our estimator; None where it did not take part.
     """
 
     samples: Samples
@@ -53,6 +59,7 @@ class Study:
     atlas: Atlas | None
     comparison: Comparison | None
     curve: ErrorCurve | None
+    trials: Trials | None
     why_not: str = ""
 
 
@@ -65,7 +72,10 @@ def document(study: Study) -> Document:
         "regions_chosen": study.chosen,
         "regions": [_region(study, i) for i in range(len(marks))],
         "provenance": _provenance(study.samples),
-        "findings": [vars(f) for f in findings(study.overview, study.atlas, study.comparison)],
+        "findings": [
+            vars(finding)
+            for finding in findings(study.overview, study.atlas, study.comparison, study.trials)
+        ],
         "alpha": percent(float(study.dataset.attrs["false_discovery_rate"])),
         "thresholds": _thresholds(study.dataset),
         "families": _families(study.dataset),
@@ -88,6 +98,9 @@ def document(study: Study) -> Document:
     if study.comparison is not None:
         content["estimators"] = _estimators(study.comparison)
         drawn |= figures.of_comparison(study.comparison, study.curve)
+        if study.trials is not None:
+            content["trials"] = trial_content(study.trials)
+            drawn |= trial_figures(study.trials, study.comparison)
     return Document("report.typ", content, drawn)
 
 

@@ -12,7 +12,7 @@ from chdstat import viz
 from chdstat._arrays import is_bad, is_null
 from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison, ErrorCurve
-from chdstat.estimators import MLP
+from chdstat.estimators import MLP, Progressive
 from chdstat.fit import select
 from chdstat.histograms import Histogram, histogram
 from chdstat.normality import MORE_THAN_TESTED
@@ -207,6 +207,8 @@ def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[st
     for model in found.models.values():
         if isinstance(model, MLP):
             drawn["training"] = training(model.history)
+        if isinstance(model, Progressive):
+            drawn["training_progressive"] = training(model.history)
     return drawn
 
 

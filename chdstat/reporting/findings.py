@@ -10,6 +10,7 @@ from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison
 from chdstat.overviews import Overview
 from chdstat.reporting.text import NAMES, number, percent
+from chdstat.reporting.trials import Alone, Trials
 
 __all__ = ["Finding", "findings"]
 
@@ -33,7 +34,12 @@ class Finding:
     figure: str
 
 
-def findings(scene: Overview, atlas: Atlas | None, comparison: Comparison | None) -> list[Finding]:
+def findings(
+    scene: Overview,
+    atlas: Atlas | None,
+    comparison: Comparison | None,
+    trials: Trials | None = None,
+) -> list[Finding]:
     """Return the findings on a scene, in the order of the report."""
     rows = [_nulls(scene), _spread(scene), _family(scene), _fit(scene), _log_shape(scene)]
     rows += [
@@ -48,6 +54,8 @@ def findings(scene: Overview, atlas: Atlas | None, comparison: Comparison | None
         rows.insert(-1, _shapes(atlas))
     if comparison is not None:
         rows += _estimators(comparison)
+    if trials is not None:
+        rows += _trials(trials)
     return rows
 
 
@@ -215,17 +223,54 @@ def _estimators(comparison: Comparison) -> Iterator[Finding]:
         if row["estimator"] == "mean":
             continue
         name = NAMES.get(row["estimator"], row["estimator"])
+        claim = "The paper's claim: does" if row["estimator"] == "elek2019" else "Does"
         low, high = row["improved_low"], row["improved_high"]
         majority = (
             "more than half" if low > 0.5 else "fewer than half" if high < 0.5 else "about half"
         )
         yield Finding(
-            f"Does {name} beat the mean of {comparison.n} samples?",
+            f"{claim} {name} beat the mean of {comparison.n} samples?",
             f"It improves {majority} of the estimates ({percent(row['improved'])}), at "
             f"{number(row['mse_ratio'])} times the squared and {number(row['relmse_ratio'])} times "
             f"the relative squared error, with a bias of {percent(row['bias'], sign=True)}.",
             f"improved {percent(row['improved'])}",
         )
+
+
+def _trials(trials: Trials) -> Iterator[Finding]:
+    mse, relmse = (
+        float(trials.along(f"{e}_ratio").value[i]) for e, i in (("mse", 0), ("relmse", -1))
+    )
+    limits = trials.limit("mse"), trials.limit("relmse")
+    if all(math.isfinite(limit) for limit in limits):
+        yield Finding(
+            "How far is that from what one pixel's samples tell?",
+            f"At the ends of its knob ours has {number(mse)} times the squared and "
+            f"{number(relmse)} times the relative squared error of the mean; the posterior mean "
+            f"under other pixels of this scene has {number(limits[0])} and {number(limits[1])}, "
+            "and the limit lies there or below.",
+            f"{number(mse)} of {number(limits[0])}",
+        )
+    yield Finding(
+        "Does our estimator know how sure it is?",
+        f"{percent(trials.coverage.at_90)} of its intervals of 90\N{NO-BREAK SPACE}% hold the "
+        "reference, on pixels that it has not seen.",
+        f"{percent(trials.coverage.at_90)}",
+    )
+    if trials.alone is not None:
+        yield _without_reference(trials.alone)
+
+
+def _without_reference(alone: Alone) -> Finding:
+    (row,) = (r for r in alone.comparison.table() if r["estimator"] == "self_trained")
+    return Finding(
+        f"What becomes of {alone.comparison.n} samples without a reference?",
+        f"Trained on them alone, ours has {number(row['mse_ratio'])} times the squared and "
+        f"{number(row['relmse_ratio'])} times the relative squared error of their mean, and "
+        f"improves {percent(row['improved'])} of the pixels, with a bias of "
+        f"{percent(row['bias'], sign=True)}.",
+        f"MSE × {number(row['mse_ratio'])}",
+    )
 
 
 def _name(family: str) -> str:

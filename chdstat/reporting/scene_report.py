@@ -13,9 +13,12 @@ from chdstat.backend import Backend
 from chdstat.capture import render, scene_size
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.errors import InputError
+from chdstat.estimators import LearnedEstimator, Progressive, lookup
+from chdstat.estimators.heldout import draw_pixels
 from chdstat.overviews import overview
 from chdstat.recipes import Recipe, choose_regions, find_recipe, load_recipe
 from chdstat.reporting.content import Study, document
+from chdstat.reporting.trials import Trials
 from chdstat.reporting.typeset import typeset
 from chdstat.samples import Samples
 from chdstat.samples import open as open_samples
@@ -47,7 +50,8 @@ def report(
     max_depth: int | None = None,
     recipe: str | Path | None = None,
     store: str | Path | None = None,
-    estimators: Sequence[str] = ("mean", "median_of_means", "elek2019"),
+    estimators: Sequence[str] = ("mean", "median_of_means", "elek2019", "progressive"),
+    iterations: int | None = 1200,
     backend: Backend = "auto",
     progress: bool | None = None,
 ) -> Path:
@@ -69,7 +73,12 @@ def report(
         Where to keep the rendered samples, so that the next report resumes from them; None keeps
         them in memory.
     estimators
-        Names of the estimators to compare; those that learn are trained on these samples.
+        Names of the estimators to compare; those that learn are trained on these samples. With
+        "progressive" among them, its knob, its intervals and what it learns without a reference
+        are shown, too.
+    iterations
+        Minibatches that "progressive" learns from; None takes its own number, which takes longer
+        and ends a few per cent lower.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -101,7 +110,7 @@ def report(
         samples = samples.load()
     dataset = analyze(samples, progress=progress)
     regions = found.regions if found else ()
-    comparison, why_not = _compare(samples, estimators, dataset["label"], progress)
+    comparison, why_not = _compare(samples, estimators, dataset["label"], iterations, progress)
     study = Study(
         samples=samples,
         dataset=dataset,
@@ -111,6 +120,9 @@ def report(
         atlas=_atlas(samples, progress),
         comparison=comparison,
         curve=_curve(samples, comparison, progress),
+        trials=None
+        if comparison is None
+        else Trials.of(samples, comparison, iterations=iterations, progress=progress),
         why_not=why_not,
     )
     with tempfile.TemporaryDirectory(prefix="chdstat-") as folder:
@@ -156,26 +168,45 @@ def _atlas(samples: Samples, progress: bool | None) -> Atlas | None:
     return found if len(found.share) else None
 
 
+def _compare(
+    samples: Samples,
+    estimators: Sequence[str],
+    labels: xr.DataArray,
+    iterations: int | None,
+    progress: bool | None,
+) -> tuple[Comparison | None, str]:
+    """Compare the estimators, or say why these samples cannot judge them."""
+    try:
+        model = _train(samples, iterations, progress) if "progressive" in estimators else None
+        found = compare(
+            samples, estimators, n=_BATCH, labels=labels, model=model, progress=progress
+        )
+    except InputError as error:
+        return None, str(error)
+    return found, ""
+
+
+def _train(samples: Samples, iterations: int | None, progress: bool | None) -> Progressive:
+    """Train our estimator for many numbers of samples, on the pixels that a comparison draws."""
+    entry = lookup("progressive")
+    wanted = entry.pixels if isinstance(entry, LearnedEstimator) else None
+    pixels = None if wanted is None else draw_pixels(samples.shape[:2], wanted, seed=0)
+    return Progressive().train(samples, iterations=iterations, pixels=pixels, progress=progress)
+
+
 def _curve(
     samples: Samples, comparison: Comparison | None, progress: bool | None
 ) -> ErrorCurve | None:
     """Return errors against N of what was compared; None where there is only one N."""
     if comparison is None or samples.spp < _CURVE_SPP:
         return None
+    model = comparison.models.get("progressive", next(iter(comparison.models.values()), None))
+    # Another that learns would have to learn again, and takes one N only.
+    others = comparison.models.keys() - {"" if model is None else model.name}
     return error_curve(
         samples,
-        comparison.estimators,
+        [name for name in comparison.estimators if name not in others],
         max_batches=_CURVE_BATCHES,
-        model=next(iter(comparison.models.values()), None),
+        model=model,
         progress=progress,
     )
-
-
-def _compare(
-    samples: Samples, estimators: Sequence[str], labels: xr.DataArray, progress: bool | None
-) -> tuple[Comparison | None, str]:
-    """Compare the estimators, or say why these samples cannot judge them."""
-    try:
-        return compare(samples, estimators, n=_BATCH, labels=labels, progress=progress), ""
-    except InputError as error:
-        return None, str(error)

@@ -7,37 +7,56 @@ colour-blind readers.
 
 from __future__ import annotations
 
+from chdstat.viz.batches import BatchPanel, batch_histograms
 from chdstat.viz.chd import Curve, Panel, chd_axes, chd_grid, fits
+from chdstat.viz.claims import VERDICTS, Measured, claim_intervals, verdict_matrix
+from chdstat.viz.contrasts import firefly_pair, view_pair
 from chdstat.viz.curves import averages, training
 from chdstat.viz.errors import error_curves, pattern_breakdown
 from chdstat.viz.estimates import estimator_measures, pixel_estimates
+from chdstat.viz.exhibits import Display, displays
 from chdstat.viz.image import Mark, pictures, tonemap, with_marks
+from chdstat.viz.knobs import coverage, tradeoff
 from chdstat.viz.maps import categorical_map, map_grid, n_needed, value_map
+from chdstat.viz.regions import region_study
 from chdstat.viz.shapes import atlas
 from chdstat.viz.style import CHANNELS, PALETTE, style
 
 __all__ = [
     "CHANNELS",
     "PALETTE",
+    "VERDICTS",
+    "BatchPanel",
     "Curve",
+    "Display",
     "Mark",
+    "Measured",
     "Panel",
     "atlas",
     "averages",
+    "batch_histograms",
     "categorical_map",
     "chd_axes",
     "chd_grid",
+    "claim_intervals",
+    "coverage",
+    "displays",
     "error_curves",
     "estimator_measures",
+    "firefly_pair",
     "fits",
     "map_grid",
     "n_needed",
     "pattern_breakdown",
     "pictures",
     "pixel_estimates",
+    "region_study",
     "style",
     "tonemap",
+    "tradeoff",
     "training",
     "value_map",
+    "verdict_matrix",
+    "view_pair",
     "with_marks",
 ]

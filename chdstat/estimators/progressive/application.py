@@ -76,13 +76,18 @@ def apply(
             answer = network(look(profile, scenery[part], here, place))
             estimate = torch.lerp(answer.estimate[:, 0], answer.estimate[:, 1], balance)
             trust = torch.lerp(answer.certainty[:, 0], answer.certainty[:, 1], balance)
-        unit = np.float32(profile.unit)
+        unit, count = np.float32(profile.unit), profile.count
+        certainty[part] = trust.cpu().numpy()
         with np.errstate(over="ignore", invalid="ignore"):
             radiance[part] = estimate.cpu().numpy() * unit
-        certainty[part] = trust.cpu().numpy()
-        if level is not None:
-            ends = _interval(learned, answer, profile, balance, level)
-            low[part], high[part] = (end * unit for end in ends)
+            if level is not None:
+                ends = _interval(learned, answer, profile, balance, level)
+                low[part], high[part] = (end * unit for end in ends)
+            lost = (count == 0) | ~np.isfinite(radiance[part]).all(axis=-1)
+            if lost.any():
+                for array in (radiance, low, high):
+                    array[part][lost] = profile[lost].mean()
+                certainty[part][lost] = 0
 
     with threads(1):
         for _ in in_order(enter, spans(rows, _ROWS)):
@@ -97,36 +102,26 @@ def apply(
 
 
 def with_means(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
-    """Put the mean of the good samples where the network overflows, NaN where none is good."""
+    """Put the mean of good samples where a profile overflows or has no sample good as a whole."""
     lost = ~np.isfinite(found.radiance).all(axis=-1)
-    lost |= np.isnan(_any_good(samples))
     if lost.any():
-        mean = mean_of_good(samples[lost]).astype(np.float32)
+        with np.errstate(over="ignore"):
+            mean = mean_of_good(samples[lost]).astype(np.float32)
         found.radiance[lost] = found.low[lost] = found.high[lost] = mean
         found.certainty[lost] = 0
     return found
 
 
-def _any_good(samples: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return something that is NaN where no sample of a pixel is good."""
-    total = samples.sum(axis=(-2, -1))
-    if np.isfinite(total).all() and samples.min(initial=0) >= 0:
-        return np.asarray(total)
-    return mean_of_good(np.where(np.isfinite(samples) & (samples >= 0), samples, np.nan).sum(-2))
-
-
 def _interval(
     learned: Learned, answer: Answer, profile: Profile, balance: float, level: float
 ) -> tuple[Array, Array]:
-    """Return the ends of the interval, mixed as the estimates are."""
-    ends = np.zeros((2, *answer.mean.shape))
-    for aim, share in zip(range(len(AIMS)), (1 - balance, balance), strict=True):
-        if share == 0:
-            continue
-        variance = learned.spread.variance(causes_of(answer, profile, aim), aim)
-        estimate = answer.estimate[:, aim].cpu().numpy().astype(np.float64)
-        for end, tail in enumerate(((1 - level) / 2, (1 + level) / 2)):
-            ends[end] += share * learned.spread.quantile(
-                estimate, variance, profile.count, aim=aim, level=tail
-            )
-    return ends[0].astype(np.float32), ends[1].astype(np.float32)
+    """Return the ends of the interval around the mixed estimate."""
+    causes = np.stack([causes_of(answer, profile, aim) for aim in range(len(AIMS))])
+    variance = learned.spread.variance(causes, balance)
+    mixed = answer.estimate[:, 0].lerp(answer.estimate[:, 1], balance)
+    estimate = mixed.cpu().numpy().astype(np.float64)
+    low, high = (
+        learned.spread.quantile(estimate, variance, profile.count, balance=balance, level=tail)
+        for tail in ((1 - level) / 2, (1 + level) / 2)
+    )
+    return low.astype(np.float32), high.astype(np.float32)

@@ -35,4 +35,8 @@ def picture_unit(means: npt.NDArray[np.floating[Any]]) -> float:
     unit = float(np.median(groups)) if groups else 0.0
     if not 0 < unit < np.inf:
         unit = float(pixels.mean()) if len(pixels) else 0.0
-    return unit if 0 < unit < np.inf else 1.0
+    if not 0 < unit < np.inf:
+        return 1.0
+    # Samples are measured in it in single precision.
+    limits = np.finfo(np.float32)
+    return float(np.clip(unit, limits.tiny, limits.max))

@@ -12,12 +12,12 @@ import numpy.typing as npt
 from chdstat._arrays import is_bad
 from chdstat.errors import InputError
 from chdstat.estimators.alike import shared_patches
-from chdstat.estimators.heldout import check_spp, draw_pixels
+from chdstat.estimators.heldout import check_spp
 from chdstat.estimators.progressive.first_hit import describe
+from chdstat.estimators.progressive.pictures import Lot, Scene
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.splits import Splits
 from chdstat.estimators.progressive.surroundings import BANDS, RADII, surround
-from chdstat.samples import Samples
 
 __all__ = [
     "Lesson",
@@ -29,7 +29,6 @@ __all__ = [
     "without_reference",
 ]
 
-_PIXELS = 8192
 _LADDER = (4, 8, 16, 16, 32, 32, 64, 64, 128, 256, 512)
 """Numbers of samples to learn from where there is a reference: as people ask for them."""
 _MOST_SPP = 2048
@@ -104,9 +103,11 @@ class Material:
     splits, scenery, lesson
         For `training.learn`.
     pixels
-        The pixels of `splits` in the picture, rows (y, x).
+        The pixels of `splits` in their pictures, rows (y, x), scene by scene.
     excluded
         Pixels left out for a bad sample.
+    parts
+        How many of the pixels each scene gave, in order.
     """
 
     splits: Splits
@@ -114,47 +115,62 @@ class Material:
     lesson: Lesson
     pixels: npt.NDArray[np.int64]
     excluded: int
+    parts: Sequence[int]
 
 
 def with_reference(
-    samples: Samples,
-    pixels: npt.NDArray[np.int64] | None,
+    scenes: Sequence[Scene],
     *,
-    features: Features | None,
-    unit: float,
     sizes: Sequence[int] | None,
     iterations: int | None,
-    seed: int,
+    conditioned: bool,
+    rng: np.random.Generator,
 ) -> Material:
     """Return pixels with all their samples: the means of those not learned from are references.
+
+    Each scene is measured in its own unit, so that none counts for being bright. All have as many
+    samples as the one with the fewest.
 
     Raises
     ------
     InputError
-        If there are too few samples per pixel for a size and an equally large reference, or a size
-        is less than 1.
+        If there are too few samples per pixel for a size and an equally large reference, a size
+        is less than 1, or the scenes differ in channels or features.
     """
     wanted = _LADDER if sizes is None else tuple(sizes)
     if not wanted or min(wanted) < 1:
         message = f"sizes must be one or more numbers of samples from 1, got {wanted}"
         raise InputError(message)
-    check_spp(samples, min(wanted) if sizes is None else max(wanted))
-    chosen = draw_pixels(samples.shape[:2], _PIXELS, seed=seed) if pixels is None else pixels
-    rows, good = _rows(samples, chosen)
-    spp = rows.shape[-1]
+    for scene in scenes:
+        check_spp(scene.samples, min(wanted) if sizes is None else max(wanted))
+    _check_alike("channels", [scene.samples.shape[2] for scene in scenes])
+    spp = min(_MOST_SPP, *(scene.samples.spp for scene in scenes))
+    # One scene at a time: the samples of all pixels of one are much larger than what is kept.
+    lots = [Lot.of(scene, spp, rng if conditioned else None) for scene in scenes]
+    _check_alike("numbers of the first hit", [lot.described.shape[1] for lot in lots])
     lesson = Lesson(
         sizes=[n for n in wanted if n <= spp // 2],
         reference=True,
         iterations=_ITERATIONS if iterations is None else iterations,
     )
-    splits = Splits(rows[good], unit=unit)
+    rows = np.concatenate([lot.rows for lot in lots]) if len(lots) > 1 else lots[0].rows
+    nothing = Scenery.nothing(len(rows))
     return Material(
-        splits=splits,
-        scenery=scenery_of(features, samples.shape[:2])[_flat(chosen[good], samples.shape[1])],
+        splits=Splits(rows, unit=1.0),
+        scenery=Scenery(
+            np.concatenate([lot.described for lot in lots]), nothing.bands, nothing.weight
+        ),
         lesson=lesson,
-        pixels=chosen[good],
-        excluded=int((~good).sum()),
+        pixels=np.concatenate([lot.pixels for lot in lots]),
+        excluded=sum(lot.excluded for lot in lots),
+        parts=[len(lot.rows) for lot in lots],
     )
+
+
+def _check_alike(what: str, found: Sequence[int]) -> None:
+    if len(set(found)) > 1:
+        message = f"scenes that train together must have the same {what}, got {list(found)}"
+        raise InputError(message)
 
 
 def without_reference(
@@ -214,6 +230,7 @@ def without_reference(
         lesson=lesson,
         pixels=np.stack(np.unravel_index(good, shape), axis=-1) + corner,
         excluded=len(rows) - len(good),
+        parts=[len(good)],
     )
 
 
@@ -255,26 +272,6 @@ def ask(picture: Picture) -> npt.NDArray[np.float32]:
     """Return what alike pixels around say, shape (pixel, channel); 0 where there are none."""
     answers = np.nan_to_num(shared_patches(picture), nan=0, posinf=0)
     return np.asarray(answers.reshape(-1, answers.shape[-1]), np.float32)
-
-
-def _rows(
-    samples: Samples, pixels: npt.NDArray[np.int64]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-    """Return samples (pixel, channel, sample), and which pixels have no bad one."""
-    *_, channels, spp = samples.shape
-    rows = np.empty((len(pixels), channels, min(spp, _MOST_SPP)), np.float32)
-    place = np.full(samples.shape[:2], -1)
-    place[tuple(pixels.T)] = np.arange(len(pixels))
-    for ys, xs, ss, block in samples.blocks():
-        kept = block[..., : max(rows.shape[-1] - ss.start, 0)]
-        here = place[ys, xs]
-        if kept.shape[-1]:
-            rows[here[here >= 0], :, ss.start : ss.start + kept.shape[-1]] = kept[here >= 0]
-    return rows, np.asarray(~is_bad(rows).any(axis=(1, 2)))
-
-
-def _flat(pixels: npt.NDArray[np.int64], width: int) -> npt.NDArray[np.int64]:
-    return np.asarray(pixels[:, 0] * width + pixels[:, 1])
 
 
 def _window(shape: tuple[int, ...], rng: np.random.Generator) -> tuple[slice, slice]:

@@ -8,20 +8,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 
 import chdstat
 from chdstat._arrays import as_samples, generator
-from chdstat.errors import InputError, StoreError
-from chdstat.estimators._modelfile import read_model, write_model
+from chdstat.errors import InputError
 from chdstat.estimators._rows import check_pixels
 from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.heldout import Totals
 from chdstat.estimators.progressive.application import apply, with_means
+from chdstat.estimators.progressive.conditions import CONDITIONS, conditions_of
 from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.lessons import (
     Material,
@@ -31,12 +32,12 @@ from chdstat.estimators.progressive.lessons import (
     with_reference,
     without_reference,
 )
+from chdstat.estimators.progressive.pictures import Scene, chosen_pixels
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.results import Estimates, Learned
-from chdstat.estimators.progressive.shapes import Shape
-from chdstat.estimators.progressive.spread import Spread
+from chdstat.estimators.progressive.storage import read_learned, write_learned
+from chdstat.estimators.progressive.teaching import teach
 from chdstat.estimators.training import History
-from chdstat.progress import track
 from chdstat.samples import Samples
 
 __all__ = ["Progressive"]
@@ -44,7 +45,10 @@ __all__ = ["Progressive"]
 Array = npt.NDArray[Any]
 Features = Mapping[str, Array]
 
-_VALIDATION_SHARE = 0.1
+_SIGHTS = ("features", "neighbours", "conditioned")
+_PIXELS_OF_CONDITIONS = 4096
+"""Of a picture, evenly spaced: their samples tell what it is like."""
+_FEWEST_HALVES = 2
 
 
 class Progressive:
@@ -66,6 +70,10 @@ class Progressive:
     neighbours
         Whether it looks at the pixels around, too: at their profiles, and at what `shared_patches`
         makes of those that are alike. Only without a reference.
+    conditioned
+        Whether it looks at ten numbers that say what the samples of the whole picture are like
+        (nulls, quantiles and spread of the luminance, firefly-like samples), to tell which of
+        several scenes it resembles. Only with a reference.
 
     References
     ----------
@@ -88,13 +96,16 @@ class Progressive:
 
     name = "progressive"
 
-    def __init__(self, *, features: bool = False, neighbours: bool = False) -> None:
+    def __init__(
+        self, *, features: bool = False, neighbours: bool = False, conditioned: bool = False
+    ) -> None:
         self.features = features
         self.neighbours = neighbours
+        self.conditioned = conditioned
         self._learned: Learned | None = None
 
     def __repr__(self) -> str:
-        sees = [name for name in ("features", "neighbours") if getattr(self, name)]
+        sees = [name for name in _SIGHTS if getattr(self, name)]
         known = "untrained" if self._learned is None else f"scene {self.provenance['scene']!r}"
         return f"<Progressive {', '.join([*sees, known])}>"
 
@@ -110,13 +121,29 @@ class Progressive:
 
     @property
     def train_pixels(self) -> npt.NDArray[np.int64]:
-        """Pixels that it was trained on, rows (y, x)."""
-        return self._state.train_pixels
+        """Pixels that it was trained on in pictures of `train_shape`, rows (y, x)."""
+        return self.seen(self.train_shape)
 
     @property
     def train_shape(self) -> tuple[int, int]:
-        """Height and width of the picture that it was trained on."""
+        """Height and width of the picture that it was trained on, of several the first."""
         return self._state.train_shape
+
+    def seen(self, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+        """Return the pixels that it was trained on in pictures of a shape, rows (y, x).
+
+        Several scenes may have the same shape: then a pixel that trained in one of them counts as
+        seen in all, so that nobody need know which picture is which.
+        """
+        scenes = self.provenance["scenes"]
+        ends = np.cumsum([scene["pixels_used"] for scene in scenes])
+        parts = np.split(self._state.train_pixels, ends[:-1])
+        found = [
+            part
+            for part, scene in zip(parts, scenes, strict=True)
+            if tuple(scene["samples_shape"][:2]) == tuple(shape)
+        ]
+        return np.unique(np.concatenate(found or [np.empty((0, 2), np.int64)]), axis=0)
 
     @property
     def history(self) -> History:
@@ -130,13 +157,13 @@ class Progressive:
 
     def train(
         self,
-        samples: Samples,
+        samples: Samples | Sequence[Samples],
         *,
         reference: bool = True,
         seed: int = 0,
         sizes: Sequence[int] | None = None,
         iterations: int | None = None,
-        pixels: npt.ArrayLike | None = None,
+        pixels: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
         progress: bool | None = None,
     ) -> Self:
         """Train on a picture, with a reference or on the very samples that it is to estimate from.
@@ -144,7 +171,8 @@ class Progressive:
         Parameters
         ----------
         samples
-            The picture. Pixels with a bad sample are left out and counted.
+            The picture, or with a reference several of them, of other scenes or sizes, each
+            measured in its own unit. Pixels with a bad sample are left out and counted.
         reference
             True takes the other samples of a pixel for the truth, which needs many more than the
             numbers of samples that will be estimated from. False learns from splits of the samples.
@@ -156,7 +184,8 @@ class Progressive:
         iterations
             Minibatches; None for 6000 with a reference and 2000 without.
         pixels
-            With a reference, train on these, rows (y, x), and draw none.
+            With a reference, train on these, rows (y, x), and draw none; of several pictures, one
+            array each.
         progress
             Show a progress bar; None shows it on a terminal.
 
@@ -168,41 +197,40 @@ class Progressive:
         Raises
         ------
         InputError
-            If there are too few samples or good pixels, an option does not fit the others, or the
-            picture has no features where they are wanted.
+            If there are too few samples or good pixels, an option does not fit the others, the
+            pictures differ in channels, or one has no features where they are wanted.
         """
         if iterations is not None and iterations < 1:
             message = f"iterations must be at least 1, got {iterations}"
             raise InputError(message)
-        if reference and self.neighbours:
-            message = "neighbours=True learns without a reference: train(samples, reference=False)"
-            raise InputError(message)
-        if not reference and (pixels is not None or sizes is not None):
-            message = "pixels and sizes are for training with a reference; without one, all train"
-            raise InputError(message)
-        features = self._features_of(samples)
-        unit = picture_unit(_means(samples))
+        pictures = [samples] if isinstance(samples, Samples) else list(samples)
+        self._check_lesson(pictures, reference=reference, split_options=(pixels, sizes))
         if reference:
-            chosen = None if pixels is None else np.unique(np.asarray(pixels, np.int64), axis=0)
+            given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
+            drawn = chosen_pixels(pictures, given, seed=seed)
+            scenes = [
+                Scene(picture, self._features_of(picture), picture_unit(_means(picture)), own)
+                for picture, own in zip(pictures, drawn, strict=True)
+            ]
             material = with_reference(
-                samples,
-                chosen,
-                features=features,
-                unit=unit,
+                scenes,
                 sizes=sizes,
                 iterations=iterations,
-                seed=seed,
+                conditioned=self.conditioned,
+                rng=generator(seed).spawn(2)[1],
             )
+            units = [scene.unit for scene in scenes]
         else:
+            units = [picture_unit(_means(pictures[0]))]
             material = without_reference(
-                samples.read(),
-                features=features,
+                pictures[0].read(),
+                features=self._features_of(pictures[0]),
                 neighbours=self.neighbours,
-                unit=unit,
+                unit=units[0],
                 iterations=iterations,
                 rng=generator(seed),
             )
-        self._learned = self._learn(samples, material, unit, seed=seed, progress=progress)
+        self._learned = self._learn(pictures, material, units, seed=seed, progress=progress)
         return self
 
     def predict(
@@ -212,6 +240,7 @@ class Progressive:
         features: Features | None = None,
         balance: float = 0.5,
         unit: float | None = None,
+        trust: float | Literal["halves"] = 1.0,
     ) -> npt.NDArray[np.float32]:
         """Estimate radiance; as `estimate`, without certainty and interval.
 
@@ -220,7 +249,7 @@ class Progressive:
         ndarray
             Shape (..., channel).
         """
-        return self._estimate(x, features, balance, unit, level=None).radiance
+        return self._estimate(x, features, balance, unit, trust, level=None).radiance
 
     def estimate(
         self,
@@ -230,6 +259,7 @@ class Progressive:
         balance: float = 0.5,
         unit: float | None = None,
         level: float = 0.9,
+        trust: float | Literal["halves"] = 1.0,
     ) -> Estimates:
         """Estimate radiance, with certainty and interval.
 
@@ -247,6 +277,9 @@ class Progressive:
             Mean radiance of the picture that `x` is a part of; None measures it on `x`.
         level
             Probability of the interval.
+        trust
+            How far to go from the mean to the estimate, 0 to 1; "halves" measures with `trust` how
+            far it pays on `x`. Useful for a model that was trained on another scene.
 
         Raises
         ------
@@ -257,7 +290,50 @@ class Progressive:
         if not 0 < level < 1:
             message = f"level must lie between 0 and 1, got {level}"
             raise InputError(message)
-        return self._estimate(x, features, balance, unit, level=level)
+        return self._estimate(x, features, balance, unit, trust, level=level)
+
+    def trust(
+        self,
+        x: npt.ArrayLike,
+        *,
+        features: Features | None = None,
+        balance: float = 0.5,
+        unit: float | None = None,
+    ) -> float:
+        r"""Measure how far from the mean to the estimate it pays to go, without a reference.
+
+        From one half of each pixel's samples come the mean m and the estimate g, from the other an
+        unbiased target t:
+
+        .. math:: \alpha = \operatorname{clip}\left(
+            \frac{\sum w (t - m)(g - m)}{\sum w (g - m)^2}, 0, 1\right),
+            \qquad w = (\min(g, m)^2 + 0.01\, u^2)^{-p},
+
+        summed over pixels and channels, u being the unit; one standard error over pixels is taken
+        off before the clip. The power p is 0 where balance is 0, which guards the MSE, and 1 where
+        it is 1, which guards the relMSE; between, the smaller alpha of the two guards both. A model
+        of another scene is then no worse than the mean, but for the noise of alpha that remains. A
+        model that was trained on these very samples knows the other half, and is trusted too much.
+
+        Parameters
+        ----------
+        x
+            Samples as for `estimate`, at least 2; the more pixels the better.
+        features, balance, unit
+            As for `estimate`.
+
+        Returns
+        -------
+        float
+            From 0, the mean, to 1, the estimate; 0 where it moves nothing.
+
+        Raises
+        ------
+        InputError
+            As for `estimate`, or if there is but one sample.
+        """
+        samples = self._checked(x, balance)
+        return self._trust(samples, features, balance, _unit_of(samples, unit))
 
     def of_profile(
         self,
@@ -280,10 +356,13 @@ class Progressive:
         self._check(profile.channels, balance)
         shape = profile.count.shape
         rows = profile.reshape(-1)
+        conditions = None
+        if self.conditioned:
+            conditions = conditions_of(rows[:: _step(len(rows.count))])
         return apply(
             self._state,
             lambda part: rows[part],
-            self._scenery(features, shape, None),
+            self._scenery(features, shape, None, conditions),
             None,
             shape=shape,
             balance=balance,
@@ -300,21 +379,7 @@ class Progressive:
         StoreError
             If the file cannot be written.
         """
-        state = self._state
-        about = {
-            "kind": "progressive",
-            "shape": state.network.shape.to_dict(),
-            "features": self.features,
-            "unit": state.unit,
-            "train_shape": state.train_shape,
-            "provenance": state.provenance,
-        }
-        arrays: dict[str, Array] = {
-            f"network.{name}": w for name, w in state.network.to_arrays().items()
-        }
-        arrays |= {f"spread.{name}": a for name, a in vars(state.spread).items()}
-        arrays |= {"history": state.history, "train_pixels": state.train_pixels}
-        write_model(Path(path), arrays, about)
+        write_learned(path, self._state, {sight: getattr(self, sight) for sight in _SIGHTS})
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -325,28 +390,8 @@ class Progressive:
         StoreError
             If there is no such file, it is damaged, or it holds something else.
         """
-        from chdstat.estimators.progressive.network import Network
-
-        arrays, about = read_model(Path(path))
-        if about.get("kind") != "progressive":
-            message = f"{path} holds a model of kind {about.get('kind')!r}, not 'progressive'"
-            raise StoreError(message)
-        try:
-            network = Network(Shape(**about["shape"]))
-            network.load_arrays(_below("network.", arrays))
-            learned = Learned(
-                network=network.eval(),
-                spread=Spread(**_below("spread.", arrays)),
-                unit=float(about["unit"]),
-                history=arrays["history"],
-                train_pixels=arrays["train_pixels"],
-                train_shape=(int(about["train_shape"][0]), int(about["train_shape"][1])),
-                provenance=dict(about["provenance"]),
-            )
-        except (KeyError, IndexError, TypeError, ValueError) as error:
-            message = f"{path} does not hold a whole network ({error!r}); train or copy it again"
-            raise StoreError(message) from error
-        model = cls(features=bool(about["features"]), neighbours=network.shape.neighbours)
+        learned, sights = read_learned(path)
+        model = cls(**sights)
         model._learned = learned
         return model
 
@@ -365,50 +410,56 @@ class Progressive:
             raise InputError(message)
         return samples.features
 
-    def _learn(
-        self, samples: Samples, material: Material, unit: float, *, seed: int, progress: bool | None
-    ) -> Learned:
-        import torch
-
-        from chdstat.estimators.progressive.network import Network
-        from chdstat.estimators.progressive.training import learn
-
-        count = len(material.pixels)
-        if count < 2:
+    def _check_lesson(
+        self, pictures: Sequence[Samples], *, reference: bool, split_options: tuple[Any, Any]
+    ) -> None:
+        if not pictures:
+            message = "training needs at least one picture, got none"
+            raise InputError(message)
+        if reference and self.neighbours:
+            message = "neighbours=True learns without a reference: train(samples, reference=False)"
+            raise InputError(message)
+        if reference:
+            return
+        if split_options != (None, None):
+            message = "pixels and sizes are for training with a reference; without one, all train"
+            raise InputError(message)
+        if len(pictures) > 1 or self.conditioned:
             message = (
-                f"training needs at least 2 pixels without a bad sample, got {count}; give a "
-                "larger picture"
+                "several pictures, and conditioned=True, are for training with a reference; "
+                "without one, give the one picture that is to be improved"
             )
             raise InputError(message)
-        rng = generator(seed).spawn(1)[0]
-        order = rng.permutation(count)
-        watching = max(1, round(count * _VALIDATION_SHARE))
-        with torch.random.fork_rng():
-            torch.manual_seed(seed)
-            network = Network(
-                Shape(
-                    channels=samples.shape[2],
-                    described=material.scenery.described.shape[1],
-                    neighbours=self.neighbours,
-                )
-            )
-        with track("training", material.lesson.iterations, unit="it", show=progress) as advance:
-            history = learn(
-                network,
-                material,
-                train=order[watching:],
-                validation=order[:watching],
-                rng=rng,
-                advance=advance,
-            )
-        spread = Spread.learn(network, material, pixels=order[:watching], rng=rng)
+
+    def _learn(
+        self,
+        pictures: Sequence[Samples],
+        material: Material,
+        units: Sequence[float],
+        *,
+        seed: int,
+        progress: bool | None,
+    ) -> Learned:
+        count = len(material.pixels)
+        network, spread, history = teach(
+            material, channels=pictures[0].shape[2], seed=seed, progress=progress
+        )
         provenance = {
-            "scene": samples.name,
-            "samples": samples.attrs,
-            "samples_shape": list(samples.shape),
+            "scene": ", ".join(picture.name for picture in pictures),
+            "scenes": [
+                {
+                    "scene": picture.name,
+                    "samples": picture.attrs,
+                    "samples_shape": list(picture.shape),
+                    "unit": unit,
+                    "pixels_used": used,
+                }
+                for picture, unit, used in zip(pictures, units, material.parts, strict=True)
+            ],
+            "samples": pictures[0].attrs,
+            "samples_shape": list(pictures[0].shape),
             "reference": material.lesson.reference,
-            "features": self.features,
-            "neighbours": self.neighbours,
+            **{sight: getattr(self, sight) for sight in _SIGHTS},
             "seed": seed,
             "pixels_used": count,
             "pixels_excluded": material.excluded,
@@ -417,7 +468,13 @@ class Progressive:
             "chdstat": chdstat.__version__,
         }
         return Learned(
-            network, spread, unit, history, material.pixels, samples.shape[:2], provenance
+            network,
+            spread,
+            float(np.exp(np.mean(np.log(units)))),
+            history,
+            material.pixels,
+            pictures[0].shape[:2],
+            provenance,
         )
 
     def _estimate(
@@ -426,32 +483,73 @@ class Progressive:
         features: Features | None,
         balance: float,
         unit: float | None,
+        trust: float | Literal["halves"],
         *,
         level: float | None,
     ) -> Estimates:
-        samples = as_samples(x)
-        if samples.ndim < 2:
-            message = f"x must have shape (..., channel, sample), got {samples.shape}"
+        samples = self._checked(x, balance)
+        unit = _unit_of(samples, unit)
+        share: Any = trust
+        if share == "halves":
+            share = self._trust(samples, features, balance, unit)
+        if isinstance(share, str) or not 0 <= share <= 1:
+            message = f"trust must lie between 0 and 1, or be 'halves', got {share}"
             raise InputError(message)
         *shape, channels, n = samples.shape
-        self._check(channels, balance)
-        unit = picture_unit(mean_of_good(samples)) if unit is None else unit
         profile, asked = None, None
         if self.neighbours:
             check_pixels(samples, picture=True)
             profile = Profile.of(samples, unit=unit)
             asked = ask(samples) / np.float32(unit)
         rows = samples.reshape(-1, channels, n)
+        conditions = None
+        if self.conditioned:
+            seen = rows[:: _step(len(rows))]
+            conditions = conditions_of(Profile.of(seen, unit=unit))
         found = apply(
-            self._state,
+            self._trusted(share),
             lambda part: Profile.of(rows[part], unit=unit),
-            self._scenery(features, tuple(shape), profile),
+            self._scenery(features, tuple(shape), profile, conditions),
             asked,
             shape=tuple(shape),
             balance=balance,
             level=level,
         )
         return with_means(found, samples)
+
+    def _trust(
+        self, samples: Array, features: Features | None, balance: float, unit: float
+    ) -> float:
+        from chdstat.estimators.progressive.doubt import paying_share
+        from chdstat.estimators.progressive.training import FLOOR
+
+        if samples.shape[-1] < _FEWEST_HALVES:
+            message = f"halves need at least {_FEWEST_HALVES} samples, got {samples.shape[-1]}"
+            raise InputError(message)
+        return paying_share(
+            samples,
+            lambda half: self._estimate(half, features, balance, unit, 1.0, level=None).radiance,
+            powers=[power for power, part in ((0, 1 - balance), (1, balance)) if part > 0],
+            floor=FLOOR,
+            unit=unit,
+        )
+
+    def _trusted(self, trust: float) -> Learned:
+        """Return what was learned, to be believed in part."""
+        if trust == 1:
+            return self._state
+        from chdstat.estimators.progressive.doubt import Doubted
+
+        network: Any = Doubted(self._state.network, trust)
+        return replace(self._state, network=network)
+
+    def _checked(self, x: npt.ArrayLike, balance: float) -> Array:
+        samples = as_samples(x)
+        if samples.ndim < 2:
+            message = f"x must have shape (..., channel, sample), got {samples.shape}"
+            raise InputError(message)
+        self._check(samples.shape[-2], balance)
+        return samples
 
     def _check(self, channels: int, balance: float) -> None:
         if channels != self.channels:
@@ -465,28 +563,44 @@ class Progressive:
             raise InputError(message)
 
     def _scenery(
-        self, features: Features | None, shape: tuple[int, ...], profile: Profile | None
+        self,
+        features: Features | None,
+        shape: tuple[int, ...],
+        profile: Profile | None,
+        conditions: npt.NDArray[np.float32] | None,
     ) -> Scenery:
-        if not (self.features or self.neighbours):
-            return Scenery.nothing(int(np.prod(shape)))
-        if len(shape) != 2:
-            message = f"features belong to a picture (y, x, channel, sample), got pixels {shape}"
-            raise InputError(message)
-        found = scenery_of(features if self.features else None, (shape[0], shape[1]), profile)
+        count = int(np.prod(shape))
+        found = Scenery.nothing(count)
+        if self.features or self.neighbours:
+            if len(shape) != 2:
+                message = (
+                    f"features belong to a picture (y, x, channel, sample), got pixels {shape}"
+                )
+                raise InputError(message)
+            found = scenery_of(features if self.features else None, (shape[0], shape[1]), profile)
+        if conditions is not None:
+            whole = np.tile(conditions, (count, 1))
+            described = np.concatenate([found.described, whole], axis=1) if self.features else whole
+            found = replace(found, described=described)
         wanted = self._state.network.shape.described
         if found.described.shape[1] != wanted:
+            own = CONDITIONS * self.conditioned
             message = (
-                f"the model looks at {wanted} numbers of the first hit, but these features give "
-                f"{found.described.shape[1]}; pass features= as it was trained with"
+                f"the model looks at {wanted - own} numbers of the first hit, but these features "
+                f"give {found.described.shape[1] - own}; pass features= as it was trained with"
             )
             raise InputError(message)
         return found
 
 
+def _unit_of(samples: Array, unit: float | None) -> float:
+    return picture_unit(mean_of_good(samples)) if unit is None else unit
+
+
+def _step(pixels: int) -> int:
+    return max(1, pixels // _PIXELS_OF_CONDITIONS)
+
+
 def _means(samples: Samples) -> Array:
     """Return the means of all pixels, shape (y, x, channel)."""
     return Totals.of(samples).mean()
-
-
-def _below(prefix: str, arrays: Mapping[str, Array]) -> dict[str, Array]:
-    return {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}

@@ -8,7 +8,7 @@ of samples that its experience is worth. So the estimate tends to the mean as N 
 
 There are two answers from the same hidden layers, one for each `AIMS`.
 
-It is what Zirr et al. 2018, doi:10.1145/3269978, do with the layers of their cascade, by weights
+It is what Zirr et al. 2018, doi:10.1111/cgf.13335, do with the layers of their cascade, by weights
 that are learned, as kernels are by Bako et al. 2017, doi:10.1145/3072959.3073708.
 """
 
@@ -97,7 +97,7 @@ class Network(nn.Module):
         """Estimate under every aim."""
         hidden = self._inputs(sight)
         for layer in self.hidden:
-            hidden = torch.relu(layer(hidden))
+            hidden = torch.relu_(layer(hidden))
         radiance = sight.bins[..., 1:]
         mean = radiance.sum(dim=1)
         channels, pools = self.shape.channels, self.shape.pools
@@ -146,8 +146,10 @@ class Network(nn.Module):
 
 def _legible(bins: torch.Tensor) -> torch.Tensor:
     """Return shares and radiance so that rare and bright samples do not outweigh all others."""
-    shares, radiance = bins[..., :1].clamp(min=0).sqrt(), bins[..., 1:]
-    return torch.cat([shares, 0.2 * torch.log1p(radiance / _FAINT)], dim=-1)
+    # The shares go through the logarithm, too, as one loop over all is faster than one with gaps.
+    legible = torch.log1p(bins / _FAINT).mul_(0.2)
+    legible[..., 0] = bins[..., 0].clamp(min=0).sqrt()
+    return legible
 
 
 def device() -> str:

@@ -28,6 +28,8 @@ _TOP = OCTAVES - 1 - 2.0**-10
 _SAMPLES_AT_ONCE = 2**16
 """Small enough for all that is made of a block to stay in the cache."""
 _FEW = 4
+_SMALLEST, _LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+"""Radiance that samples can be measured in, in single precision."""
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -66,7 +68,7 @@ class Profile:
         Raises
         ------
         InputError
-            If `x` has no channels, or `unit` is not positive and finite.
+            If `x` has no channels, or `unit` is no positive, normal float32.
 
         Examples
         --------
@@ -78,8 +80,10 @@ class Profile:
         if samples.ndim < 2:
             message = f"x must have shape (..., channel, sample), got {samples.shape}"
             raise InputError(message)
-        if not 0 < unit < np.inf:
-            message = f"unit must be a positive radiance, got {unit}"
+        if not _SMALLEST <= unit <= _LARGEST:
+            message = (
+                f"unit must be a positive radiance, {_SMALLEST:.1g} to {_LARGEST:.1g}, got {unit}"
+            )
             raise InputError(message)
         *shape, channels, n = samples.shape
         rows = samples.reshape(-1, channels, n)

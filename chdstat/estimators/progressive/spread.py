@@ -28,11 +28,13 @@ from chdstat.estimators.progressive.splits import Part, Splits
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Answer, Network
 
-__all__ = ["CAUSES", "LEVELS", "Spread", "causes_of"]
+__all__ = ["BALANCES", "CAUSES", "LEVELS", "Spread", "causes_of"]
 
 CAUSES = 6
 LEVELS = np.array([0.005, 0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975, 0.995])
 """Probabilities at which quantiles are calibrated."""
+BALANCES = np.array([0.0, 0.5, 1.0])
+"""Mixtures of the aims that quantiles are calibrated for; between them they are interpolated."""
 _DARK = 0.02
 """Radiance, in units of the picture's, below which errors no longer fall with it."""
 _DRAWS = 16
@@ -53,12 +55,19 @@ class Spread:
     sizes
         Numbers of samples that quantiles were calibrated at, ascending; none without a reference.
     normal
-        For each, the normal quantiles to take at `LEVELS`, shape (size, aim, level).
+        For each, the normal quantiles to take at `LEVELS`, shape (size, balance, level).
     """
 
     weights: Floats
     sizes: Floats
     normal: Floats
+
+    def __post_init__(self) -> None:
+        expected = (len(AIMS), CAUSES), (len(self.sizes), len(BALANCES), len(LEVELS))
+        received = self.weights.shape, self.normal.shape
+        if expected != received:
+            message = f"weights and normal must have shapes {expected}, got {received}"
+            raise ValueError(message)
 
     @classmethod
     def learn(
@@ -79,30 +88,44 @@ class Spread:
         ]
         weights = np.array([_weights(trials, aim) for aim in range(len(AIMS))])
         if not lesson.reference:
-            return cls(weights, np.empty(0), np.empty((0, len(AIMS), len(LEVELS))))
+            return cls(weights, np.empty(0), np.empty((0, len(BALANCES), len(LEVELS))))
         by_size = [[trial for trial in trials if trial.size == n] for n in sizes]
         normal = np.array([_calibrate(weights, found) for found in by_size])
         return cls(weights, np.array(sizes, np.float64), normal)
 
-    def variance(self, causes: Floats, aim: int) -> Floats:
-        """Return expected squared errors from their causes (..., cause)."""
-        return np.asarray(causes @ self.weights[aim])
+    def variance(self, causes: Floats, balance: float) -> Floats:
+        """Return expected squared errors of mixed estimates, from causes (aim, ..., cause)."""
+        return _mixed(np.stack([c @ w for c, w in zip(causes, self.weights, strict=True)]), balance)
 
     def quantile(
-        self, estimate: Floats, variance: Floats, count: npt.NDArray[Any], *, aim: int, level: float
+        self,
+        estimate: Floats,
+        variance: Floats,
+        count: npt.NDArray[Any],
+        *,
+        balance: float,
+        level: float,
     ) -> Floats:
         """Return a quantile; estimate and variance (row, channel), samples (row,)."""
-        z = self._normal(np.maximum(count, 1), aim, level)[:, np.newaxis]
+        z = self._normal(np.maximum(count, 1), balance, level)[:, np.newaxis]
         mean = estimate + _DARK
         root = 1 - variance / (9 * mean**2) + z * np.sqrt(variance) / (3 * mean)
         return np.asarray(np.maximum(mean * np.maximum(root, 0) ** 3 - _DARK, 0))
 
-    def _normal(self, count: npt.NDArray[Any], aim: int, level: float) -> Floats:
+    def _normal(self, count: npt.NDArray[Any], balance: float, level: float) -> Floats:
         if not len(self.sizes):
             return np.full(len(count), special.ndtri(level))
-        places = special.ndtri(LEVELS)
-        known = [np.interp(special.ndtri(level), places, row[aim]) for row in self.normal]
+        places, place = special.ndtri(LEVELS), special.ndtri(level)
+        known = [
+            np.interp(balance, BALANCES, [np.interp(place, places, z) for z in rows])
+            for rows in self.normal
+        ]
         return np.asarray(np.interp(np.log2(count), np.log2(self.sizes), known))
+
+
+def _mixed(of_aims: Floats, balance: float) -> Floats:
+    """Return the mixture of what two aims give, shape (aim, ...)."""
+    return np.asarray((1 - balance) * of_aims[0] + balance * of_aims[1])
 
 
 def causes_of(answer: Answer, profile: Profile, aim: int) -> Floats:
@@ -197,17 +220,19 @@ def _weights(trials: Sequence[_Trial], aim: int) -> Floats:
 
 
 def _calibrate(weights: Floats, trials: Sequence[_Trial]) -> Floats:
-    """Return the normal quantiles of the truth, shape (aim, level).
+    """Return the normal quantiles of the truth, shape (balance, level).
 
     The cube root of a gamma variable is near normal (Wilson and Hilferty 1931,
     doi:10.1073/pnas.17.12.684).
     """
+    estimates = np.concatenate([t.estimate for t in trials], axis=1)
+    causes = np.concatenate([t.causes for t in trials], axis=1)
+    truth = np.concatenate([t.truth for t in trials]) + _DARK
+    variances = np.stack([c @ w for c, w in zip(causes, weights, strict=True)])
     found = []
-    for aim in range(len(AIMS)):
-        mean = np.concatenate([t.estimate[aim] for t in trials]) + _DARK
-        variance = np.concatenate([t.causes[aim] for t in trials]) @ weights[aim]
-        truth = np.concatenate([t.truth for t in trials]) + _DARK
-        spread = np.sqrt(variance) / (3 * mean)
+    for balance in BALANCES:
+        mean = _mixed(estimates, balance) + _DARK
+        spread = np.sqrt(_mixed(variances, balance)) / (3 * mean)
         z = (np.cbrt(truth / mean) - 1 + spread**2) / spread
         found.append(np.quantile(z, LEVELS))
     return np.array(found)

@@ -28,6 +28,9 @@ __all__ = ["FLOOR", "learn", "look", "threads"]
 
 FLOOR = 0.01
 """Part of the squared mean radiance of the picture that keeps relative errors finite."""
+_DARKEST = 1e-3
+"""Mean radiance of a channel, in units of the picture's, below which it counts as this: relative
+errors of a channel that is black would outweigh all others."""
 _WITH_REFERENCE = (0.0, 1.0)
 _WITHOUT = (0.5, 0.75)
 """Powers of the squared radiance in the loss of each aim. Without a reference they only say which
@@ -149,7 +152,7 @@ class _Judge:
     @classmethod
     def of(cls, splits: Splits, *, reference: bool) -> _Judge:
         mean, variance = splits.mean, splits.variance
-        floor = FLOOR * mean.mean(axis=0) ** 2 + np.finfo(np.float32).tiny
+        floor = FLOOR * np.maximum(mean.mean(axis=0), _DARKEST) ** 2
         powers = _WITH_REFERENCE if reference else _WITHOUT
         scale = np.array([(variance / (mean**2 + floor) ** power).mean() for power in powers])
         place = torch.from_numpy(floor.astype(np.float32)).to(device())

@@ -1,0 +1,130 @@
+"""Pictures: which pixels of one or several scenes train, with their samples and descriptions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import is_bad
+from chdstat.errors import InputError
+from chdstat.estimators.heldout import draw_pixels
+from chdstat.estimators.progressive.conditions import local_conditions
+from chdstat.estimators.progressive.first_hit import Features, describe
+from chdstat.estimators.progressive.profiles import Profile
+from chdstat.samples import Samples
+
+__all__ = ["Lot", "Scene", "chosen_pixels"]
+
+_PIXELS = 8192
+"""Of a scene, at most."""
+_MOST_PIXELS = 4 * _PIXELS
+"""Of all scenes together: more take memory, and tell little."""
+_SAMPLES = 64
+"""Of each pixel that tell conditions: all pixels together are many."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A picture that trains.
+
+    Attributes
+    ----------
+    samples
+        The picture.
+    features
+        Its first-hit features, where they are looked at.
+    unit
+        Its mean radiance.
+    pixels
+        Which of its pixels train, rows (y, x).
+    """
+
+    samples: Samples
+    features: Features | None
+    unit: float
+    pixels: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Lot:
+    """The good pixels of a scene.
+
+    Attributes
+    ----------
+    rows
+        Samples in units of the scene's mean radiance, shape (pixel, channel, sample).
+    described
+        Of the first hit, and conditions of the scene where these are wanted, shape (pixel, number).
+    pixels
+        Where they are, rows (y, x).
+    excluded
+        Pixels left out for a bad sample.
+    """
+
+    rows: npt.NDArray[np.float32]
+    described: npt.NDArray[np.float32]
+    pixels: npt.NDArray[np.int64]
+    excluded: int
+
+    @classmethod
+    def of(cls, scene: Scene, spp: int, rng: np.random.Generator | None) -> Lot:
+        """Read that many samples of each pixel; a generator draws where conditions are told."""
+        shape = scene.samples.shape[:2]
+        every, good = _rows(scene.samples, scene.pixels, spp)
+        rows, pixels = every if good.all() else every[good], scene.pixels[good]
+        rows /= np.float32(scene.unit)
+        described = describe(scene.features, shape)[tuple(pixels.T)]
+        if rng is not None and len(rows):
+            seen = Profile.of(rows[..., :_SAMPLES], unit=1.0)
+            found = local_conditions(seen, pixels, shape, rng)
+            described = np.concatenate([described, found], axis=1)
+        return cls(rows, described, pixels, int((~good).sum()))
+
+
+def chosen_pixels(
+    pictures: Sequence[Samples], given: Any, *, seed: int
+) -> list[npt.NDArray[np.int64]]:
+    """Return the pixels of each picture that train, rows (y, x): those given, or drawn.
+
+    A picture draws fewer beside many others, from those that it draws alone.
+
+    Parameters
+    ----------
+    pictures
+        All that train together.
+    given
+        An array for each, or None.
+    seed
+        Where the draw starts.
+
+    Raises
+    ------
+    InputError
+        If there are not as many arrays as pictures.
+    """
+    if given is None:
+        count = min(_PIXELS, _MOST_PIXELS // len(pictures))
+        return [draw_pixels(picture.shape[:2], count, seed=seed) for picture in pictures]
+    if len(given) != len(pictures):
+        message = f"pixels must be one array for each of {len(pictures)} pictures, got {len(given)}"
+        raise InputError(message)
+    return [np.unique(np.asarray(one, np.int64).reshape(-1, 2), axis=0) for one in given]
+
+
+def _rows(
+    samples: Samples, pixels: npt.NDArray[np.int64], spp: int
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+    """Return samples (pixel, channel, sample), and which pixels have no bad one."""
+    rows = np.empty((len(pixels), samples.shape[2], spp), np.float32)
+    place = np.full(samples.shape[:2], -1)
+    place[tuple(pixels.T)] = np.arange(len(pixels))
+    for ys, xs, ss, block in samples.blocks():
+        kept = block[..., : max(rows.shape[-1] - ss.start, 0)]
+        here = place[ys, xs]
+        if kept.shape[-1]:
+            rows[here[here >= 0], :, ss.start : ss.start + kept.shape[-1]] = kept[here >= 0]
+    return rows, np.asarray(~is_bad(rows).any(axis=(1, 2)))

@@ -1,0 +1,177 @@
+"""Images: pictures and maps as what a browser shows, and the pass over a store that makes them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat import viz
+from chdstat._arrays import is_bad, is_null, luminance
+from chdstat._moments import Moments
+from chdstat.explorer.sources import StoreSource
+
+__all__ = ["Overall", "preview", "rgba", "stream"]
+
+_PREVIEW_SPP = 64
+_FILMIC = (0.15, 0.50, 0.10, 0.20, 0.02, 0.30)
+_WHITE = 11.2
+_TILE = 64
+_BATCH = 64
+
+Image = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Overall:
+    """The picture and what comes with it for nothing.
+
+    Attributes
+    ----------
+    mean
+        Mean radiance of the good samples, shape (y, x, channel), float32; NaN without any.
+    null_share
+        Share of nulls among the good samples, shape (y, x).
+    bad_count
+        Bad samples, shape (y, x).
+    variance
+        Unbiased variance of luminance, squared radiance, shape (y, x).
+    variation
+        Standard deviation of luminance over its mean, shape (y, x).
+    spp
+        Samples per pixel behind them.
+    """
+
+    mean: Image
+    null_share: Image
+    bad_count: Image
+    variance: Image
+    variation: Image
+    spp: int
+
+    @cached_property
+    def exposure(self) -> float:
+        """Stops that put the 90th percentile of the picture near white."""
+        finite = self.mean[np.isfinite(self.mean)]
+        bright = float(np.percentile(finite, 90)) if finite.size else 0.0
+        return float(np.clip(np.log2(0.8 / bright), -32, 32)) if bright > 0 else 0.0
+
+    @classmethod
+    def empty(cls, height: int, width: int, channels: int) -> Overall:
+        """Return the picture of no samples."""
+        mean = np.full((height, width, channels), np.nan, np.float32)
+        null, bad, variance, variation = np.full((4, height, width), np.nan, np.float32)
+        return cls(mean, null, bad, variance, variation, 0)
+
+    def put(self, ys: slice, xs: slice, part: Overall) -> None:
+        """Write a part of the image."""
+        for field in fields(self):
+            if field.name != "spp":
+                getattr(self, field.name)[ys, xs] = getattr(part, field.name)
+
+
+def preview(source: StoreSource) -> Overall:
+    """Return the picture of the first samples, which takes a second where all take minutes."""
+    spp = min(source.samples.spp, _PREVIEW_SPP)
+    whole = Overall.empty(*source.size, len(source.channels))
+    for ys, xs in source.tiles(_TILE):
+        whole.put(ys, xs, _of_blocks(iter([source.read(ys, xs, slice(0, spp))])))
+    return replace(whole, spp=spp)
+
+
+def stream(source: StoreSource, step: Callable[[float], None]) -> Overall:
+    """Return the picture of all samples, in constant memory.
+
+    Parameters
+    ----------
+    source
+        The store.
+    step
+        Told the share that is done; whatever it raises ends the pass.
+    """
+    spp = source.samples.spp
+    whole = Overall.empty(*source.size, len(source.channels))
+    tiles = list(source.tiles(_TILE))
+    batches = [slice(s, min(s + _BATCH, spp)) for s in range(0, spp, _BATCH)]
+
+    for i, (ys, xs) in enumerate(tiles):
+
+        def blocks(i: int = i, ys: slice = ys, xs: slice = xs) -> Iterator[Image]:
+            for j, ss in enumerate(batches):
+                step((i + j / len(batches)) / len(tiles))
+                yield source.read(ys, xs, ss)
+
+        whole.put(ys, xs, _of_blocks(blocks()))
+    return replace(whole, spp=spp)
+
+
+def _of_blocks(blocks: Iterator[Image]) -> Overall:
+    """Return what blocks (y, x, channel, sample) of the same pixels say together."""
+    moments, nulls, bads = None, 0, 0
+    for block in blocks:
+        bad = np.asarray(is_bad(block).any(axis=-2))
+        good = ~bad
+        nulls = nulls + np.count_nonzero(is_null(block) & good, axis=-1)
+        bads = bads + np.count_nonzero(bad, axis=-1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            rows = np.concatenate([block, luminance(block)[..., np.newaxis, :]], axis=-2)
+        found = Moments.of(rows, good[..., np.newaxis, :] if bad.any() else None)
+        moments = found if moments is None else moments.merge(found)
+    assert moments is not None
+    mean = moments.seen(moments.mean)
+    variance = moments.variance[..., -1]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        share = nulls / moments.count[..., 0]
+        variation = np.where(mean[..., -1] > 0, np.sqrt(variance) / mean[..., -1], np.nan)
+        maps = np.stack([share, np.broadcast_to(bads, share.shape), variance, variation])
+        null, bad, *spreads = maps.astype(np.float32)
+        return Overall(mean[..., :-1].astype(np.float32), null, bad, spreads[0], spreads[1], 0)
+
+
+# --- on the screen ------------------------------------------------------------------------------
+
+
+def rgba(mean: Image, exposure: float, tone: str) -> npt.NDArray[np.uint32]:
+    """Return a picture as a browser wants it: packed RGBA, shape (y, x).
+
+    Parameters
+    ----------
+    mean
+        Linear radiance, shape (y, x, channel); what is not finite becomes magenta.
+    exposure
+        Stops.
+    tone
+        'srgb' clips, 'reinhard' maps v to v / (1 + v), 'filmic' is Hable's curve.
+
+    References
+    ----------
+    Reinhard, Stark, Shirley and Ferwerda, "Photographic tone reproduction for digital images",
+    2002, doi:10.1145/566654.566575, equation 3. Hable, "Uncharted 2: HDR lighting", Game Developers
+    Conference 2010.
+
+    Examples
+    --------
+    >>> hex(rgba(np.ones((1, 1, 3), np.float32), 0, "srgb")[0, 0])
+    '0xffffffff'
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        value = mean * np.float32(2.0**exposure)
+        if tone == "reinhard":
+            value = np.where(np.isfinite(value), value / (1 + value), value)
+        elif tone == "filmic":
+            value = np.where(
+                np.isfinite(value), _hable(2 * value) / _hable(np.float32(_WHITE)), value
+            )
+    shown = viz.tonemap(value, exposure=0)
+    packed = np.full((*shown.shape[:2], 4), 255, np.uint8)
+    packed[..., :3] = np.round(255 * shown)
+    return packed.view(np.uint32)[..., 0]
+
+
+def _hable(v: npt.NDArray[np.float32] | np.float32) -> npt.NDArray[np.float32]:
+    a, b, c, d, e, f = _FILMIC
+    v = np.minimum(v, np.float32(1e15))  # v squared stays within float32
+    return np.asarray((v * (a * v + c * b) + d * e) / (v * (a * v + b) + d * f) - e / f, np.float32)

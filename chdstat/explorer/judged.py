@@ -1,0 +1,202 @@
+"""Judged: what every fixed estimator says of one place, and how far it is off."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import is_bad
+from chdstat.estimators import mean as _mean
+from chdstat.estimators import registry
+
+__all__ = ["BATCHES_AROUND", "Estimate", "judged", "judged_around", "judged_names", "quick_names"]
+
+_MOST_BATCHES = 32
+"""Batches that estimators are judged on."""
+BATCHES_AROUND = 4
+"""Batches of those that look at the pixels around."""
+
+_QUICK = 4e-3
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What an estimator says of one place.
+
+    Attributes
+    ----------
+    name
+        Of the estimator.
+    value
+        Mean of its estimates over the batches, shape (channel,), radiance.
+    mse_ratio
+        Mean squared error over that of the sample mean, over channels and batches; NaN where there
+        is no reference, as the next two.
+    bias
+        Mean error relative to the mean reference.
+    improved
+        Share of the estimates that are nearer to the reference than the sample mean.
+    """
+
+    name: str
+    value: Floats
+    mse_ratio: float
+    bias: float
+    improved: float
+
+
+def judged(
+    x: npt.NDArray[np.float32],
+    n: int,
+    reference: npt.ArrayLike | None = None,
+    *,
+    names: Collection[str] | None = None,
+    step: Callable[[], None] = lambda: None,
+) -> list[Estimate]:
+    """Judge every fixed estimator that needs no neighbours on batches of n samples.
+
+    Parameters
+    ----------
+    x
+        Linear radiance, shape (channel, sample); a sample with a bad channel counts for none.
+    n
+        Samples of a batch.
+    reference
+        True radiance, shape (channel,). Without, that of a batch is the mean of all other samples:
+        no reference contains the batch that it judges.
+    names
+        Which estimators; None for all.
+    step
+        Called before each estimator; whatever it raises ends the judgement.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(1).gamma(2.0, size=(3, 512)).astype(np.float32)
+    >>> first = judged(x, 32)[0]
+    >>> first.name, first.mse_ratio
+    ('mean', 1.0)
+    """
+    count = min(x.shape[1] // n, _MOST_BATCHES)
+    if count == 0:
+        return []
+    batches, truth = _batches(x, n, count, reference)
+    mean = np.asarray(_mean(batches), np.float64)
+    found = []
+    for entry in _entries():
+        if n >= entry.minimum_samples and (names is None or entry.name in names):
+            step()
+            estimates = np.asarray(entry(batches), np.float64)
+            found.append(_compared(entry.name, estimates, mean, truth))
+    return found
+
+
+def judged_around(
+    x: npt.NDArray[np.float32],
+    window: npt.NDArray[np.float32],
+    place: tuple[int, int],
+    n: int,
+    reference: npt.ArrayLike | None = None,
+    *,
+    step: Callable[[], None] = lambda: None,
+) -> list[Estimate]:
+    """Judge the estimators that look at the pixels around, on a few batches: they are slow.
+
+    Those that want first-hit features are left out: they learn from a whole picture.
+
+    Parameters
+    ----------
+    x, n, reference, step
+        As for `judged`.
+    window
+        The first samples of the pixels around, shape (y, x, channel, sample).
+    place
+        (y, x) of the pixel in the window.
+    """
+    count = min(window.shape[-1] // n, BATCHES_AROUND)
+    if count == 0:
+        return []
+    batches, truth = _batches(x, n, count, reference)
+    mean = np.asarray(_mean(batches), np.float64)
+    cuts = [np.ascontiguousarray(window[..., i * n : (i + 1) * n]) for i in range(count)]
+    found = []
+    for entry in _entries(neighbours=True):
+        if n >= entry.minimum_samples:
+            step()
+            estimates = np.stack([np.asarray(entry(cut), np.float64)[place] for cut in cuts])
+            found.append(_compared(entry.name, estimates, mean, truth))
+    return found
+
+
+def judged_names() -> tuple[str, ...]:
+    """Return the names of the fixed estimators that look at one pixel alone."""
+    return tuple(entry.name for entry in _entries())
+
+
+@cache
+def quick_names() -> frozenset[str]:
+    """Return the estimators that answer within a click: 4 ms for all batches, tried once."""
+    x = np.random.default_rng(0).gamma(0.5, size=(_MOST_BATCHES, 3, 32)).astype(np.float32)
+    return frozenset(e.name for e in _entries() if min(_seconds(e, x) for _ in range(3)) < _QUICK)
+
+
+def _seconds(entry: registry.Estimator, x: npt.NDArray[np.float32]) -> float:
+    start = time.perf_counter()
+    entry(x)
+    return time.perf_counter() - start
+
+
+def _entries(*, neighbours: bool = False) -> list[registry.Estimator]:
+    entries = (registry.lookup(name) for name in registry.names("fixed"))
+    fixed = (e for e in entries if isinstance(e, registry.Estimator))
+    return [e for e in fixed if e.uses_neighbours == neighbours and not e.uses_features]
+
+
+def _batches(
+    x: npt.NDArray[np.float32], n: int, count: int, reference: npt.ArrayLike | None
+) -> tuple[npt.NDArray[np.float32], Floats]:
+    """Return batches (batch, channel, n) of a pixel, and the reference of each (batch, channel)."""
+    x = np.where(is_bad(x).any(axis=0), np.float32(np.nan), x)
+    batches = x[:, : count * n].reshape(len(x), count, n).swapaxes(0, 1)
+    if reference is None:
+        return batches, _held_out(x, batches)
+    return batches, np.broadcast_to(np.asarray(reference, np.float64), batches.shape[:2])
+
+
+def _held_out(x: npt.NDArray[np.float32], batches: npt.NDArray[np.float32]) -> Floats:
+    """Return the mean of the samples outside each batch, NaN where they are fewer than in it."""
+    total, of_batch = np.nansum(x, axis=-1, dtype=np.float64), np.isfinite(batches)
+    sums = np.where(of_batch, batches, 0).sum(axis=-1, dtype=np.float64)
+    rest = np.isfinite(x).sum(axis=-1) - np.count_nonzero(of_batch, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        means = np.maximum(total - sums, 0) / rest
+    return np.where(rest >= batches.shape[-1], means, np.nan)
+
+
+def _compared(name: str, estimates: Floats, mean: Floats, truth: Floats) -> Estimate:
+    known = np.isfinite(truth) & np.isfinite(estimates) & np.isfinite(mean)
+    nan = float("nan")
+    if not known.any():
+        return Estimate(name, _average(estimates), nan, nan, nan)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # In units of the reference, so that 1e30 squared stays a number.
+        scale = np.float64(truth[known].mean())
+        difference = (estimates - truth)[known] / scale
+        error, of_mean = difference**2, ((mean - truth)[known] / scale) ** 2
+        ratio = float(error.sum() / of_mean.sum())
+    if name == "mean":
+        return Estimate(name, _average(estimates), 1.0, float(difference.mean()), nan)
+    improved = float((error < of_mean).mean())
+    return Estimate(name, _average(estimates), ratio, float(difference.mean()), improved)
+
+
+def _average(estimates: Floats) -> Floats:
+    known = np.isfinite(estimates)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.where(known, estimates, 0).sum(axis=0) / known.sum(axis=0))

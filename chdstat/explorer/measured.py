@@ -1,0 +1,219 @@
+"""Measured: everything that panels and tables show of one place, computed when first asked for.
+
+A place is a pixel, or a region whose samples are pooled. Luminance goes along as one more channel,
+so that each fit, test and mode is found once for all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import is_bad, is_null, luminance
+from chdstat._moments import Moments
+from chdstat._positive import PositivePart
+from chdstat._rows import Result, take_rows
+from chdstat.fit import Fit, Mixture, Selection, Tail
+from chdstat.fit.families import FAMILIES
+from chdstat.fit.selection import SELECTED, select_part
+from chdstat.fit.tail import tail_of_part
+from chdstat.histograms import Histogram, histogram
+from chdstat.modes import Modality, mixture_and_modes_of_part
+from chdstat.normality import (
+    N_MEANS,
+    Gaussianity,
+    GaussianityOfMeans,
+    gaussianity_of_part,
+    means_of_block,
+    sizes_of_means,
+)
+from chdstat.patterns import Patterns, patterns_of_part
+
+__all__ = ["MOST_FITTED", "Measured"]
+
+MOST_FITTED = 2**15
+"""Samples that fits, tests and modes look at; moments and histograms take all of them."""
+
+_OF_FIRST = {
+    "part", "selection", "tail", "_mixture_and_modes", "patterns", "gaussianity", "means",
+}  # fmt: skip
+"""What is computed of the first `MOST_FITTED` samples alone."""
+
+Floats = npt.NDArray[np.float64]
+
+
+class Measured:
+    """Statistics of the samples of one place.
+
+    Parameters
+    ----------
+    x
+        Linear radiance, shape (channel, sample), with 1 or 3 channels.
+    channels
+        Their names.
+
+    Attributes
+    ----------
+    rows
+        The channels, then luminance where there are several of them, shape (row, sample), float32.
+    names
+        Of the rows.
+    null, bad
+        Which samples are null and which are bad as a whole, shape (sample,).
+    """
+
+    def __init__(self, x: npt.NDArray[np.float32], channels: tuple[str, ...]) -> None:
+        self.channels = channels
+        self.bad = np.asarray(is_bad(x).any(axis=0))
+        self.null = is_null(x) & ~self.bad
+        self.names = channels
+        self.rows = x
+        if len(x) > 1:
+            with np.errstate(invalid="ignore", over="ignore"):
+                self.rows = np.concatenate([x, luminance(x)[np.newaxis]])
+            self.names = (*channels, "luminance")
+
+    @property
+    def spp(self) -> int:
+        """Samples, good or bad."""
+        return int(self.rows.shape[1])
+
+    @property
+    def fitted_spp(self) -> int:
+        """Samples that fits look at."""
+        return min(self.spp, MOST_FITTED)
+
+    def row(self, channel: str) -> int:
+        """Return the row of 'luminance' or of the number of a channel."""
+        if channel == "luminance":
+            return len(self.names) - 1
+        return min(int(channel), len(self.channels) - 1)
+
+    @cached_property
+    def null_share(self) -> float:
+        """Share of nulls among the good samples; NaN without any."""
+        good = self.spp - int(self.bad.sum())
+        return float(self.null.sum() / good) if good else float("nan")
+
+    @cached_property
+    def moments(self) -> Moments:
+        """Moments of the good samples, of each row."""
+        return Moments.of(self.rows, ~self.bad)
+
+    @cached_property
+    def part(self) -> PositivePart:
+        """Positive part of each row, of the samples that are fitted."""
+        some = self.rows[: len(self.channels), : self.fitted_spp]
+        return PositivePart.of_pixels(some, rows="both")
+
+    @cached_property
+    def linear(self) -> Histogram:
+        """Linear histogram of each row."""
+        return self._histogram("linear")
+
+    @cached_property
+    def log(self) -> Histogram:
+        """Log10 histogram of each row."""
+        return self._histogram("log")
+
+    @cached_property
+    def selection(self) -> Selection:
+        """The families and which of them is best, of each row."""
+        return select_part(self.part, [FAMILIES[name] for name in SELECTED])
+
+    @cached_property
+    def tail(self) -> Tail:
+        """Tail of each row."""
+        return tail_of_part(self.part)
+
+    @cached_property
+    def _mixture_and_modes(self) -> tuple[Mixture, Modality]:
+        return mixture_and_modes_of_part(self.part, fits=self.selection.fits.values())
+
+    @property
+    def mixture(self) -> Mixture:
+        """The log-normal mixture behind the modes, of each row."""
+        return self._mixture_and_modes[0]
+
+    @property
+    def modes(self) -> Modality:
+        """Modes of each row."""
+        return self._mixture_and_modes[1]
+
+    @cached_property
+    def patterns(self) -> Patterns:
+        """Patterns of luminance, at the level of a single pixel."""
+        return patterns_of_part(
+            self._of_luminance(self.part),
+            tail=self._of_luminance(self.tail),
+            modes=self._of_luminance(self.modes),
+            families=self._of_luminance(self.selection),
+        )
+
+    @cached_property
+    def gaussianity(self) -> Gaussianity:
+        """Anderson-Darling's test of the logarithms and of the samples, shape (row, 2, 1)."""
+        return gaussianity_of_part(self.part, ("log", "linear"))
+
+    @cached_property
+    def means(self) -> GaussianityOfMeans | None:
+        """Normality of averages, of each row; None with fewer samples than averages to test."""
+        if self.fitted_spp < N_MEANS:
+            return None
+        block = np.where(self.bad, np.float32(np.nan), self.rows)[:, : self.fitted_spp]
+        return means_of_block(block, sizes_of_means(self.fitted_spp))
+
+    def averages(self, n: int) -> Floats:
+        """Return the averages of consecutive good samples, n each, shape (row, average)."""
+        good = self.rows if not self.bad.any() else self.rows[:, ~self.bad]
+        count = good.shape[1] // n
+        cut = good[:, : count * n].reshape(len(good), count, n)
+        return np.asarray(cut.mean(axis=-1, dtype=np.float64))
+
+    def running(self, points: int = 96) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
+        """Return spp, running means and their standard errors, shapes (point,) and (row, point)."""
+        good = np.flatnonzero(~self.bad)
+        if good.size < 2:
+            return np.empty(0, np.int64), *np.empty((2, len(self.rows), 0))
+        at = np.unique(np.geomspace(2, good.size, min(points, good.size)).astype(np.int64))
+        x = self.rows[:, good].astype(np.float64)
+        # Deviations from the mean of all keep the sum of squares from cancelling.
+        center = x.mean(axis=-1, keepdims=True)
+        x -= center
+        with np.errstate(over="ignore", invalid="ignore"):
+            total, squares = np.cumsum(x, axis=-1)[:, at - 1], np.cumsum(x * x, axis=-1)[:, at - 1]
+            mean = total / at
+            variance = np.maximum(squares / at - mean**2, 0) * at / (at - 1)
+        return at, mean + center, np.sqrt(variance / at)
+
+    def fit(self, family: str, row: int) -> Fit | Mixture | None:
+        """Return a fit of one row by the name of its family, 'best' or 'mixture'."""
+        if family == "mixture":
+            return take_rows(self.mixture, row, axis=0)
+        if family == "best":
+            index = int(self.selection.best[row])
+            if index < 0:
+                return None
+            family = self.selection.families[index]
+        return take_rows(self.selection.fits[family], row, axis=0)
+
+    def take_over(self, earlier: Measured) -> None:
+        """Keep what was found of the first samples of this place, where they are the same."""
+        if earlier.fitted_spp == self.fitted_spp:
+            vars(self).update({k: v for k, v in vars(earlier).items() if k in _OF_FIRST})
+
+    def arrays(self) -> Mapping[str, npt.NDArray[Any]]:
+        """Return the samples and which of them are null or bad, for export."""
+        return {"radiance": self.rows[: len(self.channels)], "null": self.null, "bad": self.bad}
+
+    def _histogram(self, scale: Any) -> Histogram:
+        shape = self.rows.shape
+        null, bad = (np.broadcast_to(mask, shape) for mask in (self.null, self.bad))
+        return histogram(self.rows, scale=scale, null=null, bad=bad)
+
+    def _of_luminance(self, result: Result) -> Result:
+        return take_rows(result, -1, axis=0)

@@ -1,0 +1,187 @@
+"""Page: the Bokeh document of the explorer: pictures, panels, and two wires for everything else.
+
+Bokeh draws and carries; the shell around the plots is the HTML page in ``web/``. Each wire is a
+hidden text field: what a person does comes in as JSON, what is said goes out as JSON.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from bokeh.document import Document
+from bokeh.models import CustomJS, TextInput
+from jinja2 import Environment
+
+from chdstat.explorer.maps import MAPS, Map
+from chdstat.explorer.palette import ramp
+from chdstat.explorer.plots import Linked, PanelPlot, Picture
+from chdstat.explorer.view import BATCH_SIZES, FAMILIES
+from chdstat.reporting.text import NAMES
+
+__all__ = ["EXPORTS", "Page"]
+
+EXPORTS = ("csv", "npz", "png", "svg", "pdf")
+_PANELS = {
+    "linear": "Linear histogram",
+    "log": "Log10 histogram",
+    "qq": "Quantiles",
+    "running": "Running mean",
+    "averages": "Averages of N samples",
+}
+# A click soon after another, and one that is held for a while, are clicks as well.
+_EVENTS = {
+    "tap": "tap",
+    "doubletap": "tap",
+    "press": "press",
+    "pressup": "pressup",
+    "mousemove": "hover",
+    "selectiongeometry": "box",
+}
+
+Image = npt.NDArray[Any]
+
+
+class Page:
+    """The models of one document.
+
+    Parameters
+    ----------
+    document
+        Where they go.
+    titles
+        Of the pictures: one, or two that are compared.
+    size
+        (height, width) of the image in pixels.
+    channels
+        Names of the channels.
+    heading
+        Of the page.
+    errors
+        Estimators whose error can be mapped; None where there are no maps.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        *,
+        titles: Sequence[str],
+        size: tuple[int, int],
+        channels: Sequence[str],
+        heading: str,
+        errors: Sequence[str] | None,
+    ) -> None:
+        self._document, self._size, self._channels = document, size, channels
+        self._numbers = itertools.count(1)
+        self.inbox = TextInput(name="inbox", visible=False)
+        self.outbox = TextInput(name="outbox", visible=False)
+        self._linked = Linked.of(*size)
+        self._pictures = [Picture(f"picture{i}", size, self._linked) for i in range(len(titles))]
+        self._panels = {name: PanelPlot(name) for name in _PANELS}
+        roots = [p.figure for p in self._pictures] + [p.figure for p in self._panels.values()]
+        for root in (*roots, self.inbox, self.outbox):
+            document.add_root(root)
+        document.title = f"{heading} · chdstat"
+        document.template = _template()
+        document.template_variables.update(_variables(titles, size, channels, heading, errors))
+        self._wire()
+
+    # --- what is shown --------------------------------------------------------------------------
+
+    def say(self, *items: Mapping[str, Any]) -> None:
+        """Send what the shell is to show."""
+        self.outbox.value = json.dumps({"number": next(self._numbers), "items": items})
+
+    def show_picture(self, index: int, packed: npt.NDArray[np.uint32], mean: Image) -> None:
+        """Show a picture, packed RGBA (y, x), with the radiance (y, x, channel) to be read."""
+        radiance = {
+            name: [np.ascontiguousarray(mean[..., i], np.float32)]
+            for i, name in enumerate(self._channels)
+        }
+        self._pictures[index].source.data = {"image": [packed], **radiance}
+
+    def show_map(self, shown: Map | None) -> None:
+        """Put a map in the place of the first picture; None takes it away."""
+        first = self._pictures[0]
+        first.map.visible = shown is not None
+        if shown is None:
+            return
+        values = np.ascontiguousarray(shown.values, np.float32)
+        if shown.kind.names:
+            low, high = min(shown.kind.names) - 0.5, max(shown.kind.names) + 0.5
+            self._linked.mapper.update(palette=shown.colors, low=low, high=high)
+        else:
+            low, high = shown.limits
+            self._linked.mapper.update(palette=list(ramp()), low=low, high=high)
+        first.map_source.data = {"image": [values]}
+
+    # --- wiring ---------------------------------------------------------------------------------
+
+    def _wire(self) -> None:
+        models: dict[str, Any] = {
+            "inbox": self.inbox,
+            "outbox": self.outbox,
+            "radiance": self._pictures[0].source,
+            "map": self._pictures[0].map_source,
+            "x_range": self._linked.x_range,
+            "y_range": self._linked.y_range,
+            "pans": [p.pan for p in self._pictures],
+            "boxes": [p.box for p in self._pictures],
+            "marks": self._linked.marks,
+            "region": self._linked.region,
+            "panels": {name: panel.sources for name, panel in self._panels.items()},
+            "width": self._size[1],
+            "height": self._size[0],
+            "channels": list(self._channels),
+        }
+        names = ", ".join(models)
+        start = CustomJS(args=models, code=f"window.chdstat.start({{{names}}})")
+        self._document.js_on_event("document_ready", start)
+        self._document.js_on_event("connection_lost", CustomJS(code="window.chdstat.lost()"))
+        for picture in self._pictures:
+            for event, call in _EVENTS.items():
+                picture.figure.js_on_event(event, CustomJS(code=f"window.chdstat.{call}(cb_obj)"))
+
+
+@cache
+def _template() -> Any:
+    from bokeh.core.templates import get_env
+
+    environment: Environment = get_env()
+    return environment.from_string(_web("page.html"))
+
+
+@cache
+def _web(name: str) -> str:
+    return (resources.files("chdstat.explorer") / "web" / name).read_text(encoding="utf-8")
+
+
+def _variables(
+    titles: Sequence[str],
+    size: tuple[int, int],
+    channels: Sequence[str],
+    heading: str,
+    errors: Sequence[str] | None,
+) -> dict[str, Any]:
+    maps = [] if errors is None else [(kind.name, kind.title) for kind in MAPS.values()]
+    chosen = [(str(i), name) for i, name in enumerate(channels)] if len(channels) > 1 else []
+    return {
+        "style": _web("page.css"),
+        "script": _web("page.js"),
+        "heading": heading,
+        "aspect": size[1] / size[0],
+        "exports": EXPORTS,
+        "maps": maps,
+        "errors": [(f"error:{name}", NAMES.get(name, name)) for name in errors or ()],
+        "families": [(name, NAMES.get(name, name)) for name in FAMILIES],
+        "channels": [*chosen, ("luminance", "luminance")] if chosen else [],
+        "batches": BATCH_SIZES,
+        "titles": list(titles),
+        "panel_titles": _PANELS,
+    }

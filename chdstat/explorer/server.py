@@ -1,0 +1,274 @@
+"""Server: the explorer on the loopback interface, from start to stop."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import logging
+import signal
+import socket
+import threading
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from chdstat.errors import ChdstatError, InputError
+from chdstat.explorer.opening import Explored, opened
+from chdstat.explorer.shared import Shared
+from chdstat.explorer.sources import StoreSource
+from chdstat.samples import Samples
+
+if TYPE_CHECKING:
+    from bokeh.document import Document
+    from bokeh.server.server import Server
+
+
+__all__ = ["DEFAULT_PORT", "Explorer", "explore"]
+
+DEFAULT_PORT = 5006
+"""Of the command line, so that an address stays the same from day to day."""
+_ADDRESS = "127.0.0.1"
+_EVERY = 3000
+"""Milliseconds between two looks at a store that is still being written."""
+
+
+class Explorer:
+    """A running explorer, as `explore` returns it; a notebook shows the page itself.
+
+    Use it as a context, call `stop` when done, or `wait` in a script that does nothing else.
+    """
+
+    def __init__(self, shared: Shared, port: int) -> None:
+        self._shared = shared
+        self._ready = threading.Event()
+        self._error: BaseException | None = None
+        self._loop: Any = None
+        self._server: Server | None = None
+        self._asked_port = port
+        self._thread = threading.Thread(target=self._run, name="chdstat-explorer", daemon=True)
+
+    @property
+    def port(self) -> int:
+        """The port that is served."""
+        return int(self._server.port or 0) if self._server else self._asked_port
+
+    @property
+    def url(self) -> str:
+        """Address of the page."""
+        return f"http://{_ADDRESS}:{self.port}/"
+
+    def stop(self) -> None:
+        """Stop serving and end all threads; a second call does nothing."""
+        if self._loop is not None and self._thread.is_alive():
+            self._loop.add_callback(self._end)
+            self._thread.join(timeout=10)
+        self._shared.stop()
+
+    def wait(self) -> None:
+        """Serve until Ctrl-C or SIGTERM, which end it cleanly; for the main thread."""
+        stopped = threading.Event()
+        numbers = (signal.SIGINT, signal.SIGTERM)
+        before = {number: signal.signal(number, lambda *_: stopped.set()) for number in numbers}
+        try:
+            while not stopped.wait(0.2) and self._thread.is_alive():
+                pass
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            self.stop()
+
+    def start(self) -> Explorer:
+        """Start to serve.
+
+        Raises
+        ------
+        InputError
+            If the port is taken.
+        """
+        self._thread.start()
+        self._ready.wait()
+        if self._error is not None:
+            self._shared.stop()
+            raise self._error
+        return self
+
+    def __enter__(self) -> Explorer:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def __repr__(self) -> str:
+        state = f"at {self.url}" if self._thread.is_alive() else "stopped"
+        return f"<Explorer of {self._shared.source.name!r} {state}>"
+
+    def _repr_html_(self) -> str:
+        return (
+            f'<iframe src="{self.url}" title="chdstat explorer" width="100%" height="820" '
+            'style="border: 0"></iframe>'
+        )
+
+    def _end(self) -> None:
+        """Tell all pages, give them a moment to hear it, and leave the loop."""
+        server: Any = self._server
+        for page in list(server._tornado._clients):
+            page._socket.close(1001, "the explorer has stopped")
+        self._loop.call_later(0.1, self._loop.stop)
+
+    def _run(self) -> None:
+        """Own the loop of the server from its start to its end."""
+        from tornado.ioloop import IOLoop
+
+        try:
+            asyncio.set_event_loop(asyncio.new_event_loop())
+            self._loop = IOLoop.current()
+            self._server = _bound(self._shared, self._asked_port)
+            self._server.start()
+        except BaseException as error:  # noqa: BLE001 - handed to the thread that waits
+            self._error = error
+            return
+        finally:
+            self._ready.set()
+        try:
+            self._loop.start()
+        finally:
+            with contextlib.suppress(Exception):
+                self._server.stop()
+            self._loop.close()
+
+
+def explore(
+    source: Explored,
+    *,
+    other: str | Path | Samples | None = None,
+    reference: str | Path | Samples | None = None,
+    port: int = 0,
+    browser: bool = False,
+    size: tuple[int, int] | None = None,
+    seed: int = 0,
+    max_depth: int | None = None,
+) -> Explorer:
+    """Serve a page on which a click on a pixel shows its distribution.
+
+    It is served to this machine alone, from a thread: the call returns at once. In a notebook, the
+    last expression of a cell shows the page in its place.
+
+    Parameters
+    ----------
+    source
+        A store or its path, samples in memory, or anything that `chdstat.load_scene` takes: a scene
+        is drawn coarsely, and each pixel sampled when it is picked.
+    other
+        A second store of as many pixels, to be compared with.
+    reference
+        A store of the same scene with more samples: errors of estimators are measured against it,
+        instead of against the samples that an estimate does not see.
+    port
+        Where to listen; 0 takes a free one.
+    browser
+        Open the page in the web browser.
+    size, seed, max_depth
+        Of a scene, as for `chdstat.render`.
+
+    Returns
+    -------
+    Explorer
+        With the page's ``url``, and ``stop()``.
+
+    Raises
+    ------
+    InputError
+        If the port is taken, or the stores do not fit each other.
+    StoreError, SceneError, RenderError
+        If the source cannot be read or rendered.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> import numpy as np
+    >>> samples = chd.Samples.from_array(np.ones((4, 6, 3, 32)), scene="flat")
+    >>> with chd.explore(samples) as explorer:  # doctest: +SKIP
+    ...     print(explorer.url)
+    http://127.0.0.1:38671/
+    """
+    shared = opened(source, other, reference, size=size, seed=seed, max_depth=max_depth)
+    shared.start()
+    explorer = Explorer(shared, port).start()
+    if browser:
+        webbrowser.open(explorer.url)
+    return explorer
+
+
+# --- Bokeh --------------------------------------------------------------------------------------
+
+
+def _bound(shared: Shared, port: int) -> Server:
+    """Return a server that is bound to its port.
+
+    Only pages that it served itself may open a websocket: Bokeh refuses every other origin.
+    """
+    from bokeh.server.server import Server
+
+    logging.getLogger("bokeh").setLevel(logging.ERROR)
+    _check_port(port)
+    server = Server(
+        {"/": lambda document: _open(document, shared)},
+        port=port,
+        address=_ADDRESS,
+        check_unused_sessions_milliseconds=5000,
+        unused_session_lifetime_milliseconds=15000,
+        session_token_expiration=600,
+    )
+    # The port that was found is the one that pages come from.
+    server._tornado.websocket_origins.update(
+        {f"{_ADDRESS}:{server.port}", f"localhost:{server.port}"}
+    )
+    return server
+
+
+def _check_port(port: int) -> None:
+    """Try the port before the server does, which would leave its socket open."""
+    if not 0 <= port < 2**16:
+        message = f"port must be between 0 and {2**16 - 1}, got {port}"
+        raise InputError(message)
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((_ADDRESS, port))
+        except OSError as error:
+            why = "is taken" if error.errno == errno.EADDRINUSE else f"fails: {error.strerror}"
+            message = f"port {port} {why}; give another with --port, or 0 for any that is free"
+            raise InputError(message) from error
+
+
+def _open(document: Document, shared: Shared) -> None:
+    """Fill the document of a new page."""
+    from chdstat.explorer.session import Session
+
+    # What Bokeh hands out has more than its type says.
+    context: Any = document.session_context
+    request = context.request if context else None
+    arguments = {
+        name: [value.decode("utf-8", "replace") for value in values]
+        for name, values in (request.arguments if request else {}).items()
+        if not name.startswith("bokeh")
+    }
+    Session(document, shared, arguments)
+    source = shared.source
+    if isinstance(source, StoreSource) and not source.complete:
+        document.add_periodic_callback(lambda: _refresh(shared), _EVERY)
+
+
+def _refresh(shared: Shared) -> None:
+    """Take what was rendered since into the page."""
+    source = shared.source
+    if not isinstance(source, StoreSource) or source.complete:
+        return
+    try:
+        grown = source.refreshed()
+    except ChdstatError:
+        return
+    if grown is not None:
+        shared.replace_source(grown)
+        shared.tell("source")

@@ -1,0 +1,241 @@
+"""Session: one page and the person before it: commands in, what they change out.
+
+Every command is checked, and what it cannot do becomes a message on the page. What is selected is
+worked on by an `Inquiry`, the picture shown by a `Showing`; this is what lies between.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from dataclasses import asdict
+from functools import partial
+from typing import Any
+
+from bokeh.document import Document
+
+from chdstat.errors import ChdstatError, InputError
+from chdstat.explorer.address import parse_view
+from chdstat.explorer.exports import File, exported
+from chdstat.explorer.inquiry import Inquiry
+from chdstat.explorer.judged import judged_names
+from chdstat.explorer.page import EXPORTS, Page
+from chdstat.explorer.palette import PIXEL_COLORS
+from chdstat.explorer.shared import Shared
+from chdstat.explorer.showing import Showing
+from chdstat.explorer.sources import StoreSource
+from chdstat.explorer.view import View, box_between, check_pixel
+from chdstat.explorer.wire import Wire
+
+__all__ = ["Session"]
+
+
+class Session:
+    """One page.
+
+    Parameters
+    ----------
+    document
+        The Bokeh document of the page.
+    shared
+        What it has in common with others.
+    arguments
+        The query of its address: values by name.
+    """
+
+    def __init__(
+        self, document: Document, shared: Shared, arguments: Mapping[str, list[str]]
+    ) -> None:
+        self._shared = shared
+        page = _page(document, shared)
+        self._size = shared.source.size
+        self.view, self._notes = parse_view(arguments, *self._size)
+        self._wire = Wire(document, page, self._gone)
+        self._inquiry = Inquiry(shared, self._wire)
+        self._showing = Showing(page, shared)
+        page.inbox.on_change("value", self._received)
+        self._ends = shared.listen(lambda what: self._wire.next(partial(self._heard, what)))
+        document.on_session_destroyed(lambda _: self._wire.close())
+
+    def _gone(self) -> None:
+        self._inquiry.close()
+        self._ends()
+
+    # --- commands -------------------------------------------------------------------------------
+
+    def _received(self, _attribute: str, _old: str, new: str) -> None:
+        try:
+            message = json.loads(new)
+            command, seq = str(message.pop("command")), int(message.pop("seq"))
+            handle = self._commands[command]
+        except (ValueError, KeyError, TypeError, AttributeError):
+            self._wire.alert("the page sent something that is no command; reload it")
+            return
+        try:
+            handle(self, seq, **message)
+        except ChdstatError as error:
+            self._wire.alert(str(error))
+        except (TypeError, ValueError, OverflowError) as error:
+            self._wire.alert(f"the command {command!r} was not understood: {error}")
+
+    def _ready(self, seq: int) -> None:
+        source, other = self._shared.source, self._shared.other
+        parts = [source.describe()]
+        if other is not None:
+            parts.append(f"against {other.name}: {other.describe()}")
+        self._wire.say({"kind": "described", "text": "  |  ".join(parts)})
+        self._showing.picture(self.view)
+        notes = list(self._notes)
+        if self.view.map != "picture":
+            try:
+                self._showing.want_map(self.view.map)
+            except InputError as error:
+                notes.append(str(error))
+                self.view = self.view.changed(map="picture")
+        self._showing.map(self.view)
+        if notes:
+            self._wire.alert("; ".join(notes))
+        self._heard("working")
+        self._go(seq, self.view)
+
+    def _pick(self, seq: int, *, y: int, x: int, add: bool = False) -> None:
+        y, x = int(y), int(x)
+        check_pixel(y, x, *self._size)
+        self._go(seq, self.view.pick(y, x, add=bool(add)))
+
+    def _box(self, seq: int, *, box: list[float]) -> None:
+        top, left, bottom, right = (float(v) for v in box)
+        self._go(seq, self.view.box(box_between((top, left), (bottom, right), *self._size)))
+
+    def _move(self, seq: int, *, dy: int, dx: int) -> None:
+        self._go(seq, self.view.move(int(dy), int(dx)).clipped(*self._size))
+
+    def _activate(self, seq: int, *, index: int) -> None:
+        self._go(seq, self.view.activate(int(index)))
+
+    def _drop(self, seq: int, *, index: int) -> None:
+        self._go(seq, self.view.drop(int(index)))
+
+    def _set(self, seq: int, *, option: str, value: Any) -> None:
+        option = str(option)
+        if option == "map":
+            if value != "picture":
+                self._showing.want_map(str(value))
+            self.view = self.view.changed(map=str(value))
+            self._showing.map(self.view)
+            self._show_view()
+            return
+        view = self.view.changed(**{option: value})
+        if option not in {"exposure", "tone"}:
+            self._go(seq, view)
+            return
+        self.view = view
+        self._showing.picture(view)
+        self._show_view()
+
+    def _export(self, seq: int, *, format: str) -> None:  # noqa: A002 - its name on the page
+        del seq
+        if format not in EXPORTS:
+            message = f"exports are {', '.join(EXPORTS)}; got {format!r}"
+            raise InputError(message)
+        if self._inquiry.shown is None:
+            message = "nothing is selected: click a pixel before exporting"
+            raise InputError(message)
+        self._wire.say({"kind": "working", "text": f"exporting {format}"})
+        overall, exposure = self._showing.overall, self._showing.exposure(self.view)
+        work = partial(exported, format, self._inquiry.shown, self.view, overall, exposure)
+        future = self._shared.exports.submit(work)
+        future.add_done_callback(lambda f: self._wire.next(partial(self._exported, f)))
+
+    def _pause(self, seq: int) -> None:
+        del seq
+        self._inquiry.pause()
+
+    def _seen(self, seq: int, *, on: bool) -> None:
+        del seq
+        self._inquiry.see(bool(on))
+
+    def _near(self, seq: int, *, y: int, x: int) -> None:
+        """Read what is pointed at, so that it is there when it is clicked."""
+        del seq
+        source = self._shared.source
+        if isinstance(source, StoreSource):
+            with contextlib.suppress(RuntimeError):  # the explorer is closing
+                self._shared.exports.submit(source.pixel, int(y), int(x))
+
+    _commands: Mapping[str, Callable[..., None]] = {
+        "ready": _ready,
+        "pick": _pick,
+        "box": _box,
+        "move": _move,
+        "near": _near,
+        "activate": _activate,
+        "drop": _drop,
+        "set": _set,
+        "export": _export,
+        "pause": _pause,
+        "visible": _seen,
+    }
+
+    # --- what they change -----------------------------------------------------------------------
+
+    def _go(self, seq: int, view: View) -> None:
+        """Show the selection at once, and what there is to say about it when it is computed."""
+        self.view = view
+        self._show_view()
+        self._inquiry.ask(view, seq)
+
+    def _heard(self, what: str) -> None:
+        """Show news of the passes over the image, or of the source."""
+        if what == "working":
+            self._wire.say({"kind": "working", "text": self._shared.working})
+            if self._shared.failed:
+                self._wire.alert(self._shared.failed)
+        elif what == "picture":
+            self._showing.picture(self.view)
+            self._show_view()
+            self._showing.map(self.view)
+        elif what == "source":
+            self._wire.say({"kind": "described", "text": self._shared.source.describe()})
+            self._show_view()
+            self._inquiry.ask(self.view)
+        elif what == self.view.map:
+            self._showing.map(self.view)
+
+    def _show_view(self) -> None:
+        self._wire.say(
+            {
+                "kind": "view",
+                "view": asdict(self.view),
+                "query": self.view.query(),
+                "exposure": self._showing.exposure(self.view),
+                "colors": PIXEL_COLORS,
+            }
+        )
+
+    def _exported(self, future: Future[File]) -> None:
+        self._wire.say({"kind": "working", "text": ""})
+        if future.cancelled():
+            return
+        if error := future.exception():
+            self._wire.alert(f"the export failed: {error}")
+            return
+        file = future.result()
+        data = base64.b64encode(file.content).decode("ascii")
+        self._wire.say({"kind": "file", "name": file.name, "type": file.type, "data": data})
+
+
+def _page(document: Document, shared: Shared) -> Page:
+    source, other = shared.source, shared.other
+    titles = [source.name] if other is None else [source.name, other.name]
+    return Page(
+        document,
+        titles=titles,
+        size=source.size,
+        channels=source.channels,
+        heading=" and ".join(titles),
+        errors=judged_names() if isinstance(source, StoreSource) else None,
+    )

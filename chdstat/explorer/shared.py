@@ -1,0 +1,234 @@
+"""Shared: what all pages of one explorer have in common: sources, the picture, maps, threads.
+
+Clicks are worked on in one thread, passes over the image in another; a pass stands still while a
+click is being answered. What reads ahead or exports has a third, what is added to an answer a
+fourth.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from chdstat.errors import ChdstatError
+from chdstat.explorer.cache import kept
+from chdstat.explorer.images import Overall, preview, stream
+from chdstat.explorer.judged import quick_names
+from chdstat.explorer.live import SceneSource
+from chdstat.explorer.maps import Map, map_kind, of_overall, walk, with_sizes
+from chdstat.explorer.sources import StoreSource
+
+__all__ = ["Shared", "Stopped"]
+
+_EVERY = 0.4
+"""Seconds between two reports of a pass."""
+
+Listener = Callable[[str], None]
+
+
+class Stopped(Exception):  # noqa: N818 - not an error
+    """The explorer is closing, or nobody waits for an answer any more."""
+
+
+class Shared:
+    """State of one explorer.
+
+    Parameters
+    ----------
+    source
+        What is explored.
+    other
+        A second store that it is compared with.
+    reference
+        A store of the same scene with more samples, which errors are measured against.
+
+    Attributes
+    ----------
+    overall, other_overall
+        Pictures so far; None before there is any.
+    maps
+        Maps by name, finished or not.
+    working
+        What a pass is doing, as text; empty for nothing.
+    failed
+        Why the last pass ended early; empty if it did not.
+    """
+
+    def __init__(
+        self,
+        source: StoreSource | SceneSource,
+        other: StoreSource | None = None,
+        reference: StoreSource | None = None,
+    ) -> None:
+        self.source, self.other, self.reference = source, other, reference
+        self.overall: Overall | None = None
+        self.other_overall: Overall | None = None
+        self.maps: dict[str, Map] = {}
+        self.working = ""
+        self.failed = ""
+        self.clicks = ThreadPoolExecutor(1, thread_name_prefix="chdstat-clicks")
+        self.exports = ThreadPoolExecutor(1, thread_name_prefix="chdstat-exports")
+        self.thoughts = ThreadPoolExecutor(1, thread_name_prefix="chdstat-thoughts")
+        self._passes = ThreadPoolExecutor(1, thread_name_prefix="chdstat-passes")
+        self._listeners: list[Listener] = []
+        self._asked: dict[str, Future[None]] = {}
+        self._stopping = threading.Event()
+        self._urgent = 0
+        self._lock = threading.Lock()
+        self._told = 0.0
+
+    def start(self) -> None:
+        """Show the first picture, then begin to improve it."""
+        quick_names()
+        if isinstance(self.source, StoreSource):
+            self.overall = preview(self.source)
+            if self.other is not None:
+                self.other_overall = preview(self.other)
+        self._passes.submit(self._guarded, self._draw)
+
+    def stop(self) -> None:
+        """End all threads, now or at the next tile."""
+        self._stopping.set()
+        for pool in (self.clicks, self.exports, self.thoughts, self._passes):
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    def listen(self, listener: Listener) -> Callable[[], None]:
+        """Call a listener with "picture", "working" or the name of a map when it changes.
+
+        Returns what to call to end that.
+        """
+        with self._lock:
+            self._listeners.append(listener)
+
+        def end() -> None:
+            with self._lock:
+                if listener in self._listeners:
+                    self._listeners.remove(listener)
+
+        return end
+
+    def urgent(self, change: int) -> None:
+        """Count the clicks that wait for an answer."""
+        with self._lock:
+            self._urgent += change
+
+    def want(self, name: str) -> None:
+        """See to it that a map gets computed.
+
+        Raises
+        ------
+        InputError
+            If there is no such map.
+        """
+        map_kind(name)
+        with self._lock:
+            running = self._asked.get(name)
+            if name in self.maps and self.maps[name].done >= 1:
+                return
+            if running is not None and not running.done():
+                return
+            self._asked[name] = self._passes.submit(self._guarded, lambda: self._walk(name))
+
+    def replace_source(self, source: StoreSource) -> None:
+        """Go on with more samples of the same store."""
+        self.source = source
+        self.maps.clear()
+        self._asked.clear()
+        self._passes.submit(self._guarded, self._draw)
+
+    # --- passes ---------------------------------------------------------------------------------
+
+    def _guarded(self, work: Callable[[], None]) -> None:
+        try:
+            self.failed = ""
+            work()
+        except Stopped:
+            return
+        except ChdstatError as error:
+            self.failed = str(error)
+        except (OSError, ValueError, RuntimeError, MemoryError) as error:
+            self.failed = f"a pass over the image failed: {type(error).__name__}: {error}"
+        finally:
+            self.working = ""
+            self.tell("working")
+
+    def _draw(self) -> None:
+        source = self.source
+        if isinstance(source, SceneSource):
+            for share in source.passes():
+                if self._due() or share >= 1:
+                    self.overall = source.overall()
+                    self._say(f"drawing the picture, {100 * share:.0f} %")
+                    self.tell("picture")
+                self._wait()
+            return
+        self.overall = self._streamed(source)
+        if self.other is not None:
+            self.other_overall = self._streamed(self.other)
+        self.tell("picture")
+
+    def _streamed(self, source: StoreSource) -> Overall:
+        def step(share: float) -> None:
+            self._wait()
+            if self._due():
+                self._say(f"reading all of {source.name}, {100 * share:.0f} %")
+
+        def compute() -> dict[str, Any]:
+            whole = stream(source, step)
+            return {field.name: np.asarray(getattr(whole, field.name)) for field in fields(whole)}
+
+        arrays = dict(kept(source.samples, "overall", compute))
+        values: dict[str, Any] = {**arrays, "spp": int(arrays["spp"])}
+        return Overall(**values)
+
+    def _walk(self, name: str) -> None:
+        source = self.source
+        if not isinstance(source, StoreSource):
+            return
+        if self.overall is not None and (found := of_overall(self.overall, name)) is not None:
+            self.maps[name] = found
+            self.tell(name)
+            return
+        kind = with_sizes(map_kind(name), source)
+
+        def step(share: float, values: Any) -> None:
+            self._wait()
+            if self._due():
+                self.maps[name] = Map(kind, values.copy(), share)
+                self._say(f"mapping {kind.title}, {100 * share:.0f} %")
+                self.tell(name)
+
+        arrays = kept(source.samples, name, lambda: {"v": walk(source, name, step).values})
+        self.maps[name] = Map(kind, arrays["v"])
+        self.tell(name)
+
+    def _wait(self) -> None:
+        """Stand still while clicks are answered."""
+        while self._urgent > 0 and not self._stopping.is_set():
+            time.sleep(0.005)
+        if self._stopping.is_set():
+            raise Stopped
+
+    def _due(self) -> bool:
+        now = time.monotonic()
+        if now - self._told < _EVERY:
+            return False
+        self._told = now
+        return True
+
+    def _say(self, text: str) -> None:
+        self.working = text
+        self.tell("working")
+
+    def tell(self, what: str) -> None:
+        """Tell all pages what has changed."""
+        with self._lock:
+            listeners = list(self._listeners)
+        for listener in listeners:
+            listener(what)

@@ -1,0 +1,183 @@
+"""Tables: what is said in numbers beside the panels, as text ready for a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._reasons import Reason
+from chdstat.explorer.judged import Estimate
+from chdstat.explorer.measured import Measured
+from chdstat.explorer.versus import Difference
+from chdstat.normality import MORE_THAN_TESTED
+from chdstat.patterns import PATTERNS, Label
+from chdstat.reporting.text import NAMES, number, percent
+
+__all__ = ["Table", "compared", "estimates", "patterns", "statistics"]
+
+Table = dict[str, Any]
+"""``columns``: titles; ``rows``: cells of text; ``title``; ``note``: a line below."""
+
+Array = npt.NDArray[Any]
+
+
+def statistics(place: Measured) -> Table:
+    """Return moments, parameters, tail, dip and tests, one column for each channel."""
+    moments = place.moments
+    selection, tail, modes = place.selection, place.tail, place.modes
+    normal, means = place.gaussianity, place.means
+    rows = [
+        _row("mean", moments.seen(moments.mean)),
+        _row("standard error", moments.standard_error),
+        _row("standard deviation", np.sqrt(moments.variance)),
+        _row("skewness", moments.skewness),
+        _row("excess kurtosis", moments.kurtosis),
+        _row("largest", moments.seen(moments.maximum)),
+        ["family (BIC)", *(_family(place, i) for i in range(len(place.names)))],
+        ["parameters", *(_parameters(place, i) for i in range(len(place.names)))],
+        _row("BIC margin", selection.margin),
+        [
+            "tail index ξ",
+            *(_with_interval(x, i) for x, i in zip(tail.xi, tail.interval, strict=True)),
+        ],
+        _row("p of ξ ≤ 0", tail.p_exponential, _p),
+        ["modes", *(str(int(m)) if m else "—" for m in modes.modes)],
+        _row("dip of log", modes.dip),
+        _row("p of one mode (dip)", modes.dip_p_value, _p),
+        _row("p of log-normal (A²)", normal.p_value[:, 0, 0], _p),
+        _row("p of normal (A²)", normal.p_value[:, 1, 0], _p),
+        _row("Vuong's p, gamma / log-normal", selection.vuong_p_value, _p),
+    ]
+    if means is not None:
+        rows.append(
+            ["N needed (Gaussian averages)", *(_needed(n, means.sizes) for n in means.n_needed)]
+        )
+    cut = place.fitted_spp < place.spp
+    note = f"fits and tests: the first {place.fitted_spp} of {place.spp} samples" if cut else ""
+    return {
+        "title": "Statistics",
+        "columns": ["", *place.names],
+        "rows": rows,
+        "note": note,
+        "summary": _summary(place),
+    }
+
+
+def patterns(place: Measured) -> Table:
+    """Return every pattern with its flag, the statistic that set it, its interval and p-value.
+
+    Each row has one cell more than there are columns: what is measured.
+    """
+    found = place.patterns
+    rows = []
+    for pattern in PATTERNS:
+        p = found.p_values.get(pattern.name)
+        interval = found.intervals.get(pattern.name)
+        value = number(float(found.statistics[pattern.name]))
+        if interval is not None:
+            value = _with_interval(float(found.statistics[pattern.name]), interval)
+        rows.append(
+            [
+                "●" if found.flags[pattern.name] else "○",
+                NAMES.get(pattern.name, pattern.name.replace("_", " ")),
+                value,
+                "—" if p is None else _p(float(p)),
+                pattern.statistic,
+            ]
+        )
+    label = Label(int(found.label)).name.lower().replace("_", " ")
+    return {
+        "title": f"Patterns: {label}",
+        "columns": ["", "pattern", "statistic", "p"],
+        "rows": rows,
+        "note": "of luminance, each at the 5 % level of one pixel",
+    }
+
+
+def estimates(found: Sequence[Estimate], channels: Sequence[str], n: int, reference: str) -> Table:
+    """Return what every estimator says, and its error."""
+    rows = [
+        [
+            NAMES.get(e.name, e.name.replace("_", " ")),
+            *(number(float(v)) for v in e.value),
+            number(e.mse_ratio),
+            percent(e.bias, sign=True),
+            percent(e.improved),
+        ]
+        for e in found
+    ]
+    return {
+        "title": f"Estimates from N = {n}",
+        "columns": ["estimator", *channels, "MSE ratio", "bias", "improved"],
+        "rows": rows,
+        "note": reference if rows else f"too few samples for batches of {n}",
+    }
+
+
+def compared(found: Difference, channels: Sequence[str], names: tuple[str, str]) -> Table:
+    """Return the distances between the CHDs of two stores, and their significance."""
+    rows = [
+        ["Kolmogorov–Smirnov distance", *(number(v) for v in found.distance)],
+        ["Wasserstein distance", *(number(v) for v in found.wasserstein)],
+        ["difference of means", *(number(v) for v in found.mean_difference)],
+        ["  over its standard error", *(number(v) for v in found.mean_t)],
+        ["  p of equal means", *(_p(v) for v in found.mean_p_value)],
+    ]
+    note = (
+        f"p of equal CHDs, all channels together: {_p(found.p_value)} (permutation test; "
+        f"{found.n[0]} and {found.n[1]} samples)"
+    )
+    return {
+        "title": f"{names[1]} against {names[0]}",
+        "columns": ["", *channels],
+        "rows": rows,
+        "note": note,
+    }
+
+
+def _summary(place: Measured) -> str:
+    bad = int(place.bad.sum())
+    return f"{place.spp} samples · {percent(place.null_share)} null · {bad} bad"
+
+
+def _row(title: str, values: Array, text: Callable[[float], str] = number) -> list[str]:
+    return [title, *(text(float(v)) for v in values)]
+
+
+def _family(place: Measured, row: int) -> str:
+    name = str(place.selection.names[row])
+    if name:
+        return NAMES.get(name, name)
+    return Reason(int(place.selection.reason[row])).name.lower().replace("_", " ")
+
+
+def _parameters(place: Measured, row: int) -> str:
+    fit = place.fit("best", row)
+    if fit is None:
+        return "—"
+    return ", ".join(f"{name} {number(float(v))}" for name, v in fit.parameters.items())
+
+
+def _with_interval(value: float, interval: Array) -> str:
+    if not np.isfinite(value):
+        return "—"
+    low, high = (number(float(v)) for v in interval)
+    return f"{number(float(value))} [{low}, {high}]"
+
+
+def _needed(n: int, sizes: Array) -> str:
+    if n == MORE_THAN_TESTED:
+        return f"> {int(sizes[-1])}"
+    return str(int(n)) if n else "—"
+
+
+def _p(value: float) -> str:
+    """Return a p-value; below 0.001 as a power of ten."""
+    if not np.isfinite(value):
+        return "—"
+    if value < 1e-3:
+        return f"{value:.0e}".replace("-", "−").replace("e−0", "e−")
+    return f"{value:.3f}" if value < 0.1 else f"{value:.2f}"

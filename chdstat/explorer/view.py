@@ -1,0 +1,241 @@
+"""View: what one page of the explorer shows, as a value that fits into an address.
+
+A view says which pixels or which region are selected and how they are looked at; it knows nothing
+of samples. All that a person does is a function from a view to the next one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+from urllib.parse import urlencode
+
+from chdstat.errors import InputError
+
+__all__ = [
+    "BATCH_SIZES",
+    "CHANNELS",
+    "FAMILIES",
+    "MOST_PIXELS",
+    "OPTIONS",
+    "TONES",
+    "View",
+    "box_between",
+    "check_pixel",
+]
+
+MOST_PIXELS = 6
+FAMILIES = ("best", "gamma", "lognormal", "weibull", "burr", "mixture")
+TONES = ("srgb", "reinhard", "filmic")
+CHANNELS = ("all", "luminance")
+"""Further ones are the numbers of single channels, as text."""
+BATCH_SIZES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
+"""N of the averages whose distribution is shown."""
+_MOST_STOPS = 32.0
+_MAP_CHARACTERS = set("abcdefghijklmnopqrstuvwxyz0123456789_:")
+
+Pixel = tuple[int, int]
+Box = tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class View:
+    """What a page shows.
+
+    Attributes
+    ----------
+    pixels
+        (y, x) of the selected pixels, at most six.
+    active
+        Index of the pixel that tables describe and that arrow keys move.
+    region
+        (top, left, bottom, right) of the selected box, the last two exclusive; then there are no
+        pixels.
+    map
+        Name of the map in the place of the picture; "picture" for the picture itself.
+    channel
+        "all", "luminance", or the number of a channel. Several pixels show luminance for "all".
+    families
+        Some of `FAMILIES`, drawn over the histograms.
+    batch
+        N of the averages whose distribution is shown.
+    exposure
+        Stops; None for automatic.
+    tone
+        One of `TONES`.
+
+    Examples
+    --------
+    >>> view = View().pick(3, 5).pick(4, 9, add=True).move(1, 0)
+    >>> view.pixels, view.active
+    (((3, 5), (5, 9)), 1)
+    >>> view.query()
+    'p=3%2C5&p=5%2C9'
+    """
+
+    pixels: tuple[Pixel, ...] = ()
+    active: int = 0
+    region: Box | None = None
+    map: str = "picture"
+    channel: str = "all"
+    families: tuple[str, ...] = ("best",)
+    batch: int = 32
+    exposure: float | None = None
+    tone: str = "srgb"
+
+    def pick(self, y: int, x: int, *, add: bool = False) -> View:
+        """Select a pixel; with `add`, beside the others, or no more if it is one of them.
+
+        Raises
+        ------
+        InputError
+            If six are selected already.
+        """
+        pixel = (y, x)
+        if not add:
+            return replace(self, pixels=(pixel,), active=0, region=None)
+        if pixel in self.pixels:
+            return self.drop(self.pixels.index(pixel))
+        if len(self.pixels) == MOST_PIXELS:
+            message = f"at most {MOST_PIXELS} pixels can be selected; shift-click one to drop it"
+            raise InputError(message)
+        pixels = (*self.pixels, pixel)
+        return replace(self, pixels=pixels, active=len(pixels) - 1, region=None)
+
+    def drop(self, index: int) -> View:
+        """Take a pixel out of the selection."""
+        pixels = self.pixels[:index] + self.pixels[index + 1 :]
+        return replace(self, pixels=pixels, active=max(0, min(self.active, len(pixels) - 1)))
+
+    def activate(self, index: int) -> View:
+        """Choose the pixel that tables describe."""
+        return replace(self, active=index) if 0 <= index < len(self.pixels) else self
+
+    def box(self, region: Box) -> View:
+        """Select a region; one of a single pixel selects that."""
+        top, left, bottom, right = region
+        if (bottom - top, right - left) == (1, 1):
+            return self.pick(top, left)
+        return replace(self, pixels=(), active=0, region=region)
+
+    def move(self, dy: int, dx: int) -> View:
+        """Move the active pixel; a move onto another selected one leaves it where it is."""
+        if not self.pixels:
+            return self
+        y, x = self.pixels[self.active]
+        moved = (y + dy, x + dx)
+        if moved in self.pixels:
+            return self
+        pixels = tuple(moved if i == self.active else p for i, p in enumerate(self.pixels))
+        return replace(self, pixels=pixels)
+
+    def clipped(self, height: int, width: int) -> View:
+        """Return the view with its selection inside the image."""
+
+        def inside(pixel: Pixel) -> Pixel:
+            return min(max(pixel[0], 0), height - 1), min(max(pixel[1], 0), width - 1)
+
+        pixels = tuple(dict.fromkeys(inside(p) for p in self.pixels))
+        return replace(self, pixels=pixels, active=min(self.active, max(0, len(pixels) - 1)))
+
+    def changed(self, **options: Any) -> View:
+        """Set options by name.
+
+        Raises
+        ------
+        InputError
+            If one is unknown or out of range.
+        """
+        checked = {name: _checked(name, value) for name, value in options.items()}
+        return replace(self, **checked)
+
+    def query(self) -> str:
+        """Return the part of the address after '?', without what is the default."""
+        pairs: list[tuple[str, object]] = [("p", f"{y},{x}") for y, x in self.pixels]
+        if self.pixels and self.active != len(self.pixels) - 1:
+            pairs.append(("a", self.active))
+        if self.region is not None:
+            pairs.append(("r", ",".join(map(str, self.region))))
+        for key, name in OPTIONS.items():
+            value = getattr(self, name)
+            if value != getattr(_DEFAULT, name):
+                pairs.append((key, ",".join(value) if isinstance(value, tuple) else value))
+        return urlencode(pairs)
+
+
+def box_between(
+    one: tuple[float, float], other: tuple[float, float], height: int, width: int
+) -> Box:
+    """Return the pixels that a drawn box touches, from two opposite corners (y, x).
+
+    Raises
+    ------
+    InputError
+        If it is outside the image.
+
+    Examples
+    --------
+    >>> box_between((3.2, 9.9), (0.5, -4.0), 8, 8)
+    (0, 0, 4, 8)
+    """
+    (top, bottom), (left, right) = (sorted(pair) for pair in zip(one, other, strict=True))
+    y0, y1 = math.floor(max(top, 0)), math.ceil(min(bottom, height))
+    x0, x1 = math.floor(max(left, 0)), math.ceil(min(right, width))
+    if y0 >= y1 or x0 >= x1:
+        message = "the box is outside the image; the selection stays"
+        raise InputError(message)
+    return y0, x0, y1, x1
+
+
+def check_pixel(y: int, x: int, height: int, width: int) -> None:
+    """Refuse a pixel outside the image.
+
+    Raises
+    ------
+    InputError
+        If it is.
+    """
+    if not (0 <= y < height and 0 <= x < width):
+        message = f"pixel (y={y}, x={x}) is outside the image of {width} x {height} pixels"
+        raise InputError(message)
+
+
+_DEFAULT = View()
+OPTIONS = {
+    "map": "map",
+    "c": "channel",
+    "f": "families",
+    "n": "batch",
+    "ev": "exposure",
+    "tone": "tone",
+}
+"""Names in an address, and what they are here."""
+
+
+def _checked(name: str, value: Any) -> Any:
+    if name == "families":
+        chosen = tuple(f for f in FAMILIES if f in value)
+        _require(len(chosen) == len(set(value)), name, FAMILIES, value)
+        return chosen
+    if name == "batch":
+        _require(value in BATCH_SIZES, name, BATCH_SIZES, value)
+    elif name == "tone":
+        _require(value in TONES, name, TONES, value)
+    elif name == "channel":
+        _require(value in CHANNELS or value.isdigit(), name, (*CHANNELS, "0", "1", "2"), value)
+    elif name == "exposure":
+        if value is not None and not -_MOST_STOPS <= value <= _MOST_STOPS:
+            message = f"exposure must be within {_MOST_STOPS:g} stops of 0, got {value}"
+            raise InputError(message)
+    elif name != "map" or not set(value) <= _MAP_CHARACTERS:
+        message = f"there is no option {name!r} with the value {value!r}"
+        raise InputError(message)
+    return value
+
+
+def _require(holds: bool, name: str, known: Iterable[object], value: object) -> None:
+    if not holds:
+        message = f"{name} must be one of {', '.join(map(str, known))}; got {value!r}"
+        raise InputError(message)

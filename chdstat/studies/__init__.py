@@ -1,0 +1,11 @@
+"""Studies: several scenes rendered, analysed, and asked for all claims of the paper.
+
+`study` runs the whole of it and returns a `Study`, with a table of verdicts, JSON and a PDF.
+"""
+
+from __future__ import annotations
+
+from chdstat.studies.results import SceneStudy, Study
+from chdstat.studies.running import study
+
+__all__ = ["SceneStudy", "Study", "study"]

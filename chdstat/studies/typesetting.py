@@ -1,0 +1,186 @@
+"""Typesetting: a study to words, tables and figures, and these to a PDF."""
+
+from __future__ import annotations
+
+import inspect
+import tempfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from chdstat.findings import FINDINGS, Claim, Finding
+from chdstat.reporting.text import number, percent
+from chdstat.reporting.typeset import Document, typeset
+from chdstat.scenes import BUILTIN
+from chdstat.studies import figures
+from chdstat.studies.results import SceneStudy, Study
+from chdstat.studies.stores import ROULETTE
+from chdstat.viz.claims import VERDICTS
+from chdstat.viz.style import qualitative
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["document", "save_pdf"]
+
+_TINY = 1e-4
+
+
+def save_pdf(study: Study, target: Path) -> Path:
+    """Typeset a study; see `Study.save_pdf`."""
+    with tempfile.TemporaryDirectory(prefix="chdstat-") as folder:
+        return typeset(document(study), Path(folder), target)
+
+
+def document(study: Study) -> Document:
+    """Return a study, ready to typeset."""
+    drawn: dict[str, Figure] = {
+        "verdicts": figures.verdicts(study),
+        "overview": figures.overview(study),
+    }
+    for claim in FINDINGS:
+        drawn |= figures.of_claim(study, claim.number)
+    for i, scene in enumerate(study.scenes):
+        drawn |= {f"scene{i}-{name}": f for name, f in figures.of_scene(scene).items()}
+    content = {
+        "scenes": [_scene(scene, i) for i, scene in enumerate(study.scenes)],
+        "claims": [_claim(study, claim) for claim in FINDINGS],
+        "verdicts": {v: {"color": c, "mark": m} for v, (c, m) in VERDICTS.items()},
+        "counts": _counts(study),
+        "provenance": {k: str(v) for k, v in study.provenance.items()},
+        "repeated": any(scene.repeated for scene in study.scenes),
+    }
+    return Document("study.typ", content, drawn)
+
+
+def _counts(study: Study) -> dict[str, int]:
+    words = [v for row in study.table() for k, v in row.items() if k not in {"number", "claim"}]
+    return {verdict: words.count(verdict) for verdict in VERDICTS}
+
+
+# --- claims -------------------------------------------------------------------------------------
+
+
+def _claim(study: Study, claim: Claim) -> dict[str, Any]:
+    found = list(_found(study, claim))
+    return {
+        "number": claim.number,
+        "name": claim.name,
+        "claim": claim.claim,
+        "method": (inspect.getdoc(claim.measure) or "").splitlines()[0],
+        "rows": _rows(found),
+        "null_hypothesis": next(
+            (str(f.details["null_hypothesis"]) for _, f in found if "null_hypothesis" in f.details),
+            "",
+        ),
+    }
+
+
+def _found(study: Study, claim: Claim) -> Iterator[tuple[str, Finding]]:
+    for name in (*study.names, None):
+        finding = study.finding(claim.number, name)
+        if finding is not None:
+            yield name or "all scenes", finding
+
+
+def _rows(found: list[tuple[str, Finding]]) -> list[dict[str, Any]]:
+    """Return rows of verdict and reason; scenes of which the same is said share one."""
+    said: dict[tuple[str, str], list[str]] = {}
+    for name, finding in found:
+        said.setdefault((finding.verdict, _reason(finding)), []).append(name)
+    return [
+        {"scenes": names, "verdict": verdict, "reason": reason}
+        for (verdict, reason), names in said.items()
+    ]
+
+
+def _reason(finding: Finding) -> str:
+    if finding.p_value is None:
+        return finding.reason
+    p = finding.p_value
+    return f"{finding.reason} p {f'= {number(p)}' if p >= _TINY else '< 0.0001'}."
+
+
+# --- scenes -------------------------------------------------------------------------------------
+
+
+def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
+    samples, seen = scene.evidence.samples, scene.overview
+    integrator = dict(samples.attrs.get("integrator") or {})
+    height, width, _, spp = samples.shape
+    regions = scene.evidence.regions
+    return {
+        "name": scene.name,
+        "about": BUILTIN.get(scene.name, ""),
+        "prefix": f"scene{index}-",
+        "size": f"{width} × {height}",
+        "spp": spp,
+        "integrator": str(integrator.get("type", "—")),
+        "depth": _depth(integrator),
+        "null_share": percent(seen.null_share),
+        "variation": number(seen.variation[1]),
+        "family": _leading(seen.families),
+        "time": _time(samples.attrs.get("render_seconds")),
+        "chosen": scene.chosen,
+        "regions": [
+            {
+                "name": r.name,
+                "phenomenon": r.phenomenon.replace("-", " "),
+                "note": r.note,
+                "color": c,
+            }
+            for r, c in zip(regions, qualitative(len(regions)), strict=True)
+        ],
+        "verdicts": [
+            {"number": f.number, "name": f.name, "verdict": f.verdict} for f in scene.findings
+        ],
+        "renders": list(_renders(scene)),
+        "notes": list(scene.notes),
+        "atlas": _atlas(scene),
+        "time_ratio": _time_ratio(scene),
+    }
+
+
+def _depth(integrator: Mapping[str, Any]) -> str:
+    depth = int(integrator.get("max_depth", 0))
+    return "∞" if depth < 0 else str(depth or "—")
+
+
+def _leading(families: Mapping[str, float]) -> str:
+    if not any(share > 0 for share in families.values()):
+        return "—"
+    name, share = max(families.items(), key=lambda item: item[1])
+    return f"{name} {percent(share)}"
+
+
+def _time(seconds: Any) -> str:
+    return "—" if not seconds else f"{float(seconds):.0f} s"
+
+
+def _renders(scene: SceneStudy) -> Iterator[str]:
+    """Say what else was rendered of the view."""
+    shorter, other, again = scene.evidence.shorter, scene.evidence.integrator, scene.again
+    if shorter is not None:
+        depth = _depth(dict(shorter.attrs["integrator"]))
+        yield f"paths of up to {depth} segments, {shorter.spp} spp"
+    if other is not None:
+        yield f"Russian roulette from segment {ROULETTE} on, {other.spp} spp"
+    if again is not None:
+        yield f"seed {again.attrs['seed']}, {again.spp} spp"
+
+
+def _atlas(scene: SceneStudy) -> dict[str, str] | None:
+    found = scene.atlas
+    if found is None:
+        return None
+    return {
+        "count": str(len(found.share)),
+        "repeatable": percent(found.repeatable),
+        "stability": number(found.stability),
+    }
+
+
+def _time_ratio(scene: SceneStudy) -> str:
+    found = next((f for f in scene.findings if f.number == 9), None)
+    ratio = None if found is None else found.details.get("time_ratio")
+    return "" if ratio is None else number(float(ratio))

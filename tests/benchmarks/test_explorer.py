@@ -1,0 +1,152 @@
+"""What the explorer costs: from click to the last panel, and the memory of its server.
+
+Two hundred clicks in a headless Chromium on a store of 256 x 256 pixels and 2048 spp (design: 95th
+percentile at most 150 ms), sixty on a scene without a store (at most 1 s), and the memory of a
+server whose store has 10 GB (under 1 GB). The clock is the page's: it runs from the event of the
+mouse to the second frame after the last panel was drawn. Run with ``--benchmark-only -s``; a busy
+machine slows all of it.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+import chdstat as chd
+from chdstat._store import BATCH, TILE, Store, chunk_grid
+
+SERVE = (
+    "import sys\nfrom chdstat.explorer import explore\nexplorer = explore(sys.argv[1])\n"
+    "print(explorer.url, flush=True)\nexplorer.wait()\n"
+)
+CLICKS, CLICKS_ON_DEMAND = 200, 60
+
+
+@pytest.fixture(scope="module")
+def tile() -> np.ndarray:
+    """Return the samples of one tile of the bathroom, shape (y, x, channel, sample)."""
+    return chd.render("bathroom", spp=256, size=(TILE, TILE), backend="scalar").read()
+
+
+@pytest.fixture(scope="module")
+def page() -> Iterator[object]:
+    api = pytest.importorskip("playwright.sync_api", reason="no playwright: no benchmark of clicks")
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("no chromium: no benchmark of clicks")
+    with api.sync_playwright() as playwright:
+        arguments = ["--no-sandbox", "--disable-dev-shm-usage"]
+        browser = playwright.chromium.launch(executable_path=chromium, args=arguments)
+        yield browser.new_page(viewport={"width": 1280, "height": 900})
+        browser.close()
+
+
+def write(path: Path, tile: np.ndarray, size: int, spp: int) -> Path:
+    """Write a store whose tiles are all alike: one is written, the others are links to it."""
+    attrs = {"scene": "bathroom", "spp": spp, "size": [size, size], "integrator": "path"}
+    store = Store.create(path, height=size, width=size, channels=3, spp=spp, attrs=attrs)
+    rng = np.random.default_rng(1)
+    for chunk in chunk_grid(size, size, spp):
+        if (chunk.tile_y, chunk.tile_x) == (0, 0):
+            start = chunk.ss.start % tile.shape[-1]
+            scale = rng.uniform(0.5, 2, (TILE, TILE, 1, BATCH)).astype(np.float32)
+            store.radiance[chunk.ys, chunk.xs, :, chunk.ss] = (
+                tile[..., start : start + BATCH] * scale
+            )
+        else:
+            file = store.chunk_file(chunk)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            os.link(path / f"radiance/c/0/0/0/{chunk.batch}", file)
+        store.ledger[chunk.index] = chunk.shape[2]
+    store.group["ledger"][...] = store.ledger
+    return path
+
+
+@contextmanager
+def served(source: str) -> Iterator[tuple[str, psutil.Process]]:
+    """Serve in a process of its own, as the command line does."""
+    command = [sys.executable, "-c", SERVE, source]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process.stdout.readline().strip(), psutil.Process(process.pid)
+        finally:
+            process.terminate()
+
+
+def clicked(
+    page, url: str, count: int, process: psutil.Process
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Click pixels at random.
+
+    Returns milliseconds to the last panel, those until the server had its answer, and those of
+    processor time that the server took per click.
+    """
+    page.goto(url)
+    page.wait_for_selector("body[data-shown]", timeout=60000)
+    page.wait_for_function("document.querySelector('#working').innerText === ''", timeout=300000)
+    box = page.locator(".picture").bounding_box()
+    before = sum(process.cpu_times()[:2])
+    for i, (y, x) in enumerate(np.random.default_rng(1).uniform(0.01, 0.99, (count, 2))):
+        page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+        page.wait_for_function(
+            "(i) => window.chdstat.timings.length > i && window.chdstat.timings[i].end",
+            arg=i,
+            polling=20,  # not at each frame, which would make the browser paint
+        )
+    spent = sum(process.cpu_times()[:2]) - before
+    timings = page.evaluate("window.chdstat.timings")
+    shown = np.array([t["end"] - t["start"] for t in timings])
+    server = np.array([t["server"] for t in timings])
+    return shown, 1000 * server, 1000 * spent / count
+
+
+def report(what: str, shown: np.ndarray, server: np.ndarray, cpu: float, target: float) -> None:
+    (median, p95), (m, p) = (np.percentile(times, (50, 95)) for times in (shown, server))
+    print(
+        f"\n{what}: median {median:.0f} ms, 95th percentile {p95:.0f} ms of {len(shown)} clicks "
+        f"(target {target:.0f} ms); of that in the server {m:.0f} and {p:.0f} ms, "
+        f"{cpu:.0f} ms of processor time a click; "
+        f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    )
+
+
+def test_click_on_a_store(benchmark, page, tile, tmp_path):
+    path = write(tmp_path / "bathroom.zarr", tile, 256, 2048)
+    with served(str(path)) as (url, process):
+        found = benchmark.pedantic(lambda: clicked(page, url, CLICKS, process), rounds=1)
+        memory = process.memory_info().rss / 2**20
+    report("click on a store of 256 x 256 x 2048", *found, 150)
+    print(f"memory of the server: {memory:.0f} MiB")
+
+
+def test_click_on_a_scene(benchmark, page):
+    with served("bathroom") as (url, process):
+        found = benchmark.pedantic(lambda: clicked(page, url, CLICKS_ON_DEMAND, process), rounds=1)
+    report("click on the bathroom, sampled on demand", *found, 1000)
+
+
+def test_memory_on_ten_gigabytes(benchmark, page, tile, tmp_path):
+    path = write(tmp_path / "large.zarr", tile, 640, 2048)
+    with served(str(path)) as (url, process):
+        benchmark.pedantic(lambda: clicked(page, url, 20, process), rounds=1)
+        memory = process.memory_info().rss / 2**20
+        peak = most_memory(process) or memory
+    print(f"\nserver with a store of 10 GB: {memory:.0f} MiB, at most {peak:.0f} (target 1024)")
+    assert peak < 1024
+
+
+def most_memory(process: psutil.Process) -> float | None:
+    """Return the MiB that a process had at most, where Linux tells."""
+    file = Path(f"/proc/{process.pid}/status")
+    lines = file.read_text().splitlines() if file.exists() else []
+    high = [line for line in lines if line.startswith("VmHWM")]
+    return int(high[0].split()[1]) / 1024 if high else None

@@ -1,0 +1,307 @@
+"""The progressive estimator: scale, order and number of samples, bad input, files."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.numpy import save_file
+
+import chdstat as chd
+from chdstat.errors import InputError, StoreError
+from chdstat.estimators import MLP, Progressive
+
+BALANCES = (0.0, 0.5, 1.0)
+
+
+@pytest.fixture(scope="module")
+def fresh(picture):
+    """A picture that trained nothing."""
+    return picture(16, 32, seed=5)
+
+
+@pytest.fixture(scope="module")
+def smooth(picture):
+    """A picture with features, for those who look around."""
+    return picture(24, 32, seed=1, smooth=True)
+
+
+@pytest.mark.parametrize("factor", [2.0**-40, 0.125, 2.0**60])
+@pytest.mark.parametrize("balance", BALANCES)
+def test_powers_of_two_scale_the_estimate_to_the_bit(trained, fresh, factor, balance):
+    found, scaled = (
+        trained.estimate(x, balance=balance) for x in (fresh.x, fresh.x * np.float32(factor))
+    )
+    assert (scaled.radiance == found.radiance * np.float32(factor)).all()
+    assert (scaled.certainty == found.certainty).all()
+    assert (scaled.high == found.high * np.float32(factor)).all()
+
+
+@pytest.mark.parametrize("factor", [1e-6, 0.3, 7e5])
+def test_any_factor_scales_the_estimate(trained, fresh, factor):
+    scaled = trained.predict(fresh.x * np.float32(factor)) / np.float32(factor)
+    assert scaled == pytest.approx(trained.predict(fresh.x), rel=1e-5, abs=1e-7)
+
+
+def test_any_factor_scales_the_estimate_of_one_that_looks_around(alone, smooth):
+    features = smooth.samples.features
+    found = alone.predict(smooth.x, features=features)
+    scaled = alone.predict(smooth.x * np.float32(1e4), features=features) / 1e4
+    assert scaled == pytest.approx(found, rel=1e-3)
+
+
+def test_the_order_of_samples_does_not_matter(trained, fresh):
+    shuffled = np.random.default_rng(0).permutation(fresh.x, axis=-1)
+    assert trained.predict(shuffled) == pytest.approx(trained.predict(fresh.x), rel=1e-4, abs=1e-6)
+
+
+def test_pixels_are_on_their_own_within_a_picture(trained, fresh):
+    whole = trained.predict(fresh.x, unit=1.0)
+    one = trained.predict(fresh.x[3, 4], unit=1.0)
+    assert one.shape == (3,)
+    assert one == pytest.approx(whole[3, 4], rel=1e-5)
+    assert trained.predict(np.empty((0, 3, 8)), unit=1.0).shape == (0, 3)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 100, 1000, 4096])
+def test_any_number_of_samples(trained, n):
+    x = np.random.default_rng(n).gamma(0.5, size=(4, 5, 3, n))
+    found = trained.estimate(x)
+    assert found.radiance.shape == found.low.shape == found.high.shape == (4, 5, 3)
+    assert found.certainty.shape == (4, 5)
+    assert np.isfinite(found.radiance).all()
+    assert (found.radiance >= 0).all()
+    assert (found.low <= found.high).all()
+    assert ((found.certainty >= 0) & (found.certainty <= 1)).all()
+
+
+def test_it_tends_to_the_mean(trained):
+    x = np.random.default_rng(0).gamma(0.5, size=(8, 8, 3, 4096)).astype(np.float32)
+    distances = []
+    for n in (16, 256, 4096):
+        few = x[..., :n]
+        found = trained.estimate(few, unit=0.5)
+        mean = few.mean(axis=-1)
+        distances.append(np.abs(found.radiance - mean).mean() / mean.mean())
+        assert found.certainty.max() <= 1 / (1 + n / 2**12) + 1e-6
+    assert distances[2] < 0.25 * distances[0]
+    many = np.tile(x[:1, :1], 64)
+    far = np.abs(trained.predict(many, unit=0.5) - many.mean(axis=-1)).max()
+    assert far < 0.02
+
+
+def test_balance_goes_from_one_answer_to_the_other(trained, fresh):
+    ends = [trained.predict(fresh.x, balance=b) for b in (0.0, 1.0)]
+    middle = trained.predict(fresh.x, balance=0.25)
+    assert middle == pytest.approx(0.75 * ends[0] + 0.25 * ends[1], rel=1e-4, abs=1e-6)
+    assert np.abs(ends[1] - ends[0]).max() > 0
+
+
+def test_intervals_widen_with_their_probability(trained, fresh):
+    widths = []
+    for level in (0.5, 0.9, 0.98):
+        found = trained.estimate(fresh.x, level=level)
+        assert found.level == level
+        widths.append((found.high - found.low).mean())
+    assert widths == sorted(widths)
+
+
+def wild(x):
+    """Return a picture with every kind of bad and extreme pixel, one a column."""
+    x = np.array(x[:, :12])
+    x[:, 0] = 0
+    x[:, 1, 1, 3] = np.nan
+    x[:, 2, :, ::2] = np.inf
+    x[:, 3, 0] = -1
+    x[:, 4] = np.nan
+    x[:, 5] = 1e30
+    x[:, 6] = 1e-42
+    x[:, 7, :, 0] = 3e38
+    x[:, 8] = 3e38
+    x[:, 9, 0, ::2] = np.nan
+    x[:, 9, 1, 1::2] = np.nan
+    x[:, 10, :, 1:] = -np.inf
+    return x
+
+
+@pytest.mark.parametrize("unit", [None, 1.0, 1e-30])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("balance", BALANCES)
+def test_no_estimate_is_nan_where_the_mean_is_finite(trained, fresh, unit, dtype, balance):
+    x = wild(fresh.x).astype(dtype)
+    found = trained.estimate(x, balance=balance, unit=unit)
+    mean = chd.estimators.mean(x)
+    assert (np.isfinite(found.radiance) == np.isfinite(mean)).all()
+    for end in (found.low, found.high):
+        assert (np.isnan(end) == np.isnan(mean)).all()
+    assert (found.radiance[np.isfinite(mean)] >= 0).all()
+    assert (found.certainty[:, 4] == 0).all()
+
+
+def test_no_estimate_of_one_that_looks_around_is_nan_either(alone, smooth):
+    x = wild(smooth.x)
+    features = {name: field[:, :12] for name, field in smooth.samples.features.items()}
+    found = alone.estimate(x, features=features)
+    assert (np.isfinite(found.radiance) == np.isfinite(chd.estimators.mean(x))).all()
+
+
+@pytest.mark.parametrize("level", [0.0, 1e-44, 1e-30, 1e30, 3e38])
+def test_a_picture_of_any_radiance(trained, level):
+    x = np.full((4, 4, 3, 8), level, np.float32)
+    found = trained.predict(x)
+    assert np.isfinite(found).all()
+    assert found == pytest.approx(np.full_like(found, level), rel=0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("level", [1e-60, 1e60])
+def test_radiance_beyond_single_precision_warns_of_nothing(trained, level):
+    assert not np.isnan(trained.predict(np.full((4, 4, 3, 8), level))).any()
+
+
+def test_a_single_lit_sample_in_a_black_picture(trained):
+    x = np.zeros((16, 16, 3, 8), np.float32)
+    x[3, 3, :, 0] = 1e-45
+    assert np.isfinite(trained.predict(x)).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "match"),
+    [
+        (lambda m: m.predict(np.ones((4, 4, 2, 8))), "with 3 channels, got 2"),
+        (lambda m: m.predict(np.ones(8)), r"\(..., channel, sample\), got \(8,\)"),
+        (lambda m: m.predict(np.ones((4, 4, 3, 0))), "at least 1 sample"),
+        (lambda m: m.predict(np.ones((4, 3, 8)), balance=1.1), "balance must lie .* got 1.1"),
+        (lambda m: m.predict(np.ones((4, 3, 8)), balance=np.nan), "balance must lie .* got nan"),
+        (lambda m: m.estimate(np.ones((4, 3, 8)), level=1.0), "level must lie .* got 1.0"),
+        (lambda m: m.estimate(np.ones((4, 3, 8)), level=0.0), "level must lie .* got 0.0"),
+        (lambda m: m.predict(np.ones((4, 3, 8)), unit=0.0), "unit must be a positive radiance"),
+    ],
+)
+def test_it_refuses_what_it_cannot_use(trained, call, match):
+    with pytest.raises(InputError, match=match):
+        call(trained)
+
+
+def test_an_estimator_that_looks_around_refuses_what_is_no_picture(alone, smooth):
+    features = smooth.samples.features
+    with pytest.raises(InputError, match="picture"):
+        alone.predict(smooth.x[0], features=features)
+    with pytest.raises(InputError, match=r"must have shape \(24, 24\)"):
+        alone.predict(smooth.x, features={"albedo": features["albedo"][:5]})
+    with pytest.raises(InputError, match="looks at 6 numbers .* give 0; pass features="):
+        alone.predict(smooth.x)
+
+
+def test_an_untrained_one_says_so(tmp_path):
+    model = Progressive()
+    assert repr(model) == "<Progressive untrained>"
+    for call in (
+        lambda: model.predict(np.ones((4, 3, 8))),
+        lambda: model.save(tmp_path / "model"),
+        lambda: model.train_pixels,
+        lambda: model.history,
+    ):
+        with pytest.raises(InputError, match="not trained yet"):
+            call()
+
+
+def test_a_saved_one_comes_back_to_the_bit(trained, fresh, tmp_path):
+    trained.save(tmp_path / "model.safetensors")
+    loaded = Progressive.load(tmp_path / "model.safetensors")
+    for balance in BALANCES:
+        found, expected = (m.estimate(fresh.x, balance=balance) for m in (loaded, trained))
+        for name in ("radiance", "certainty", "low", "high"):
+            assert (getattr(found, name) == getattr(expected, name)).all()
+    assert loaded.provenance == json.loads(json.dumps(trained.provenance))
+    assert (loaded.train_pixels == trained.train_pixels).all()
+    assert loaded.train_shape == trained.train_shape
+    assert (loaded.history.validation_loss == trained.history.validation_loss).all()
+    assert (loaded.unit, loaded.channels) == (trained.unit, 3)
+    assert [p.name for p in tmp_path.iterdir()] == ["model.safetensors"]
+
+
+def test_one_that_looks_around_comes_back_too(alone, smooth, tmp_path):
+    alone.save(tmp_path / "model")
+    loaded = Progressive.load(tmp_path / "model")
+    assert (loaded.features, loaded.neighbours) == (True, True)
+    features = smooth.samples.features
+    expected = alone.predict(smooth.x, features=features)
+    assert (loaded.predict(smooth.x, features=features) == expected).all()
+
+
+def test_loading_unpickles_nothing(trained, tmp_path, monkeypatch):
+    trained.save(tmp_path / "model")
+
+    def refuse(*_args, **_options):
+        raise AssertionError
+
+    for module, name in ((pickle, "load"), (pickle, "loads"), (pickle, "Unpickler")):
+        monkeypatch.setattr(module, name, refuse)
+    monkeypatch.setattr(torch, "load", refuse)
+    assert Progressive.load(tmp_path / "model").channels == 3
+
+
+def test_a_truncated_file_is_refused(trained, tmp_path):
+    path = tmp_path / "model"
+    trained.save(path)
+    whole = path.read_bytes()
+    for size in (0, 7, 500, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(StoreError, match="damaged or not a chdstat model"):
+            Progressive.load(path)
+
+
+def test_foreign_files_and_other_kinds_are_refused(tmp_path):
+    path = tmp_path / "model"
+    with pytest.raises(StoreError, match="no model at"):
+        Progressive.load(path)
+    torch.save({"weights": torch.zeros(3)}, path)
+    with pytest.raises(StoreError, match="not a chdstat model"):
+        Progressive.load(path)
+    save_file({"a": np.zeros(3)}, path)
+    with pytest.raises(StoreError, match="not a chdstat model"):
+        Progressive.load(path)
+    MLP.preset("elek2019").train(chd.Samples.from_array(np.ones((4, 4, 3, 64))), iterations=1).save(
+        path
+    )
+    with pytest.raises(StoreError, match="not 'progressive'"):
+        Progressive.load(path)
+
+
+def rewritten(path, change):
+    """Write a model file anew with its arrays and description changed."""
+    with safe_open(path, framework="numpy") as file:
+        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
+        about = json.loads(file.metadata()["chdstat"])
+    change(arrays, about)
+    save_file(arrays, path, metadata={"chdstat": json.dumps(about)})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda arrays, _: arrays.pop("network.answer.bias"),
+        lambda arrays, _: arrays.pop("spread.weights"),
+        lambda arrays, _: arrays.update({"spread.normal": np.zeros((2, 2, 11))}),
+        lambda arrays, _: arrays.pop("history"),
+        lambda arrays, _: arrays.update({"network.more": np.zeros(3, np.float32)}),
+        lambda arrays, _: arrays["network.answer.bias"].fill(np.inf),
+        lambda _, about: about["shape"].update(channels=1),
+        lambda _, about: about["shape"].update(width="wide"),
+        lambda _, about: about["shape"].update(legs=4),
+        lambda _, about: about.pop("unit"),
+        lambda _, about: about.update(train_shape=[3]),
+    ],
+)
+def test_a_file_with_parts_missing_or_of_another_shape_is_refused(trained, tmp_path, change):
+    trained.save(tmp_path / "model")
+    rewritten(tmp_path / "model", change)
+    with pytest.raises(StoreError, match="does not hold a whole network"):
+        Progressive.load(tmp_path / "model")
+
+
+def test_a_model_cannot_be_written_where_there_is_no_folder(trained, tmp_path):
+    with pytest.raises(StoreError, match="cannot write"):
+        trained.save(tmp_path / "nowhere" / "model")

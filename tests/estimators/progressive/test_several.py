@@ -1,0 +1,375 @@
+"""Several scenes: training on all, telling what a scene is like, and trust in a foreign model."""
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError, StoreError
+from chdstat.estimators import Progressive
+from chdstat.estimators._modelfile import read_model, write_model
+from chdstat.estimators.progressive import Profile, Stream
+from chdstat.estimators.progressive.conditions import (
+    CONDITIONS,
+    conditions_of,
+    local_conditions,
+)
+from chdstat.estimators.progressive.doubt import paying_share
+from chdstat.estimators.progressive.exposure import picture_unit
+
+
+def flat(height=24, width=24, spp=64, seed=0):
+    """Return a picture of one radiance under strong noise: the best estimate is a constant."""
+    rng = np.random.default_rng(seed)
+    return chd.Samples.from_array(rng.gamma(0.2, 5, (height, width, 1, spp)), scene="flat")
+
+
+def varied(height=24, width=20, spp=64, seed=1, scale=1.0):
+    """Return a picture of many radiances under noise that does not tell them apart."""
+    rng = np.random.default_rng(seed)
+    radiance = rng.lognormal(0, 1.5, (height, width, 1, 1))
+    x = scale * radiance * rng.gamma(0.5, 2, (height, width, 1, spp))
+    return chd.Samples.from_array(x, scene="varied")
+
+
+def trained(samples, **options):
+    sees = {key: options.pop(key) for key in ("features", "conditioned") if key in options}
+    options = {"iterations": 8, "sizes": [8], "progress": False} | options
+    return Progressive(**sees).train(samples, **options)
+
+
+@pytest.fixture(scope="module")
+def both():
+    return trained([flat(), varied()], conditioned=True)
+
+
+@pytest.fixture(scope="module")
+def foreign():
+    return trained(flat(), iterations=200)
+
+
+# --- training on several ------------------------------------------------------------------------
+
+
+def test_one_scene_in_a_list_is_that_scene():
+    x = flat().read(ss=slice(0, 8))
+    alone, listed = trained(flat()), trained([flat()])
+    np.testing.assert_array_equal(alone.predict(x), listed.predict(x))
+
+
+def test_each_scene_counts_in_its_own_unit():
+    """A scene that is 1024 times as bright as before teaches the same to the last bit."""
+    x = varied(seed=5).read(ss=slice(0, 8))
+    plain = trained([flat(), varied()], conditioned=True)
+    bright = trained([flat(), varied(scale=1024.0)], conditioned=True)
+    np.testing.assert_array_equal(plain.predict(x), bright.predict(x))
+
+
+def test_both_scenes_teach():
+    x = varied(seed=5).read(ss=slice(0, 8))
+    assert not np.array_equal(trained([flat(), varied()]).predict(x), trained(flat()).predict(x))
+
+
+def test_the_scene_with_the_fewest_samples_sets_their_number():
+    model = trained([flat(spp=64), varied(spp=16)])
+    assert model.provenance["pixels_used"] == 24 * 24 // 2 + 24 * 20 // 2
+    with pytest.raises(InputError, match="at least 32 spp, got 16"):
+        trained([flat(spp=64), varied(spp=16)], sizes=[16])
+
+
+def test_seen_pixels_are_told_by_the_shape_of_the_picture():
+    drawn = [[[0, 0], [1, 2], [3, 4]], [[5, 6], [7, 8]], [[1, 2], [9, 9]]]
+    model = trained([flat(), varied(), flat(seed=3)], pixels=drawn)
+    assert model.seen((24, 24)).tolist() == [[0, 0], [1, 2], [3, 4], [9, 9]]
+    assert model.seen((24, 20)).tolist() == [[5, 6], [7, 8]]
+    assert model.seen((8, 8)).shape == (0, 2)
+    assert model.train_shape == (24, 24)
+    np.testing.assert_array_equal(model.train_pixels, model.seen((24, 24)))
+
+
+def test_a_comparison_leaves_out_what_was_seen_in_any_scene_of_that_shape():
+    model = trained([flat(), flat(seed=3)], pixels=[[[0, 0], [1, 2]], [[1, 2], [9, 9]]])
+    found = chd.compare(flat(seed=4), ["progressive"], n=8, model=model, cost=False)
+    assert np.argwhere(~found.test_pixels).tolist() == [[0, 0], [1, 2], [9, 9]]
+
+
+def test_provenance_lists_the_scenes(both):
+    scenes = both.provenance["scenes"]
+    assert [scene["scene"] for scene in scenes] == ["flat", "varied"]
+    assert [scene["samples_shape"] for scene in scenes] == [[24, 24, 1, 64], [24, 20, 1, 64]]
+    assert sum(scene["pixels_used"] for scene in scenes) == both.provenance["pixels_used"]
+    assert repr(both) == "<Progressive conditioned, scene 'flat, varied'>"
+
+
+def test_pixels_with_a_bad_sample_are_left_out_of_their_own_scene():
+    bad = flat().read()
+    bad[0, :12, 0, 3] = np.nan
+    every = np.argwhere(np.ones((24, 24), bool))
+    model = trained([chd.Samples.from_array(bad), flat()], pixels=[every, every])
+    assert [s["pixels_used"] for s in model.provenance["scenes"]] == [24 * 24 - 12, 24 * 24]
+    assert model.provenance["pixels_excluded"] == 12
+
+
+@pytest.mark.parametrize(
+    ("pictures", "options", "words"),
+    [
+        ([], {}, "at least one picture"),
+        ([flat(), varied()], {"reference": False, "sizes": None}, "without one, give the one"),
+        ([flat(), varied()], {"pixels": [[[0, 0], [1, 1]]]}, "each of 2 pictures, got 1"),
+        (
+            [flat(), chd.Samples.from_array(np.ones((8, 8, 3, 64)))],
+            {},
+            r"same channels, got \[1, 3\]",
+        ),
+        ([flat(), varied()], {"features": True}, "no first-hit features"),
+    ],
+)
+def test_scenes_that_do_not_fit_are_refused(pictures, options, words):
+    with pytest.raises(InputError, match=words):
+        trained(pictures, **options)
+
+
+def test_scenes_with_different_features_are_refused():
+    rng = np.random.default_rng(0)
+    x, depth = rng.exponential(size=(8, 8, 1, 64)), np.ones((8, 8))
+    one = chd.Samples.from_array(x, features={"depth": depth})
+    two = chd.Samples.from_array(x, features={"depth": depth, "albedo": np.ones((8, 8, 3))})
+    with pytest.raises(InputError, match="same numbers of the first hit"):
+        trained([one, two], features=True)
+
+
+# --- conditions ---------------------------------------------------------------------------------
+
+
+def conditions(x):
+    return conditions_of(Profile.of(x, unit=picture_unit(x.mean(axis=-1))))
+
+
+def test_conditions_do_not_depend_on_the_unit_or_the_order():
+    x = varied().read()
+    found = conditions(x)
+    np.testing.assert_array_equal(found, conditions(x * np.float32(2**-20)))
+    np.testing.assert_allclose(found, conditions(x[..., ::-1]), atol=1e-5)
+
+
+def test_conditions_hardly_depend_on_the_number_of_samples():
+    """Standard errors over 9216 pixels are below 0.01; unlike pictures differ by far more."""
+    x = varied(height=96, width=96, spp=256).read()
+    unit = 3.0
+    few, many = (conditions_of(Profile.of(x[..., :n], unit=unit)) for n in (16, 256))
+    assert np.abs(few - many).max() < 0.06
+    assert np.abs(many - conditions(flat(spp=256).read())).max() > 0.3
+
+
+def test_a_black_picture_has_but_its_nulls():
+    assert conditions(np.zeros((4, 4, 3, 8))).tolist() == [1, *np.zeros(CONDITIONS - 1)]
+    nothing = conditions_of(Profile.of(np.full((4, 3, 8), np.nan), unit=1.0))
+    assert nothing.tolist() == [0] * CONDITIONS
+
+
+@pytest.mark.parametrize("value", [1e30, 1e-40, np.inf, np.nan, -1.0])
+def test_conditions_are_finite_whatever_the_samples(value):
+    x = varied().read()
+    x[0, 0, 0, 0] = value
+    assert np.isfinite(conditions_of(Profile.of(x, unit=3.0))).all()
+
+
+def test_fireflies_show():
+    x = np.ones((32, 32, 1, 32))
+    calm = conditions(x)
+    x[::2, ::2, 0, 0] = 1000
+    wild = conditions(x)
+    assert (calm[-2:] == 0).all()
+    # Two of their octaves share each of them; one in 128 samples is one.
+    assert wild[-2] == pytest.approx(np.sqrt(1 / 128), rel=1e-3)
+    assert wild[-1] == pytest.approx(1000 / (1000 + 127), rel=1e-3)
+
+
+def test_parts_of_a_picture_have_conditions_of_their_own():
+    """The left half of the picture is black: some pixels there see only nulls, none at the right.
+
+    A quarter or a sixteenth is drawn by two pixels in three.
+    """
+    x = np.concatenate([np.zeros((32, 16, 1, 8)), np.ones((32, 16, 1, 8))], axis=1)
+    pixels = np.argwhere(np.ones((32, 32), bool))
+    rng = np.random.default_rng(0)
+    found = local_conditions(Profile.of(x.reshape(-1, 1, 8), unit=1.0), pixels, (32, 32), rng)
+    nulls = found[:, 0].reshape(32, 32)
+    assert np.unique(nulls[:, :16]).tolist() == [0.5, 1]
+    assert np.unique(nulls[:, 16:]).tolist() == [0, 0.5]
+    assert 0.6 < (nulls != 0.5).mean() < 0.73
+
+
+def test_a_conditioned_model_looks_at_the_whole_picture(both):
+    """The same pixels beside other ones are other pixels to it, but not to one without."""
+    dark, lit = np.zeros((24, 20, 1, 8), np.float32), varied().read(ss=slice(0, 8))
+    near = [np.concatenate([lit[:4], rest[4:]]) for rest in (lit, dark)]
+    plain = trained([flat(), varied()])
+    found, other = (both.predict(x, unit=3.0)[:4] for x in near)
+    assert not np.array_equal(found, other)
+    np.testing.assert_array_equal(*(plain.predict(x, unit=3.0)[:4] for x in near))
+
+
+def test_a_conditioned_model_scales_with_the_unit(both):
+    x = varied(seed=7).read(ss=slice(0, 8))
+    np.testing.assert_array_equal(both.predict(x * np.float32(8)), 8 * both.predict(x))
+
+
+def test_a_conditioned_stream_ends_where_all_samples_do(both):
+    x = varied(seed=7).read()
+    stream = Stream(both, unit=3.0)
+    for first in range(0, 64, 16):
+        stream.update(x[..., first : first + 16])
+    found = both.estimate(x, unit=3.0)
+    np.testing.assert_allclose(stream.estimate().radiance, found.radiance, rtol=1e-4)
+
+
+def test_conditions_need_a_reference():
+    with pytest.raises(InputError, match="conditioned=True, are for training with a reference"):
+        Progressive(conditioned=True).train(flat(), reference=False, iterations=5)
+
+
+def test_a_saved_model_is_the_same(both, tmp_path):
+    x = varied(seed=7).read(ss=slice(0, 8))
+    both.save(tmp_path / "model.safetensors")
+    loaded = Progressive.load(tmp_path / "model.safetensors")
+    np.testing.assert_array_equal(loaded.predict(x), both.predict(x))
+    assert loaded.provenance == both.provenance
+    np.testing.assert_array_equal(loaded.seen((24, 20)), both.seen((24, 20)))
+
+
+def test_a_file_whose_pixels_do_not_fit_its_scenes_is_refused(both, tmp_path):
+    path = tmp_path / "model.safetensors"
+    both.save(path)
+    arrays, about = read_model(path)
+    write_model(path, arrays | {"train_pixels": arrays["train_pixels"][1:]}, about)
+    with pytest.raises(StoreError, match="does not hold a whole network"):
+        Progressive.load(path)
+
+
+# --- trust --------------------------------------------------------------------------------------
+
+
+def share_of(samples, estimate, powers=(0.0,)):
+    return paying_share(samples, estimate, powers=powers, floor=0.01, unit=1.0)
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.2, 1.0])
+def test_the_paying_share_is_that_of_theory(bias):
+    """With variance v of the mean of a half, and an estimate y + b: v / (v + b^2).
+
+    Its standard error over 40,000 pixels, which is taken off, is below 0.01: a false failure is an
+    event of 4 standard errors.
+    """
+    rng = np.random.default_rng(0)
+    x = rng.gamma(2, 0.5, (40_000, 1, 16))
+    variance = 0.5 / 8
+    found = share_of(x, lambda half: np.full(half.shape[:-1], 1 + bias))
+    assert found == pytest.approx(variance / (variance + bias**2), abs=0.05)
+
+
+@pytest.mark.parametrize("bias", [-0.9, -0.3, 0.05, 0.2, 0.5, 3.0])
+def test_the_mixture_at_all_samples_is_better_than_the_mean(bias):
+    """The law of the module: trust is measured at half the samples, and pays at all of them.
+
+    The expected error of the mixture is exact, so that only the share itself is random, with a
+    standard error of 1 % of it; it must be off by more than its gain is large.
+    """
+    rng = np.random.default_rng(0)
+    x = rng.gamma(2, 0.5, (40_000, 1, 16))
+    variance = 0.5 / 16
+    share = share_of(x, lambda half: np.full(half.shape[:-1], 1 + bias))
+    assert (1 - share) ** 2 * variance + (share * bias) ** 2 < variance
+
+
+def test_what_pays_by_chance_alone_is_mostly_left_alone():
+    """Moves at random: one standard error is passed with probability 0.16, in 100 pictures by 30
+    with probability below 1e-3, and half of them would move without it.
+    """
+    rng = np.random.default_rng(0)
+    moved = 0
+    for _ in range(100):
+        x = rng.gamma(2, 0.5, (500, 1, 8))
+        moved += share_of(x, lambda half: half.mean(axis=-1) + rng.normal(size=half.shape[:-1])) > 0
+    assert moved < 30
+
+
+def test_what_moves_nothing_or_the_wrong_way_is_not_trusted():
+    x = varied().read()
+    assert share_of(x, lambda half: half.mean(axis=-1)) == 0
+    # Away from where the other half will be: twice as far from the middle of the picture.
+    assert share_of(x, lambda half: 2 * half.mean(axis=-1)) < 0.05
+
+
+def test_trust_does_not_depend_on_the_unit_or_on_bad_pixels(foreign):
+    x = varied().read(ss=slice(0, 16))
+    for balance in (0, 1):
+        found = foreign.trust(x, balance=balance)
+        assert foreign.trust(x * np.float32(2**-30), balance=balance) == found
+    broken = np.concatenate([x, np.full_like(x[:1], np.nan)])
+    assert foreign.trust(broken, unit=3.0) == pytest.approx(foreign.trust(x, unit=3.0))
+
+
+def test_between_the_aims_both_errors_are_guarded():
+    x = varied().read(ss=slice(0, 16))
+
+    def estimate(half):
+        return np.sqrt(half.mean(axis=-1))
+
+    assert share_of(x, estimate, (0, 1)) == min(share_of(x, estimate, (p,)) for p in (0, 1))
+
+
+@pytest.mark.parametrize(("balance", "powers"), [(0, [0]), (0.5, [0, 1]), (1, [1])])
+def test_a_foreign_model_is_no_worse_than_the_mean_with_trust(foreign, balance, powers):
+    """One that learned a constant is much worse without: the negative control."""
+    scene = varied(height=48, width=48, spp=512, seed=3)
+    x, truth = scene.read(ss=slice(0, 16)), scene.read().mean(axis=-1, dtype=np.float64)
+    plain, trusted = (foreign.predict(x, balance=balance, trust=t) for t in (1.0, "halves"))
+    for power in powers:
+        weight = (truth**2 + 0.01 * truth.mean() ** 2) ** -float(power)
+        of_mean, without, found = (
+            (weight * (estimate - truth) ** 2).mean()
+            for estimate in (x.mean(axis=-1), plain, trusted)
+        )
+        assert without > 1.1 * of_mean
+        assert found < 1.01 * of_mean
+
+
+def test_a_model_of_the_same_kind_of_scene_is_trusted(foreign):
+    x = flat(height=48, width=48, seed=9).read(ss=slice(0, 16))
+    assert foreign.trust(x, balance=0) > 0.8
+    assert ((foreign.predict(x, trust="halves") - 1) ** 2).mean() < 0.7 * (
+        (x.mean(axis=-1) - 1) ** 2
+    ).mean()
+
+
+def test_trust_mixes_with_the_mean(both):
+    x = varied(seed=7).read(ss=slice(0, 8))
+    mean = x.mean(axis=-1)
+    whole, half, none = (both.estimate(x, trust=t) for t in (1.0, 0.5, 0.0))
+    np.testing.assert_allclose(none.radiance, mean, rtol=1e-5)
+    np.testing.assert_allclose(half.radiance, (whole.radiance + mean) / 2, rtol=1e-4)
+    np.testing.assert_allclose(half.certainty, whole.certainty / 2, rtol=1e-5)
+    assert (none.low <= none.high).all()
+    # Where the mean alone counts, its noise still makes an interval.
+    assert (none.high - none.low).mean() > 0.1 * mean.mean()
+
+
+def test_halves_measure_and_then_mix(both):
+    x = varied(seed=7).read(ss=slice(0, 8))
+    share = both.trust(x, balance=0)
+    assert 0 <= share <= 1
+    np.testing.assert_array_equal(
+        both.predict(x, balance=0, trust="halves"), both.predict(x, balance=0, trust=share)
+    )
+
+
+def test_trust_out_of_range_and_too_few_samples_are_refused(both):
+    x = varied().read(ss=slice(0, 1))
+    with pytest.raises(InputError, match="at least 2 samples, got 1"):
+        both.trust(x)
+    with pytest.raises(InputError, match=r"between 0 and 1, or be 'halves', got 1\.5"):
+        both.predict(x, trust=1.5)
+    with pytest.raises(InputError, match="between 0 and 1, or be 'halves', got half"):
+        both.predict(x, trust="half")
+    with pytest.raises(InputError, match="balance must lie"):
+        both.trust(x, balance=2)

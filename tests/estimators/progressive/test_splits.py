@@ -1,0 +1,56 @@
+"""Splits: what is learned from and what is learned share no sample, and both are fair."""
+
+import numpy as np
+import pytest
+
+from chdstat.estimators.progressive.splits import Splits
+
+
+def splits(seed=0, **options):
+    rng = np.random.default_rng(seed)
+    return Splits(rng.exponential(size=(50, 3, 24)).astype(np.float32), unit=0.5, **options)
+
+
+def test_both_parts_together_are_all_samples():
+    made = splits()
+    part = made.draw(np.arange(50), 6, 40, np.random.default_rng(1))
+    seen = part.profile.mean()
+    assert part.rows.shape == (40,)
+    assert len(set(part.places.tolist())) == 6
+    both = (6 * seen + 18 * part.target) / 24
+    assert both == pytest.approx(made.mean[part.rows], rel=1e-5)
+
+
+def test_only_the_given_pixels_are_drawn():
+    part = splits().draw(np.array([3, 7]), 6, 100, np.random.default_rng(1))
+    assert set(part.rows.tolist()) == {3, 7}
+
+
+def test_large_samples_make_small_minibatches():
+    rng = np.random.default_rng(0)
+    made = Splits(np.ones((4, 1, 2**13), np.float32), unit=1.0)
+    assert len(made.draw(np.arange(4), 2**12, 1024, rng).rows) == 32
+
+
+def test_halves_share_no_sample_with_each_other_or_with_the_part():
+    made = splits()
+    rng = np.random.default_rng(2)
+    part = made.draw(np.arange(50), 6, 40, rng)
+    first, second = made.halves(part, rng)
+    assert (first + second) / 2 == pytest.approx(part.target, rel=1e-5)
+    assert np.abs(first - second).min() > 0
+
+
+def test_mean_and_variance_are_those_of_the_samples():
+    x = np.random.default_rng(0).exponential(size=(50, 3, 24)).astype(np.float32) / 0.5
+    assert splits().mean == pytest.approx(x.mean(axis=-1), rel=1e-5)
+    assert splits().variance == pytest.approx(x.var(axis=-1, ddof=1), rel=1e-4)
+    constant = Splits(np.full((2, 1, 9), 0.1, np.float32), unit=1.0)
+    assert constant.variance == pytest.approx(0, abs=1e-8)
+
+
+def test_prepared_splits_are_kept_to():
+    places, shared = np.array([1, 5]), np.full((50, 3), 4.0, np.float32)
+    part = splits(prepared=[(places, shared)]).draw(np.arange(50), 2, 10, np.random.default_rng(0))
+    assert (part.places == places).all()
+    assert (part.shared == 8).all()

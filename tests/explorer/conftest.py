@@ -1,0 +1,57 @@
+"""Small stores and a browser for the tests of the explorer."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import chdstat as chd
+from chdstat.explorer import Explorer, explore
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+@pytest.fixture(scope="session")
+def store_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """32 x 32 pixels of the Cornell box at 64 spp, on disk; no test may change it."""
+    path = tmp_path_factory.mktemp("stores") / "box.zarr"
+    chd.render("cornell-box", spp=64, size=(32, 32), out=path, backend="scalar", progress=False)
+    return path
+
+
+@pytest.fixture
+def own_store(store_path: Path, tmp_path: Path) -> Path:
+    """Return a copy of the store that a test may destroy."""
+    return Path(shutil.copytree(store_path, tmp_path / "own.zarr"))
+
+
+@pytest.fixture
+def explored() -> Iterator[Callable[..., Explorer]]:
+    """Start explorers that end with the test."""
+    started: list[Explorer] = []
+
+    def start(source: Any, **options: Any) -> Explorer:
+        started.append(explore(source, **options))
+        return started[-1]
+
+    yield start
+    for explorer in started:
+        explorer.stop()
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Headless Chromium; skip where it or playwright is not installed."""
+    api = pytest.importorskip("playwright.sync_api", reason="no playwright: no test in a browser")
+    if CHROMIUM is None:
+        pytest.skip("no chromium: no test in a browser")
+    with api.sync_playwright() as playwright:
+        # A container has neither the sandbox's privileges nor much shared memory.
+        arguments = ["--no-sandbox", "--disable-dev-shm-usage"]
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield browser
+        browser.close()

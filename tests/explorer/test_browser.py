@@ -1,0 +1,435 @@
+"""The page in a real browser, from the first picture to the last export."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat._store import chunk_grid
+from chdstat.explorer import explore
+
+SIZE = 32
+
+
+class Person:
+    """Someone before a page: looks, points, clicks, presses keys."""
+
+    def __init__(self, page, explorer):
+        self.page, self.url = page, explorer.url
+        self.errors = []
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+
+    def open(self, query=""):
+        self.page.goto(self.url + query)
+        self.page.wait_for_selector("body[data-shown]", timeout=30000)
+        return self
+
+    def place(self, y, x, picture=0, size=SIZE):
+        box = self.page.locator(".picture").nth(picture).bounding_box()
+        return box["x"] + (x + 0.5) / size * box["width"], box["y"] + (y + 0.5) / size * box[
+            "height"
+        ]
+
+    def point(self, y, x):
+        self.page.mouse.move(*self.place(y, x))
+
+    def click(self, y, x, *, shift=False, picture=0):
+        with self.answered():
+            if shift:
+                self.page.keyboard.down("Shift")
+            self.page.mouse.click(*self.place(y, x, picture))
+            if shift:
+                self.page.keyboard.up("Shift")
+
+    def press(self, key):
+        with self.answered():
+            self.page.keyboard.press(key)
+
+    def answered(self):
+        """Wait until what is done within is shown."""
+        return _Answered(self.page)
+
+    def text(self, query):
+        return self.page.locator(query).inner_text()
+
+    @property
+    def query(self):
+        return parse_qs(urlsplit(self.page.url).query)
+
+    @property
+    def chips(self):
+        return [
+            t.strip()
+            for t in self.page.locator("#chips .chip button:first-child").all_inner_texts()
+        ]
+
+    def alert(self):
+        self.page.wait_for_selector("#alert:not([hidden])", timeout=15000)
+        return self.text("#alert span")
+
+
+class _Answered:
+    def __init__(self, page):
+        self.page = page
+
+    def __enter__(self):
+        self.before = self.page.evaluate("window.chdstat.timings.length")
+
+    def __exit__(self, kind, *_):
+        if kind is None:
+            self.page.wait_for_function(
+                "(before) => window.chdstat.timings.length > before"
+                " && window.chdstat.timings.at(-1).end",
+                arg=self.before,
+                timeout=30000,
+            )
+
+
+@pytest.fixture(scope="module")
+def context(browser):
+    """Pages of one context keep the scripts that they share."""
+    with browser.new_context() as context:
+        yield context
+
+
+@pytest.fixture(scope="module")
+def of_store(store_path):
+    """Return an explorer of the store that no test changes."""
+    with explore(store_path) as explorer:
+        yield explorer
+
+
+@pytest.fixture
+def person(context, explored, store_path, of_store):
+    people = []
+
+    def come(source, **options):
+        same = source == store_path and not options
+        page = context.new_page()
+        page.set_viewport_size({"width": 1280, "height": 900})
+        people.append(Person(page, of_store if same else explored(source, **options)))
+        return people[-1]
+
+    yield come
+    for one in people:
+        assert one.errors == []
+        one.page.close()
+
+
+def test_a_click_shows_the_distribution(person, store_path):
+    one = person(store_path).open()
+    assert one.text("#described") == "32 × 32 px · 64 spp · path"
+    assert one.text("#chips") == "Nothing is selected yet."
+    one.point(20, 10)
+    pixel = chd.open(store_path)[20, 10]
+    assert one.text("#readout").startswith("y 20 x 10 · R ")
+    assert f"{pixel[0].mean():.3g}"[:4] in one.text("#readout")
+    one.click(20, 10)
+    assert one.chips == ["1: y 20 x 10"]
+    assert one.query == {"p": ["20,10"]}
+    null = (pixel == 0).all(axis=0).mean()
+    assert one.text("#note-log").startswith(f"{100 * null:.3g} % null · 0 bad")
+    assert "sample mean" in one.text("#estimates")
+    assert "N needed" in one.text("#statistics")
+    assert one.text("#patterns").startswith("Patterns: ")
+    lines = one.page.evaluate(
+        "Bokeh.documents[0].get_model_by_name('log').renderers[1].data_source.data.xs.length"
+    )
+    assert lines >= 3
+
+
+def test_selections_by_mouse_and_keys(person, store_path):
+    one = person(store_path).open()
+    one.click(5, 5)
+    for i in range(5):
+        one.click(10, 4 + 5 * i, shift=True)
+    assert len(one.chips) == 6
+    assert one.query["p"][-1] == "10,24"
+    one.page.keyboard.down("Shift")
+    one.page.mouse.click(*one.place(30, 30))
+    one.page.keyboard.up("Shift")
+    assert "at most 6" in one.alert()
+    one.press("ArrowDown")
+    one.press("ArrowRight")
+    assert one.chips[-1] == "6: y 11 x 25"
+    one.press("Shift+ArrowRight")  # ten at once, but no farther than the border
+    assert one.chips[-1] == "6: y 11 x 31"
+    one.click(5, 5, shift=True)  # drops it
+    assert len(one.chips) == 5
+    with one.answered():
+        one.page.get_by_role("button", name="2: y 10").click()
+    assert one.query["a"] == ["1"]
+    one.click(8, 8)
+    assert one.chips == ["1: y 8 x 8"]
+
+
+def test_fast_clicks_are_all_clicks(person, store_path):
+    one = person(store_path).open()
+    for x in (3, 9, 15, 21):
+        one.page.mouse.click(*one.place(12, x))
+    one.page.wait_for_function("document.querySelector('#chips').innerText.includes('x 21')")
+
+
+def test_a_box_picks_a_region(person, store_path):
+    one = person(store_path).open()
+    one.page.get_by_role("button", name="Select a box").click()
+    with one.answered():
+        one.page.mouse.move(*one.place(4, 6))
+        one.page.mouse.down()
+        one.page.mouse.move(*one.place(8, 10), steps=3)
+        one.page.mouse.move(*one.place(11, 15), steps=3)
+        one.page.mouse.up()
+    assert one.chips == ["region y 4–11, x 6–15 (8 × 10)"]
+    assert one.query == {"r": ["4,6,12,16"]}
+    assert one.text("#statistics .note").startswith("5120 samples")
+
+
+def test_a_press_that_is_held_is_a_click_unless_it_becomes_a_drag(person, store_path):
+    one = person(store_path).open()
+    with one.answered():
+        one.page.mouse.move(*one.place(12, 9))
+        one.page.mouse.down()
+        one.page.wait_for_timeout(600)
+        one.page.mouse.up()
+    assert one.chips == ["1: y 12 x 9"]
+    one.page.get_by_role("button", name="Select a box").click()
+    with one.answered():
+        one.page.mouse.move(*one.place(4, 6))
+        one.page.mouse.down()
+        one.page.wait_for_timeout(600)
+        one.page.mouse.move(*one.place(11, 15), steps=4)
+        one.page.mouse.up()
+    one.page.wait_for_timeout(200)
+    assert one.chips == ["region y 4–11, x 6–15 (8 × 10)"]
+
+
+def test_a_click_outside_changes_nothing(person, store_path):
+    one = person(store_path).open("?p=3,4")
+    for _ in range(4):
+        one.page.get_by_role("button", name="Zoom out").click()
+    one.page.wait_for_timeout(200)
+    box = one.page.locator(".picture").bounding_box()
+    one.page.mouse.click(box["x"] + 5, box["y"] + 5)
+    assert "outside the image" in one.alert()
+    assert one.query == {"p": ["3,4"]}
+    one.page.get_by_role("button", name="Dismiss").click()
+    assert not one.page.locator("#alert").is_visible()
+
+
+def test_maps_take_the_place_of_the_picture(person, store_path):
+    one = person(store_path).open("?p=20,10")
+    for name, expected in {
+        "null_share": "share of the good samples",
+        "tail_index": "generalised Pareto",
+        "best_family": "by BIC",
+        "pattern": "primary label",
+        "n_needed": "samples, luminance",
+        "error:huber": "log10 of MSE",
+    }.items():
+        one.page.locator("select[data-option=map]").select_option(name)
+        one.page.wait_for_function(
+            "(words) => document.querySelector('#colorbar').innerText.includes(words)"
+            " && document.querySelector('#working').innerText === ''",
+            arg=expected,
+        )
+        assert one.query["map"] == [name]
+    one.point(20, 10)
+    assert "Error of huber" in one.text("#readout")
+    one.page.locator("select[data-option=map]").select_option("picture")
+    one.page.wait_for_selector("#colorbar", state="hidden")
+
+
+def test_options_change_what_is_drawn(person, store_path):
+    one = person(store_path).open("?p=20,10")
+    for name in ("gamma", "mixture"):
+        one.page.locator(f"[data-family={name}]").check()
+        one.page.wait_for_function(f"location.search.includes('{name}')")
+    one.page.locator("[data-family=best]").uncheck()
+    one.page.locator("select[data-option=batch]").select_option("8")
+    one.page.wait_for_function(
+        "document.querySelector('#estimates h2').innerText.includes('N = 8')"
+    )
+    one.page.locator("select[data-option=channel]").select_option("luminance")
+    one.page.wait_for_function("document.querySelector('#legend').innerText === 'luminance'")
+    one.page.locator("select[data-option=tone]").select_option("filmic")
+    one.page.locator("#exposure").fill("2.5")
+    one.page.wait_for_function("location.search.includes('ev=2.5')")
+    assert one.text("#stops") == "+2.50"
+    assert one.query == {
+        "p": ["20,10"], "c": ["luminance"], "f": ["gamma,mixture"], "n": ["8"], "ev": ["2.5"],
+        "tone": ["filmic"],
+    }  # fmt: skip
+    one.page.get_by_role("button", name="Auto").click()
+    one.page.wait_for_function("!location.search.includes('ev=')")
+
+
+def test_an_address_brings_the_view_back(person, store_path):
+    one = person(store_path).open("?p=20,10&p=5,6&a=0&map=null_share&f=gamma&n=16")
+    chips, query = one.chips, one.query
+    assert chips == ["1: y 20 x 10", "2: y 5 x 6"]
+    one.page.reload()
+    one.page.wait_for_selector("body[data-shown]")
+    assert (one.chips, one.query) == (chips, query)
+    assert one.page.locator("[data-family=gamma]").is_checked()
+    assert "Null share" in one.text("#colorbar")
+
+
+def test_an_address_that_is_wrong_is_explained(person, store_path):
+    one = person(store_path).open("?p=99,0&p=1,1&map=wave&store=/etc/passwd")
+    said = one.alert()
+    assert "outside the image" in said
+    assert "no map is called 'wave'" in said
+    assert "'store'" in said
+    assert one.chips == ["1: y 1 x 1"]
+
+
+def test_exports_are_files(person, store_path):
+    one = person(store_path).open("?p=20,10&p=5,6")
+    content = {}
+    for kind in ("csv", "npz", "png", "svg", "pdf"):
+        with one.page.expect_download(timeout=30000) as coming:
+            one.page.locator(f"[data-export={kind}]").click()
+        assert coming.value.suggested_filename == f"box-20_10-5_6.{kind}"
+        content[kind] = Path(coming.value.path()).read_bytes()
+    samples = chd.open(store_path)
+    table = np.genfromtxt(io.BytesIO(content["csv"]), delimiter=",", names=True)
+    np.testing.assert_array_equal(table["G"][:64].astype(np.float32), samples[20, 10][1])
+    assert len(table) == 128
+    arrays = np.load(io.BytesIO(content["npz"]))
+    np.testing.assert_array_equal(arrays["radiance_1"], samples[5, 6])
+    assert arrays["selection"].tolist() == ["(20, 10)", "(5, 6)"]
+    assert content["png"].startswith(b"\x89PNG")
+    assert content["svg"].startswith(b"<?xml")
+    pdfium = pytest.importorskip("pypdfium2")
+    with pdfium.PdfDocument(content["pdf"]) as document:
+        assert len(document) == 1
+
+
+def test_an_export_needs_a_selection(person, store_path):
+    one = person(store_path).open()
+    one.page.locator("[data-export=csv]").click()
+    assert "nothing is selected" in one.alert()
+
+
+def test_two_stores_are_compared(person, store_path, tmp_path):
+    path = tmp_path / "other.zarr"
+    chd.render("cornell-box", spp=64, size=(32, 32), max_depth=2, out=path, backend="scalar")
+    one = person(store_path, other=path).open()
+    one.click(20, 10, picture=1)
+    assert one.chips == ["1: y 20 x 10"]
+    assert "p of equal CHDs" in one.text("#compared")
+    assert "other.zarr against box.zarr" in one.text("#compared")
+    assert "second:" in one.text("#note-log")
+
+
+def test_a_scene_is_sampled_where_it_is_clicked(person):
+    one = person("cornell-box", size=(32, 32)).open()
+    one.click(20, 10)
+    one.page.wait_for_selector("#live:not([hidden])")
+    one.page.wait_for_function(
+        "parseInt(document.querySelector('#live span').innerText.replace(/\\s/g, '')) > 2048"
+    )
+    one.page.get_by_role("button", name="Pause").click()
+    one.page.wait_for_selector("#live button:text('Continue')")
+    assert one.page.locator("select[data-option=map] option").count() == 1  # no store, no maps
+    assert "sampled where you click" in one.text("#described")
+
+
+def test_a_dark_scene_says_so_and_the_page_lives(person):
+    dark = {"type": "scene", "shape": {"type": "sphere"}, "sensor": {"type": "perspective"}}
+    one = person(chd.load_scene(dark), size=(32, 32)).open()
+    assert "emitter" in one.alert()
+    one.click(3, 3)
+    assert "100 % null" in one.text("#note-log")
+
+
+def test_a_store_deleted_under_the_server_is_a_message(person, own_store):
+    one = person(own_store).open()
+    one.click(20, 10)
+    shutil.rmtree(own_store)
+    one.click(3, 3)
+    assert "is gone" in one.alert()
+    one.page.reload()
+    one.page.wait_for_selector("body[data-shown]")
+    assert one.text("h1") == "own.zarr"
+
+
+def test_a_store_that_is_still_written_grows_on_the_page(person, tmp_path):
+    path = tmp_path / "part.zarr"
+    chd.render("cornell-box", spp=128, size=(32, 32), out=path, backend="scalar", progress=False)
+    last = list(chunk_grid(32, 32, 128))[-1]
+    file = path / f"radiance/c/{last.tile_y}/{last.tile_x}/0/{last.batch}"
+    whole = file.read_bytes()
+    file.unlink()
+    one = person(path).open("?p=20,10")
+    assert "64 of 128 (not finished) spp" in one.text("#described")
+    file.write_bytes(whole)
+    one.page.wait_for_function(
+        "document.querySelector('#described').innerText.includes('128 spp')", timeout=15000
+    )
+    one.page.wait_for_function(
+        "document.querySelector('#statistics').innerText.includes('128 samples')", timeout=15000
+    )
+
+
+def test_a_server_that_stops_is_told(person, store_path, explored):
+    one = person(store_path)
+    explorer = explored(store_path)
+    one.url = explorer.url
+    one.open()
+    explorer.stop()
+    assert "server has stopped" in one.alert()
+
+
+def test_nothing_overlaps_or_sticks_out(person, store_path):
+    one = person(store_path).open("?p=20,10&p=5,6&p=8,9&map=pattern")
+    one.page.wait_for_function("document.querySelector('#working').innerText === ''")
+    for width in (1280, 1920, 2560):
+        one.page.set_viewport_size({"width": width, "height": 900})
+        assert one.page.evaluate("document.documentElement.scrollWidth") <= width
+        assert one.page.evaluate(OVERLAPS) == []
+
+
+OVERLAPS = """() => {
+  const parts = [...document.querySelectorAll(
+    'header > *, .controls > *, .panel, .tables > .table:not([hidden]), #readout, #chips,'
+    + '.picture, #colorbar'
+  )].filter((e) => e.getClientRects().length && e.innerText !== '');
+  const found = [];
+  for (const a of parts) for (const b of parts) {
+    if (a === b || a.contains(b) || b.contains(a)) continue;
+    const [p, q] = [a.getBoundingClientRect(), b.getBoundingClientRect()];
+    const wide = Math.min(p.right, q.right) - Math.max(p.left, q.left);
+    const tall = Math.min(p.bottom, q.bottom) - Math.max(p.top, q.top);
+    if (wide > 1 && tall > 1) found.push([a, b].map((e) => e.outerHTML.slice(0, 80)));
+  }
+  return found;
+}"""
+"""Pairs of parts of the page that lie upon each other."""
+
+
+def test_everything_is_reached_with_the_keyboard(person, store_path):
+    one = person(store_path).open("?p=20,10")
+    seen = []
+    for _ in range(60):
+        one.page.keyboard.press("Tab")
+        name = one.page.evaluate(
+            """(() => {
+              const e = document.activeElement, d = e.dataset;
+              return d.export ?? d.option ?? d.family ?? d.drag ?? d.zoom ?? (e.className || e.id);
+            })()"""
+        )
+        if name in seen and name == seen[0]:
+            break
+        seen.append(name)
+    expected = ["csv", "map", "exposure", "auto", "tone", "picture", "pan", "in", "best", "channel"]
+    places = [seen.index(name) for name in expected]
+    assert places == sorted(places)
+    assert re.search("picture", " ".join(seen))

@@ -1,0 +1,240 @@
+"""What is computed of a place, and what panels and tables make of it."""
+
+from __future__ import annotations
+
+import base64
+import re
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import chdstat as chd
+from chdstat.errors import InputError
+from chdstat.estimators import registry
+from chdstat.explorer import tables
+from chdstat.explorer.cargo import cargo
+from chdstat.explorer.judged import judged, judged_around, judged_names, quick_names
+from chdstat.explorer.measured import MOST_FITTED, Measured
+from chdstat.explorer.series import series_of
+from chdstat.explorer.traces import panels
+from chdstat.explorer.versus import difference
+from chdstat.explorer.view import FAMILIES, View
+
+RGB = ("R", "G", "B")
+
+
+def gamma(spp=512, seed=1, null=0.3):
+    rng = np.random.default_rng(seed)
+    x = rng.gamma(2.0, size=(3, spp)).astype(np.float32)
+    x[:, rng.random(spp) < null] = 0
+    return x
+
+
+def hard():
+    """Return samples that break formulas, by what they are."""
+    x = gamma()
+    spoilt = x.copy()
+    spoilt[0, ::7], spoilt[1, 1::7], spoilt[2, 2::7] = np.nan, np.inf, -1
+    firefly = x.copy()
+    firefly[:, 5] = 1e6
+    return {
+        "null": np.zeros((3, 64), np.float32),
+        "bad": np.full((3, 64), np.nan, np.float32),
+        "constant": np.full((3, 64), 0.25, np.float32),
+        "one": x[:, :1],
+        "two": x[:, :2],
+        "few": x[:, :9],
+        "spoilt": spoilt,
+        "huge": x * np.float32(1e30),
+        "subnormal": x * np.float32(1e-40),
+        "firefly": firefly,
+        "one channel null": np.concatenate([np.zeros((1, 512), np.float32), x[1:]]),
+        "two values": np.where(x > 1, 1, 2).astype(np.float32),
+    }
+
+
+@pytest.mark.parametrize("name", hard())
+@pytest.mark.parametrize("channel", ["all", "luminance", "1"])
+def test_no_sample_breaks_panels_or_tables(name, channel):
+    place = Measured(hard()[name], RGB)
+    view = View().changed(families=FAMILIES, batch=4, channel=channel)
+    drawn = panels(view, series_of(view, [place, place]))
+    drawn |= panels(view, series_of(view, [place], [place]))
+    for panel in drawn.values():
+        for trace in (*panel.areas, *panel.lines):
+            assert len(trace.x) == len(trace.y)
+    cargo(drawn)
+    shown = [tables.statistics(place), tables.patterns(place)]
+    shown.append(tables.estimates(judged(place.rows[:3], 8), RGB, 8, ""))
+    shown.append(tables.compared(difference(place.rows[:3], place.rows[:3]), RGB, ("a", "b")))
+    for table in shown:
+        assert all(isinstance(cell, str) for row in table["rows"] for cell in row)
+        assert not [c for row in table["rows"] for c in row if re.search(r"\b(nan|inf)\b", c)]
+
+
+def test_one_channel_has_no_luminance_beside_it():
+    place = Measured(gamma()[:1], ("channel0",))
+    assert place.names == ("channel0",)
+    assert place.row("luminance") == 0
+    assert len(series_of(View(), [place])) == 1
+
+
+def test_nulls_and_bad_samples_are_apart():
+    x = gamma(null=0.0)
+    x[:, :128] = 0
+    x[1, 128:192] = np.nan
+    place = Measured(x, RGB)
+    assert place.null_share == pytest.approx(128 / 448)
+    assert int(place.bad.sum()) == 64
+    assert int(place.log.counts.sum(axis=-1)[0]) == 512 - 128 - 64
+    notes = panels(View(), series_of(View(), [place]))["log"].notes
+    assert notes == ["28.6 % null · 64 bad · 0 % outside"]
+
+
+def test_the_place_says_what_the_library_says():
+    x = gamma()
+    place = Measured(x, RGB)
+    null = np.broadcast_to((x == 0).all(axis=0), x.shape)
+    assert place.selection.best[:3].tolist() == chd.fit.select(x, null=null).best.tolist()
+    np.testing.assert_allclose(place.tail.xi[:3], chd.fit.tail_index(x, null=null).xi)
+    np.testing.assert_allclose(place.moments.mean[:3], x.mean(axis=-1), rtol=1e-6)
+    assert int(place.patterns.label) == int(chd.classify(x).label)
+
+
+def test_the_running_mean_ends_at_the_mean_and_its_error():
+    place = Measured(gamma(), RGB)
+    at, means, errors = place.running()
+    assert at[-1] == 512
+    np.testing.assert_allclose(means[:, -1], place.moments.mean, rtol=1e-9)
+    np.testing.assert_allclose(errors[:, -1], place.moments.standard_error, rtol=1e-9)
+
+
+def test_averages_leave_bad_samples_out():
+    x = gamma(64)
+    x[0, 3] = np.inf
+    averages = Measured(x, RGB).averages(9)
+    assert averages.shape == (4, 7)
+    np.testing.assert_allclose(averages[1, 0], np.delete(x[1], 3)[:9].mean(), rtol=1e-6)
+
+
+def test_later_samples_keep_what_was_found_of_the_first():
+    x = gamma(MOST_FITTED + 64)
+    first, second = Measured(x[:, :-32], RGB), Measured(x, RGB)
+    selection = first.selection
+    second.take_over(first)
+    assert second.selection is selection
+    assert second.moments.count[0] == x.shape[1]
+    grown = Measured(x[:, :100], RGB)
+    grown.take_over(first)
+    assert grown.selection is not selection
+
+
+def test_quantiles_of_the_true_family_lie_on_the_diagonal():
+    """Quantiles of 4096 gamma samples; 20 % is beyond 6 standard errors away from the ends."""
+    place = Measured(gamma(4096, null=0.4), RGB)
+    view = View().changed(families=("gamma",))
+    _, *lines = panels(view, series_of(view, [place]))["qq"].lines
+    for line in lines:
+        middle = slice(20, 80)
+        np.testing.assert_allclose(line.y[middle], line.x[middle], rtol=0.2)
+
+
+def test_cargo_holds_what_panels_hold():
+    view = View()
+    drawn = panels(view, series_of(view, [Measured(gamma(), RGB)]))
+    packed = cargo(drawn)
+    numbers = np.frombuffer(base64.b64decode(packed["numbers"]))
+    traces = [t for p in drawn.values() for t in (*p.areas, *p.lines)]
+    np.testing.assert_array_equal(numbers, np.concatenate([a for t in traces for a in (t.x, t.y)]))
+    assert [t["n"] for p in packed["panels"].values() for t in (*p["areas"], *p["lines"])] == [
+        len(t.x) for t in traces
+    ]
+
+
+# --- estimators ---------------------------------------------------------------------------------
+
+
+def test_the_mean_has_no_bias_against_the_other_samples():
+    """The held-out references of all batches average to nearly the mean itself."""
+    found = {e.name: e for e in judged(gamma(1024), 32)}
+    assert set(found) == set(judged_names())
+    assert found["mean"].mse_ratio == 1
+    assert abs(found["mean"].bias) < 1e-3
+    assert found["median"].bias < -0.1  # skewed: the control
+
+
+def test_the_quick_and_the_slow_are_all():
+    x = gamma(256)
+    quick, slow = judged(x, 32, names=quick_names()), set(judged_names()) - quick_names()
+    assert [e.name for e in judged(x, 32) if e.name not in slow] == [e.name for e in quick]
+    assert "mean" in quick_names()
+
+
+def test_estimators_that_look_around_are_judged_like_the_others():
+    rng = np.random.default_rng(1)
+    window = rng.gamma(2.0, size=(21, 21, 3, 128)).astype(np.float32)
+    found = judged_around(window[10, 10], window, (10, 10), 32, reference=[2.0, 2.0, 2.0])
+    fixed = (registry.lookup(name) for name in registry.names("fixed"))
+    around = {e.name for e in fixed if e.uses_neighbours and not e.uses_features}
+    assert {e.name for e in found} == around
+    by_name = {e.name: e for e in found}
+    # All pixels share one distribution: averaging over them must help.
+    assert by_name["shared_patches"].mse_ratio < 0.5
+    assert judged_around(window[0, 0], window[..., :16], (0, 0), 32) == []
+
+
+def test_a_reference_is_what_errors_are_measured_against():
+    found = {e.name: e for e in judged(gamma(1024), 32, reference=[1.0, 1.0, 1.0])}
+    assert found["mean"].bias == pytest.approx(float(found["mean"].value.mean()) - 1, abs=1e-6)
+
+
+def test_too_few_samples_have_no_error():
+    assert judged(gamma(16), 32) == []
+    assert all(np.isnan(e.mse_ratio) for e in judged(gamma(40), 32))
+
+
+# --- two stores ---------------------------------------------------------------------------------
+
+
+def test_distances_are_those_of_scipy():
+    a, b = gamma(300, seed=1), 1.2 * gamma(500, seed=2)
+    found = difference(a, b)
+    for i in range(3):
+        assert found.distance[i] == pytest.approx(stats.ks_2samp(a[i], b[i]).statistic, abs=1e-9)
+        assert found.wasserstein[i] == pytest.approx(stats.wasserstein_distance(a[i], b[i]))
+        welch = stats.ttest_ind(b[i].astype(float), a[i].astype(float), equal_var=False)
+        assert found.mean_t[i] == pytest.approx(welch.statistic)
+        assert found.mean_p_value[i] == pytest.approx(welch.pvalue)
+    small, large = difference(a[:, :5], b[:, :7]), difference(a[:, :5] * 1e30, b[:, :7] * 1e30)
+    welch = stats.ttest_ind(b[:, :7].astype(float), a[:, :5].astype(float), axis=1, equal_var=False)
+    np.testing.assert_allclose(small.mean_p_value, welch.pvalue)
+    np.testing.assert_allclose(large.mean_p_value, welch.pvalue, rtol=1e-5)
+
+
+def test_means_without_scatter_have_no_significance():
+    one, two = np.full((3, 8), 0.25), np.full((3, 8), 0.5)
+    found = difference(one, two)
+    np.testing.assert_array_equal(found.mean_difference, 0.25)
+    assert np.isnan([found.mean_t, found.mean_p_value]).all()
+    assert np.isnan(difference(0 * one, 0 * one).mean_p_value).all()
+
+
+def test_the_distance_of_equal_distributions_is_significant_by_chance_only():
+    """Of 100 pairs, half of them nulls: more than 14 below 5 % happens in 1 of 8000 runs."""
+    rng = np.random.default_rng(3)
+    p = []
+    for seed in range(100):
+        a, b = (rng.gamma(2.0, size=(3, 80)) * (rng.random(80) < 0.5) for _ in range(2))
+        p.append(difference(a, b, replicates=39, seed=seed).p_value)
+    assert np.mean(np.array(p) <= 0.05) <= 0.14
+    assert 0.3 < np.mean(p) < 0.7
+
+
+def test_another_share_of_nulls_is_another_distribution():
+    assert difference(gamma(600, null=0.2), gamma(600, seed=2, null=0.5)).p_value == 0.005
+
+
+def test_channels_must_agree():
+    with pytest.raises(InputError, match="as many channels"):
+        difference(gamma(), gamma()[:1])

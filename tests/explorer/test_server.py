@@ -1,0 +1,182 @@
+"""The server: who may talk to it, how it starts and stops, and what it refuses."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import urllib.request
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat._store import chunk_grid
+from chdstat.errors import InputError, StoreError
+from chdstat.explorer import explore
+from chdstat.explorer.page import _web
+from chdstat.explorer.palette import (
+    BLENDED,
+    CHANNEL_COLORS,
+    FAINT,
+    GROUND,
+    PIXEL_COLORS,
+    TEXT,
+    contrast,
+)
+
+
+def page(url):
+    with urllib.request.urlopen(url, timeout=10) as answer:
+        return answer.read().decode()
+
+
+def handshake(explorer, origin):
+    """Ask for the websocket as a browser would that shows a page of this origin; the status."""
+    token = page(explorer.url).split('"token":"')[1].split('"')[0]
+    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=10)
+    headers = {
+        "Origin": origin,
+        "Upgrade": "websocket",
+        "Connection": "Upgrade",
+        "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Protocol": f"bokeh, {token}",
+    }
+    with contextlib.closing(connection):
+        connection.request("GET", "/ws", headers=headers)
+        return connection.getresponse().status
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
+def test_pages_of_the_server_may_talk_to_it(explored, store_path, host):
+    explorer = explored(store_path)
+    assert handshake(explorer, f"http://{host}:{explorer.port}") == 101
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "http://127.0.0.1:1", "http://localhost", "null"]
+)
+def test_pages_from_elsewhere_are_refused(explored, store_path, origin):
+    assert handshake(explored(store_path), origin) == 403
+
+
+def test_only_this_machine_is_served(explored, store_path):
+    explorer = explored(store_path)
+    with socket.socket() as probe:
+        probe.settimeout(1)
+        # Another address of the loopback network stands for any other interface.
+        assert probe.connect_ex(("127.0.0.2", explorer.port)) != 0
+
+
+def test_a_page_needs_nothing_from_the_net(explored, store_path):
+    found = page(explored(store_path).url)
+    assert "https://" not in found.replace("https://bokeh", "")
+    assert "cdn" not in found
+
+
+def test_names_cannot_become_markup(explored):
+    samples = chd.Samples.from_array(np.ones((4, 4, 3, 8)), scene="<img src=x onerror=alert(1)>")
+    found = page(explored(samples).url)
+    assert "<img src=x" not in found
+    assert "&lt;img src=x" in found
+
+
+def test_a_taken_port_says_so(explored, store_path):
+    explorer = explored(store_path)
+    with pytest.raises(InputError, match=f"port {explorer.port} is taken.*--port"):
+        explore(store_path, port=explorer.port)
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_out_of_range_says_so(store_path, port):
+    with pytest.raises(InputError, match="between 0 and 65535"):
+        explore(store_path, port=port)
+
+
+def test_it_stops_and_frees_its_port_and_threads(store_path):
+    before = set(threading.enumerate())
+    with explore(store_path) as explorer:
+        port = explorer.port
+        assert "at http://127.0.0.1" in repr(explorer)
+        assert f"http://127.0.0.1:{port}/" in explorer._repr_html_()
+        page(explorer.url)
+    assert "stopped" in repr(explorer)
+    explorer.stop()
+    with explore(store_path, port=port) as again:
+        assert again.port == port
+    left = [t for t in set(threading.enumerate()) - before if "zarr" not in t.name]
+    for thread in left:
+        thread.join(timeout=5)
+    assert not [t for t in left if t.is_alive() and t.name.startswith("chdstat")]
+
+
+def test_stores_that_do_not_fit_are_refused(store_path):
+    other = chd.Samples.from_array(np.ones((4, 4, 3, 8)))
+    with pytest.raises(InputError, match="expected 32 x 32 pixels.*got 4 x 4"):
+        explore(store_path, other=other)
+    with pytest.raises(InputError, match="1 or 3 channels, got 2"):
+        explore(chd.Samples.from_array(np.ones((4, 4, 2, 8))))
+    with pytest.raises(StoreError, match="no store"):
+        explore(store_path, other=store_path.with_name("none.zarr"))
+
+
+def test_a_store_without_a_whole_batch_is_refused(own_store):
+    for file in (own_store / "radiance" / "c").rglob("*"):
+        if file.is_file():
+            file.unlink()
+    with pytest.raises(StoreError, match="no sample that every pixel has"):
+        explore(own_store)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_cleanly(store_path, number):
+    code = (
+        "import sys\nfrom chdstat.explorer import explore\nexplorer = explore(sys.argv[1])\n"
+        "print(explorer.url, flush=True)\nexplorer.wait()\nprint('over')"
+    )
+    command = [sys.executable, "-c", code, str(store_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as p:
+        url = p.stdout.readline().strip()
+        page(url)
+        os.kill(p.pid, number)
+        out, err = p.communicate(timeout=20)
+    assert (p.returncode, out.strip(), err) == (0, "over", "")
+
+
+def test_an_incomplete_store_tells_how_much_there_is(tmp_path):
+    path = tmp_path / "part.zarr"
+    chd.render("cornell-box", spp=128, size=(16, 16), out=path, backend="scalar", progress=False)
+    last = list(chunk_grid(16, 16, 128))[-1]
+    (path / f"radiance/c/{last.tile_y}/{last.tile_x}/0/{last.batch}").unlink()
+    with explore(path) as explorer:
+        assert explorer._shared.source.describe().startswith(
+            "16 × 16 px · 64 of 128 (not finished)"
+        )
+
+
+# --- the look -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("color", [TEXT, FAINT, BLENDED, *CHANNEL_COLORS.values(), *PIXEL_COLORS])
+def test_colors_contrast_with_the_ground(color):
+    assert contrast(color, GROUND) >= 4.5
+
+
+def test_text_contrasts_with_what_is_behind_it():
+    rules = dict(
+        part.strip().removeprefix("--").split(": ")
+        for part in _web("page.css").split("{")[1].split("}")[0].split(";")
+        if part.strip().startswith("--")
+    )
+    for text in ("text", "faint", "accent", "alert"):
+        for ground in ("ground", "panel", "raised"):
+            assert contrast(rules[text], rules[ground]) >= 4.5
+    assert contrast(rules["alert"], "#47201a") >= 4.5
+    assert contrast(rules["text"], "#24496e") >= 4.5  # a pressed button
+    assert contrast(rules["edge"], rules["raised"]) >= 3  # the border of a control

@@ -1,0 +1,299 @@
+"""Where samples come from, and the pictures and maps made of them."""
+
+from __future__ import annotations
+
+import shutil
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat._store import BLOCK
+from chdstat.errors import InputError, SceneError, StoreError
+from chdstat.explorer import cache
+from chdstat.explorer.images import Overall, preview, rgba, stream
+from chdstat.explorer.live import FIRST_SPP, SceneSource
+from chdstat.explorer.maps import MAPS, map_kind, of_overall, walk
+from chdstat.explorer.shards import Shards
+from chdstat.explorer.sources import StoreSource, pooled
+from chdstat.fit.tail import tail_of_part
+from chdstat.patterns import classify, luminance_part
+
+
+def ignore(*_):
+    """Take what a pass tells."""
+
+
+@pytest.fixture(scope="module")
+def source(store_path):
+    return StoreSource(chd.open(store_path))
+
+
+@pytest.fixture
+def flames():
+    """Samples in memory with nulls, bad ones and all shapes, 20 x 12 pixels."""
+    rng = np.random.default_rng(1)
+    x = rng.lognormal(sigma=rng.uniform(0.2, 2, (12, 20, 1, 1)), size=(12, 20, 3, 256))
+    x *= rng.random((12, 20, 1, 256)) < 0.7
+    x[0, 0], x[0, 1], x[0, 2, 1, ::3] = np.nan, 0, -1
+    return chd.Samples.from_array(x, scene="flames")
+
+
+# --- stores -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("y", "x"), [(0, 0), (31, 31), (15, 16), (16, 15)])
+def test_a_pixel_is_what_the_store_holds(source, y, x):
+    expected = source.samples[y, x]
+    for _ in range(2):  # read, then remembered
+        np.testing.assert_array_equal(source.pixel(y, x), expected)
+
+
+@pytest.mark.parametrize(("y", "x"), [(-1, 0), (0, 32), (32, 0)])
+def test_a_pixel_outside_is_refused(source, y, x):
+    with pytest.raises(InputError, match="outside the image of 32 x 32"):
+        source.pixel(y, x)
+
+
+@pytest.mark.parametrize(("size", "spp"), [((70, 20), 64), ((16, 80), 96)])
+def test_blocks_from_the_files_are_those_of_zarr(tmp_path, size, spp):
+    path, (width, height) = tmp_path / "s.zarr", size
+    samples = chd.render("cornell-box", spp=spp, size=size, out=path, backend="scalar")
+    shards = Shards(path, samples.shape)
+    for row, column in np.ndindex(-(-height // BLOCK), -(-width // BLOCK)):
+        ys = slice(row * BLOCK, (row + 1) * BLOCK)
+        xs = slice(column * BLOCK, (column + 1) * BLOCK)
+        found = np.concatenate(shards.block(row, column), axis=-1)
+        np.testing.assert_array_equal(found, samples.read(ys, xs))
+
+
+def test_what_is_damaged_or_another_layout_is_left_to_zarr(own_store):
+    shape = chd.open(own_store).shape
+    assert Shards(own_store, shape).block(0, 0) is not None
+    file = own_store / "radiance/c/0/0/0/0"
+    whole = file.read_bytes()
+    for place in (100, -3, -100):  # in a chunk, in the table's checksum, in the table
+        broken = bytearray(whole)
+        broken[place] ^= 0xFF
+        file.write_bytes(broken)
+        assert Shards(own_store, shape).block(0, 0) is None
+    file.write_bytes(whole[:100])
+    assert Shards(own_store, shape).block(0, 0) is None
+    with pytest.raises(StoreError, match="cannot read"):
+        StoreSource(chd.open(own_store)).pixel(0, 0)
+    file.write_bytes(whole)
+    meta = own_store / "radiance/zarr.json"
+    meta.write_text(meta.read_text().replace('"end"', '"start"'))
+    assert Shards(own_store, shape).block(0, 0) is None
+
+
+def test_a_region_pools_as_many_samples_of_each_pixel(source):
+    found = source.region((4, 6, 8, 9))
+    assert found.shape == (3, 4 * 3 * 64)
+    expected = source.samples.read(slice(4, 8), slice(6, 9))
+    whole = expected.transpose(2, 0, 1, 3).reshape(3, -1)
+    # Whole samples, in another order: consecutive ones are of different pixels.
+    order = np.lexsort(found), np.lexsort(whole)
+    np.testing.assert_array_equal(found[:, order[0]], whole[:, order[1]])
+    assert (found != whole).any()
+    np.testing.assert_array_equal(found, source.region((4, 6, 8, 9)))
+
+
+@pytest.mark.parametrize("size", [(1, 2), (8, 8), (300, 500), (4000, 4000)])
+@pytest.mark.parametrize("spp", [1, 64, 10**6])
+def test_a_pooled_region_is_never_too_much(size, spp):
+    each, step = pooled(*size, spp)
+    pixels = -(-size[0] // step) * -(-size[1] // step)
+    assert 1 <= each <= spp
+    assert pixels * each <= 2**15
+
+
+def test_a_store_that_is_gone_is_an_error_not_bad_samples(own_store):
+    source = StoreSource(chd.open(own_store))
+    before = source.pixel(3, 3)
+    assert np.isfinite(before).all()
+    shutil.rmtree(own_store)
+    for y in (3, 20):  # remembered, and not
+        with pytest.raises(StoreError, match="is gone"):
+            source.pixel(y, 3)
+
+
+def test_a_store_that_grows_is_seen_to_grow(own_store):
+    shutil.rmtree(own_store)
+    chd.render("cornell-box", spp=64, size=(16, 16), out=own_store, backend="scalar")
+    source = StoreSource(chd.open(own_store))
+    assert source.complete
+    assert source.refreshed() is None
+    chd.render("cornell-box", spp=96, size=(16, 16), out=own_store, backend="scalar")
+    grown = source.refreshed()
+    assert grown is not None
+    assert grown.samples.spp == 96
+
+
+def test_memory_does_not_grow_with_the_store():
+    """8 MB of samples, 1 MB at a time: whole blocks are read, the image is never held."""
+    rng = np.random.default_rng(1)
+    source = StoreSource(chd.Samples.from_array(rng.random((64, 64, 3, 640), np.float32)))
+    peaks = []
+    for spp in (192, 640):
+        part = chd.Samples.from_array(source.samples.read(ss=slice(0, spp)))
+        tracemalloc.start()
+        stream(StoreSource(part), ignore)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.2 * peaks[0]
+
+
+# --- pictures and maps --------------------------------------------------------------------------
+
+
+def test_the_streamed_picture_is_the_summary(flames):
+    found, expected = stream(StoreSource(flames), ignore), chd.summarize(flames, progress=False)
+    np.testing.assert_allclose(found.mean, expected["mean"], rtol=1e-5)
+    np.testing.assert_allclose(found.null_share, expected["null_share"], rtol=1e-6)
+    np.testing.assert_array_equal(found.bad_count, expected["bad_count"])
+    assert found.spp == 256
+    assert np.isnan(found.mean[0, 0]).all()
+
+
+def test_the_preview_is_the_picture_of_the_first_samples(flames):
+    first = chd.Samples.from_array(flames.read(ss=slice(0, 64)))
+    found, expected = preview(StoreSource(flames)), stream(StoreSource(first), ignore)
+    np.testing.assert_array_equal(found.mean, expected.mean)
+    assert found.spp == 64
+
+
+@pytest.mark.parametrize("name", [n for n in MAPS if n != "pattern"] + ["error:huber"])
+def test_every_map_covers_the_image(flames, name):
+    source = StoreSource(flames)
+    found = of_overall(preview(source), name) or walk(source, name, ignore)
+    assert found.values.shape == (12, 20)
+    assert np.isfinite(found.values[1:]).any()
+    low, high = found.limits
+    assert low < high
+    if found.kind.names:
+        assert set(np.unique(found.values[np.isfinite(found.values)])) <= set(found.kind.names)
+
+
+def test_maps_say_what_the_library_says(flames):
+    source = StoreSource(flames)
+    labels = classify(flames, progress=False)["label"]
+    np.testing.assert_array_equal(walk(source, "pattern", ignore).values, labels)
+    part = luminance_part(flames.read()[3:5])
+    tail = walk(source, "tail_index", ignore).values
+    np.testing.assert_allclose(tail[3:5], tail_of_part(part).xi, rtol=1e-6)
+
+
+def test_an_unknown_map_is_refused():
+    for name in ("wave", "error:nobody", "error:decoro2010"):
+        with pytest.raises(InputError, match="no map is called"):
+            map_kind(name)
+
+
+def test_a_walk_can_be_stopped(flames):
+    class EnoughError(Exception):
+        pass
+
+    def step(share, values):
+        raise EnoughError
+
+    with pytest.raises(EnoughError):
+        walk(StoreSource(flames), "tail_index", step)
+
+
+def test_passes_are_kept_and_forgotten_when_the_store_changes(own_store):
+    samples, calls = chd.open(own_store), []
+
+    def compute():
+        calls.append(1)
+        return {"v": np.arange(3)}
+
+    for _ in range(2):
+        np.testing.assert_array_equal(cache.kept(samples, "x", compute)["v"], np.arange(3))
+    assert len(calls) == 1
+    cache.kept(samples, "y", compute)
+    (own_store / "radiance" / "zarr.json").touch()
+    cache.kept(samples, "x", compute)
+    assert len(calls) == 3
+    in_memory = chd.Samples.from_array(np.ones((2, 2, 3, 4)))
+    cache.kept(in_memory, "x", compute)
+    cache.kept(in_memory, "x", compute)
+    assert len(calls) == 5
+
+
+def test_a_broken_cache_is_computed_anew(own_store):
+    samples = chd.open(own_store)
+    cache.kept(samples, "broken", lambda: {"v": np.zeros(2)})
+    file = cache._file(samples, "broken")
+    file.write_bytes(b"PK no archive")
+    assert cache.kept(samples, "broken", lambda: {"v": np.ones(2)})["v"].tolist() == [1, 1]
+
+
+@pytest.mark.parametrize("tone", ["srgb", "reinhard", "filmic"])
+def test_tones_rise_with_radiance_and_show_what_is_not_finite(tone):
+    ramp = np.geomspace(1e-6, 1e30, 200, dtype=np.float32)
+    shown = rgba(np.repeat(ramp[np.newaxis, :, np.newaxis], 3, axis=2), 0.0, tone)
+    red = shown[0] & 0xFF
+    assert (np.diff(red.astype(int)) >= 0).all()
+    assert red[-1] == 255
+    broken = rgba(np.array([[[np.nan, 1, 1], [np.inf, 0, 0]]], np.float32), 0.0, tone)
+    assert [hex(v) for v in broken[0]] == ["0xffff00ff"] * 2  # magenta
+
+
+def test_exposure_brings_a_picture_near_white():
+    def exposure(value):
+        return replace(empty, mean=np.full((4, 4, 3), value, np.float32)).exposure
+
+    empty = Overall.empty(4, 4, 3)
+    picture = np.full((4, 4, 3), 1e-3, np.float32)
+    assert (rgba(picture, exposure(1e-3), "srgb")[0, 0] & 0xFF) > 200
+    assert exposure(0) == 0
+    assert empty.exposure == 0
+
+
+# --- scenes -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return SceneSource(chd.load_scene("cornell-box"), size=(24, 16))
+
+
+def test_more_samples_of_a_pixel_are_new_ones(scene):
+    first = scene.pixel(8, 12)
+    assert first.shape == (3, FIRST_SPP)
+    second = scene.more(8, 12)
+    third = scene.more(8, 12)
+    assert third.shape == (3, 4 * FIRST_SPP)
+    np.testing.assert_array_equal(third[:, :FIRST_SPP], first)
+    np.testing.assert_array_equal(third[:, : second.shape[1]], second)
+    lit = third[0][third[0] > 0]
+    assert len(np.unique(lit)) > 0.98 * len(lit)
+
+
+def test_samples_of_a_scene_have_the_mean_that_a_render_has(scene):
+    """Two means of 4096 samples or more: 6 standard errors are exceeded once in 5e8 runs."""
+    mine = scene.more(8, 12)[1]
+    theirs = chd.render_pixels("cornell-box", [(8, 12)], spp=4096, size=(24, 16), seed=7)[0, 1]
+    error = np.hypot(*(x.std() / np.sqrt(x.size) for x in (mine, theirs)))
+    assert abs(mine.mean() - theirs.mean()) < 6 * error
+
+
+def test_the_picture_of_a_scene_gets_better(scene):
+    shares = list(scene.passes())
+    assert shares[-1] == 1
+    assert scene.overall().spp == 16
+    assert np.isfinite(scene.overall().mean).all()
+
+
+def test_a_region_of_a_scene_is_sampled(scene):
+    assert scene.region((2, 2, 4, 5)).shape == (3, 6 * 64)
+
+
+def test_a_scene_without_emitters_says_so():
+    dark = {"type": "scene", "shape": {"type": "sphere"}, "sensor": {"type": "perspective"}}
+    source = SceneSource(chd.load_scene(dark), size=(8, 8))
+    with pytest.raises(SceneError, match="emitter"):
+        list(source.passes())

@@ -1,0 +1,130 @@
+"""What a page shows, as a value: selections, addresses, and what they refuse."""
+
+from __future__ import annotations
+
+from urllib.parse import parse_qs
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from chdstat.errors import InputError
+from chdstat.explorer.address import parse_view
+from chdstat.explorer.view import (
+    BATCH_SIZES,
+    FAMILIES,
+    MOST_PIXELS,
+    TONES,
+    View,
+    box_between,
+)
+
+HEIGHT, WIDTH = 20, 30
+
+pixels = st.tuples(st.integers(0, HEIGHT - 1), st.integers(0, WIDTH - 1))
+
+
+@st.composite
+def views(draw):
+    view = View()
+    for y, x in draw(st.lists(pixels, unique=True, max_size=MOST_PIXELS)):
+        view = view.pick(y, x, add=True)
+    return view.activate(draw(st.integers(0, 5))).changed(
+        families=tuple(f for f in FAMILIES if draw(st.booleans())) or ("best",),
+        batch=draw(st.sampled_from(BATCH_SIZES)),
+        exposure=draw(st.none() | st.floats(-10, 10)),
+        tone=draw(st.sampled_from(TONES)),
+        channel=draw(st.sampled_from(["all", "luminance", "0", "2"])),
+        map=draw(st.sampled_from(["picture", "null_share", "error:huber"])),
+    )
+
+
+@given(views())
+def test_an_address_gives_the_view_back(view):
+    assert parse_view(parse_qs(view.query()), HEIGHT, WIDTH) == (view, [])
+
+
+def test_a_region_survives_its_address():
+    view = View().box((2, 3, 9, 30))
+    assert parse_view(parse_qs(view.query()), HEIGHT, WIDTH) == (view, [])
+
+
+@pytest.mark.parametrize(
+    ("query", "said"),
+    [
+        ("p=20,0", "outside the image of 30 x 20 pixels"),
+        ("p=-1,0", "expected 2 whole number"),
+        ("p=1", "expected 2 whole number"),
+        ("p=1,99999999999999999999", "at most 9 digits"),
+        ("r=0,0,21,5", "not inside the image"),
+        ("r=5,5,5,9", "not inside the image"),
+        ("n=33", "batch must be one of"),
+        ("f=normal", "families must be one of"),
+        ("ev=bright", "number of stops"),
+        ("ev=nan", "within 32 stops"),
+        ("ev=1e9", "within 32 stops"),
+        ("tone=none", "tone must be one of"),
+        ("c=alpha", "channel must be one of"),
+        ("map=<script>", "no option 'map'"),
+        ("store=/etc/passwd", "'store', which means nothing here"),
+    ],
+)
+def test_what_an_address_cannot_ask_for_is_said_and_left_out(query, said):
+    view, notes = parse_view(parse_qs(query), HEIGHT, WIDTH)
+    assert view == View()
+    assert len(notes) == 1
+    assert said in notes[0]
+
+
+def test_seven_pixels_are_too_many():
+    view = View()
+    for i in range(MOST_PIXELS):
+        view = view.pick(0, i, add=True)
+    with pytest.raises(InputError, match="at most 6"):
+        view.pick(1, 1, add=True)
+
+
+def test_adding_a_selected_pixel_drops_it():
+    view = View().pick(1, 1).pick(2, 2, add=True).pick(1, 1, add=True)
+    assert view.pixels == ((2, 2),)
+    assert view.active == 0
+
+
+def test_a_pick_takes_the_place_of_everything():
+    view = View().box((0, 0, 4, 4)).pick(3, 3)
+    assert (view.pixels, view.region) == (((3, 3),), None)
+
+
+def test_a_box_of_one_pixel_is_a_pixel():
+    assert View().box((4, 5, 5, 6)).pixels == ((4, 5),)
+
+
+def test_moves_stay_inside_and_apart():
+    view = View().pick(0, 0).pick(0, 1, add=True)
+    assert view.move(0, -1).pixels == view.pixels  # onto the other one
+    assert view.move(-1, 0).clipped(HEIGHT, WIDTH).pixels == view.pixels
+    assert view.move(99, 99).clipped(HEIGHT, WIDTH).pixels == ((0, 0), (19, 29))
+    assert View().move(1, 1) == View()
+
+
+@pytest.mark.parametrize("option", ["pixels", "active", "region", "nonsense"])
+def test_only_options_can_be_set(option):
+    with pytest.raises(InputError, match="no option"):
+        View().changed(**{option: "1"})
+
+
+@given(st.tuples(*[st.floats(-50, 50)] * 4))
+def test_a_drawn_box_has_whole_pixels_of_the_image_or_is_refused(corners):
+    one, other = corners[:2], corners[2:]
+    try:
+        top, left, bottom, right = box_between(one, other, HEIGHT, WIDTH)
+    except InputError:
+        return
+    assert 0 <= top < bottom <= HEIGHT
+    assert 0 <= left < right <= WIDTH
+    assert box_between(other, one, HEIGHT, WIDTH) == (top, left, bottom, right)
+
+
+def test_a_box_beside_the_image_is_refused():
+    with pytest.raises(InputError, match="outside the image"):
+        box_between((-3, 0), (-1, 5), HEIGHT, WIDTH)

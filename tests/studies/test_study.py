@@ -1,0 +1,234 @@
+"""Studies: every scene asked for every claim, renders made once, and a PDF that says it all."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pypdfium2
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError, SceneError, StoreError
+from chdstat.findings import FINDINGS, Evidence
+from chdstat.recipes import PHENOMENA
+from chdstat.studies import running, stores, study
+from chdstat.studies.figures import _brightest
+from chdstat.studies.running import _confirmed
+from chdstat.studies.subjects import subjects_of
+from chdstat.studies.typesetting import document
+
+TINY = {"spp": 64, "size": (16, 16), "backend": "scalar", "estimators": ("mean",)}
+
+RECIPE = """
+schema = 1
+scene = "cornell-box"
+integrator = { type = "path", max_depth = 6 }
+size = [16, 16]
+spp = 64
+seed = 1
+[[regions]]
+name = "back"
+phenomenon = "diffuse"
+rectangle = [0.3, 0.3, 0.7, 0.7]
+"""
+
+
+def text_of(path):
+    pdf = pypdfium2.PdfDocument(path)
+    try:
+        return " ".join(" ".join(p.get_textpage().get_text_range() for p in pdf).split())
+    finally:
+        pdf.close()
+
+
+def noise(scene, shape=(12, 12, 3, 128), seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.gamma(1.0, size=shape) * (rng.random((*shape[:2], 1, shape[3])) < 0.6)
+    return chd.Samples.from_array(x.astype(np.float32), scene=scene)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("renders")
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    """Return a study of a rendered scene and of given samples."""
+    return study(["cornell-box", noise("noise")], folder=folder, **TINY)
+
+
+def test_each_scene_is_asked_for_every_claim_that_is_about_one(found):
+    single = [c.number for c in FINDINGS if not c.across]
+    for scene in found.scenes:
+        assert [f.number for f in scene.findings] == single
+    assert [f.number for f in found.across] == [11, 12]
+    assert found.names == ("cornell-box", "noise")
+
+
+def test_the_table_has_a_row_for_each_claim_and_a_verdict_where_one_was_asked(found):
+    table = found.table()
+    assert [row["number"] for row in table] == [str(i) for i in range(1, 16)]
+    for row in table:
+        across = row["number"] in {"11", "12"}
+        assert bool(row["all scenes"]) == across
+        assert bool(row["noise"]) != across
+
+
+def test_a_scene_is_rendered_in_four_ways_and_given_samples_in_none(found):
+    cornell, given = found.scenes
+    evidence = cornell.evidence
+    depth = [s.attrs["integrator"]["max_depth"] for s in (evidence.shorter, evidence.samples)]
+    assert depth == [stores.SHORT, 8]
+    assert evidence.integrator.attrs["integrator"]["rr_depth"] == stores.ROULETTE
+    assert cornell.again.attrs["seed"] == evidence.samples.attrs["seed"] + 1
+    assert given.evidence.shorter is given.evidence.integrator is given.again is None
+
+
+def test_what_is_rendered_and_analysed_is_not_done_again(found, folder, monkeypatch):
+    def refuse(*args, **kwargs):
+        pytest.fail("done again")
+
+    monkeypatch.setattr(stores, "render", refuse)
+    monkeypatch.setattr("chdstat.studies.caches.analyze", refuse)
+    again = study("cornell-box", folder=folder, **TINY)
+    assert [f.to_dict() for f in again.scenes[0].findings] == [
+        f.to_dict() for f in found.scenes[0].findings
+    ]
+
+
+def test_an_interrupted_study_is_taken_up(tmp_path, monkeypatch):
+    def interrupt(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(running, "analysis_of", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            study("cornell-box", folder=tmp_path, **TINY)
+    left = set(tmp_path.glob("*.zarr"))
+    assert len(left) == 4
+    study("cornell-box", folder=tmp_path, **TINY)
+    assert set(tmp_path.glob("*.zarr")) == left
+
+
+def test_more_samples_append_and_a_damaged_analysis_is_made_again(found, folder, tmp_path):
+    copy = tmp_path / "renders"
+    shutil.copytree(folder, copy)
+    for kept in copy.glob("*.analysis"):
+        shutil.rmtree(kept / "mean")
+    again = study("cornell-box", folder=copy, **TINY)
+    assert again.scenes[0].findings[0].to_dict() == found.scenes[0].findings[0].to_dict()
+    more = study("cornell-box", folder=copy, **(TINY | {"spp": 128}))
+    assert more.scenes[0].evidence.samples.spp == 128
+    assert len(list(copy.glob("*.zarr"))) == 4
+
+
+def test_json_holds_all_but_arrays_and_says_where_it_comes_from(found, tmp_path):
+    content = json.loads(found.save_json(tmp_path / "findings.json").read_text())
+    assert [scene["scene"] for scene in content["scenes"]] == ["cornell-box", "noise"]
+    assert content["scenes"][0]["renders"]["another_seed"]["seed"] == 2
+    assert content["provenance"]["chdstat"] == chd.__version__
+    assert len(content["table"]) == len(FINDINGS)
+    assert list(tmp_path.iterdir()) == [tmp_path / "findings.json"]
+
+
+def test_the_pdf_has_all_claims_and_all_scenes(found, tmp_path):
+    text = text_of(found.save_pdf(tmp_path / "study.pdf"))
+    for claim in FINDINGS:
+        assert claim.name.capitalize() in text
+    for part in ("cornell-box", "noise", "Verdicts", "cannot tell", "Method and limits"):
+        assert part in text
+    assert list(tmp_path.iterdir()) == [tmp_path / "study.pdf"]
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("all null", lambda x: x * 0),
+        ("all bad", lambda x: x * np.nan),
+        ("one pixel", lambda x: x[:1, :1]),
+        ("one channel", lambda x: x[:, :, :1]),
+        ("one sample", lambda x: x[..., :1]),
+    ],
+)
+def test_hopeless_samples_give_a_study_that_cannot_tell(name, change):
+    samples = chd.Samples.from_array(change(noise("x", (4, 4, 3, 64)).read()), scene=name)
+    hopeless = study(samples, folder=None, estimators=("mean",))
+    assert not any(f.verdict == "supported" for f in hopeless.scenes[0].findings)
+    drawn = document(hopeless)
+    assert "batches" in " ".join(drawn.figures)
+    assert drawn.content["counts"]["supported"] == 0
+    for figure in drawn.figures.values():
+        figure.draw_without_rendering()
+
+
+def test_a_recipe_names_scene_settings_and_regions(tmp_path):
+    path = tmp_path / "box.toml"
+    path.write_text(RECIPE)
+    (subject,) = subjects_of(path, given={"spp": 32})
+    assert subject.settings == {"size": (16, 16), "spp": 32, "seed": 1, "max_depth": 6}
+    assert [r.name for r in subject.regions] == ["back"]
+
+
+def test_seeds_that_contradict_each_other_cannot_tell():
+    supported = FINDINGS[0].find(Evidence("night-room", noise("night-room")))
+    yes, no = (replace(supported, verdict=v, reason=v) for v in ("supported", "not supported"))
+    assert _confirmed(yes, no).verdict == "cannot tell"
+    assert "not supported" in _confirmed(yes, no).reason
+    assert _confirmed(yes, yes) is yes
+    assert _confirmed(yes, None) is yes
+    assert _confirmed(yes, replace(no, verdict="cannot tell")) is yes
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("[0.3, 0.3, 0.7, 0.7]", "[0.3, 0.3, 1.7, 0.7]"), r"regions\[0\]\.rectangle"),
+        (("[0.3, 0.3, 0.7, 0.7]", "[0.3, 0.3, 0.3, 0.7]"), r"regions\[0\]\.rectangle"),
+        (('"diffuse"', '"shiny"'), rf"regions\[0\]\.phenomenon must be one of {PHENOMENA[0]}"),
+        (("schema = 1", "schema = 7"), "schema must be 1, got 7"),
+    ],
+)
+def test_a_wrong_recipe_is_refused_with_file_and_key(change, said, tmp_path):
+    path = tmp_path / "box.toml"
+    path.write_text(RECIPE.replace(*change))
+    with pytest.raises(InputError, match=rf"box\.toml.*{said}"):
+        study(path, folder=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_wrong_input_is_refused_before_any_work(found, tmp_path):
+    with pytest.raises(InputError, match="at least one scene"):
+        study([], folder=None)
+    with pytest.raises(InputError, match="'cornell-box' twice"):
+        study(["cornell-box", "cornell-box"], folder=None)
+    with pytest.raises(SceneError, match="did you mean 'cornell-box'"):
+        study("cornel-box", folder=None)
+    with pytest.raises(InputError, match=r"must end in \.pdf"):
+        found.save_pdf(tmp_path / "study.html")
+    with pytest.raises(InputError, match="create it first"):
+        found.save_json(tmp_path / "nowhere" / "findings.json")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="cannot keep renders"):
+        study("cornell-box", folder=tmp_path / "file", **TINY)
+
+
+def test_scenes_of_one_name_are_told_apart():
+    names = [s.name for s in subjects_of([noise("a"), noise("a", seed=1), noise("b")], given={})]
+    assert names == ["a", "a (2)", "b"]
+
+
+def test_a_firefly_is_an_estimate_that_its_pixel_and_the_one_above_do_not_share():
+    rng = np.random.default_rng(0)
+    batches = rng.gamma(50.0, 0.02, size=(8, 8, 6))
+    assert _brightest(batches) is None
+    batches[:4] *= 100  # an edge is none
+    assert _brightest(batches) is None
+    batches[6, 2, 3] = 40
+    assert _brightest(batches) == (6, 2, 3)
+    assert _brightest(batches * 0) is None
+    assert _brightest(batches * np.nan) is None
+    assert _brightest(batches[..., :1]) is None
