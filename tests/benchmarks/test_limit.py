@@ -80,6 +80,7 @@ class Judge:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
 @pytest.mark.parametrize("source", sources())
 def test_limit(source):
     samples = simulated() if source == "simulated" else chd.open(source)

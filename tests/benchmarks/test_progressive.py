@@ -100,6 +100,7 @@ def row(label, measures, more=""):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
 @each_source
 def test_one_pixel_beside_its_limit(source):
     """At 32 spp, on pixels that trained nothing."""
@@ -145,6 +146,7 @@ def with_first_hits(features):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
 @each_source
 def test_without_a_reference(source):
     """All that there is are 64 spp, which train, and which are then estimated from."""
@@ -178,6 +180,7 @@ def denoiser_is_here():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
 @each_source
 def test_never_worse_than_the_mean(source):
     samples = opened(source)
@@ -192,6 +195,7 @@ def test_never_worse_than_the_mean(source):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
 @each_source
 def test_error_and_coverage_at_any_number_of_samples(source):
     """One model; of its 90 % intervals, how many contain the mean of the other samples.
@@ -226,6 +230,7 @@ def judge_of_pixels(judge, found, test):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
 @each_source
 def test_training_time(source):
     """Seconds until the validation loss stays within 1 % of its final one."""
@@ -243,6 +248,7 @@ def test_training_time(source):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
 def test_estimating_time():
     """800 x 800 x 3 x 32, as published, and how near that is to merely reading the samples."""
     rng = np.random.default_rng(0)
