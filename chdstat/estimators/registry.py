@@ -76,6 +76,8 @@ class Estimator:
         a sample of which any channel is bad is left out as a whole.
     uses_features
         Whether it takes ``features=``, the first-hit features of the picture, where there are any.
+    learns
+        Whether it trains on the samples at hand each time that it is called.
     """
 
     name: str
@@ -85,6 +87,7 @@ class Estimator:
     uses_neighbours: bool = False
     joint_channels: bool = False
     uses_features: bool = False
+    learns: bool = False
 
     def __call__(self, x: npt.ArrayLike, **options: Any) -> Array:
         """Estimate the radiance that the samples `x` are draws of.
@@ -133,6 +136,11 @@ class LearnedEstimator:
     joint_channels: bool = False
 
     @property
+    def learns(self) -> bool:
+        """Whether it trains: yes."""
+        return True
+
+    @property
     def uses_neighbours(self) -> bool:
         """Whether it looks across pixels: no learned estimator does that has a reference."""
         return False
@@ -151,6 +159,7 @@ def register(
     uses_neighbours: bool = False,
     joint_channels: bool = False,
     uses_features: bool = False,
+    learns: bool = False,
 ) -> Callable[[Function], Function]:
     """Enter the decorated function as the estimator `name`.
 
@@ -166,7 +175,7 @@ def register(
     """
 
     def enter(function: Function) -> Function:
-        flags = uses_neighbours, joint_channels, uses_features
+        flags = uses_neighbours, joint_channels, uses_features, learns
         _enter(Estimator(name, function, source, minimum_samples, *flags))
         return function
 
@@ -193,8 +202,10 @@ def names(kind: Kind | None = None) -> tuple[str, ...]:
     >>> "mean" in estimators.names("fixed"), "mean" in estimators.names("learned")
     (True, False)
     """
-    kinds = {"fixed": Estimator, "learned": LearnedEstimator, None: object}
-    return tuple(name for name, entry in _ENTRIES.items() if isinstance(entry, kinds[kind]))
+    learned = {name: entry.learns for name, entry in _ENTRIES.items()}
+    return tuple(
+        n for n, learns in learned.items() if kind is None or learns == (kind == "learned")
+    )
 
 
 def lookup(name: str) -> Estimator | LearnedEstimator:

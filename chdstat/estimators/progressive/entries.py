@@ -54,6 +54,7 @@ for _name, _function, _balance in (
     uses_neighbours=True,
     joint_channels=True,
     uses_features=True,
+    learns=True,
 )
 def self_trained(
     x: npt.ArrayLike,
