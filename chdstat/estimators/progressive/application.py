@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["apply", "with_means"]
 
-_ROWS = 2048
+_ROWS = 4096
 """Pixels at once: their profiles and hidden layers stay in the cache."""
 
 Array = npt.NDArray[np.float32]
