@@ -20,7 +20,14 @@ from chdstat._arrays import generator, is_bad
 from chdstat.errors import InputError
 from chdstat.samples import Samples
 
-__all__ = ["Totals", "batches", "check_spp", "draw_pixels", "training_batches"]
+__all__ = [
+    "Totals",
+    "batches",
+    "check_spp",
+    "checked_pixels",
+    "draw_pixels",
+    "training_batches",
+]
 
 
 @dataclass(frozen=True)
@@ -133,6 +140,24 @@ def draw_pixels(
     height, width = shape
     drawn = generator(seed).permutation(height * width)[: min(count, height * width // 2)]
     return np.stack(np.unravel_index(np.sort(drawn), shape), axis=-1).astype(np.int64)
+
+
+def checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """Return given pixels of a picture, rows (y, x), each once.
+
+    Raises
+    ------
+    InputError
+        If they are not rows of two whole numbers, or one lies outside the picture.
+    """
+    chosen = np.asarray(pixels)
+    if chosen.ndim != 2 or chosen.shape[1] != 2 or chosen.dtype.kind not in "iu":
+        message = f"pixels must be integer rows (y, x), got {chosen.dtype} of shape {chosen.shape}"
+        raise InputError(message)
+    if ((chosen < 0) | (chosen >= shape)).any():
+        message = f"pixels must lie in the picture of {shape[1]} x {shape[0]} pixels (y, x)"
+        raise InputError(message)
+    return np.unique(chosen, axis=0).astype(np.int64)
 
 
 def training_batches(

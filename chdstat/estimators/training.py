@@ -12,7 +12,7 @@ import numpy.typing as npt
 import chdstat
 from chdstat._arrays import generator
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import check_spp, draw_pixels, training_batches
+from chdstat.estimators.heldout import check_spp, checked_pixels, draw_pixels, training_batches
 from chdstat.estimators.presets import Preset
 from chdstat.progress import track
 from chdstat.samples import Samples
@@ -90,7 +90,7 @@ def train(
     if pixels is None:
         chosen = draw_pixels(shape, preset.pixels, seed=seed)
     else:
-        chosen = _checked_pixels(pixels, shape)
+        chosen = checked_pixels(pixels, shape)
     batches, references = training_batches(samples, chosen, preset.inputs)
     if len(batches) < 2:
         message = (
@@ -169,14 +169,3 @@ def _fit(
 def _rows(batches: npt.NDArray[np.int64], channels: int) -> npt.NDArray[np.int64]:
     """Return the rows of batches: their channels stay together on one side of the split."""
     return (batches[:, np.newaxis] * channels + np.arange(channels)).reshape(-1)
-
-
-def _checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
-    chosen = np.asarray(pixels)
-    if chosen.ndim != 2 or chosen.shape[1] != 2 or chosen.dtype.kind not in "iu":
-        message = f"pixels must be integer rows (y, x), got {chosen.dtype} of shape {chosen.shape}"
-        raise InputError(message)
-    if ((chosen < 0) | (chosen >= shape)).any():
-        message = f"pixels must lie in the picture of {shape[1]} x {shape[0]} pixels (y, x)"
-        raise InputError(message)
-    return np.unique(chosen, axis=0).astype(np.int64)

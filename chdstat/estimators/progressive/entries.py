@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import as_samples
+from chdstat.estimators._rows import check_pixels
 from chdstat.estimators.progressive.first_hit import Features
 from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.registry import LearnedEstimator, register, register_learned
@@ -100,7 +101,9 @@ def self_trained(
     >>> self_trained(picture, iterations=5).shape
     (16, 16, 3)
     """
-    picture = Samples.from_array(as_samples(x, minimum=2), features=features)
+    samples = as_samples(x, minimum=2)
+    check_pixels(samples, picture=True)
+    picture = Samples.from_array(samples, features=features)
     model = Progressive(features=bool(features), neighbours=True)
     model.train(picture, reference=False, seed=seed, iterations=iterations, progress=progress)
     return model.predict(picture.read(), features=features)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from chdstat._arrays import is_bad
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import draw_pixels
+from chdstat.estimators.heldout import checked_pixels, draw_pixels
 from chdstat.estimators.progressive.conditions import local_conditions
 from chdstat.estimators.progressive.first_hit import Features, describe
 from chdstat.estimators.progressive.profiles import Profile
@@ -104,7 +104,7 @@ def chosen_pixels(
     Raises
     ------
     InputError
-        If there are not as many arrays as pictures.
+        If there are not as many arrays as pictures, or one is not of pixels of its picture.
     """
     if given is None:
         count = min(_PIXELS, _MOST_PIXELS // len(pictures))
@@ -112,7 +112,8 @@ def chosen_pixels(
     if len(given) != len(pictures):
         message = f"pixels must be one array for each of {len(pictures)} pictures, got {len(given)}"
         raise InputError(message)
-    return [np.unique(np.asarray(one, np.int64).reshape(-1, 2), axis=0) for one in given]
+    shapes = (picture.shape[:2] for picture in pictures)
+    return [checked_pixels(one, shape) for one, shape in zip(given, shapes, strict=True)]
 
 
 def _rows(

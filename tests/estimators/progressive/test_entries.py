@@ -96,3 +96,8 @@ def test_features_are_optional_and_bad_samples_no_obstacle(picture):
 def test_what_is_no_picture_or_has_too_few_samples_is_refused(x, match):
     with pytest.raises(InputError, match=match):
         self_trained(x, iterations=1)
+
+
+def test_self_training_wants_a_picture_with_channels():
+    with pytest.raises(InputError, match=r"\(y, x, channel, sample\), got \(4, 3, 8\)"):
+        self_trained(np.ones((4, 3, 8)), iterations=1)

@@ -305,3 +305,9 @@ def test_a_file_with_parts_missing_or_of_another_shape_is_refused(trained, tmp_p
 def test_a_model_cannot_be_written_where_there_is_no_folder(trained, tmp_path):
     with pytest.raises(StoreError, match="cannot write"):
         trained.save(tmp_path / "nowhere" / "model")
+
+
+def test_pixels_outside_the_picture_are_refused():
+    samples = chd.Samples.from_array(np.ones((8, 8, 3, 16)))
+    with pytest.raises(InputError, match="lie in the picture of 8 x 8"):
+        Progressive().train(samples, pixels=[[0, 8]], iterations=1, progress=False)
