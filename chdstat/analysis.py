@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,30 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import is_bad
+from chdstat._fitted import Fitted
 from chdstat._moments import Moments
 from chdstat._positive import PositivePart
-from chdstat._rows import Result, take_rows
+from chdstat._rows import Result
 from chdstat.errors import StoreError
-from chdstat.fit.families import FAMILIES
 from chdstat.fit.goodness_of_fit import goodness_of_part, stream_of
 from chdstat.fit.goodness_results import Goodness, finish_goodness, goodness_variables
-from chdstat.fit.mixture_results import Mixture, finish_mixture, mixture_variables
-from chdstat.fit.selection import (
-    SELECTED,
-    Selection,
-    finish_selection,
-    select_part,
-    selection_variables,
-)
-from chdstat.fit.tail import tail_of_part
-from chdstat.fit.tail_results import Tail, finish_tail, tail_variables
-from chdstat.modes import (
-    Modality,
-    bandwidths_of_part,
-    finish_modality,
-    mixture_and_modes_of_part,
-    modality_variables,
-)
+from chdstat.fit.mixture_results import finish_mixture, mixture_variables
+from chdstat.fit.selection import SELECTED, finish_selection, selection_variables
+from chdstat.fit.tail_results import finish_tail, tail_variables
+from chdstat.modes import bandwidths_of_part, finish_modality, modality_variables
 from chdstat.normality import (
     N_MEANS,
     finish_gaussianity,
@@ -47,7 +33,7 @@ from chdstat.normality import (
     sizes_of_means,
 )
 from chdstat.normality._tests import TESTS, TestName, Transform
-from chdstat.patterns import Thresholds, finish_patterns, patterns_of_part, patterns_variables
+from chdstat.patterns import Thresholds, finish_patterns, patterns_variables
 from chdstat.samples import Mapped, Samples
 from chdstat.summary import summarize
 
@@ -162,49 +148,21 @@ def unused(path: str | Path) -> Path:
     return target
 
 
-class _Tile:
+class _Tile(Fitted):
     """A tile of samples, with its luminance as one more channel, and what several stages need."""
 
     def __init__(self, block: npt.NDArray[np.float32], *, held_out: bool) -> None:
+        super().__init__(PositivePart.of_pixels(block, rows="both"), held_out=held_out)
         self.block = block
-        self.held_out = held_out
         self._channels = block.shape[-2]
 
-    @cached_property
-    def part(self) -> PositivePart:
-        return PositivePart.of_pixels(self.block, rows="both")
-
     def of_channels(self, result: Result) -> Result:
-        return take_rows(result, slice(0, self._channels), axis=2)
-
-    def of_luminance(self, result: Result) -> Result:
-        return take_rows(result, -1, axis=2)
+        return self.of_first(result, self._channels)
 
     def goodness(self, resamples: int, seed: int) -> Goodness:
         part, selection = self.of_channels(self.part), self.of_channels(self.selection)
         stream = stream_of(part, seed)
         return goodness_of_part(part, selection, resamples=resamples, seed=stream)
-
-    @cached_property
-    def tail(self) -> Tail:
-        return tail_of_part(self.part)
-
-    @cached_property
-    def _mixture_and_modes(self) -> tuple[Mixture, Modality]:
-        return mixture_and_modes_of_part(self.part, fits=self.selection.fits.values())
-
-    @property
-    def mixture(self) -> Mixture:
-        return self._mixture_and_modes[0]
-
-    @property
-    def modes(self) -> Modality:
-        return self._mixture_and_modes[1]
-
-    @cached_property
-    def selection(self) -> Selection:
-        families = [FAMILIES[name] for name in SELECTED]
-        return select_part(self.part, families, held_out=self.held_out)
 
 
 @dataclass(frozen=True)
@@ -255,15 +213,7 @@ def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list
             "normality_",
         ),
         _Stage(
-            lambda t: patterns_variables(
-                patterns_of_part(
-                    t.of_luminance(t.part),
-                    thresholds,
-                    tail=t.of_luminance(t.tail),
-                    modes=t.of_luminance(t.modes),
-                    families=t.of_luminance(t.selection),
-                )
-            ),
+            lambda t: patterns_variables(t.patterns(thresholds)),
             lambda d: finish_patterns(d, thresholds),
         ),
     ]

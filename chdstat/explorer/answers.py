@@ -11,16 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from chdstat.differences import difference
 from chdstat.explorer import tables
 from chdstat.explorer.exports import Shown
+from chdstat.explorer.fitness import fitness
 from chdstat.explorer.judged import (
     BATCHES_AROUND,
     Estimate,
+    batches_of,
     judged,
     judged_around,
     judged_names,
     quick_names,
 )
+from chdstat.explorer.learned import judged_learners
 from chdstat.explorer.live import SceneSource
 from chdstat.explorer.measured import Measured
 from chdstat.explorer.palette import BLENDED
@@ -28,7 +32,6 @@ from chdstat.explorer.series import Panel, series_of
 from chdstat.explorer.shared import Shared
 from chdstat.explorer.sources import Box, Source, StoreSource
 from chdstat.explorer.traces import panels
-from chdstat.explorer.versus import difference
 from chdstat.explorer.view import Pixel, View
 
 __all__ = ["Answer", "Answers", "Told"]
@@ -150,12 +153,33 @@ class Answers:
         x, n, reference = _channels(place), _batch(view), self._reference(key, place)
         slow = frozenset(judged_names()) - quick_names()
         own = [*told.estimates, *judged(x, n, reference, names=slow, step=step)]
+        own += self._learned(key, x, n, reference, step)
         if not isinstance(self._shared.source, StoreSource) or len(key) != 2:
             return self._table(own, place, view)
-        window, inside = self._shared.source.around(key[0], key[1], n * BATCHES_AROUND)
+        window, inside, _ = self._shared.source.around(key[0], key[1], n * BATCHES_AROUND)
         found = judged_around(x, window, inside, n, reference, step=step)
         more = f"; the last {len(found)} look at the pixels around, in {BATCHES_AROUND} batches"
         return self._table([*own, *found], place, view, more)
+
+    def fitness(self, answer: Answer, step: Callable[[float], None]) -> tables.Table:
+        """Return the goodness of fit of every family; `step` is told how far it is."""
+        place = answer.shown.places[answer.view.active]
+        return tables.fitness(fitness(place, step), place.names)
+
+    def _learned(
+        self,
+        key: tuple[int, ...],
+        x: npt.NDArray[np.float32],
+        n: int,
+        reference: npt.NDArray[np.float64] | None,
+        step: Callable[[], None],
+    ) -> list[Estimate]:
+        shared = self._shared
+        batches = batches_of(x, n, reference) if shared.learners else None
+        if batches is None:
+            return []
+        source = shared.source if isinstance(shared.source, StoreSource) else None
+        return judged_learners(shared.learners, batches, source, key, shared.unit, step=step)
 
     def _measured(self, source: Source, which: int, key: Pixel | Box) -> Measured:
         x = source.pixel(*key) if len(key) == 2 else source.region(key)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat.explorer.extents import extent
 from chdstat.explorer.maps import Map
 from chdstat.explorer.palette import ramp
 from chdstat.explorer.series import Panel, Trace
@@ -35,6 +36,7 @@ def cargo(panels: Mapping[str, Panel]) -> dict[str, Any]:
             "areas": packed(panel.areas),
             "lines": packed(panel.lines),
             "marks": {"x": [m[0] for m in panel.marks], "color": [m[1] for m in panel.marks]},
+            "extent": extent(name, panel),
         }
         for name, panel in panels.items()
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +13,10 @@ import numpy.typing as npt
 from chdstat import viz
 from chdstat._arrays import is_bad, is_null, luminance
 from chdstat._moments import Moments
+from chdstat.errors import InputError
 from chdstat.explorer.sources import StoreSource
 
-__all__ = ["Overall", "preview", "rgba", "stream"]
+__all__ = ["Overall", "Tally", "preview", "rgba", "stream"]
 
 _PREVIEW_SPP = 64
 _FILMIC = (0.15, 0.50, 0.10, 0.20, 0.02, 0.30)
@@ -51,6 +53,13 @@ class Overall:
     variance: Image
     variation: Image
     spp: int
+
+    @property
+    def relative_error(self) -> Image:
+        """Standard error of the mean luminance over that mean, shape (y, x)."""
+        good = self.spp - self.bad_count
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.asarray(self.variation / np.sqrt(np.where(good > 0, good, np.nan)))
 
     @cached_property
     def exposure(self) -> float:
@@ -108,27 +117,46 @@ def stream(source: StoreSource, step: Callable[[float], None]) -> Overall:
     return replace(whole, spp=spp)
 
 
-def _of_blocks(blocks: Iterator[Image]) -> Overall:
-    """Return what blocks (y, x, channel, sample) of the same pixels say together."""
-    moments, nulls, bads = None, 0, 0
-    for block in blocks:
+class Tally:
+    """What blocks (y, x, channel, sample) of the same pixels say together, in constant memory."""
+
+    def __init__(self) -> None:
+        self._moments: Moments | None = None
+        self._nulls: Any = 0
+        self._bads: Any = 0
+
+    def add(self, block: Image) -> None:
+        """Count more samples."""
         bad = np.asarray(is_bad(block).any(axis=-2))
         good = ~bad
-        nulls = nulls + np.count_nonzero(is_null(block) & good, axis=-1)
-        bads = bads + np.count_nonzero(bad, axis=-1)
+        self._nulls = self._nulls + np.count_nonzero(is_null(block) & good, axis=-1)
+        self._bads = self._bads + np.count_nonzero(bad, axis=-1)
         with np.errstate(invalid="ignore", over="ignore"):
             rows = np.concatenate([block, luminance(block)[..., np.newaxis, :]], axis=-2)
         found = Moments.of(rows, good[..., np.newaxis, :] if bad.any() else None)
-        moments = found if moments is None else moments.merge(found)
-    assert moments is not None
-    mean = moments.seen(moments.mean)
-    variance = moments.variance[..., -1]
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        share = nulls / moments.count[..., 0]
-        variation = np.where(mean[..., -1] > 0, np.sqrt(variance) / mean[..., -1], np.nan)
-        maps = np.stack([share, np.broadcast_to(bads, share.shape), variance, variation])
-        null, bad, *spreads = maps.astype(np.float32)
-        return Overall(mean[..., :-1].astype(np.float32), null, bad, spreads[0], spreads[1], 0)
+        self._moments = found if self._moments is None else self._moments.merge(found)
+
+    def overall(self) -> Overall:
+        """Return the picture of what was counted; `spp` is left to who knows it."""
+        moments = self._moments
+        if moments is None:
+            message = "no samples were counted yet"
+            raise InputError(message)
+        mean = moments.seen(moments.mean)
+        variance = moments.variance[..., -1]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            share = self._nulls / moments.count[..., 0]
+            variation = np.where(mean[..., -1] > 0, np.sqrt(variance) / mean[..., -1], np.nan)
+            maps = np.stack([share, np.broadcast_to(self._bads, share.shape), variance, variation])
+            null, bad, *spreads = maps.astype(np.float32)
+            return Overall(mean[..., :-1].astype(np.float32), null, bad, spreads[0], spreads[1], 0)
+
+
+def _of_blocks(blocks: Iterator[Image]) -> Overall:
+    tally = Tally()
+    for block in blocks:
+        tally.add(block)
+    return tally.overall()
 
 
 # --- on the screen ------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
-from chdstat.errors import ChdstatError
+from chdstat.errors import ChdstatError, InputError
 from chdstat.explorer.answers import Answer, Answers, Told
 from chdstat.explorer.cargo import cargo
 from chdstat.explorer.exports import Shown
@@ -58,6 +58,7 @@ class Inquiry:
         self._answers = Answers(shared)
         self.shown: Shown | None = None
         self._view = View()
+        self._answer: Answer | None = None
         self._generation = 0
         self._live_spp: int | None = None
         self._paused = False
@@ -66,6 +67,7 @@ class Inquiry:
     def ask(self, view: View, seq: int = _OWN_ACCORD) -> None:
         """Find what there is to say about a view; `seq` is the number of the command."""
         self._generation += 1
+        self._answer = None
         self._view = view
         self._shared.urgent(1)
 
@@ -89,6 +91,27 @@ class Inquiry:
         """Take note of whether anyone can see the page."""
         self._visible = visible
         self._look_on()
+
+    def try_fits(self) -> None:
+        """Test the fits of the active place, which takes seconds; tell how far it is.
+
+        Raises
+        ------
+        InputError
+            If nothing is selected.
+        """
+        answer, generation = self._answer, self._generation
+        if answer is None or not answer.shown.places:
+            message = "nothing is selected: click a pixel before testing its fits"
+            raise InputError(message)
+
+        def step(share: float) -> None:
+            if generation != self._generation:
+                raise Stopped
+            self._wire.next(partial(self._wire.say, {"kind": "fitness", "share": share}))
+
+        work = partial(self._answers.fitness, answer, step)
+        self._add_later(work, "fitness", generation)
 
     def close(self) -> None:
         """Drop what is being worked on."""
@@ -146,6 +169,7 @@ class Inquiry:
             return
         answer, told = found
         done["took"] = time.perf_counter() - start
+        self._answer = answer
         self.shown = answer.shown if answer.shown.places else None
         self._wire.say(*([{"kind": "tables", "tables": told.tables}] if self.shown else []), done)
         self._live_spp = answer.live_spp
@@ -158,23 +182,32 @@ class Inquiry:
         if not answer.shown.places or answer.live_spp is not None:
             return  # nothing is selected, or what is selected changes all the time
 
-        def add(future: Future[dict[str, Any]]) -> None:
-            if generation == self._generation and not future.cancelled() and not future.exception():
-                self._wire.say({"kind": "tables", "tables": {"estimates": future.result()}})
-
         def step() -> None:
             if generation != self._generation:
                 raise Stopped
 
         def begin() -> None:
-            if generation != self._generation:
-                return
-            with contextlib.suppress(RuntimeError):  # the explorer is closing
-                thoughts, think = self._shared.thoughts, self._answers.afterthought
-                future = thoughts.submit(think, answer, told, step)
-                future.add_done_callback(lambda f: self._wire.next(partial(add, f)))
+            if generation == self._generation:
+                work = partial(self._answers.afterthought, answer, told, step)
+                self._add_later(work, "estimates", generation)
 
         self._wire.later(begin, _PAUSE)
+
+    def _add_later(self, work: Callable[[], dict[str, Any]], name: str, generation: int) -> None:
+        """Compute a table apart from clicks, and show it if the selection is still the same."""
+
+        def add(future: Future[dict[str, Any]]) -> None:
+            if future.cancelled() or generation != self._generation:
+                return
+            error = future.exception()
+            if error is None:
+                self._wire.say({"kind": "tables", "tables": {name: future.result()}})
+            elif not isinstance(error, Stopped):
+                self._wire.alert(_explained(error))
+
+        with contextlib.suppress(RuntimeError):  # the explorer is closing
+            future = self._shared.thoughts.submit(work)
+            future.add_done_callback(lambda f: self._wire.next(partial(add, f)))
 
     def _look_on(self) -> None:
         """Draw more samples of the active pixel, unless paused, hidden, or done."""

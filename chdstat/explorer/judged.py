@@ -14,7 +14,17 @@ from chdstat._arrays import is_bad
 from chdstat.estimators import mean as _mean
 from chdstat.estimators import registry
 
-__all__ = ["BATCHES_AROUND", "Estimate", "judged", "judged_around", "judged_names", "quick_names"]
+__all__ = [
+    "BATCHES_AROUND",
+    "Batches",
+    "Estimate",
+    "batches_of",
+    "compared",
+    "judged",
+    "judged_around",
+    "judged_names",
+    "quick_names",
+]
 
 _MOST_BATCHES = 32
 """Batches that estimators are judged on."""
@@ -43,6 +53,10 @@ class Estimate:
         Mean error relative to the mean reference.
     improved
         Share of the estimates that are nearer to the reference than the sample mean.
+    certainty
+        Of a trained estimator, the mean over batches; NaN where it says none.
+    low, high
+        Of a trained estimator, the ends of its interval, means over batches, shape (channel,).
     """
 
     name: str
@@ -50,6 +64,30 @@ class Estimate:
     mse_ratio: float
     bias: float
     improved: float
+    certainty: float = float("nan")
+    low: Floats | None = None
+    high: Floats | None = None
+
+
+@dataclass(frozen=True)
+class Batches:
+    """Batches of one place, and what their estimates are measured against.
+
+    Attributes
+    ----------
+    x
+        Shape (batch, channel, sample), float32; NaN where a sample is bad.
+    truth, mean
+        Reference and sample mean of each batch, shape (batch, channel).
+    """
+
+    x: npt.NDArray[np.float32]
+    truth: Floats
+    mean: Floats
+
+    def first(self, count: int) -> Batches:
+        """Return the first of them."""
+        return Batches(self.x[:count], self.truth[:count], self.mean[:count])
 
 
 def judged(
@@ -83,17 +121,14 @@ def judged(
     >>> first.name, first.mse_ratio
     ('mean', 1.0)
     """
-    count = min(x.shape[1] // n, _MOST_BATCHES)
-    if count == 0:
+    batches = batches_of(x, n, reference)
+    if batches is None:
         return []
-    batches, truth = _batches(x, n, count, reference)
-    mean = np.asarray(_mean(batches), np.float64)
     found = []
     for entry in _entries():
         if n >= entry.minimum_samples and (names is None or entry.name in names):
             step()
-            estimates = np.asarray(entry(batches), np.float64)
-            found.append(_compared(entry.name, estimates, mean, truth))
+            found.append(compared(entry.name, np.asarray(entry(batches.x), np.float64), batches))
     return found
 
 
@@ -120,17 +155,16 @@ def judged_around(
         (y, x) of the pixel in the window.
     """
     count = min(window.shape[-1] // n, BATCHES_AROUND)
-    if count == 0:
+    batches = batches_of(x, n, reference, most=count)
+    if batches is None:
         return []
-    batches, truth = _batches(x, n, count, reference)
-    mean = np.asarray(_mean(batches), np.float64)
     cuts = [np.ascontiguousarray(window[..., i * n : (i + 1) * n]) for i in range(count)]
     found = []
     for entry in _entries(neighbours=True):
         if n >= entry.minimum_samples:
             step()
             estimates = np.stack([np.asarray(entry(cut), np.float64)[place] for cut in cuts])
-            found.append(_compared(entry.name, estimates, mean, truth))
+            found.append(compared(entry.name, estimates, batches))
     return found
 
 
@@ -158,15 +192,24 @@ def _entries(*, neighbours: bool = False) -> list[registry.Estimator]:
     return [e for e in fixed if e.uses_neighbours == neighbours and not e.uses_features]
 
 
-def _batches(
-    x: npt.NDArray[np.float32], n: int, count: int, reference: npt.ArrayLike | None
-) -> tuple[npt.NDArray[np.float32], Floats]:
-    """Return batches (batch, channel, n) of a pixel, and the reference of each (batch, channel)."""
+def batches_of(
+    x: npt.NDArray[np.float32],
+    n: int,
+    reference: npt.ArrayLike | None = None,
+    *,
+    most: int = _MOST_BATCHES,
+) -> Batches | None:
+    """Return batches of n samples of a place, None for too few samples; options as of `judged`."""
+    count = min(x.shape[1] // n, most)
+    if count == 0:
+        return None
     x = np.where(is_bad(x).any(axis=0), np.float32(np.nan), x)
     batches = x[:, : count * n].reshape(len(x), count, n).swapaxes(0, 1)
     if reference is None:
-        return batches, _held_out(x, batches)
-    return batches, np.broadcast_to(np.asarray(reference, np.float64), batches.shape[:2])
+        truth = _held_out(x, batches)
+    else:
+        truth = np.broadcast_to(np.asarray(reference, np.float64), batches.shape[:2])
+    return Batches(batches, truth, np.asarray(_mean(batches), np.float64))
 
 
 def _held_out(x: npt.NDArray[np.float32], batches: npt.NDArray[np.float32]) -> Floats:
@@ -179,7 +222,9 @@ def _held_out(x: npt.NDArray[np.float32], batches: npt.NDArray[np.float32]) -> F
     return np.where(rest >= batches.shape[-1], means, np.nan)
 
 
-def _compared(name: str, estimates: Floats, mean: Floats, truth: Floats) -> Estimate:
+def compared(name: str, estimates: Floats, batches: Batches) -> Estimate:
+    """Compare the estimates of an estimator, shape (batch, channel), with the reference."""
+    truth, mean = batches.truth, batches.mean
     known = np.isfinite(truth) & np.isfinite(estimates) & np.isfinite(mean)
     nan = float("nan")
     if not known.any():

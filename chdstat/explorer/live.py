@@ -13,12 +13,12 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import is_bad, spans
+from chdstat._arrays import spans
 from chdstat._renderer import Job, Renderer
 from chdstat._store import TILE, Chunk
 from chdstat.backend import activate, resolve
 from chdstat.errors import SceneError
-from chdstat.explorer.images import Overall
+from chdstat.explorer.images import Overall, Tally
 from chdstat.explorer.sources import Box, mixed, pooled
 from chdstat.explorer.view import check_pixel
 from chdstat.scenes import Scene
@@ -71,8 +71,8 @@ class SceneSource:
         self.name = scene.name
         self._pixels: dict[tuple[int, int], Image] = {}
         self._lock = threading.Lock()
-        self._sum = np.zeros((height, width, 3))
-        self._count = np.zeros((height, width), np.int64)
+        self._tallies: dict[tuple[int, int], tuple[slice, slice, Tally]] = {}
+        self._spp = 0
 
     def describe(self) -> str:
         """Say in one line what there is to see."""
@@ -112,25 +112,22 @@ class SceneSource:
                 chunk = Chunk(0, i // columns, i % columns, ys, xs, slice(start, start + spp))
                 with activate(self._job.verdict):
                     block = self._renderer.chunk(chunk)
-                self._add(ys, xs, block)
+                *_, tally = self._tallies.setdefault((ys.start, xs.start), (ys, xs, Tally()))
+                tally.add(block)
+                self._spp = start + spp
                 done += 1
                 yield done / total
             start += spp
-        if not self._sum.any():
+        if not np.nan_to_num(self.overall().mean).any():
             message = f"the picture of {self.name!r} is black: does it have an emitter?"
             raise SceneError(message)
 
     def overall(self) -> Overall:
         """Return the picture as far as it is drawn."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            mean = (self._sum / self._count[..., np.newaxis]).astype(np.float32)
-        return replace(Overall.empty(*self.size, 3), mean=mean, spp=int(self._count.max()))
-
-    def _add(self, ys: slice, xs: slice, block: Image) -> None:
-        good = np.asarray(~is_bad(block).any(axis=-2))
-        sums = np.where(good[..., np.newaxis, :], block, 0).sum(axis=-1, dtype=np.float64)
-        self._sum[ys, xs] += sums
-        self._count[ys, xs] += good.sum(axis=-1)
+        whole = Overall.empty(*self.size, 3)
+        for ys, xs, tally in self._tallies.values():
+            whole.put(ys, xs, tally.overall())
+        return replace(whole, spp=self._spp)
 
     def _draw(self, y: int, x: int, spp: int) -> Image:
         with self._lock:

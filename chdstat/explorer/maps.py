@@ -32,7 +32,7 @@ from chdstat.patterns import (
     patterns_variables,
 )
 
-__all__ = ["MAPS", "Map", "MapKind", "map_kind", "of_overall", "walk", "with_sizes"]
+__all__ = ["MAPS", "PICTURES", "Map", "MapKind", "map_kind", "of_overall", "walk", "with_sizes"]
 
 _ERROR = "error:"
 _JUDGED = 32
@@ -107,7 +107,8 @@ class Map:
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-_PICTURES = ("null_share", "variance", "variation", "bad_count")
+PICTURES = ("null_share", "variance", "variation", "relative_error", "bad_count")
+"""Maps that come with the picture, a scene's too."""
 
 MAPS: dict[str, MapKind] = {
     kind.name: kind
@@ -115,6 +116,7 @@ MAPS: dict[str, MapKind] = {
         MapKind("null_share", "Null share", "share of the good samples", limits=(0, 1)),
         MapKind("variance", "Variance of luminance", "log10, (W sr⁻¹ m⁻²)²", log=True),
         MapKind("variation", "Standard deviation over mean", "log10, luminance", log=True),
+        MapKind("relative_error", "Standard error over mean", "log10, luminance", log=True),
         MapKind("bad_count", "Bad samples", "samples"),
         MapKind("tail_index", "Tail index", "generalised Pareto ξ, luminance", limits=(-0.5, 1)),
         MapKind("best_family", "Best family", "by BIC, luminance", dict(enumerate(SELECTED))),
@@ -149,7 +151,7 @@ def map_kind(name: str) -> MapKind:
 
 def of_overall(overall: Overall, name: str) -> Map | None:
     """Return a map that comes with the picture, None for one that does not."""
-    if name not in _PICTURES:
+    if name not in PICTURES:
         return None
     kind = MAPS[name]
     values = getattr(overall, name)

@@ -6,7 +6,8 @@ so that each fit, test and mode is found once for all of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,15 +15,14 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import is_bad, is_null, luminance
+from chdstat._fitted import Fitted
 from chdstat._moments import Moments
 from chdstat._positive import PositivePart
-from chdstat._rows import Result, take_rows
+from chdstat._rows import take_rows
 from chdstat.fit import Fit, Mixture, Selection, Tail
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.selection import SELECTED, select_part
-from chdstat.fit.tail import tail_of_part
+from chdstat.fit.families import get_family
 from chdstat.histograms import Histogram, histogram
-from chdstat.modes import Modality, mixture_and_modes_of_part
+from chdstat.modes import Modality
 from chdstat.normality import (
     N_MEANS,
     Gaussianity,
@@ -31,19 +31,43 @@ from chdstat.normality import (
     means_of_block,
     sizes_of_means,
 )
-from chdstat.patterns import Patterns, patterns_of_part
+from chdstat.patterns import Patterns
 
-__all__ = ["MOST_FITTED", "Measured"]
+__all__ = ["MOST_FITTED", "Measured", "Positive"]
 
 MOST_FITTED = 2**15
 """Samples that fits, tests and modes look at; moments and histograms take all of them."""
 
-_OF_FIRST = {
-    "part", "selection", "tail", "_mixture_and_modes", "patterns", "gaussianity", "means",
-}  # fmt: skip
+_OF_FIRST = {"fitted", "_positive", "patterns", "gaussianity", "means"}
 """What is computed of the first `MOST_FITTED` samples alone."""
 
 Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Positive:
+    """The positive part of a fit: what histograms and quantiles are compared with.
+
+    Attributes
+    ----------
+    family
+        Its name; "mixture" for a mixture.
+    pdf, ppf
+        Density and quantiles; both integrate to 1 over positive radiance.
+    """
+
+    family: str
+    pdf: Callable[[Floats], Floats]
+    ppf: Callable[[Floats], Floats]
+
+    @classmethod
+    def of(cls, found: Fit | Mixture) -> Positive:
+        """Return that of a fit or of a mixture of a single row."""
+        if isinstance(found, Fit):
+            frozen = get_family(found.family).distribution(found.parameters)
+            return cls(found.family, frozen.pdf, frozen.ppf)
+        zero = np.float64(found.zero_share)
+        return cls("mixture", found.pdf, lambda level: found.ppf(zero + (1 - zero) * level))
 
 
 class Measured:
@@ -68,6 +92,7 @@ class Measured:
 
     def __init__(self, x: npt.NDArray[np.float32], channels: tuple[str, ...]) -> None:
         self.channels = channels
+        self._positive: dict[tuple[str, int], Positive | None] = {}
         self.bad = np.asarray(is_bad(x).any(axis=0))
         self.null = is_null(x) & ~self.bad
         self.names = channels
@@ -105,10 +130,15 @@ class Measured:
         return Moments.of(self.rows, ~self.bad)
 
     @cached_property
+    def fitted(self) -> Fitted:
+        """What fits say of each row."""
+        some = self.rows[: len(self.channels), : self.fitted_spp]
+        return Fitted(PositivePart.of_pixels(some, rows="both"))
+
+    @property
     def part(self) -> PositivePart:
         """Positive part of each row, of the samples that are fitted."""
-        some = self.rows[: len(self.channels), : self.fitted_spp]
-        return PositivePart.of_pixels(some, rows="both")
+        return self.fitted.part
 
     @cached_property
     def linear(self) -> Histogram:
@@ -120,39 +150,30 @@ class Measured:
         """Log10 histogram of each row."""
         return self._histogram("log")
 
-    @cached_property
+    @property
     def selection(self) -> Selection:
         """The families and which of them is best, of each row."""
-        return select_part(self.part, [FAMILIES[name] for name in SELECTED])
+        return self.fitted.selection
 
-    @cached_property
+    @property
     def tail(self) -> Tail:
         """Tail of each row."""
-        return tail_of_part(self.part)
-
-    @cached_property
-    def _mixture_and_modes(self) -> tuple[Mixture, Modality]:
-        return mixture_and_modes_of_part(self.part, fits=self.selection.fits.values())
+        return self.fitted.tail
 
     @property
     def mixture(self) -> Mixture:
         """The log-normal mixture behind the modes, of each row."""
-        return self._mixture_and_modes[0]
+        return self.fitted.mixture
 
     @property
     def modes(self) -> Modality:
         """Modes of each row."""
-        return self._mixture_and_modes[1]
+        return self.fitted.modes
 
     @cached_property
     def patterns(self) -> Patterns:
         """Patterns of luminance, at the level of a single pixel."""
-        return patterns_of_part(
-            self._of_luminance(self.part),
-            tail=self._of_luminance(self.tail),
-            modes=self._of_luminance(self.modes),
-            families=self._of_luminance(self.selection),
-        )
+        return self.fitted.patterns()
 
     @cached_property
     def gaussianity(self) -> Gaussianity:
@@ -201,6 +222,17 @@ class Measured:
             family = self.selection.families[index]
         return take_rows(self.selection.fits[family], row, axis=0)
 
+    def positive(self, family: str, row: int) -> Positive | None:
+        """Return the distribution of the positive part of a fit, None where there is none.
+
+        It is remembered: histograms and quantiles ask for the same, and SciPy takes longer to make
+        one than to evaluate it.
+        """
+        if (family, row) not in self._positive:
+            found = self.fit(family, row)
+            self._positive[family, row] = None if found is None else Positive.of(found)
+        return self._positive[family, row]
+
     def take_over(self, earlier: Measured) -> None:
         """Keep what was found of the first samples of this place, where they are the same."""
         if earlier.fitted_spp == self.fitted_spp:
@@ -214,6 +246,3 @@ class Measured:
         shape = self.rows.shape
         null, bad = (np.broadcast_to(mask, shape) for mask in (self.null, self.bad))
         return histogram(self.rows, scale=scale, null=null, bad=bad)
-
-    def _of_luminance(self, result: Result) -> Result:
-        return take_rows(result, -1, axis=0)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from chdstat.errors import InputError
+from chdstat.explorer.learned import learners
 from chdstat.explorer.live import SceneSource
 from chdstat.explorer.shared import Shared
 from chdstat.explorer.sources import StoreSource
+from chdstat.models import AnyModel
 from chdstat.samples import Samples
 from chdstat.samples import open as open_store
 from chdstat.scenes import Scene, load_scene
@@ -23,9 +26,10 @@ def opened(
     source: Explored,
     other: str | Path | Samples | None,
     reference: str | Path | Samples | None,
+    models: Sequence[AnyModel | str | Path] = (),
     **options: Any,
 ) -> Shared:
-    """Open what is explored, and what it is compared with.
+    """Open what is explored, what it is compared with, and trained estimators.
 
     Raises
     ------
@@ -34,16 +38,17 @@ def opened(
     StoreError, SceneError, RenderError
         If something cannot be read or rendered.
     """
+    trained = learners(models)
     first = _source(source, **options)
-    stores = [None if s is None else _store(s) for s in (other, reference)]
-    for store in stores:
+    second, truth = (None if s is None else _store(s) for s in (other, reference))
+    for store in (second, truth):
         if store is not None and (store.size, store.channels) != (first.size, first.channels):
             message = (
                 f"{store.name} must have the size and channels of {first.name}: expected "
                 f"{_sized(first)}, got {_sized(store)}"
             )
             raise InputError(message)
-    return Shared(first, *stores)
+    return Shared(first, second, truth, trained)
 
 
 def _sized(source: StoreSource | SceneSource) -> str:

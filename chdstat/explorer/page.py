@@ -19,7 +19,7 @@ from bokeh.document import Document
 from bokeh.models import CustomJS, TextInput
 from jinja2 import Environment
 
-from chdstat.explorer.maps import MAPS, Map
+from chdstat.explorer.maps import Map, MapKind
 from chdstat.explorer.palette import ramp
 from chdstat.explorer.plots import Linked, PanelPlot, Picture
 from chdstat.explorer.view import BATCH_SIZES, FAMILIES
@@ -63,8 +63,10 @@ class Page:
         Names of the channels.
     heading
         Of the page.
+    maps
+        What can be shown in the place of the picture.
     errors
-        Estimators whose error can be mapped; None where there are no maps.
+        Estimators whose error can be mapped.
     """
 
     def __init__(
@@ -75,7 +77,8 @@ class Page:
         size: tuple[int, int],
         channels: Sequence[str],
         heading: str,
-        errors: Sequence[str] | None,
+        maps: Sequence[MapKind],
+        errors: Sequence[str],
     ) -> None:
         self._document, self._size, self._channels = document, size, channels
         self._numbers = itertools.count(1)
@@ -89,7 +92,9 @@ class Page:
             document.add_root(root)
         document.title = f"{heading} · chdstat"
         document.template = _template()
-        document.template_variables.update(_variables(titles, size, channels, heading, errors))
+        document.template_variables.update(
+            _variables(titles, size, channels, heading, maps, errors)
+        )
         self._wire()
 
     # --- what is shown --------------------------------------------------------------------------
@@ -135,7 +140,7 @@ class Page:
             "boxes": [p.box for p in self._pictures],
             "marks": self._linked.marks,
             "region": self._linked.region,
-            "panels": {name: panel.sources for name, panel in self._panels.items()},
+            "panels": {name: panel.filled for name, panel in self._panels.items()},
             "width": self._size[1],
             "height": self._size[0],
             "channels": list(self._channels),
@@ -167,9 +172,9 @@ def _variables(
     size: tuple[int, int],
     channels: Sequence[str],
     heading: str,
-    errors: Sequence[str] | None,
+    maps: Sequence[MapKind],
+    errors: Sequence[str],
 ) -> dict[str, Any]:
-    maps = [] if errors is None else [(kind.name, kind.title) for kind in MAPS.values()]
     chosen = [(str(i), name) for i, name in enumerate(channels)] if len(channels) > 1 else []
     return {
         "style": _web("page.css"),
@@ -177,8 +182,8 @@ def _variables(
         "heading": heading,
         "aspect": size[1] / size[0],
         "exports": EXPORTS,
-        "maps": maps,
-        "errors": [(f"error:{name}", NAMES.get(name, name)) for name in errors or ()],
+        "maps": [(kind.name, kind.title) for kind in maps],
+        "errors": [(f"error:{name}", NAMES.get(name, name)) for name in errors],
         "families": [(name, NAMES.get(name, name)) for name in FAMILIES],
         "channels": [*chosen, ("luminance", "luminance")] if chosen else [],
         "batches": BATCH_SIZES,

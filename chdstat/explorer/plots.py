@@ -17,6 +17,7 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
+from chdstat.explorer.extents import LOG_X, LOG_Y
 from chdstat.explorer.palette import FAINT, GROUND, LINES, MAP_MISSING, TEXT, ramp
 
 __all__ = ["Linked", "PanelPlot", "Picture"]
@@ -28,11 +29,11 @@ _AXES = {
     "running": ("spp", "radiance"),
     "averages": ("radiance", "density"),
 }
-_LOG_X = {"log", "qq", "running"}
-_LOG_Y = {"qq"}
 
-# Labels of one size: when an axis grows or shrinks, Bokeh lays the plot out anew and paints twice.
+# No more labels than there is room for, of one size: when an axis grows or shrinks, Bokeh lays the
+# plot out anew and paints twice.
 _LABEL = """
+if (index % Math.ceil(ticks.length / most)) return "";
 const largest = Math.max(...ticks.map(Math.abs));
 const steps = ticks.slice(1).map((t, i) => Math.abs(t - ticks[i])).filter((d) => d > 0);
 const digits = steps.length ? 1 + Math.ceil(Math.log10(largest / Math.min(...steps))) : 3;
@@ -147,10 +148,13 @@ class PanelPlot:
 
     def __init__(self, name: str) -> None:
         across, up = _AXES[name]
+        self._ranges = Range1d(0.1, 1), Range1d(0.1, 1)
         self.figure: Any = figure(
             name=name,
-            x_axis_type="log" if name in _LOG_X else "linear",
-            y_axis_type="log" if name in _LOG_Y else "linear",
+            x_axis_type="log" if name in LOG_X else "linear",
+            y_axis_type="log" if name in LOG_Y else "linear",
+            x_range=self._ranges[0],
+            y_range=self._ranges[1],
             x_axis_label=across,
             y_axis_label=up,
             tools="",
@@ -164,10 +168,9 @@ class PanelPlot:
             outline_line_color=LINES,
         )
         self._style()
-        # Something to set the axes by before there is anything to show.
-        nothing = {"xs": [[0.1, 1]], "ys": [[0.1, 1]], "color": ["#00000000"]}
+        nothing: dict[str, list[Any]] = {name: [] for name in ("xs", "ys", "color")}
         self._areas = ColumnDataSource(nothing)
-        self._lines = ColumnDataSource({**nothing, "dash": ["solid"], "width": [1]})
+        self._lines = ColumnDataSource({**nothing, "dash": [], "width": []})
         self._marks = ColumnDataSource({"x": [], "color": []})
         self.figure.patches(
             "xs", "ys", source=self._areas, color="color", fill_alpha=0.2, line_alpha=0
@@ -197,12 +200,12 @@ class PanelPlot:
         self.figure.grid.grid_line_color = "#2c2f34"
         for axis in self.figure.xaxis:
             axis.ticker.desired_num_ticks = 5
-            axis.formatter.args = {"width": 0}
+            axis.formatter.args = {"width": 0, "most": 6}
         for axis in self.figure.yaxis:
             axis.ticker.desired_num_ticks = 4
-            axis.formatter.args = {"width": _LABEL_WIDTH}
+            axis.formatter.args = {"width": _LABEL_WIDTH, "most": 8}
 
     @property
-    def sources(self) -> list[ColumnDataSource]:
-        """What the shell fills: areas, lines, marks."""
-        return [self._areas, self._lines, self._marks]
+    def filled(self) -> list[ColumnDataSource | Range1d]:
+        """What the shell fills: areas, lines, marks, the extents across and up."""
+        return [self._areas, self._lines, self._marks, *self._ranges]

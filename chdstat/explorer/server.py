@@ -10,6 +10,7 @@ import signal
 import socket
 import threading
 import webbrowser
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from chdstat.errors import ChdstatError, InputError
 from chdstat.explorer.opening import Explored, opened
 from chdstat.explorer.shared import Shared
 from chdstat.explorer.sources import StoreSource
+from chdstat.models import AnyModel
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:
@@ -143,6 +145,7 @@ def explore(
     *,
     other: str | Path | Samples | None = None,
     reference: str | Path | Samples | None = None,
+    models: Sequence[AnyModel | str | Path] = (),
     port: int = 0,
     browser: bool = False,
     size: tuple[int, int] | None = None,
@@ -164,6 +167,9 @@ def explore(
     reference
         A store of the same scene with more samples: errors of estimators are measured against it,
         instead of against the samples that an estimate does not see.
+    models
+        Trained estimators, or their files: shown among the estimates, with certainty and interval
+        where they say them.
     port
         Where to listen; 0 takes a free one.
     browser
@@ -181,7 +187,7 @@ def explore(
     InputError
         If the port is taken, or the stores do not fit each other.
     StoreError, SceneError, RenderError
-        If the source cannot be read or rendered.
+        If the source or a model cannot be read, or the scene not rendered.
 
     Examples
     --------
@@ -192,7 +198,8 @@ def explore(
     ...     print(explorer.url)
     http://127.0.0.1:38671/
     """
-    shared = opened(source, other, reference, size=size, seed=seed, max_depth=max_depth)
+    options = {"size": size, "seed": seed, "max_depth": max_depth}
+    shared = opened(source, other, reference, models, **options)
     shared.start()
     explorer = Explorer(shared, port).start()
     if browser:

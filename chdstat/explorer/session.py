@@ -22,6 +22,7 @@ from chdstat.explorer.address import parse_view
 from chdstat.explorer.exports import File, exported
 from chdstat.explorer.inquiry import Inquiry
 from chdstat.explorer.judged import judged_names
+from chdstat.explorer.maps import MAPS, PICTURES
 from chdstat.explorer.page import EXPORTS, Page
 from chdstat.explorer.palette import PIXEL_COLORS
 from chdstat.explorer.shared import Shared
@@ -158,6 +159,10 @@ class Session:
         del seq
         self._inquiry.see(bool(on))
 
+    def _try_fits(self, seq: int) -> None:
+        del seq
+        self._inquiry.try_fits()
+
     def _near(self, seq: int, *, y: int, x: int) -> None:
         """Read what is pointed at, so that it is there when it is clicked."""
         del seq
@@ -178,6 +183,7 @@ class Session:
         "export": _export,
         "pause": _pause,
         "visible": _seen,
+        "fitness": _try_fits,
     }
 
     # --- what they change -----------------------------------------------------------------------
@@ -230,6 +236,7 @@ class Session:
 
 def _page(document: Document, shared: Shared) -> Page:
     source, other = shared.source, shared.other
+    rendered = isinstance(source, StoreSource)
     titles = [source.name] if other is None else [source.name, other.name]
     return Page(
         document,
@@ -237,5 +244,6 @@ def _page(document: Document, shared: Shared) -> Page:
         size=source.size,
         channels=source.channels,
         heading=" and ".join(titles),
-        errors=judged_names() if isinstance(source, StoreSource) else None,
+        maps=[kind for kind in MAPS.values() if rendered or kind.name in PICTURES],
+        errors=judged_names() if rendered else (),
     )

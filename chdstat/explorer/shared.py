@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields
 from typing import Any
@@ -20,6 +20,7 @@ from chdstat.errors import ChdstatError
 from chdstat.explorer.cache import kept
 from chdstat.explorer.images import Overall, preview, stream
 from chdstat.explorer.judged import quick_names
+from chdstat.explorer.learned import Learner
 from chdstat.explorer.live import SceneSource
 from chdstat.explorer.maps import Map, map_kind, of_overall, walk, with_sizes
 from chdstat.explorer.sources import StoreSource
@@ -47,6 +48,8 @@ class Shared:
         A second store that it is compared with.
     reference
         A store of the same scene with more samples, which errors are measured against.
+    learners
+        Trained estimators that are asked about what is selected.
 
     Attributes
     ----------
@@ -65,8 +68,10 @@ class Shared:
         source: StoreSource | SceneSource,
         other: StoreSource | None = None,
         reference: StoreSource | None = None,
+        learners: Sequence[Learner] = (),
     ) -> None:
         self.source, self.other, self.reference = source, other, reference
+        self.learners = tuple(learners)
         self.overall: Overall | None = None
         self.other_overall: Overall | None = None
         self.maps: dict[str, Map] = {}
@@ -82,6 +87,12 @@ class Shared:
         self._urgent = 0
         self._lock = threading.Lock()
         self._told = 0.0
+
+    @property
+    def unit(self) -> float | None:
+        """Mean radiance of the picture so far, None before there is any."""
+        finite = None if self.overall is None else self.overall.mean[np.isfinite(self.overall.mean)]
+        return float(finite.mean(dtype=np.float64)) if finite is not None and finite.size else None
 
     def start(self) -> None:
         """Show the first picture, then begin to improve it."""

@@ -8,7 +8,7 @@ from chdstat.errors import InputError
 from chdstat.explorer.cargo import colorbar
 from chdstat.explorer.images import Overall, rgba
 from chdstat.explorer.live import SceneSource
-from chdstat.explorer.maps import map_kind, of_overall
+from chdstat.explorer.maps import PICTURES, map_kind, of_overall
 from chdstat.explorer.page import Page
 from chdstat.explorer.shared import Shared
 from chdstat.explorer.view import View
@@ -59,8 +59,12 @@ class Showing:
             If there is no such map, or no store to make it of.
         """
         if isinstance(self._shared.source, SceneSource):
-            map_kind(name)
-            message = "maps need a store: render the scene with 'chdstat render SCENE -o STORE'"
+            if (kind := map_kind(name)).name in PICTURES:
+                return
+            message = (
+                f"{kind.title!r} needs a store: render the scene with "
+                "'chdstat render SCENE -o STORE'"
+            )
             raise InputError(message)
         self._shared.want(name)
 

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator, spans
+from chdstat._shards import Block, Shards
 from chdstat._store import BLOCK
 from chdstat.errors import ChdstatError, StoreError
-from chdstat.explorer.shards import Block, Shards
 from chdstat.explorer.view import check_pixel
 from chdstat.samples import Samples
 from chdstat.samples import open as open_store
@@ -144,13 +144,18 @@ class StoreSource:
         self._check()
         return np.concatenate([part[y % BLOCK, x % BLOCK] for part in parts], axis=-1)
 
-    def around(self, y: int, x: int, spp: int) -> tuple[Image, tuple[int, int]]:
-        """Return the first samples of the pixels around one, and where that lies among them."""
+    def around(
+        self, y: int, x: int, spp: int, *, radius: int = _AROUND
+    ) -> tuple[Image, tuple[int, int], tuple[slice, slice]]:
+        """Return the first samples of the pixels around one.
+
+        With them come the place of the pixel among them, and theirs in the image.
+        """
         height, width = self.size
-        top, left = max(0, y - _AROUND), max(0, x - _AROUND)
-        ys = slice(top, min(height, y + _AROUND + 1))
-        xs = slice(left, min(width, x + _AROUND + 1))
-        return self.read(ys, xs, slice(0, spp)), (y - top, x - left)
+        top, left = max(0, y - radius), max(0, x - radius)
+        ys = slice(top, min(height, y + radius + 1))
+        xs = slice(left, min(width, x + radius + 1))
+        return self.read(ys, xs, slice(0, spp)), (y - top, x - left), (ys, xs)
 
     def region(self, box: Box) -> Image:
         """Return pooled samples of a region, as many of each pixel, shape (channel, sample)."""

@@ -9,14 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._reasons import Reason
+from chdstat.differences import Difference
+from chdstat.explorer.fitness import Fitness
 from chdstat.explorer.judged import Estimate
 from chdstat.explorer.measured import Measured
-from chdstat.explorer.versus import Difference
 from chdstat.normality import MORE_THAN_TESTED
 from chdstat.patterns import PATTERNS, Label
 from chdstat.reporting.text import NAMES, number, percent
 
-__all__ = ["Table", "compared", "estimates", "patterns", "statistics"]
+__all__ = ["Table", "compared", "estimates", "fitness", "patterns", "statistics"]
 
 Table = dict[str, Any]
 """``columns``: titles; ``rows``: cells of text; ``title``; ``note``: a line below."""
@@ -101,8 +102,8 @@ def estimates(found: Sequence[Estimate], channels: Sequence[str], n: int, refere
     """Return what every estimator says, and its error."""
     rows = [
         [
-            NAMES.get(e.name, e.name.replace("_", " ")),
-            *(number(float(v)) for v in e.value),
+            _estimator(e),
+            *_values(e),
             number(e.mse_ratio),
             percent(e.bias, sign=True),
             percent(e.improved),
@@ -115,6 +116,22 @@ def estimates(found: Sequence[Estimate], channels: Sequence[str], n: int, refere
         "rows": rows,
         "note": reference if rows else f"too few samples for batches of {n}",
     }
+
+
+def fitness(found: Fitness, rows: Sequence[str]) -> Table:
+    """Return the p-value and the misfit of every family, one column for each row of the place."""
+    cells = [
+        [
+            NAMES.get(family, family),
+            *(f"{_p(float(v))} (D {number(float(d))})" for v, d in zip(p, distance, strict=True)),
+        ]
+        for family, p, distance in zip(found.families, found.p_value, found.distance, strict=True)
+    ]
+    note = (
+        f"p-values of A² from {found.resamples} replicates, fitted as the samples were, and the "
+        f"largest gap D; the first {found.n} samples"
+    )
+    return {"title": "Goodness of fit", "columns": ["family", *rows], "rows": cells, "note": note}
 
 
 def compared(found: Difference, channels: Sequence[str], names: tuple[str, str]) -> Table:
@@ -136,6 +153,23 @@ def compared(found: Difference, channels: Sequence[str], names: tuple[str, str])
         "rows": rows,
         "note": note,
     }
+
+
+def _estimator(found: Estimate) -> str:
+    name = NAMES.get(found.name, found.name.replace("_", " "))
+    sure = found.certainty
+    return f"{name}, {percent(sure)} certain" if np.isfinite(sure) else name
+
+
+def _values(found: Estimate) -> list[str]:
+    """Return the estimate of each channel, with its interval where there is one."""
+    if found.low is None or found.high is None:
+        return [number(float(v)) for v in found.value]
+    ends = np.stack([found.low, found.high], axis=-1)
+    return [
+        _with_interval(float(v), e) if np.isfinite(e).all() else number(float(v))
+        for v, e in zip(found.value, ends, strict=True)
+    ]
 
 
 def _summary(place: Measured) -> str:

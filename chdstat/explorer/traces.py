@@ -16,7 +16,7 @@ from chdstat.explorer.measured import Measured
 from chdstat.explorer.palette import BLENDED, DASHES
 from chdstat.explorer.series import Panel, Series, Trace
 from chdstat.explorer.view import View
-from chdstat.fit import Fit, Mixture
+from chdstat.reporting.text import NAMES
 
 __all__ = ["panels"]
 
@@ -78,7 +78,7 @@ def _fits(view: View, s: Series, scale: Scale, low: float, high: float, top: flo
     x = np.geomspace(low, high, _POINTS) if scale == "log" else np.linspace(low, high, _POINTS)
     lines = []
     for family in view.families:
-        found = s.measured.fit(family, s.row)
+        found = s.measured.positive(family, s.row)
         if found is None:
             continue
         with np.errstate(all="ignore"):
@@ -86,8 +86,8 @@ def _fits(view: View, s: Series, scale: Scale, low: float, high: float, top: flo
         # A density may be infinite at 0: the histogram sets the height.
         y = np.where(np.isfinite(y), np.minimum(y, top), np.nan)
         if np.isfinite(y).any():
-            name = found.family if isinstance(found, Fit) else "mixture"
-            lines.append(Trace(x, y, s.color, DASHES.get(name, "solid"), 2.0, f"{s.name} {name}"))
+            dash = DASHES.get(found.family, "solid")
+            lines.append(Trace(x, y, s.color, dash, 2.0, f"{s.name} {found.family}"))
     return lines
 
 
@@ -136,17 +136,18 @@ def _qq(view: View, series: Sequence[Series]) -> Panel:
     lines, ends = [], []
     families: dict[str, None] = {}
     for s in series:
-        found = s.measured.fit(view.families[0] if view.families else "best", s.row)
+        found = s.measured.positive(view.families[0] if view.families else "best", s.row)
         part, n = s.measured.part, int(s.measured.part.n[s.row])
         if found is None or n < 2:
             continue
         levels = _QUANTILES if n >= 100 else (np.arange(n) + 0.5) / n
-        expected = _quantiles(found, levels)
+        with np.errstate(all="ignore"):
+            expected = np.asarray(found.ppf(levels), np.float64)
         ordered = part.sorted[s.row, :n].astype(np.float64)
         seen = ordered[np.minimum((levels * n).astype(int), n - 1)]
         keep = np.isfinite(expected) & (expected > 0) & (seen > 0)
         if keep.any():
-            families[found.family if isinstance(found, Fit) else "mixture"] = None
+            families[found.family] = None
             lines.append(
                 Trace(
                     expected[keep],
@@ -162,14 +163,8 @@ def _qq(view: View, series: Sequence[Series]) -> Panel:
         return Panel(notes=["no family could be fitted"])
     diagonal = np.array([min(ends), max(ends)])
     lines.insert(0, Trace(diagonal, diagonal, BLENDED, "dotted", 1.2, "equal"))
-    return Panel(lines=lines, notes=[f"against {', '.join(families)}"])
-
-
-def _quantiles(found: Fit | Mixture, levels: Floats) -> Floats:
-    """Return quantiles of the positive part alone."""
-    with np.errstate(all="ignore"):
-        zero = np.float64(found.zero_share)
-        return np.asarray(found.ppf(zero + (1 - zero) * levels), np.float64)
+    names = [NAMES.get(family, family) for family in families]
+    return Panel(lines=lines, notes=[f"against {', '.join(names)}"])
 
 
 def _running(series: Sequence[Series]) -> Panel:

@@ -14,6 +14,7 @@ import pytest
 import chdstat as chd
 from chdstat._store import chunk_grid
 from chdstat.explorer import explore
+from chdstat.explorer.maps import PICTURES
 
 SIZE = 32
 
@@ -290,6 +291,28 @@ def test_an_address_that_is_wrong_is_explained(person, store_path):
     assert one.chips == ["1: y 1 x 1"]
 
 
+def test_fits_are_tested_when_asked(person, store_path):
+    one = person(store_path).open("?p=20,10")
+    assert not one.page.locator("#fitness progress").is_visible()
+    one.page.get_by_role("button", name="Test the fits").click()
+    one.page.wait_for_selector("#fitness table", timeout=120000)
+    assert "199 replicates" in one.text("#fitness .note")
+    assert one.page.locator("#fitness tr").count() == 5  # the head and four families
+    one.click(5, 5)  # another place, another question
+    assert one.page.get_by_role("button", name="Test the fits").is_enabled()
+
+
+def test_trained_estimators_are_among_the_others(person, store_path, tmp_path):
+    model = chd.train_model(chd.open(store_path), spp=16, iterations=5, progress=False)
+    path = model.save(tmp_path / "mine.safetensors") or tmp_path / "mine.safetensors"
+    one = person(store_path, models=[path]).open("?p=20,10&n=16")
+    one.page.wait_for_function(
+        "document.querySelector('#estimates').innerText.includes('mine')", timeout=60000
+    )
+    row = one.page.locator("#estimates tr", has_text="mine").inner_text()
+    assert re.search(r"mine, \d+.% certain.*\[.+, .+\]", row.replace("\n", " "))
+
+
 def test_exports_are_files(person, store_path):
     one = person(store_path).open("?p=20,10&p=5,6")
     content = {}
@@ -338,7 +361,12 @@ def test_a_scene_is_sampled_where_it_is_clicked(person):
     )
     one.page.get_by_role("button", name="Pause").click()
     one.page.wait_for_selector("#live button:text('Continue')")
-    assert one.page.locator("select[data-option=map] option").count() == 1  # no store, no maps
+    maps = one.page.locator("select[data-option=map]")
+    assert maps.locator("option").count() == 1 + len(PICTURES)  # what the picture gives
+    maps.select_option("relative_error")
+    one.page.wait_for_function(
+        "document.querySelector('#colorbar').innerText.includes('log10, luminance')"
+    )
     assert "sampled where you click" in one.text("#described")
 
 

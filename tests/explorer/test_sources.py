@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._store import BLOCK
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import cache
 from chdstat.explorer.images import Overall, preview, rgba, stream
 from chdstat.explorer.live import FIRST_SPP, SceneSource
 from chdstat.explorer.maps import MAPS, map_kind, of_overall, walk
-from chdstat.explorer.shards import Shards
 from chdstat.explorer.sources import StoreSource, pooled
 from chdstat.fit.tail import tail_of_part
 from chdstat.patterns import classify, luminance_part
@@ -55,38 +53,6 @@ def test_a_pixel_is_what_the_store_holds(source, y, x):
 def test_a_pixel_outside_is_refused(source, y, x):
     with pytest.raises(InputError, match="outside the image of 32 x 32"):
         source.pixel(y, x)
-
-
-@pytest.mark.parametrize(("size", "spp"), [((70, 20), 64), ((16, 80), 96)])
-def test_blocks_from_the_files_are_those_of_zarr(tmp_path, size, spp):
-    path, (width, height) = tmp_path / "s.zarr", size
-    samples = chd.render("cornell-box", spp=spp, size=size, out=path, backend="scalar")
-    shards = Shards(path, samples.shape)
-    for row, column in np.ndindex(-(-height // BLOCK), -(-width // BLOCK)):
-        ys = slice(row * BLOCK, (row + 1) * BLOCK)
-        xs = slice(column * BLOCK, (column + 1) * BLOCK)
-        found = np.concatenate(shards.block(row, column), axis=-1)
-        np.testing.assert_array_equal(found, samples.read(ys, xs))
-
-
-def test_what_is_damaged_or_another_layout_is_left_to_zarr(own_store):
-    shape = chd.open(own_store).shape
-    assert Shards(own_store, shape).block(0, 0) is not None
-    file = own_store / "radiance/c/0/0/0/0"
-    whole = file.read_bytes()
-    for place in (100, -3, -100):  # in a chunk, in the table's checksum, in the table
-        broken = bytearray(whole)
-        broken[place] ^= 0xFF
-        file.write_bytes(broken)
-        assert Shards(own_store, shape).block(0, 0) is None
-    file.write_bytes(whole[:100])
-    assert Shards(own_store, shape).block(0, 0) is None
-    with pytest.raises(StoreError, match="cannot read"):
-        StoreSource(chd.open(own_store)).pixel(0, 0)
-    file.write_bytes(whole)
-    meta = own_store / "radiance/zarr.json"
-    meta.write_text(meta.read_text().replace('"end"', '"start"'))
-    assert Shards(own_store, shape).block(0, 0) is None
 
 
 def test_a_region_pools_as_many_samples_of_each_pixel(source):

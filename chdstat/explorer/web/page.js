@@ -125,6 +125,8 @@ window.chdstat = (() => {
   // --- what the server says ---
   const says = {
     view(item) {
+      const selected = JSON.stringify([item.view.pixels, item.view.active, item.view.region]);
+      if (selected !== asked) { asked = selected; untested(); }
       view = item.view;
       const query = item.query ? `?${item.query}` : location.pathname;
       history.replaceState(null, "", query);
@@ -138,7 +140,7 @@ window.chdstat = (() => {
       chips(item.colors);
       const nothing = !view.pixels.length && !view.region;
       document.body.classList.toggle("nothing", nothing);
-      if (nothing) for (const q of [".table", ".note", "#legend"]) for (const e of all(q)) e.replaceChildren();
+      if (nothing) for (const q of [".table:not(#fitness)", ".panel .note", "#legend"]) for (const e of all(q)) e.replaceChildren();
     },
     panels(item) {
       draw(item);
@@ -150,6 +152,10 @@ window.chdstat = (() => {
     tables(item) {
       for (const [name, content] of Object.entries(item.tables)) table($(`#${name}`), content);
       if ("compared" in item.tables) $("#compared").hidden = false;
+    },
+    fitness(item) {
+      const bar = $("#fitness progress");
+      if (bar) bar.value = item.share;
     },
     colorbar(item) { colorbar(item.bar); },
     described(item) { $("#described").textContent = item.text; },
@@ -212,7 +218,7 @@ window.chdstat = (() => {
     let at = 0;
     const take = (n) => numbers.subarray(at, (at += n));
     for (const [name, panel] of Object.entries(item.panels)) {
-      const [areas, lines, lineMarks] = models.panels[name];
+      const [areas, lines, lineMarks, ...ranges] = models.panels[name];
       const columns = (traces) => {
         const both = traces.map((t) => [take(t.n), take(t.n)]);
         return { xs: both.map((b) => b[0]), ys: both.map((b) => b[1]), color: traces.map((t) => t.color) };
@@ -221,6 +227,7 @@ window.chdstat = (() => {
       const drawn = columns(panel.lines);
       put(lines, { ...drawn, dash: panel.lines.map((t) => t.dash), width: panel.lines.map((t) => t.width) });
       put(lineMarks, panel.marks);
+      for (const [i, [start, end]] of (panel.extent ?? []).entries()) ranges[i].setv({ start, end }, { sync: false });
     }
   }
 
@@ -264,6 +271,23 @@ window.chdstat = (() => {
     parent.replaceChildren(...parts, body);
   }
 
+  // The test of the fits waits to be asked for, anew for each selection.
+  let asked = "", offer = null;
+  function untested() {
+    if (!offer) {
+      offer = [...$("#fitness").children];
+      $("#fitness button").addEventListener("click", () => {
+        $("#fitness progress").hidden = false;
+        $("#fitness button").disabled = true;
+        send("fitness");
+      });
+    }
+    $("#fitness").replaceChildren(...offer);
+    $("#fitness progress").value = 0;
+    $("#fitness progress").hidden = true;
+    $("#fitness button").disabled = false;
+  }
+
   function colorbar(bar) {
     label = bar && bar.names ? { title: bar.title, names: bar.names } : bar ? { title: bar.title } : null;
     const parent = $("#colorbar");
@@ -287,8 +311,16 @@ window.chdstat = (() => {
   }
 
   // --- the start ---
+  // Bokeh writes a style sheet for each axis and glyph whenever it paints, mostly the same as before,
+  // and asks for computed styles in between: the browser then works all styles of the page out anew.
+  function spare() {
+    const sheet = Bokeh.require?.("core/dom")?.InlineStyleSheet?.prototype, update = sheet?._update;
+    if (update) sheet._update = function (css) { if (this.el.textContent !== css) update.call(this, css); };
+  }
+
   function start(given) {
     models = given;
+    spare();
     models.outbox.properties.value.change.connect(receive);
     receive();
     document.addEventListener("keydown", key);

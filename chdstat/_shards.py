@@ -1,8 +1,8 @@
 """Shards: one block of 16 x 16 pixels of a store, straight from its files.
 
-zarr takes a millisecond for each of the files that a pixel lies in, which a person before a page
-would notice; this takes a third. It knows one layout, that of `chdstat._store`, checks it, and
-leaves everything else to zarr, which also explains what is damaged.
+Use it where single pixels are read as a person waits: zarr takes a millisecond for each of the
+files that a pixel lies in, this a third. It knows one layout, that of `chdstat._store`, checks it,
+and leaves everything else to zarr, which also explains what is damaged.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Versus: how far two CHDs are apart, and whether chance alone would do that.
+"""Differences: how far two CHDs are apart, and whether chance alone would do that.
 
-The two are samples of the same pixel in two stores: of another integrator, path length or spp.
+Use it for two pixels, or for one pixel in two stores: of another integrator, path length or spp.
+`chdstat.compare` is about estimators.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class Difference:
 def difference(
     a: npt.ArrayLike, b: npt.ArrayLike, *, replicates: int = _REPLICATES, seed: int = 0
 ) -> Difference:
-    """Compare two sets of samples.
+    """Compare two CHDs, each given by the samples of a pixel.
 
     ``D = max |F_a - F_b|``. Ties, such as nulls, make the textbook's p-values of D wrong, so that
     the samples are shuffled between the two sets: ``p = (b + 1) / (B + 1)`` where b of B shuffles
@@ -72,10 +73,15 @@ def difference(
     replicates, seed
         Shuffles B, and the seed of them.
 
+    Returns
+    -------
+    Difference
+        Distances and differences of each channel, and one p-value for all of them.
+
     Raises
     ------
     InputError
-        If the numbers of channels differ.
+        If the numbers of channels differ, or B is less than 1.
 
     References
     ----------
@@ -95,6 +101,9 @@ def difference(
     one, two = (_good(x) for x in (a, b))
     if one.shape[0] != two.shape[0]:
         message = f"expected as many channels in both, got {one.shape[0]} and {two.shape[0]}"
+        raise InputError(message)
+    if replicates < 1:
+        message = f"replicates must be at least 1, got {replicates}"
         raise InputError(message)
     delta, t, p = _means(one, two)
     one, two = one[:, :_MOST], two[:, :_MOST]

@@ -1,0 +1,77 @@
+"""Trained estimators beside the fixed ones: what is asked, and what cannot be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError, StoreError
+from chdstat.explorer import explore
+from chdstat.explorer.judged import batches_of
+from chdstat.explorer.learned import judged_learners, learners
+from chdstat.explorer.sources import StoreSource
+
+PLACE = (5, 7)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    rng = np.random.default_rng(1)
+    return chd.Samples.from_array(rng.gamma(2.0, size=(24, 24, 3, 64)).astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def model(samples):
+    """Return an estimator that looks at one pixel."""
+    return chd.train_model(samples, iterations=5, progress=False)
+
+
+def judged(model, samples, n=16, place=PLACE):
+    x = samples[PLACE]
+    batches = batches_of(x, n)
+    return judged_learners(learners([model]), batches, StoreSource(samples), place, 2.0)
+
+
+def test_one_that_looks_at_a_pixel_says_what_it_says_elsewhere(samples, model):
+    (found,) = judged(model, samples)
+    direct = model.estimate(batches_of(samples[PLACE], 16).x, unit=2.0)
+    np.testing.assert_allclose(found.value, direct.radiance.mean(axis=0), rtol=1e-6)
+    assert found.certainty == pytest.approx(float(direct.certainty.mean()), rel=1e-6)
+    assert (found.low <= found.high).all()
+    assert np.isfinite([found.mse_ratio, found.bias, found.improved]).all()
+
+
+def test_one_that_looks_around_is_asked_about_a_picture(samples):
+    model = chd.train_model(samples, reference=False, iterations=5, progress=False)
+    (found,) = judged(model, samples)
+    assert model.neighbours
+    assert found.value.shape == (3,)
+    assert np.isfinite(found.value).all()
+    assert judged(model, samples, place=(0, 0, 4, 4)) == []  # a region is no picture
+
+
+def test_one_for_another_number_of_samples_is_left_out(samples):
+    model = chd.train_model(samples, "elek2019", iterations=5, progress=False)
+    assert judged(model, samples, n=16) == []
+    (found,) = judged(model, samples, n=model.inputs)
+    assert np.isnan(found.certainty)
+
+
+def test_one_channel_is_not_for_a_model_of_three(samples, model):
+    grey = chd.Samples.from_array(samples.read()[:, :, :1])
+    assert judged(model, grey) == []
+
+
+def test_a_file_that_is_no_model_is_refused(samples, tmp_path):
+    path = tmp_path / "none.safetensors"
+    with pytest.raises(StoreError, match="no model at"):
+        explore(samples, models=[path])
+    path.write_bytes(b"nothing")
+    with pytest.raises(StoreError):
+        explore(samples, models=[path])
+
+
+def test_one_that_looks_at_direct_light_is_refused():
+    with pytest.raises(InputError, match="trained with direct=False"):
+        learners([chd.estimators.Progressive(direct=True)])
