@@ -17,11 +17,22 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from chdstat.errors import InputError
+from chdstat.samples import Samples
+from chdstat.scenes import BUILTIN
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["PHENOMENA", "Recipe", "Region", "choose_regions", "find_recipe", "load_recipe"]
+__all__ = [
+    "PHENOMENA",
+    "Recipe",
+    "Region",
+    "choose_regions",
+    "find_recipe",
+    "load_recipe",
+    "own_recipe",
+    "regions_of",
+]
 
 SCHEMA = 1
 PHENOMENA = (
@@ -119,6 +130,35 @@ class Recipe:
     def settings(self) -> dict[str, Any]:
         """Return the arguments of `chdstat.render`."""
         return {"size": self.size, "spp": self.spp, "seed": self.seed, "max_depth": self.max_depth}
+
+    def shows(self, height: int, width: int) -> bool:
+        """Return whether an image of this size has the proportions, and so the view, of this one.
+
+        Examples
+        --------
+        >>> find_recipe("bathroom").shows(64, 64), find_recipe("bathroom").shows(64, 96)
+        (True, False)
+        """
+        own_width, own_height = self.size
+        scale = max(width / own_width, height / own_height)
+        return abs(width - own_width * scale) < 1 and abs(height - own_height * scale) < 1
+
+
+def own_recipe(name: str, origin: str) -> Recipe | None:
+    """Return the recipe of a scene that is built in; None of another, whatever its name is.
+
+    Parameters
+    ----------
+    name, origin
+        Of a `Scene`, or of the scene of samples.
+    """
+    return find_recipe(name) if name in BUILTIN and origin == "chdstat" else None
+
+
+def regions_of(samples: Samples) -> tuple[Region, ...]:
+    """Return the regions of samples of a built-in scene in the view of its recipe, else none."""
+    recipe = own_recipe(samples.name, str(samples.attrs.get("scene_source")))
+    return recipe.regions if recipe and recipe.shows(*samples.shape[:2]) else ()
 
 
 def find_recipe(scene: str) -> Recipe | None:

@@ -6,10 +6,18 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import chdstat as chd
 from chdstat._reasons import flag_attributes
 from chdstat.errors import InputError
 from chdstat.patterns import Label
-from chdstat.recipes import PHENOMENA, Region, choose_regions, find_recipe, load_recipe
+from chdstat.recipes import (
+    PHENOMENA,
+    Region,
+    choose_regions,
+    find_recipe,
+    load_recipe,
+    regions_of,
+)
 from chdstat.scenes import BUILTIN, load_scene
 
 GOOD = """
@@ -158,3 +166,17 @@ def test_choosing_works_on_a_single_pixel():
     )
     (region,) = choose_regions(xr.Dataset({"label": label}))
     assert region.pixels(1, 1) == (slice(0, 1), slice(0, 1))
+
+
+def test_regions_are_those_of_the_view_that_the_recipe_shows():
+    x = np.ones((32, 32, 3, 2), dtype=np.float32)
+    known = find_recipe("bathroom")
+    assert known is not None
+
+    def regions(x, **attrs):
+        return regions_of(chd.Samples.from_array(x, **attrs))
+
+    assert regions(x, scene="bathroom", scene_source="chdstat") == known.regions
+    assert regions(x[:20], scene="bathroom", scene_source="chdstat") == ()
+    assert regions(x, scene="bathroom", scene_source="other.xml") == ()
+    assert regions(x, scene="attic", scene_source="chdstat") == ()

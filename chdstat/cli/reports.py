@@ -78,6 +78,15 @@ def study(
     seed: Seed = None,
     max_depth: Depth = None,
     backend: BackendName = "auto",
+    estimator: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--estimator",
+            "-e",
+            metavar="NAME",
+            help="What to compare; repeat for more. Those that learn are trained on each scene.",
+        ),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Ask scenes for the claims of the paper: verdicts, figures, a PDF."""
@@ -96,6 +105,7 @@ def study(
         max_depth=max_depth,
         backend=backend,
         progress=progress_of(quiet),
+        **given(estimators=estimator),
     )
     rows = found.table()
     print_rows(rows, {key: key for key in rows[0]})
@@ -115,6 +125,10 @@ def explore(
         Path | None,
         typer.Option(help="Store that errors are measured against.", show_default=False),
     ] = None,
+    model: Annotated[
+        list[Path] | None,
+        typer.Option(help="A trained estimator to show; repeat for more.", show_default=False),
+    ] = None,
     port: Annotated[int, typer.Option(help="Where to listen; 0 takes a free port.")] = 5006,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
@@ -131,6 +145,7 @@ def explore(
         source if is_store(source) else scene_of(source, define),
         other=other,
         reference=reference,
+        models=model or (),
         port=port,
         browser=browser,
         **given(seed=seed, size=size_of(size), max_depth=max_depth),

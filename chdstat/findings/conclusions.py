@@ -30,6 +30,10 @@ class Conclusion:
         What was measured, and what could not be, each as a sentence.
     p_value, details, exhibit
         As for `Finding`.
+    subject
+        What was measured, where it could be one thing or another: the reason names it.
+    beside
+        The same of others, by name; the verdict does not rest on it.
     """
 
     parts: tuple[Part, ...] = ()
@@ -37,6 +41,8 @@ class Conclusion:
     p_value: float | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     exhibit: Exhibit = field(default_factory=lambda: Exhibit("curves"))
+    subject: str = ""
+    beside: Mapping[str, Conclusion] = field(default_factory=dict)
 
     @property
     def verdict(self) -> Verdict:
@@ -76,6 +82,10 @@ def conclude(
         parts=found.parts,
         details=found.details,
         exhibit=found.exhibit,
+        beside={
+            other: conclude(c, number=number, name=name, claim=claim, scene=scene, spp=spp)
+            for other, c in found.beside.items()
+        },
     )
 
 
@@ -100,11 +110,12 @@ def _reason(found: Conclusion, spp: int) -> str:
         return _sentence("; ".join(found.missing))
     if part is None:
         return "Nothing was measured."
-    if verdict == "cannot tell":
-        return _sentence(f"{part}; {_needed(part, spp)}")
-    if verdict == "not supported":
-        return _sentence(str(part))
-    return _sentence("; ".join(str(part) for part in found.parts))
+    said = {
+        "supported": "; ".join(str(part) for part in found.parts),
+        "not supported": str(part),
+        "cannot tell": f"{part}; {_needed(part, spp)}",
+    }[verdict]
+    return _sentence(f"{found.subject}: {said}" if found.subject else said)
 
 
 def _needed(part: Part, spp: int) -> str:

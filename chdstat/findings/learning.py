@@ -1,8 +1,13 @@
-"""Learning: what the learned model is worth, and to whom (finding 15)."""
+"""Learning: what the learned model is worth, and to whom (finding 15).
+
+The claim is about the model of the paper, `PAPER`, and so is the verdict. Other estimators that
+learned are asked the same, and stand beside it.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,10 +23,12 @@ from chdstat.findings.results import Exhibit, Part
 from chdstat.io.denoiser import denoise
 from chdstat.metrics import relative_squared_error
 
-__all__ = ["EARLY", "GAINED", "MAJORITY", "SUPPRESSED", "measure"]
+__all__ = ["EARLY", "GAINED", "MAJORITY", "PAPER", "SUPPRESSED", "measure"]
 
 Floats = npt.NDArray[np.float64]
 
+PAPER = "elek2019"
+"""Name of the estimator that the claim is about."""
 MAJORITY = 0.5
 """Share of estimates that a majority exceeds."""
 SUPPRESSED = 0.5
@@ -40,9 +47,19 @@ def measure(evidence: Evidence) -> Conclusion:
     comparison = evidence.comparison
     if comparison is None:
         return Conclusion(missing=("needs a comparison of estimators",))
-    name = _learned(comparison)
-    if name is None:
-        return Conclusion(missing=("needs a learned estimator in the comparison",))
+    found = {
+        name: _of_model(evidence, comparison, name)
+        for name in comparison.estimators
+        if name in comparison.models
+    }
+    asked = found.pop(PAPER, None)
+    if asked is None:
+        asked = Conclusion(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
+    return replace(asked, beside=found)
+
+
+def _of_model(evidence: Evidence, comparison: Comparison, name: str) -> Conclusion:
+    """Ask one estimator that learned."""
     index, level = comparison.estimators.index(name), level_of(_PARTS)
     parts = [
         Part.of(
@@ -73,6 +90,7 @@ def measure(evidence: Evidence) -> Conclusion:
         tuple(missing),
         details={"estimator": name, "n": comparison.n, "bias": _value(comparison, "bias", index)},
         exhibit=_exhibit(history),
+        subject=f"for {name}",
     )
 
 
@@ -100,12 +118,6 @@ def early_gain(history: Any, *, level: float) -> Spread:
     share = early / end
     half = reach * deviation / end * math.sqrt(1 + share**2 / last)
     return Spread(share, share - half, share + half, level)
-
-
-def _learned(comparison: Comparison) -> str | None:
-    """Return the paper's model where it was compared, else the first that was trained."""
-    names = [name for name in comparison.estimators if name in comparison.models]
-    return "elek2019" if "elek2019" in names else next(iter(names), None)
 
 
 def _value(comparison: Comparison, measure: str, index: int) -> float:

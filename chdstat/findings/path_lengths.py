@@ -25,6 +25,8 @@ GROWTH = 0.01
 between -1 and 1; below it, nothing grew."""
 LEAST = 100
 """Positive samples that the quantiles at 1 % and 99 % need, in both images."""
+_INTERPRETED = "scalar"
+"""The backend that compiles nothing for a scene."""
 _LEVELS = (0.01, 0.5, 0.99)
 _PARTS = 4
 
@@ -54,6 +56,9 @@ def measure(evidence: Evidence) -> Conclusion:
         ),
         details={
             "time_ratio": _time_ratio(evidence.samples, evidence.shorter),
+            "seconds_per_sample": [
+                _time_of_sample(samples) for samples in (evidence.shorter, evidence.samples)
+            ],
             "mean_ratio": float(long["mean"].mean() / short["mean"].mean()),
             "max_depth": [_depth(evidence.shorter), _depth(evidence.samples)],
             "spp": [evidence.shorter.spp, evidence.samples.spp],
@@ -115,9 +120,16 @@ def _time_ratio(long: Samples, short: Samples) -> float | None:
 
 
 def _time_of_sample(samples: Samples) -> float | None:
+    """Return the time to render and store one sample, in s, all cores together.
+
+    The time of a render has no loading of the scene in it. Backends that compile for each render do
+    that within it, and seconds of compiling cannot be told from those of rendering: None for them.
+    """
     seconds: Any = samples.attrs.get("render_seconds")
+    if not seconds or samples.attrs.get("backend") != _INTERPRETED:
+        return None
     height, width, _, spp = samples.shape
-    return None if seconds is None else float(seconds) / (height * width * spp)
+    return float(seconds) / (height * width * spp)
 
 
 def _depth(samples: Samples) -> Any:

@@ -49,6 +49,8 @@ class Claim:
         What looks for it: in one scene, or in several.
     across
         Whether it compares scenes.
+    paired
+        Whether it compares renders of one scene.
     """
 
     number: int
@@ -57,6 +59,12 @@ class Claim:
     spp: int
     measure: Callable[[Evidence], Conclusion] | Callable[[Sequence[Evidence]], Conclusion]
     across: bool = False
+    paired: bool = False
+
+    @property
+    def alone(self) -> bool:
+        """Whether one render of one scene can tell."""
+        return not (self.across or self.paired)
 
     def find(self, evidence: Evidence, others: Sequence[Evidence] = ()) -> Finding:
         """Look for the claim in a scene, or in this scene and others."""
@@ -143,6 +151,7 @@ FINDINGS = (
         "Longer paths give CHDs of wider support, longer tail, more skew and more variance.",
         _SHAPES,
         path_lengths.measure,
+        paired=True,
     ),
     Claim(
         10,

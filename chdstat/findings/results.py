@@ -99,7 +99,8 @@ class Part:
 
     def __str__(self) -> str:
         value = f"{self.statistic.name} is {number(self.statistic.value)}"
-        between = f"{number(self.low)} to {number(self.high)}"
+        known = math.isfinite(self.low) and math.isfinite(self.high)
+        between = f"{number(self.low)} to {number(self.high)}" if known else "no interval"
         return f"{value} ({between}), claimed {self._range()}"
 
     def _range(self) -> str:
@@ -173,6 +174,9 @@ class Finding:
         Further numbers by region or channel, ready for JSON.
     exhibit
         What its figure draws.
+    beside
+        The same asked of what the claim is not about, by name, such as of another estimator; the
+        verdict does not rest on it.
     """
 
     number: int
@@ -187,6 +191,7 @@ class Finding:
     parts: tuple[Part, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
     exhibit: Exhibit = field(default_factory=lambda: Exhibit("curves"))
+    beside: Mapping[str, Finding] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the exhibit, ready for JSON; what is not finite is None."""
@@ -203,6 +208,7 @@ class Finding:
             "reason": self.reason,
             "parts": [part.to_dict() for part in self.parts],
             "details": plain(self.details),
+            "beside": {name: found.to_dict() for name, found in self.beside.items()},
         }
 
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from chdstat import viz
 from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.estimators import MLP
+from chdstat.findings import FINDINGS, Evidence, Finding
 from chdstat.overviews import Overview, pooled_shares
 from chdstat.patterns import PATTERNS
-from chdstat.recipes import Region
 from chdstat.reporting import figures
+from chdstat.reporting.claims import chips, exhibits, finding_content
 from chdstat.reporting.findings import findings
+from chdstat.reporting.scene_figures import panels_of, scene_figures
 from chdstat.reporting.text import NAMES, between, number, percent
 from chdstat.reporting.trial_pages import trial_content, trial_figures
 from chdstat.reporting.trials import Trials
@@ -35,42 +38,57 @@ class Study:
 
     Parameters
     ----------
-    samples, dataset, overview
-        The samples, what `chdstat.analyze` says of them, and its summary.
-    regions
-        What to look at.
+    evidence
+        The samples with their regions and their analysis, and estimators side by side; without
+        these where the samples cannot judge them.
+    overview
+        The analysis in a few numbers.
+    claims
+        Findings on the paper's claims.
     chosen
         Whether the library chose the regions.
     atlas
         Shapes that recur; None where no pixel has one.
-    comparison, why_not
-        Estimators; None where these samples cannot judge them, and then why.
     curve
         Errors against the number of samples; None where there are too few.
     trials
         What was asked of our estimator; None where it did not take part.
+    why_not
+        Why no estimators were compared.
     """
 
-    samples: Samples
-    dataset: xr.Dataset
+    evidence: Evidence
     overview: Overview
-    regions: tuple[Region, ...]
+    claims: tuple[Finding, ...]
     chosen: bool
     atlas: Atlas | None
-    comparison: Comparison | None
     curve: ErrorCurve | None
     trials: Trials | None
     why_not: str = ""
 
+    @property
+    def samples(self) -> Samples:
+        """The samples of the scene."""
+        return self.evidence.samples
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """What `chdstat.analyze` says of them."""
+        return self.evidence.analysis
+
+    @property
+    def comparison(self) -> Comparison | None:
+        """Estimators side by side."""
+        return self.evidence.comparison
+
 
 def document(study: Study) -> Document:
     """Return the report on a scene, ready to typeset."""
-    marks = figures.marks_of(study.regions, study.samples)
-    panels = [figures.panel_of(study.samples, mark) for mark in marks]
+    panels = panels_of(study.evidence)
     content: dict[str, Any] = {
         "title": study.samples.name,
         "regions_chosen": study.chosen,
-        "regions": [_region(study, i) for i in range(len(marks))],
+        "regions": [_region(study, i) for i in range(len(panels))],
         "provenance": _provenance(study.samples),
         "findings": [
             vars(finding)
@@ -83,16 +101,23 @@ def document(study: Study) -> Document:
         "n_means": int(study.dataset.attrs.get("n_means", 0)),
         "spp": study.samples.spp,
         "no_estimators": study.why_not,
+        "verdicts": chips(),
+        "claims": [finding_content(finding) for finding in study.claims],
+        "unasked": _unasked(study.claims),
     }
     drawn: dict[str, Figure] = {
-        "study": figures.study(study.dataset["mean"].values, marks),
         "maps": figures.maps(study.dataset),
+        **scene_figures(study.evidence, panels, atlas=study.atlas),
     }
     if panels:
         drawn["chds"] = figures.chds(panels)
+    else:
+        drawn["picture"] = viz.with_marks(study.dataset["mean"].values)
+    shown = exhibits({f"{f.number} {f.name}": f for f in study.claims})
+    if shown is not None:
+        drawn["exhibits"] = shown
     if study.atlas is not None:
         content["atlas"] = _atlas(study.atlas)
-        drawn["atlas"] = figures.atlas(study.atlas)
     if study.overview.averages:
         drawn["averages"] = figures.averages(study.dataset, study.overview)
     if study.comparison is not None:
@@ -130,9 +155,15 @@ def _provenance(samples: Samples) -> list[tuple[str, str]]:
     return [(name, value) for name, value in rows.items() if value]
 
 
+def _unasked(claims: Sequence[Finding]) -> list[str]:
+    """Return the claims that were not asked of the scene."""
+    asked = {finding.number for finding in claims}
+    return [f"{claim.number} ({claim.name})" for claim in FINDINGS if claim.number not in asked]
+
+
 def _region(study: Study, index: int) -> dict[str, Any]:
     """Return one row of the table of regions."""
-    region, (height, width) = study.regions[index], study.samples.shape[:2]
+    region, (height, width) = study.evidence.regions[index], study.samples.shape[:2]
     pixel = dict(zip("yx", region.center(height, width), strict=True))
     found = study.dataset.isel(pixel)
     return {

@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from chdstat import viz
 from chdstat._arrays import is_bad, is_null
-from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.estimators import MLP, Progressive
 from chdstat.fit import select
@@ -20,6 +19,7 @@ from chdstat.overviews import Overview
 from chdstat.recipes import Region
 from chdstat.reporting.text import NAMES, percent
 from chdstat.samples import Samples
+from chdstat.viz.style import qualitative
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from chdstat.fit import Fit
 
 __all__ = [
-    "atlas",
     "averages",
     "chds",
     "color_of",
@@ -39,7 +38,6 @@ __all__ = [
     "names_of",
     "of_comparison",
     "panel_of",
-    "study",
     "training",
 ]
 
@@ -61,7 +59,7 @@ _LABEL_COLORS = {
 
 def color_of(index: int) -> str:
     """Return the colour of a region by its place."""
-    return viz.PALETTE[index % len(viz.PALETTE)]
+    return qualitative(index + 1)[index]
 
 
 def names_of(variable: xr.DataArray) -> dict[int, str]:
@@ -77,11 +75,6 @@ def marks_of(regions: Sequence[Region], samples: Samples) -> list[viz.Mark]:
     """Return the marks of regions in the picture."""
     height, width = samples.shape[:2]
     return [viz.Mark(r.name, *r.pixels(height, width), r.center(height, width)) for r in regions]
-
-
-def study(mean: npt.NDArray[Any], marks: Sequence[viz.Mark]) -> Figure:
-    """Draw the picture with its regions."""
-    return viz.with_marks(mean, marks)
 
 
 def panel_of(samples: Samples, mark: viz.Mark) -> viz.Panel:
@@ -154,11 +147,6 @@ def _slowest(needed: xr.DataArray) -> npt.NDArray[np.int64]:
     """Return the N of the channel that needs most, -1 for more than tested in any channel."""
     n = needed.transpose("y", "x", "channel").values
     return np.where((n == MORE_THAN_TESTED).any(axis=-1), MORE_THAN_TESTED, n.max(axis=-1))
-
-
-def atlas(shapes: Atlas) -> Figure:
-    """Draw the shapes that recur."""
-    return viz.atlas(shapes)
 
 
 def _categories(variable: xr.DataArray, title: str) -> Any:

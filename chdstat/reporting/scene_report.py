@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from chdstat._targets import checked_target
 from chdstat.analysis import analyze
 from chdstat.atlases import Atlas, atlas
 from chdstat.backend import Backend
@@ -15,14 +16,15 @@ from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.errors import InputError
 from chdstat.estimators import LearnedEstimator, Progressive, lookup
 from chdstat.estimators.heldout import draw_pixels
+from chdstat.findings import FINDINGS, Evidence
 from chdstat.overviews import overview
-from chdstat.recipes import Recipe, choose_regions, find_recipe, load_recipe
+from chdstat.recipes import Region, choose_regions, load_recipe, own_recipe, regions_of
 from chdstat.reporting.content import Study, document
 from chdstat.reporting.trials import Trials
 from chdstat.reporting.typeset import typeset
 from chdstat.samples import Samples
 from chdstat.samples import open as open_samples
-from chdstat.scenes import BUILTIN, Scene, load_scene
+from chdstat.scenes import Scene, load_scene
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -67,8 +69,8 @@ def report(
         As for `chdstat.render`; None takes the recipe's, or 512 spp and 128 pixels along the
         longer edge. They do not apply to samples that are already there.
     recipe
-        A recipe file; None takes the scene's own where there is one. Without a recipe, the library
-        chooses a region for each pattern that it finds.
+        A recipe file; None takes the scene's own where there is one in the same proportions.
+        Without a recipe, the library chooses a region for each pattern that it finds.
     store
         Where to keep the rendered samples, so that the next report resumes from them; None keeps
         them in memory.
@@ -94,50 +96,22 @@ def report(
     SceneError, RenderError, StoreError
         As for `chdstat.render` and `chdstat.open`.
     """
-    target = _checked_target(Path(path))
+    target = checked_target(path, ".pdf")
     asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     given = {name: value for name, value in asked.items() if value is not None}
+    named = load_recipe(recipe) if recipe else None
     samples = _finished(source)
     if samples is None:
         scene = load_scene(source)  # type: ignore[arg-type]
-        found = load_recipe(recipe) if recipe else _own_recipe(scene.name, scene.origin)
+        found = named or own_recipe(scene.name, scene.origin)
         settings = (found.settings() if found else _defaults(scene)) | given
         samples = render(scene, **settings, out=store, backend=backend, progress=progress)
-    else:
-        origin = str(samples.attrs.get("scene_source"))
-        found = load_recipe(recipe) if recipe else _own_recipe(samples.name, origin)
     if samples.nbytes <= _IN_MEMORY:
         samples = samples.load()
-    dataset = analyze(samples, progress=progress)
-    regions = found.regions if found else ()
-    comparison, why_not = _compare(samples, estimators, dataset["label"], iterations, progress)
-    study = Study(
-        samples=samples,
-        dataset=dataset,
-        overview=overview(dataset),
-        regions=regions or choose_regions(dataset),
-        chosen=not regions,
-        atlas=_atlas(samples, progress),
-        comparison=comparison,
-        curve=_curve(samples, comparison, progress),
-        trials=None
-        if comparison is None
-        else Trials.of(samples, comparison, iterations=iterations, progress=progress),
-        why_not=why_not,
-    )
+    regions = named.regions if named else regions_of(samples)
+    study = _studied(samples, regions, estimators, iterations, progress)
     with tempfile.TemporaryDirectory(prefix="chdstat-") as folder:
         return typeset(document(study), Path(folder), target)
-
-
-def _checked_target(path: Path) -> Path:
-    """Refuse early what could not be written after a minute of work."""
-    if path.suffix.lower() != ".pdf":
-        message = f"the report is a PDF: its path must end in .pdf, got {str(path)!r}"
-        raise InputError(message)
-    if not path.parent.is_dir():
-        message = f"the folder {str(path.parent)!r} does not exist; create it first"
-        raise InputError(message)
-    return path
 
 
 def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples | None:
@@ -149,9 +123,35 @@ def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples 
     return None
 
 
-def _own_recipe(name: str, origin: str) -> Recipe | None:
-    """Return the recipe of a built-in scene."""
-    return find_recipe(name) if name in BUILTIN and origin == "chdstat" else None
+def _studied(
+    samples: Samples,
+    regions: tuple[Region, ...],
+    estimators: Sequence[str],
+    iterations: int | None,
+    progress: bool | None,
+) -> Study:
+    """Ask the samples for everything that the report says."""
+    dataset = analyze(samples, progress=progress)
+    comparison, why_not = _compare(samples, estimators, dataset["label"], iterations, progress)
+    evidence = Evidence(
+        samples.name,
+        samples,
+        regions or choose_regions(dataset),
+        given=dataset,
+        comparison=comparison,
+    )
+    return Study(
+        evidence=evidence,
+        overview=overview(dataset),
+        claims=tuple(claim.find(evidence) for claim in FINDINGS if claim.alone),
+        chosen=not regions,
+        atlas=_atlas(samples, progress),
+        curve=_curve(samples, comparison, progress),
+        trials=None
+        if comparison is None
+        else Trials.of(samples, comparison, iterations=iterations, progress=progress),
+        why_not=why_not,
+    )
 
 
 def _defaults(scene: Scene) -> dict[str, Any]:

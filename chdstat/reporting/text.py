@@ -35,6 +35,7 @@ NAMES = {
     "progressive_mse": "progressive, for MSE",
     "progressive_relmse": "progressive, for relMSE",
     "progressive_features": "progressive, with features",
+    "progressive_direct": "progressive, with direct light apart",
     "self_trained": "self-trained (ours)",
     "empirical_prior": "empirical prior",
     "oidn": "OIDN, colour",

@@ -7,12 +7,12 @@ import hashlib
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from chdstat.analysis import analyze, save
 from chdstat.comparison import Comparison, compare
 from chdstat.errors import StoreError
-from chdstat.estimators import MLP
+from chdstat.models import AnyModel, load_model
 from chdstat.samples import Samples
 from chdstat.studies.stores import Stores
 
@@ -28,7 +28,7 @@ _N = 32
 
 def analysis_of(samples: Samples, stores: Stores, *, progress: bool | None) -> xr.Dataset:
     """Return what `chdstat.analyze` says of samples, from the cache where it is there."""
-    place = _place(samples, stores, _ANALYSIS)
+    place = _place(samples, stores, "", _ANALYSIS)
     found = None if place is None else _read_analysis(place)
     if found is not None:
         return found
@@ -50,22 +50,25 @@ def comparison_of(
     *,
     progress: bool | None,
 ) -> Comparison:
-    """Return what `chdstat.compare` says; a network that was trained on these samples serves again.
+    """Return what `chdstat.compare` says; what was trained on these samples serves again.
 
     Raises
     ------
     InputError
         If the samples cannot judge the estimators.
     """
-    place = _place(samples, stores, _MODEL)
-    known = None if place is None else _read_model(place, estimators)
+    places = {name: _place(samples, stores, f"{name}-", _MODEL) for name in estimators}
+    kept = {name: place for name, place in places.items() if place is not None}
+    read = {name: _read_model(place) for name, place in kept.items()}
+    known = {name: model for name, model in read.items() if model is not None}
     found = compare(
         _at_hand(samples), estimators, n=_N, model=known, labels=labels, progress=progress
     )
-    models = list(found.models.values())
-    if place is not None and known is None and len(models) == 1 and isinstance(models[0], MLP):
-        _forget_others(place)
-        models[0].save(place)
+    for name in found.models.keys() & kept.keys() - known.keys():
+        model = found.models[name]
+        if isinstance(model, AnyModel):
+            _forget_others(kept[name])
+            model.save(kept[name])
     return found
 
 
@@ -74,8 +77,8 @@ def _at_hand(samples: Samples) -> Samples:
     return samples.load() if samples.nbytes <= 2**29 else samples
 
 
-def _place(samples: Samples, stores: Stores, suffix: str) -> Path | None:
-    return stores.beside(samples, f"-{_code()}{suffix}")
+def _place(samples: Samples, stores: Stores, name: str, suffix: str) -> Path | None:
+    return stores.beside(samples, f"-{name}{_code()}{suffix}")
 
 
 @functools.cache
@@ -102,14 +105,13 @@ def _read_analysis(place: Path) -> xr.Dataset | None:
     return found
 
 
-def _read_model(place: Path, estimators: Sequence[str]) -> Any:
+def _read_model(place: Path) -> AnyModel | None:
     if not place.is_file():
         return None
     try:
-        model = MLP.load(place)
+        return load_model(place)
     except StoreError:  # damaged: train it again
         return None
-    return model if model.name in estimators else None
 
 
 def _forget_others(place: Path) -> None:

@@ -14,6 +14,7 @@ from chdstat.atlases import Atlas, atlas
 from chdstat.backend import Backend
 from chdstat.comparison import Comparison
 from chdstat.errors import InputError, StoreError
+from chdstat.estimators import lookup
 from chdstat.findings import FINDINGS, Evidence, Finding
 from chdstat.recipes import choose_regions
 from chdstat.samples import Samples
@@ -68,7 +69,9 @@ def study(
         As for `chdstat.render`; None takes the recipe's, or 1024 spp, 128 pixels along the longer
         edge, and seed 1.
     estimators
-        Names of the estimators to compare; those that learn are trained on each scene.
+        Names of the estimators to compare; those that learn are trained on each scene. "elek2019"
+        is the model that the claim on learning is about; what else learns is judged beside it.
+        "progressive" trains for about a minute on each scene.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -81,7 +84,8 @@ def study(
     Raises
     ------
     InputError
-        If no scene is given, one is given twice, or a recipe or an option is wrong.
+        If no scene is given, one is given twice, an estimator is unknown, or a recipe or an option
+        is wrong.
     SceneError, RenderError, StoreError
         As for `chdstat.render` and `chdstat.open`.
 
@@ -100,6 +104,8 @@ def study(
     """
     asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     given = {name: value for name, value in asked.items() if value is not None}
+    for name in estimators:
+        lookup(name)  # an unknown one is refused before the work
     subjects = subjects_of(scenes, given=given)
     stores = Stores(_made(folder), backend, progress)
     start = time.monotonic()

@@ -9,7 +9,7 @@ from typing import Any
 
 from chdstat.capture import scene_size
 from chdstat.errors import InputError
-from chdstat.recipes import Recipe, Region, find_recipe, load_recipe
+from chdstat.recipes import Recipe, Region, find_recipe, load_recipe, own_recipe, regions_of
 from chdstat.samples import Samples
 from chdstat.samples import open as open_samples
 from chdstat.scenes import BUILTIN, Scene, load_scene
@@ -92,23 +92,19 @@ def _subject(source: Source, given: Mapping[str, Any]) -> Subject:
             recipe = load_recipe(source)
             return _of_scene(load_scene(recipe.scene), recipe, given)
     scene = load_scene(source)
-    own = find_recipe(scene.name) if _is_builtin(scene.name, scene.origin) else None
-    return _of_scene(scene, own, given)
+    return _of_scene(scene, own_recipe(scene.name, scene.origin), given)
 
 
 def _of_samples(samples: Samples) -> Subject:
-    origin = str(samples.attrs.get("scene_source"))
-    own = find_recipe(samples.name) if _is_builtin(samples.name, origin) else None
-    return Subject(samples.name, None, samples, {}, own.regions if own else ())
+    return Subject(samples.name, None, samples, {}, regions_of(samples))
 
 
 def _of_scene(scene: Scene, recipe: Recipe | None, given: Mapping[str, Any]) -> Subject:
     settings = {**(recipe.settings() if recipe else _defaults(scene)), **given}
-    return Subject(scene.name, scene, None, settings, recipe.regions if recipe else ())
-
-
-def _is_builtin(name: str, origin: str) -> bool:
-    return name in BUILTIN and origin == "chdstat"
+    size = settings["size"]
+    # What is no size, rendering refuses with a message of its own.
+    seen = recipe is not None and len(size) == 2 and recipe.shows(size[1], size[0])
+    return Subject(scene.name, scene, None, settings, recipe.regions if recipe and seen else ())
 
 
 def _defaults(scene: Scene) -> dict[str, Any]:

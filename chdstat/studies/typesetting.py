@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-import inspect
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from chdstat.findings import FINDINGS, Claim, Finding
+from chdstat.reporting.claims import chips, claim_content, claim_figures
+from chdstat.reporting.scene_figures import panels_of, scene_figures
 from chdstat.reporting.text import number, percent
 from chdstat.reporting.typeset import Document, typeset
 from chdstat.scenes import BUILTIN
 from chdstat.studies import figures
-from chdstat.studies.results import SceneStudy, Study
+from chdstat.studies.results import ACROSS, SceneStudy, Study
 from chdstat.studies.stores import ROULETTE
-from chdstat.viz.claims import VERDICTS
 from chdstat.viz.style import qualitative
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["document", "save_pdf"]
-
-_TINY = 1e-4
 
 
 def save_pdf(study: Study, target: Path) -> Path:
@@ -38,14 +36,16 @@ def document(study: Study) -> Document:
         "verdicts": figures.verdicts(study),
         "overview": figures.overview(study),
     }
-    for claim in FINDINGS:
-        drawn |= figures.of_claim(study, claim.number)
+    claims = {claim: _found(study, claim) for claim in FINDINGS}
+    for claim, found in claims.items():
+        drawn |= claim_figures(claim.number, found)
     for i, scene in enumerate(study.scenes):
-        drawn |= {f"scene{i}-{name}": f for name, f in figures.of_scene(scene).items()}
+        shown = scene_figures(scene.evidence, panels_of(scene.evidence), atlas=scene.atlas)
+        drawn |= {f"scene{i}-{name}": figure for name, figure in shown.items()}
     content = {
         "scenes": [_scene(scene, i) for i, scene in enumerate(study.scenes)],
-        "claims": [_claim(study, claim) for claim in FINDINGS],
-        "verdicts": {v: {"color": c, "mark": m} for v, (c, m) in VERDICTS.items()},
+        "claims": [claim_content(claim, found) for claim, found in claims.items()],
+        "verdicts": chips(),
         "counts": _counts(study),
         "provenance": {k: str(v) for k, v in study.provenance.items()},
         "repeated": any(scene.repeated for scene in study.scenes),
@@ -55,50 +55,14 @@ def document(study: Study) -> Document:
 
 def _counts(study: Study) -> dict[str, int]:
     words = [v for row in study.table() for k, v in row.items() if k not in {"number", "claim"}]
-    return {verdict: words.count(verdict) for verdict in VERDICTS}
+    return {verdict: words.count(verdict) for verdict in chips()}
 
 
-# --- claims -------------------------------------------------------------------------------------
-
-
-def _claim(study: Study, claim: Claim) -> dict[str, Any]:
-    found = list(_found(study, claim))
-    return {
-        "number": claim.number,
-        "name": claim.name,
-        "claim": claim.claim,
-        "method": (inspect.getdoc(claim.measure) or "").splitlines()[0],
-        "rows": _rows(found),
-        "null_hypothesis": next(
-            (str(f.details["null_hypothesis"]) for _, f in found if "null_hypothesis" in f.details),
-            "",
-        ),
-    }
-
-
-def _found(study: Study, claim: Claim) -> Iterator[tuple[str, Finding]]:
-    for name in (*study.names, None):
-        finding = study.finding(claim.number, name)
-        if finding is not None:
-            yield name or "all scenes", finding
-
-
-def _rows(found: list[tuple[str, Finding]]) -> list[dict[str, Any]]:
-    """Return rows of verdict and reason; scenes of which the same is said share one."""
-    said: dict[tuple[str, str], list[str]] = {}
-    for name, finding in found:
-        said.setdefault((finding.verdict, _reason(finding)), []).append(name)
-    return [
-        {"scenes": names, "verdict": verdict, "reason": reason}
-        for (verdict, reason), names in said.items()
-    ]
-
-
-def _reason(finding: Finding) -> str:
-    if finding.p_value is None:
-        return finding.reason
-    p = finding.p_value
-    return f"{finding.reason} p {f'= {number(p)}' if p >= _TINY else '< 0.0001'}."
+def _found(study: Study, claim: Claim) -> dict[str, Finding]:
+    """Return what was found on a claim, by scene."""
+    found = {name: study.finding(claim.number, name) for name in study.names}
+    found[ACROSS] = study.finding(claim.number)
+    return {name: finding for name, finding in found.items() if finding is not None}
 
 
 # --- scenes -------------------------------------------------------------------------------------

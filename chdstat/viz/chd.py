@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 
 from chdstat.errors import InputError
 from chdstat.histograms import Histogram
-from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
+from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, qualitative, style
 
 __all__ = ["Curve", "Panel", "chd_axes", "chd_grid", "fits"]
 
@@ -250,7 +250,7 @@ def _evaluated(density: Density, x: Array, scale: Scale) -> Array:
 
 
 def _pair(linear: Axes, log: Axes, panel: Panel, *, number: int) -> None:
-    color = PALETTE[(number - 1) % len(PALETTE)]
+    color = qualitative(number)[number - 1]
     chd_axes(linear, panel.linear, scale="linear")
     chd_axes(log, panel.log, scale="log")
     for axes in (linear, log):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -21,6 +22,8 @@ _DASHES = ("-", "--", "-.", ":")
 _MARKERS = "os^Dv<>P"
 _MOST_POINTS = 4000
 _LONG = 26
+_LABEL = 28
+"""Letters of a label along one panel."""
 _LINE = 40
 """Points of a line that has peaks at all."""
 
@@ -129,8 +132,8 @@ def _labels(figure: Figure, shown: Sequence[Display]) -> None:
         figure.supylabel(y, fontsize=8)
         return
     for axes, display in zip(figure.axes, shown, strict=False):
-        axes.set_xlabel(display.x_label)
-        axes.set_ylabel(display.y_label)
+        axes.set_xlabel(textwrap.fill(display.x_label, _LABEL))
+        axes.set_ylabel(textwrap.fill(display.y_label, _LABEL))
 
 
 def _look(place: int, number: int, kind: str) -> dict[str, Any]:

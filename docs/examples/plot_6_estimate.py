@@ -69,8 +69,8 @@ print(f"improved: {np.mean(errors['self-trained'] < errors['mean of 64']):.0%} o
 # --------------
 #
 # The certainty is the weight of what was learned beside the mean; the interval is meant to hold the
-# truth with a probability of 90 %. Without a reference nothing calibrates it, so count how often it
-# holds what the other samples say.
+# truth with a probability of 90 %. Without a reference it is an upper bound learned from held-out
+# pixels, not calibrated, so count how often it holds what the other samples say.
 
 width = (found.high - found.low).mean(axis=-1) / found.radiance.mean(axis=-1)
 viz.map_grid(

@@ -17,6 +17,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.findings import FINDINGS, Evidence, find
+from chdstat.metrics import Interval
 from chdstat.recipes import PHENOMENA, Region
 
 SPP = 512
@@ -118,6 +119,65 @@ def test_an_integrator_of_another_size_is_no_comparison():
     first = worlds.TRUE[9](np.random.default_rng(0), SPP)[0]
     other = replace(first, shorter=chd.Samples.from_array(np.ones((2, 2, 3, SPP))))
     assert "same size" in BY_NUMBER[9].find(other).reason
+
+
+def test_the_verdict_on_learning_is_that_of_the_papers_model():
+    pytest.importorskip("pyoidn")
+    rng = np.random.default_rng(0)
+    first = worlds.learned(False)(rng, SPP)[0]
+    better = worlds.learned(True, "progressive")(rng, SPP)[0].comparison
+    paper = first.comparison
+    both = replace(
+        paper,
+        estimators=("mean", "elek2019", "progressive"),
+        measures={name: joined(paper, better, name) for name in paper.measures},
+        over_batches={name: joined(paper, better, name) for name in paper.measures},
+        estimates=np.concatenate([paper.estimates, better.estimates[1:]]),
+        models={**paper.models, **better.models},
+    )
+    found = BY_NUMBER[15].find(replace(first, comparison=both))
+    assert found.verdict == "not supported"
+    assert found.reason.startswith("For elek2019: ")
+    assert found.beside["progressive"].verdict == "supported"
+    assert found.beside["progressive"].reason.startswith("For progressive: ")
+    alone = BY_NUMBER[15].find(replace(first, comparison=better))
+    assert (alone.verdict, alone.parts) == ("cannot tell", ())
+    assert "needs the paper's model" in alone.reason.lower()
+    assert alone.beside["progressive"].verdict == "supported"
+
+
+def joined(one, two, name):
+    """Return the measure of two comparisons, the mean of the second left out."""
+    parts = [(vars(one.measures[name])[f], vars(two.measures[name])[f]) for f in FIELDS]
+    return Interval(*(np.concatenate([a, b[1:]]) for a, b in parts))
+
+
+FIELDS = ("value", "standard_error", "low", "high")
+
+
+def test_time_is_told_where_nothing_was_compiled():
+    first = worlds.TRUE[9](np.random.default_rng(0), SPP)[0]
+    details = {}
+    for backend in ("scalar", "llvm"):
+        long, short = (
+            chd.Samples.from_array(samples.read(), backend=backend, render_seconds=seconds)
+            for samples, seconds in ((first.samples, 3.0), (first.shorter, 2.0))
+        )
+        found = BY_NUMBER[9].find(replace(first, samples=long, shorter=short))
+        details[backend] = found.details
+    assert details["scalar"]["time_ratio"] == pytest.approx(1.5)
+    assert details["llvm"]["time_ratio"] is None
+    assert details["llvm"]["seconds_per_sample"] == [None, None]
+
+
+@pytest.mark.parametrize(("sigma", "same"), [(0.8, True), (1.0, False)])
+def test_integrators_are_told_apart_by_a_test_and_by_size(sigma, same):
+    """Where they are the same, another seed would have a p-value of 0.001 once in a thousand."""
+    found = look(12, worlds.scenes(0.8, 2.4, sigma))
+    (part,) = (q for q in found.parts if "integrators" in q.statistic.name)
+    assert (found.p_value > 0.001) == same
+    assert part.verdict == ("not supported" if same else "supported")
+    assert found.details["p_value_by_scene"] == {"scene 0": found.p_value}
 
 
 def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():

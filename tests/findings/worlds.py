@@ -233,7 +233,7 @@ def families(draw: str, *parameters: float) -> World:
     return world
 
 
-def learned(good: bool) -> World:
+def learned(good: bool, who: str = "elek2019") -> World:
     """Return a comparison with a model that keeps what the paper promises of it, or nothing."""
 
     def world(rng, spp):
@@ -250,11 +250,11 @@ def learned(good: bool) -> World:
         model = SimpleNamespace(history=_history(rng, good))
         comparison = replace(
             found,
-            estimators=("mean", "elek2019"),
+            estimators=("mean", who),
             measures=measures,
             over_batches=measures,
             estimates=estimates,
-            models={"elek2019": model},
+            models={who: model},
         )
         return [replace(scene, comparison=comparison)]
 

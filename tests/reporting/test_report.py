@@ -38,6 +38,8 @@ def test_a_report_has_all_its_parts(radiance, tmp_path):
         assert part in text
     for part in ("Are averages Gaussian?", "Estimators", "Method and limits", "References"):
         assert part in text
+    for part in ("The paper’s claims", "Not asked: 9 (path lengths)", "share of gamma less"):
+        assert part in text
     assert "50 % of all samples are null" in text
     assert "median of means" in text
     assert path.stat().st_size < 5e6

@@ -5,17 +5,19 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pypdfium2
 import pytest
 
 import chdstat as chd
+from chdstat.atlases import atlas
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.findings import FINDINGS, Evidence
+from chdstat.models import train_model
 from chdstat.recipes import PHENOMENA
-from chdstat.studies import running, stores, study
-from chdstat.studies.figures import _brightest
+from chdstat.studies import caches, running, stores, study
 from chdstat.studies.running import _confirmed
 from chdstat.studies.subjects import subjects_of
 from chdstat.studies.typesetting import document
@@ -48,6 +50,21 @@ def noise(scene, shape=(12, 12, 3, 128), seed=0):
     rng = np.random.default_rng(seed)
     x = rng.gamma(1.0, size=shape) * (rng.random((*shape[:2], 1, shape[3])) < 0.6)
     return chd.Samples.from_array(x.astype(np.float32), scene=scene)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_shapes():
+    """Let atlases have two shapes: to choose their number takes longer than all the rest."""
+
+    def drawn(dataset):
+        try:
+            return atlas(dataset, clusters=2)
+        except InputError:  # all pixels are alike
+            return atlas(dataset)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(running, "atlas", drawn)
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -144,22 +161,24 @@ def test_the_pdf_has_all_claims_and_all_scenes(found, tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "study.pdf"]
 
 
-@pytest.mark.parametrize(
-    ("name", "change"),
-    [
-        ("all null", lambda x: x * 0),
-        ("all bad", lambda x: x * np.nan),
-        ("one pixel", lambda x: x[:1, :1]),
-        ("one channel", lambda x: x[:, :, :1]),
-        ("one sample", lambda x: x[..., :1]),
-    ],
-)
-def test_hopeless_samples_give_a_study_that_cannot_tell(name, change):
-    samples = chd.Samples.from_array(change(noise("x", (4, 4, 3, 64)).read()), scene=name)
+HOPELESS = {
+    "all null": lambda x: x * 0,
+    "all bad": lambda x: x * np.nan,
+    "one pixel": lambda x: x[:1, :1],
+    "one channel": lambda x: x[:, :, :1],
+    "one sample": lambda x: x[..., :1],
+}
+
+
+def test_hopeless_samples_give_a_study_that_cannot_tell():
+    x = noise("x", (4, 4, 3, 64)).read()
+    samples = [chd.Samples.from_array(f(x), scene=name) for name, f in HOPELESS.items()]
     hopeless = study(samples, folder=None, estimators=("mean",))
-    assert not any(f.verdict == "supported" for f in hopeless.scenes[0].findings)
+    assert hopeless.names == tuple(HOPELESS)
+    for scene in hopeless.scenes:
+        assert not any(f.verdict == "supported" for f in scene.findings), scene.name
     drawn = document(hopeless)
-    assert "batches" in " ".join(drawn.figures)
+    assert {f"scene{i}-batches" for i in range(len(HOPELESS))} <= set(drawn.figures)
     assert drawn.content["counts"]["supported"] == 0
     for figure in drawn.figures.values():
         figure.draw_without_rendering()
@@ -203,6 +222,8 @@ def test_a_wrong_recipe_is_refused_with_file_and_key(change, said, tmp_path):
 def test_wrong_input_is_refused_before_any_work(found, tmp_path):
     with pytest.raises(InputError, match="at least one scene"):
         study([], folder=None)
+    with pytest.raises(InputError, match="no estimator is called 'elek2020'"):
+        study("cornell-box", folder=None, estimators=["elek2020"])
     with pytest.raises(InputError, match="'cornell-box' twice"):
         study(["cornell-box", "cornell-box"], folder=None)
     with pytest.raises(SceneError, match="did you mean 'cornell-box'"):
@@ -221,14 +242,29 @@ def test_scenes_of_one_name_are_told_apart():
     assert names == ["a", "a (2)", "b"]
 
 
-def test_a_firefly_is_an_estimate_that_its_pixel_and_the_one_above_do_not_share():
-    rng = np.random.default_rng(0)
-    batches = rng.gamma(50.0, 0.02, size=(8, 8, 6))
-    assert _brightest(batches) is None
-    batches[:4] *= 100  # an edge is none
-    assert _brightest(batches) is None
-    batches[6, 2, 3] = 40
-    assert _brightest(batches) == (6, 2, 3)
-    assert _brightest(batches * 0) is None
-    assert _brightest(batches * np.nan) is None
-    assert _brightest(batches[..., :1]) is None
+def test_regions_of_a_recipe_are_for_its_proportions(tmp_path):
+    path = tmp_path / "box.toml"
+    path.write_text(RECIPE)
+    (other,) = subjects_of(path, given={"size": (16, 24)})
+    assert other.regions == ()
+
+
+def test_what_learned_is_kept_beside_its_samples(found, folder, tmp_path, monkeypatch):
+    copy = tmp_path / "renders"
+    shutil.copytree(folder, copy)
+    samples = chd.open(next(path for path in copy.glob("*.zarr") if chd.open(path).spp == 64))
+    model = train_model(samples, "elek2019", iterations=20, progress=False)
+    labels = chd.analyze(samples, held_out=False, progress=False)["label"]
+    asked = []
+
+    def compared(samples, estimators, *, model, **options):
+        asked.append(dict(model))
+        return SimpleNamespace(models={"elek2019": trained})
+
+    monkeypatch.setattr(caches, "compare", compared)
+    trained, names = model, ["mean", "elek2019"]
+    for _ in range(2):
+        caches.comparison_of(samples, names, labels, stores.Stores(copy), progress=False)
+    assert asked[0] == {}
+    assert list(asked[1]) == ["elek2019"]
+    assert len(list(copy.glob("*.safetensors"))) == 1

@@ -1,0 +1,84 @@
+"""Claims in a report: every part with its number, and what stands beside it apart from it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from chdstat.findings import FINDINGS, Finding, Part, Statistic
+from chdstat.findings.results import Exhibit
+from chdstat.reporting.claims import asked, claim_content, claim_figures, exhibits, finding_content
+
+CLAIM = FINDINGS[14]
+
+
+def part(low, high, unit="1"):
+    return Part(Statistic("share", (low + high) / 2, unit), low, high, 0.95, least=0.5)
+
+
+def finding(verdict, *parts, **more):
+    statistic, level = Statistic("share", 0.7), (0.6, 0.8, 0.95)
+    reason = f"It is {verdict}."
+    return Finding(
+        15, CLAIM.name, "box", CLAIM.claim, statistic, level, None, verdict, reason, parts, **more
+    )
+
+
+@pytest.fixture
+def both():
+    other = finding("not supported", part(0.1, 0.2))
+    return finding("supported", part(0.6, 0.8), beside={"progressive": other})
+
+
+def test_each_part_has_its_number_and_what_was_claimed(both):
+    content = finding_content(both)
+    assert content["parts"] == [
+        {
+            "name": "share",
+            "value": "0.700",
+            "interval": "0.600 to 0.800",
+            "claimed": "at least 0.500",
+            "verdict": "supported",
+        }
+    ]
+    assert json.dumps(content)
+
+
+def test_a_part_without_an_interval_says_so():
+    unknown = part(np.nan, np.nan, "decade^1/2")
+    (shown,) = finding_content(finding("cannot tell", unknown))["parts"]
+    assert (shown["name"], shown["value"], shown["interval"]) == ("share (√decade)", "—", "—")
+    assert "no interval" in str(unknown)
+
+
+def test_a_verdict_is_that_of_the_claim_and_not_of_what_stands_beside_it(both):
+    (beside,) = finding_content(both)["beside"]
+    assert (beside["name"], beside["verdict"]) == ("progressive (ours)", "not supported")
+    rows = claim_content(CLAIM, {"box": both})["rows"]
+    assert [(row["scenes"], row["verdict"]) for row in rows] == [
+        (["box"], "supported"),
+        (["box, progressive (ours)"], "not supported"),
+    ]
+    assert list(asked({"box": both})) == ["box", "box, progressive (ours)"]
+    (figure,) = claim_figures(15, {"box": both}).values()
+    assert [text.get_text() for text in figure.axes[0].get_yticklabels()] == list(
+        asked({"box": both})
+    )
+
+
+def test_what_cannot_be_told_says_what_is_needed():
+    assert finding_content(finding("cannot tell"))["needs"] == "It is cannot tell."
+    assert finding_content(finding("supported"))["needs"] == ""
+
+
+def test_exhibits_of_several_claims_have_labels_that_fit_their_panels():
+    long = "log10 relative variance around its region's mean"
+    x = np.arange(5.0)
+    one = finding("supported", exhibit=Exhibit("curves", {"a": (x, x)}, "x", long))
+    two = replace(one, exhibit=Exhibit("bars", {"a": (x[:1], x[:1])}, y_label="share"))
+    figure = exhibits({"1": one, "2": two})
+    assert max(len(line) for line in figure.axes[0].get_ylabel().splitlines()) < 30
+    assert exhibits({"none": finding("supported")}) is None
