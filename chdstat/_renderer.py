@@ -101,6 +101,14 @@ class Renderer:
         places = zip(pixels, numbers, strict=True)
         return np.stack([draw(number, int(y), int(x), spp) for (y, x), number in places])
 
+    @property
+    def depth(self) -> int | None:
+        """Longest path in segments, below 0 for no limit; None where the integrator has none."""
+        properties = self._mi.Properties(self._integrator_properties)
+        properties["max_depth"] = longest = int(properties.get("max_depth", -1))
+        self._mi.PluginManager.instance().create_object(properties)
+        return longest if properties.was_queried("max_depth") else None
+
     def features(self) -> dict[str, Image]:
         """Render the first-hit features: albedo, shading normal, depth and position."""
         aovs = ",".join(f"{name}:{kind}" for name, kind in _FEATURES.items())

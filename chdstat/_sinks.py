@@ -55,9 +55,11 @@ def existing_store(out: str | Path | None) -> Store | None:
 class MemorySink:
     """Samples kept in memory."""
 
-    def __init__(self, attrs: dict[str, Any], renderer: Renderer, spp: int) -> None:
+    def __init__(
+        self, attrs: dict[str, Any], renderer: Renderer, spp: int, *, features: bool = True
+    ) -> None:
         width, height = renderer.size
-        self._attrs, self._features = attrs, renderer.features()
+        self._attrs, self._features = attrs, renderer.features() if features else {}
         self._array = np.full((height, width, 3, spp), np.nan, np.float32)
 
     def pending(self) -> list[Chunk]:
@@ -70,8 +72,8 @@ class MemorySink:
     def spent(self, seconds: float) -> None:
         self._attrs["render_seconds"] = round(seconds, 3)
 
-    def finish(self) -> Samples:
-        return Samples.from_array(self._array, features=self._features, **self._attrs)
+    def finish(self, direct: Samples | None = None) -> Samples:
+        return Samples(array=self._array, attrs=self._attrs, features=self._features, direct=direct)
 
 
 class StoreSink:
@@ -88,6 +90,8 @@ class StoreSink:
         attrs: dict[str, Any],
         renderer: Renderer,
         spp: int,
+        *,
+        features: bool = True,
     ) -> StoreSink:
         """Open or create the store and make room for the samples asked for."""
         width, height = renderer.size
@@ -99,7 +103,7 @@ class StoreSink:
                 channels=3,
                 spp=spp,
                 attrs=attrs,
-                features=renderer.features(),
+                features=renderer.features() if features else {},
             )
             return cls(store)
         _check_identity(existing, attrs)
@@ -120,8 +124,9 @@ class StoreSink:
         with contextlib.suppress(OSError):
             self._store.group.attrs.update({"render_seconds": round(before + seconds, 3)})
 
-    def finish(self) -> Samples:
-        return Samples(store=self._store, attrs=self._store.attrs, spp=self._store.complete_spp())
+    def finish(self, direct: Samples | None = None) -> Samples:
+        store = self._store
+        return Samples(store=store, attrs=store.attrs, direct=direct, spp=store.complete_spp())
 
 
 def _check_identity(store: Store, attrs: dict[str, Any]) -> None:

@@ -5,6 +5,7 @@ Layout of the group::
     radiance   (y, x, channel, sample)  float32, NaN where nothing was rendered yet
     ledger     (tile_y, tile_x, batch)  int32, samples of that chunk that are safely stored
     features/  albedo, normal, position (y, x, component); depth (y, x)
+    direct/    a store of its own: emission and direct light of the same samples, where wanted
 
 One chunk, a tile of 64 x 64 pixels times a batch of 64 samples, is one shard: one file, replaced
 as a whole. Inside, blocks of 16 x 16 pixels are compressed apart with a checksum, so that a single
@@ -30,7 +31,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from chdstat._arrays import spans
 from chdstat.errors import StoreError
 
-__all__ = ["BATCH", "BLOCK", "TILE", "Chunk", "Store", "chunk_grid"]
+__all__ = ["BATCH", "BLOCK", "DIRECT", "TILE", "Chunk", "Store", "chunk_grid"]
 
 SCHEMA_VERSION = 1
 TILE = 64
@@ -39,6 +40,10 @@ BATCH = 64
 """Samples of a pixel in one chunk."""
 BLOCK = 16
 """Edge in pixels of what is compressed apart within a chunk."""
+DIRECT = "direct"
+"""Folder of the store of direct light."""
+_SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
+"""Attributes by which the samples of two stores begin with the same random numbers."""
 _FEATURES = ("albedo", "normal", "depth", "position")
 _READ_ERRORS = (OSError, ValueError, RuntimeError, KeyError, zarr.errors.BaseZarrError)
 _ALL = slice(None)
@@ -170,6 +175,38 @@ class Store:
         """Return the number of leading samples that every pixel has."""
         ends = (c.ss.start + self._stored(c) for c in self.pending())
         return min(ends, default=self.shape[3])
+
+    def direct(self) -> Store | None:
+        """Open the store of emission and direct light of the same samples; None where it lacks.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be read, or is not of the same samples.
+        """
+        path = self.path / DIRECT
+        if not (path / "zarr.json").exists():
+            return None
+        part = Store.open(path)
+        ours, theirs = self._same, part._same
+        differing = [name for name in ours if ours[name] != theirs[name]]
+        if differing:
+            detail = "; ".join(f"{n}: {theirs[n]}, not {ours[n]}" for n in differing)
+            message = (
+                f"{path} is not the direct part of {self.path} ({detail}); move it away, and "
+                "render it with: chdstat render --direct"
+            )
+            raise StoreError(message)
+        return part
+
+    @property
+    def _same(self) -> dict[str, Any]:
+        """What must agree for samples to be the same but for the length of their paths."""
+        attrs = self.attrs
+        integrator = attrs.get("integrator") or {}
+        alike = {name: attrs.get(name) for name in _SAME}
+        alike["integrator"] = {k: v for k, v in integrator.items() if k != "max_depth"}
+        return {"shape": self.shape[:3], **alike}
 
     def _stored(self, chunk: Chunk) -> int:
         """Return how many samples of a chunk are safely on disk."""

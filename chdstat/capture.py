@@ -1,47 +1,45 @@
 """Capture: a scene to samples, chunk by chunk, every sample kept.
 
-`render` fills a store (or memory) and can be stopped and resumed at any moment; `render_pixels`
-draws samples of a few pixels on demand.
+`render` fills a store (or memory) and can be stopped and resumed at any moment; `render_batches`
+hands the samples on as they are rendered and keeps none; `render_pixels` draws samples of a few
+pixels on demand.
 """
 
 from __future__ import annotations
 
-import contextlib
-import functools
-import itertools
 import logging
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._crew import python_interrupts, rendered
 from chdstat._machine import free_disk, memory
-from chdstat._renderer import Interrupted, Job, Renderer, film_size
+from chdstat._renderer import Job, Renderer, film_size
 from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
-from chdstat._store import Chunk
+from chdstat._store import DIRECT
 from chdstat._streams import max_spp
-from chdstat._workers import cores
 from chdstat.backend import Backend, activate, resolve
-from chdstat.errors import InputError
+from chdstat.errors import InputError, RenderError
 from chdstat.progress import track
+from chdstat.renderings import Rendering
 from chdstat.samples import Samples
 from chdstat.scenes import Scene, load_scene
 
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["render", "render_pixels", "scene_size"]
+__all__ = ["render", "render_batches", "render_pixels", "scene_size"]
 
 _log = logging.getLogger("chdstat")
 
 _MOST_COMPRESSION = 10
 """Stores shrink to between a third and nine tenths; a tenth leaves room for darker scenes."""
+_DIRECT_DEPTH = 2
+"""Segments of a path from the camera to a light that shines on what it sees."""
 
 Image = npt.NDArray[np.float32]
 
@@ -53,6 +51,7 @@ def render(
     size: tuple[int, int] | None = None,
     seed: int = 0,
     max_depth: int | None = None,
+    direct: bool = False,
     out: str | Path | None = None,
     backend: Backend = "auto",
     client: Client | None = None,
@@ -76,6 +75,10 @@ def render(
         Any non-negative integer; small seeds give independent images.
     max_depth
         Longest path in segments; None takes the scene's own.
+    direct
+        Render every sample once more with no more than two segments, for what is emission and
+        direct light of it: `Samples.direct`. The rest is indirect. This takes a tenth more time in
+        rooms, and more where paths are short anyway. An `out` that has it goes on with it.
     out
         Where to store the samples; None keeps them in memory.
     backend
@@ -110,13 +113,15 @@ def render(
     _check(spp, size, seed)
     existing = existing_store(out)
     if existing is not None:
+        direct = existing.direct() is not None or direct  # one of other samples is refused here
         backend = existing.attrs["backend"] if backend == "auto" else backend
         size = size or tuple(existing.attrs["size"])
     job = Job(loaded, resolve(backend), size, seed, max_depth)
     with activate(job.verdict):
         renderer = Renderer(job)
         _check_streams(job, renderer, spp)
-        _check_room(renderer.size, spp, out)
+        _check_room(renderer.size, spp * (1 + direct), out)
+        shorter = _shorter(job, renderer) if direct else None
         for note in renderer.notes:
             _log.warning("%s", note)
         attrs = provenance(job, renderer, spp)
@@ -126,7 +131,69 @@ def render(
             else MemorySink(attrs, renderer, spp)
         )
         _fill(job, renderer, sink, client, progress)
-        return sink.finish()
+        if shorter is None:
+            return sink.finish()
+        del renderer  # kernels are frozen where one scene is alive only
+        return sink.finish(_direct(shorter, spp, out, client, progress))
+
+
+def render_batches(
+    scene: str | Path | dict[str, Any] | Scene,
+    *,
+    spp: int = 256,
+    batch: int = 16,
+    size: tuple[int, int] | None = None,
+    seed: int = 0,
+    max_depth: int | None = None,
+    backend: Backend = "auto",
+    progress: bool | None = None,
+) -> Rendering:
+    """Render a scene batch by batch and keep nothing: memory is that of a batch.
+
+    The samples are those of `render` with the same scene, backend and seed, to the bit.
+
+    Parameters
+    ----------
+    scene, size, seed, max_depth, backend
+        As for `render`.
+    spp
+        Samples per pixel in all.
+    batch
+        Samples per pixel in a batch; the last one may have fewer.
+    progress
+        Show a progress bar while batches are drawn; None shows it on a terminal.
+
+    Returns
+    -------
+    Rendering
+        To loop over: each turn renders a batch, shape (y, x, channel, sample), float32.
+
+    Raises
+    ------
+    InputError
+        If `spp`, `batch`, `size` or `seed` is out of range.
+    SceneError, RenderError
+        If the scene cannot be read, or not be rendered as asked.
+
+    Examples
+    --------
+    >>> from chdstat.capture import render_batches
+    >>> rendering = render_batches("cornell-box", spp=40, size=(8, 8), backend="scalar")
+    >>> [batch.shape for batch in rendering]
+    [(8, 8, 3, 16), (8, 8, 3, 16), (8, 8, 3, 8)]
+    """
+    _check(spp, size, seed)
+    if batch < 1:
+        message = f"batch must be at least 1, got {batch}"
+        raise InputError(message)
+    job = Job(load_scene(scene), resolve(backend), size, seed, max_depth)
+    with activate(job.verdict):
+        renderer = Renderer(job)
+    _check_streams(job, renderer, spp)
+    _check_room(renderer.size, min(spp, batch), None)
+    for note in renderer.notes:
+        _log.warning("%s", note)
+    return Rendering(job, renderer, spp=spp, batch=batch, progress=progress)
 
 
 def render_pixels(
@@ -241,7 +308,40 @@ def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray
     return array.astype(np.intp)
 
 
+def _shorter(job: Job, renderer: Renderer) -> Job:
+    """Return the same job for emission and direct light alone.
+
+    A sample of it is that of the whole but for the light that its path meets later: both draw the
+    same random numbers in the same order.
+    """
+    longest = renderer.depth
+    if longest is None:
+        message = (
+            f"integrator {renderer.integrator['type']!r} has no max_depth, so that direct light "
+            "cannot be told apart; use one that has, such as path or volpath, or direct=False"
+        )
+        raise RenderError(message)
+    depth = _DIRECT_DEPTH if longest < 0 else min(_DIRECT_DEPTH, longest)
+    return replace(job, max_depth=depth)
+
+
 # --- the work -----------------------------------------------------------------------------------
+
+
+def _direct(
+    job: Job, spp: int, out: str | Path | None, client: Client | None, progress: bool | None
+) -> Samples:
+    """Render the direct part, into a store within that of the samples or into memory."""
+    renderer = Renderer(job)
+    attrs = provenance(job, renderer, spp)
+    sink: Sink
+    if out is None:
+        sink = MemorySink(attrs, renderer, spp, features=False)
+    else:
+        path = Path(out) / DIRECT
+        sink = StoreSink.open(path, existing_store(path), attrs, renderer, spp, features=False)
+    _fill(job, renderer, sink, client, progress)
+    return sink.finish()
 
 
 def _fill(
@@ -260,100 +360,9 @@ def _fill(
         f"rendering {job.scene.name}", sum(c.size for c in chunks), unit="S", show=progress
     ) as advance:
         try:
-            with _python_interrupts():
-                for chunk, block in _rendered(job, renderer, chunks, client):
+            with python_interrupts():
+                for chunk, block in rendered(job, renderer, chunks, client):
                     sink.write(chunk, block)
                     advance(chunk.size)
         finally:
             sink.spent(time.monotonic() - start)
-
-
-@contextlib.contextmanager
-def _python_interrupts() -> Iterator[None]:
-    """Let Ctrl-C raise KeyboardInterrupt, whatever Mitsuba does to the signal's handler.
-
-    A scalar render puts a handler of its own in place that cancels a pass, and puts back what it
-    found: of renders in several threads, one finds the handler of another, and Python's is lost.
-    """
-    try:
-        yield
-    except Interrupted as interrupted:
-        raise KeyboardInterrupt from interrupted
-    finally:
-        if threading.current_thread() is threading.main_thread():
-            handler = signal.getsignal(signal.SIGINT)
-            if handler is not None:
-                signal.signal(signal.SIGINT, handler)
-
-
-def _rendered(
-    job: Job, renderer: Renderer, chunks: Sequence[Chunk], client: Client | None
-) -> Iterator[tuple[Chunk, Image]]:
-    """Yield chunks with their samples, in the order they are done."""
-    if client is not None:
-        remote = client.get_executor(pure=False)
-        window = 2 * max(1, sum(client.ncores().values()))
-        yield from _collect(lambda c: remote.submit(_render_remote, job, c), chunks, window)
-        return
-    stop = threading.Event()
-    draw = functools.partial(renderer.chunk, stopped=stop.is_set)
-    with _workers(job) as workers, ThreadPoolExecutor(workers) as pool:
-        try:
-            yield from _collect(lambda c: pool.submit(draw, c), chunks, workers + 1)
-        finally:
-            stop.set()
-
-
-@contextlib.contextmanager
-def _workers(job: Job) -> Iterator[int]:
-    """Yield how many chunks to render at once, with Mitsuba's own threads set to match.
-
-    A scalar pass is too short to be shared among threads: one chunk per core, each pass in the
-    thread that asked for it, keeps the caches warm. A wavefront uses all cores by itself.
-    """
-    if job.verdict.backend != "scalar":
-        yield 1
-        return
-    import drjit as dr
-
-    before = dr.thread_count()
-    dr.set_thread_count(1)
-    try:
-        yield cores()
-    finally:
-        dr.set_thread_count(before)
-
-
-def _collect(
-    submit: Callable[[Chunk], Future[Image]],
-    chunks: Sequence[Chunk],
-    window: int,
-) -> Iterator[tuple[Chunk, Image]]:
-    """Keep at most `window` chunks in flight, so that memory stays bounded."""
-    waiting = iter(chunks)
-    running: dict[Future[Image], Chunk] = {submit(c): c for c in itertools.islice(waiting, window)}
-    try:
-        while running:
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield running.pop(future), future.result()
-            for chunk in itertools.islice(waiting, len(done)):
-                running[submit(chunk)] = chunk
-    finally:
-        for future in running:
-            future.cancel()
-
-
-_REMOTE: dict[tuple[Any, ...], Renderer] = {}
-"""The last renderer of a worker process: building a scene costs more than a chunk."""
-_REMOTE_LOCK = threading.Lock()
-
-
-def _render_remote(job: Job, chunk: Chunk) -> Image:
-    """Render one chunk in a Dask worker."""
-    with activate(job.verdict), _REMOTE_LOCK:
-        if job.key not in _REMOTE:
-            _REMOTE.clear()
-            _REMOTE[job.key] = Renderer(job)
-        # One at a time: a pass uses all cores, and Mitsuba's signal handler is not reentrant.
-        return _REMOTE[job.key].chunk(chunk)

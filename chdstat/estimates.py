@@ -1,7 +1,8 @@
 """Estimates: a better picture from the samples that are there, and a file of it.
 
 `estimate` is the one call from samples to radiance: by default it trains on the very samples that
-it estimates from, and needs no reference. `write_estimates` puts the picture in an EXR file, with
+it estimates from, and needs no reference. Given a rendering in place of samples, it learns while
+the batches arrive, and keeps none of them. `write_estimates` puts the picture in an EXR file, with
 the certainty, the interval and the mean beside it. `chdstat.estimators` has the parts.
 """
 
@@ -11,7 +12,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +21,16 @@ import chdstat
 from chdstat._targets import checked_target
 from chdstat.comparison.denoising import check_denoiser, through_denoiser
 from chdstat.errors import InputError
-from chdstat.estimators import Estimates, Progressive
+from chdstat.estimators import Estimates, Progressive, Stream
 from chdstat.estimators.classical import mean_of_good
+from chdstat.estimators.heldout import direct_of
+from chdstat.estimators.progressive.timetables import follow
 from chdstat.io import write_exr
 from chdstat.models import AnyModel, first_samples, load_model, train_model
 from chdstat.samples import Samples
+
+if TYPE_CHECKING:
+    from chdstat.renderings import Rendering
 
 __all__ = ["estimate", "write_estimates"]
 
@@ -33,7 +39,7 @@ _USUAL_CHANNELS = (1, 3)
 
 
 def estimate(
-    samples: Samples,
+    samples: Samples | Rendering,
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
@@ -47,12 +53,14 @@ def estimate(
     """Estimate the radiance of every pixel.
 
     Without a model, `Progressive` is trained on these very samples, without a reference, and looks
-    at first-hit features where there are any and at the pixels around.
+    at first-hit features where there are any and at the pixels around (not while rendering, since
+    that needs the samples).
 
     Parameters
     ----------
     samples
-        The picture.
+        The picture; or a rendering, as `chdstat.render_batches` makes it: then nothing is kept of
+        its batches but what the estimate needs, in memory that does not grow with `spp`.
     model
         A trained estimator, or the file that one was saved to; None trains one.
     spp
@@ -68,7 +76,7 @@ def estimate(
     seed, iterations
         Of the training, as for `chdstat.models.train_model`.
     progress
-        Show progress bars; None shows them on a terminal.
+        Show progress bars; None shows them on a terminal. A rendering shows its own.
 
     Returns
     -------
@@ -111,7 +119,10 @@ def estimate(
 
 
 def write_estimates(
-    path: str | Path, samples: Samples, model: AnyModel | str | Path | None = None, **options: Any
+    path: str | Path,
+    samples: Samples | Rendering,
+    model: AnyModel | str | Path | None = None,
+    **options: Any,
 ) -> Path:
     """Estimate the radiance of every pixel and write it to an EXR file.
 
@@ -194,7 +205,7 @@ class _Improved:
 
 
 def _improve(
-    samples: Samples,
+    samples: Samples | Rendering,
     model: AnyModel | str | Path | None,
     *,
     spp: int | None = None,
@@ -206,42 +217,115 @@ def _improve(
     progress: bool | None = None,
 ) -> _Improved:
     _check_options(balance, level)
-    used = first_samples(samples, spp)
-    if denoise:
-        check_denoiser(used)  # refused before the training, not after
     own = load_model(model) if isinstance(model, str | Path) else model
-    if own is None:
-        own = train_model(
-            used,
-            features=bool(used.features),
-            reference=False,
-            seed=seed,
-            iterations=iterations,
-            progress=progress,
-        )
-    picture = used.read()
-    first = _ask(own, picture, used.features, balance, level)
-    final = first
+    asked: dict[str, float] = {"balance": balance, "level": level}
+    training: dict[str, Any] = {"seed": seed, "iterations": iterations}
+    if isinstance(samples, Samples):
+        samples = first_samples(samples, spp)
+        if denoise:
+            check_denoiser(samples)  # refused before the training, not after
+        start = _of_samples(samples, own, asked, training | {"progress": progress})
+    else:
+        start = _of_rendering(samples, _checked_model(samples, own, spp, denoise), asked, training)
+    final = start.found
     if denoise:
-        final = replace(first, radiance=through_denoiser(first.radiance, used.features))
+        final = replace(final, radiance=through_denoiser(final.radiance, samples.features))
     provenance = {
         "software": f"chdstat {chdstat.__version__}",
-        "scene": used.name,
-        "spp": used.spp,
-        "estimator": own.name,
-        "training": "on these samples, without a reference" if model is None else "before",
+        "scene": samples.name,
+        "spp": samples.spp,
+        "estimator": start.model.name,
+        "training": start.training if model is None else "before",
         "balance": balance,
-        "level": "none" if np.isnan(first.level) else first.level,
+        "level": "none" if np.isnan(final.level) else final.level,
         "denoiser": "Open Image Denoise" if denoise else "none",
-        "samples": used.attrs,
-        "model": own.provenance,
+        "samples": samples.attrs,
+        "model": start.told,
     }
-    return _Improved(
-        first=first,
-        final=final,
-        mean=mean_of_good(picture).astype(np.float32),
-        provenance=provenance,
+    return _Improved(start.found, final, start.mean.astype(np.float32), provenance)
+
+
+@dataclass(frozen=True)
+class _Start:
+    """An estimate before the denoiser, with what gave it.
+
+    Attributes
+    ----------
+    model, told, training
+        The estimator, its provenance, and what it was trained on where it was trained here.
+    found
+        The estimate.
+    mean
+        Of the same samples, shape (y, x, channel).
+    """
+
+    model: AnyModel
+    told: Mapping[str, Any]
+    training: str
+    found: Estimates
+    mean: npt.NDArray[np.floating[Any]]
+
+
+def _of_samples(
+    samples: Samples, model: AnyModel | None, asked: Mapping[str, float], training: dict[str, Any]
+) -> _Start:
+    own = model
+    if own is None:
+        own = train_model(samples, features=bool(samples.features), reference=False, **training)
+    picture = samples.read()
+    direct = direct_of(samples).read() if isinstance(own, Progressive) and own.direct else None
+    found = _ask(own, picture, samples.features, direct, **asked)
+    where = "on these samples, without a reference"
+    return _Start(own, own.provenance, where, found, mean_of_good(picture))
+
+
+def _of_rendering(
+    rendering: Rendering,
+    model: Progressive | None,
+    asked: Mapping[str, float],
+    training: Mapping[str, Any],
+) -> _Start:
+    own = Progressive(features=True) if model is None else model
+    stream = Stream(
+        own,
+        features=rendering.features if own.features else None,
+        learns=model is None,
+        seed=training["seed"],
+        attrs=rendering.attrs,
     )
+    if model is None:
+        follow(stream, rendering, spp=rendering.spp, iterations=training["iterations"])
+    else:
+        for batch in rendering:
+            stream.update(batch)
+    found, where = stream.estimate(**asked), "while rendering, without a reference"
+    # Where no sample varied nothing was learned.
+    told = stream.model.provenance if model is not None or stream.iterations else {}
+    return _Start(stream.model, told, where, found, stream.mean())
+
+
+def _checked_model(
+    rendering: Rendering, model: AnyModel | None, spp: int | None, denoise: bool
+) -> Progressive | None:
+    """Return the model; what could not be estimated after the rendering is refused before it."""
+    channels = rendering.shape[2]
+    if spp not in (None, rendering.spp):
+        message = f"spp of a rendering is set where it is made: {rendering.spp}, got {spp} here"
+        raise InputError(message)
+    if denoise:
+        check_denoiser(Samples.from_array(np.zeros((1, 1, channels, 1))))
+    if model is None:
+        return None
+    if not isinstance(model, Progressive) or model.neighbours or model.direct:
+        message = (
+            "while rendering, a model must be 'progressive' and look at no neighbours, since no "
+            f"samples are kept, nor at direct light, which is rendered apart; got {model!r}"
+        )
+        raise InputError(message)
+    if model.channels != channels:
+        message = f"the model takes {model.channels} channels, got a rendering of {channels}"
+        raise InputError(message)
+    return model
 
 
 def _check_options(balance: float, level: float) -> None:
@@ -257,12 +341,14 @@ def _ask(
     model: AnyModel,
     picture: npt.NDArray[np.float32],
     features: Mapping[str, npt.NDArray[Any]],
+    direct: npt.NDArray[Any] | None,
+    *,
     balance: float,
     level: float,
 ) -> Estimates:
     if isinstance(model, Progressive):
         given = features if model.features else None
-        return model.estimate(picture, features=given, balance=balance, level=level)
+        return model.estimate(picture, features=given, direct=direct, balance=balance, level=level)
     radiance = model.predict(picture)
     unknown = np.full_like(radiance, np.nan)
     return Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)

@@ -27,6 +27,7 @@ def train_model(
     name: str = "progressive",
     *,
     features: bool = False,
+    direct: bool = False,
     reference: bool = True,
     spp: int | None = None,
     seed: int = 0,
@@ -43,6 +44,9 @@ def train_model(
         A registered estimator that learns, as `chdstat.estimators.names` lists them.
     features
         Let it look at what the camera rays hit; only "progressive".
+    direct
+        Let it look at direct and indirect light apart; only "progressive", of samples that were
+        rendered with ``direct=True``.
     reference
         True learns from the other samples of each pixel, which must be many more than will be
         estimated from. False learns from splits of the samples, and looks at the pixels around,
@@ -75,11 +79,11 @@ def train_model(
     >>> train_model(picture, reference=False, iterations=5, progress=False).neighbours
     True
     """
-    entry = check_choice(name, features=features, reference=reference)
+    entry = check_choice(name, features=features, direct=direct, reference=reference)
     used = first_samples(samples, spp)
     options: dict[str, Any] = {"seed": seed, "iterations": iterations, "progress": progress}
     if name == Progressive.name:
-        model = Progressive(features=features, neighbours=not reference)
+        model = Progressive(features=features, neighbours=not reference, direct=direct)
         return model.train(used, reference=reference, **options)
     found = entry.train(used, **options)
     if not isinstance(found, AnyModel):
@@ -88,22 +92,24 @@ def train_model(
     return found
 
 
-def check_choice(name: str, *, features: bool, reference: bool) -> LearnedEstimator:
+def check_choice(
+    name: str, *, features: bool, direct: bool = False, reference: bool = True
+) -> LearnedEstimator:
     """Return the entry of an estimator that learns, if it can learn so.
 
     Raises
     ------
     InputError
-        If it learns nothing, or looks at no features, or needs a reference.
+        If it learns nothing, or looks at no features or direct light, or needs a reference.
     """
     entry = lookup(name)
     if not isinstance(entry, LearnedEstimator):
         message = f"{name} learns nothing; give one of {', '.join(names('learned'))}"
         raise InputError(message)
-    if name != Progressive.name and (features or not reference):
+    if name != Progressive.name and (features or direct or not reference):
         message = (
-            f"features, and training without a reference, are for {Progressive.name!r}, not "
-            f"{name!r}"
+            "features, direct light, and training without a reference, are for "
+            f"{Progressive.name!r}, not {name!r}"
         )
         raise InputError(message)
     return entry
@@ -142,9 +148,4 @@ def first_samples(samples: Samples, spp: int | None) -> Samples:
     """
     if spp is None or spp == samples.spp:
         return samples
-    if not 1 <= spp <= samples.spp:
-        message = f"spp must be from 1 to {samples.spp}, what these samples hold; got {spp}"
-        raise InputError(message)
-    attrs = {**samples.attrs, "spp": spp}
-    part = samples.read(ss=slice(0, spp))
-    return Samples.from_array(part, features=samples.features, **attrs)
+    return samples.first(spp)

@@ -57,6 +57,7 @@ class Samples:
         store: Store | None = None,
         attrs: Mapping[str, Any],
         features: Mapping[str, npt.NDArray[np.float32]] | None = None,
+        direct: Samples | None = None,
         spp: int | None = None,
     ) -> None:
         if (array is None) == (store is None):
@@ -66,6 +67,7 @@ class Samples:
         self._store = store
         self._attrs = dict(attrs)
         self._features = features
+        self._direct = direct
         self._spp = spp
 
     @classmethod
@@ -74,6 +76,7 @@ class Samples:
         array: npt.ArrayLike,
         *,
         features: Mapping[str, npt.NDArray[np.float32]] | None = None,
+        direct: npt.ArrayLike | None = None,
         **attrs: Any,
     ) -> Samples:
         """Hold samples that are already in memory.
@@ -84,6 +87,8 @@ class Samples:
             Linear radiance, shape (y, x, channel, sample); (y, x, sample) gains one channel.
         features
             First-hit features by name, each (y, x) or (y, x, component).
+        direct
+            Emission and direct light of each sample, of the same shape as the samples.
         **attrs
             Provenance, such as ``scene="name"``.
 
@@ -92,13 +97,16 @@ class Samples:
         InputError
             If the shape is not one of these, or an axis is empty.
         """
-        data = as_samples(array, name="samples")
-        if data.ndim == 3:
-            data = data[:, :, np.newaxis, :]
-        if data.ndim != 4 or 0 in data.shape:
-            message = f"samples must have shape (y, x, channel, sample), got {data.shape}"
-            raise InputError(message)
-        return cls(array=data.astype(np.float32, copy=False), attrs=attrs, features=features)
+        data = _picture(array, "samples")
+        part = None
+        if direct is not None:
+            part = cls(array=_picture(direct, "direct"), attrs=attrs)
+            if part.shape != data.shape:
+                message = (
+                    f"direct must have the shape of the samples, {data.shape}, got {part.shape}"
+                )
+                raise InputError(message)
+        return cls(array=data, attrs=attrs, features=features, direct=part)
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -138,6 +146,15 @@ class Samples:
         if self._features is not None:
             return dict(self._features)
         return self._store.read_features() if self._store else {}
+
+    @property
+    def direct(self) -> Samples | None:
+        """Emission and direct light of the same samples, as far as known; None where it is not.
+
+        These are the same paths, cut after their first reflection: sample by sample no more than
+        the whole. Where their rendering was stopped they are fewer than the samples.
+        """
+        return self._direct
 
     def __repr__(self) -> str:
         height, width, channels, spp = self.shape
@@ -183,7 +200,27 @@ class Samples:
         """Return the same samples held in memory: worth it before several analyses."""
         if self._array is not None:
             return self
-        return Samples(array=self.read(), attrs=self.attrs, features=self.features)
+        direct = None if self.direct is None else self.direct.load()
+        return Samples(array=self.read(), attrs=self.attrs, features=self.features, direct=direct)
+
+    def first(self, spp: int) -> Samples:
+        """Return the first samples of each pixel, in memory.
+
+        Raises
+        ------
+        InputError
+            If there are not so many, or less than one is wanted.
+        """
+        if not 1 <= spp <= self.spp:
+            message = f"spp must be from 1 to {self.spp}, what these samples hold; got {spp}"
+            raise InputError(message)
+        direct = self.direct
+        return Samples(
+            array=self.read(ss=slice(0, spp)),
+            attrs={**self.attrs, "spp": spp},
+            features=self.features,
+            direct=None if direct is None else direct.first(min(spp, direct.spp)),
+        )
 
     def blocks(self) -> Iterator[tuple[slice, slice, slice, npt.NDArray[np.float32]]]:
         """Walk the samples in constant memory: tile by tile, and batch by batch within a tile.
@@ -308,7 +345,8 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
     Raises
     ------
     StoreError
-        If there is no store, it is damaged or of another schema, or it holds no complete batch.
+        If there is no store, it is damaged or of another schema, it holds no complete batch, or
+        what lies in its folder ``direct`` is not of the same samples.
     """
     from chdstat._store import Store
 
@@ -320,7 +358,25 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
             "Run the same 'chdstat render' again to resume it"
         )
         raise StoreError(message)
-    return Samples(store=store, attrs=store.attrs, spp=spp)
+    return Samples(store=store, attrs=store.attrs, direct=_direct_of(store, spp), spp=spp)
+
+
+def _picture(array: npt.ArrayLike, name: str) -> npt.NDArray[np.float32]:
+    """Return samples (y, x, channel, sample) in single precision."""
+    data = as_samples(array, name=name)
+    if data.ndim == 3:
+        data = data[:, :, np.newaxis, :]
+    if data.ndim != 4 or 0 in data.shape:
+        message = f"{name} must have shape (y, x, channel, sample), got {data.shape}"
+        raise InputError(message)
+    return data.astype(np.float32, copy=False)
+
+
+def _direct_of(store: Store, spp: int) -> Samples | None:
+    """Return what is rendered of the direct part of a store, at most so many samples."""
+    direct = store.direct()
+    complete = 0 if direct is None else min(spp, direct.complete_spp())
+    return Samples(store=direct, attrs=direct.attrs, spp=complete) if direct and complete else None
 
 
 def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
@@ -341,6 +397,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     from chdstat._store import Store
 
     store = Store.open(Path(path))
+    direct = store.direct()
     height, width, channels, spp = store.shape
     files = [f for f in store.path.rglob("*") if f.is_file()]
     found = {
@@ -349,9 +406,11 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
         "shape": {"y": height, "x": width, "channel": channels, "sample": spp},
         "complete_spp": store.complete_spp(),
         "pending_chunks": len(store.pending()),
+        "direct_spp": 0 if direct is None else direct.complete_spp(),
         "features": sorted(store.read_features()),
         "bytes": sum(f.stat().st_size for f in files),
     }
     if verify:
-        found["damaged"] = [str(file) for file in store.damaged()]
+        held = (store,) if direct is None else (store, direct)
+        found["damaged"] = [str(file) for each in held for file in each.damaged()]
     return found

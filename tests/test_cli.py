@@ -154,6 +154,25 @@ def test_estimate_renders_a_scene_and_trains_on_it(run, tmp_path):
     assert found.picture.shape == (8, 10, 3)
 
 
+def test_estimate_learns_while_a_scene_renders_and_keeps_no_samples(run, store, tmp_path):
+    import chdstat
+
+    picture = tmp_path / "box.exr"
+    asked = ("estimate", "cornell-box", "--while-rendering", "-o", picture, "--size", "10x8", "-q")
+    asked = (*asked, "--spp", 8, "--iterations", 3, "--backend", "scalar")
+    code, _, err = run(*asked)
+    assert (code, err) == (0, "")
+    assert list(tmp_path.iterdir()) == [picture]
+    found = chdstat.io.read_exr(picture)
+    assert found.picture.shape == (8, 10, 3)
+    assert set(found.extra) == {"certainty", "low", "high", "mean"}
+    for more in (("--store", tmp_path / "a.zarr"), ("--spp", 3)):
+        assert run(*asked, *more)[0] == 1
+    code, _, err = run("estimate", store, "--while-rendering", "-o", tmp_path / "b.exr")
+    assert code == 1
+    assert "takes a scene, not a store" in err
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

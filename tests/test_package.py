@@ -22,11 +22,13 @@ ORDER = (
     "_targets",
     "_arrays _machine _reasons _workers progress",
     "scenes",
-    "_store _streams",
+    "_store _shards _streams",
     "backend",
     "samples",
     "_renderer",
     "_sinks",
+    "_crew",
+    "renderings",
     "capture",
     "_batches _moments _multiplicity _null_quantiles _positive _rows _streaming",
     "_binning",
@@ -37,6 +39,8 @@ ORDER = (
     "normality",
     "modes",
     "patterns",
+    "_fitted",
+    "differences",
     "simulation atlases",
     "metrics",
     "estimators",
@@ -77,7 +81,7 @@ HEAVY = (
     "bokeh",
 )
 
-RENDERING = {"backend", "capture", "_renderer", "scenes"}
+RENDERING = {"_crew", "_renderer", "backend", "capture", "renderings", "scenes"}
 """What may import Mitsuba."""
 
 

@@ -24,6 +24,7 @@ __all__ = [
     "Spp",
     "StoreKept",
     "StorePath",
+    "batches_of",
     "client_of",
     "given",
     "is_store",
@@ -111,6 +112,31 @@ def samples_of(
         scene_of(source, define),
         progress=progress_of(quiet),
         **given(size=size_of(size), out=store, **settings),
+    )
+
+
+def batches_of(
+    source: str,
+    *,
+    define: list[str] | None,
+    size: str | None,
+    store: Path | None,
+    quiet: bool,
+    **settings: Any,
+) -> Any:
+    """Return a rendering of a scene, batch by batch, of which no sample is kept."""
+    from chdstat.capture import render_batches
+
+    if is_store(source) or store is not None:
+        message = (
+            "--while-rendering keeps no samples: it takes a scene, not a store such as "
+            f"{source if store is None else store}"
+        )
+        raise InputError(message)
+    return render_batches(
+        scene_of(source, define),
+        progress=progress_of(quiet),
+        **given(size=size_of(size), **settings),
     )
 
 

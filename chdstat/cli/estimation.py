@@ -21,6 +21,7 @@ from chdstat.cli._options import (
     Spp,
     StoreKept,
     StorePath,
+    batches_of,
     given,
     progress_of,
     samples_of,
@@ -56,6 +57,9 @@ def train(
     features: Annotated[
         bool, typer.Option("--features", help="Look at what the camera rays hit.")
     ] = False,
+    direct: Annotated[
+        bool, typer.Option("--direct", help="Look at direct and indirect light apart.")
+    ] = False,
     no_reference: Annotated[
         bool,
         typer.Option("--no-reference", help="Learn from splits of the samples; look around, too."),
@@ -75,7 +79,7 @@ def train(
     from chdstat.models import check_choice, train_model
 
     target = checked_target(out, ".safetensors")  # refused before the work, not after
-    check_choice(model, features=features, reference=not no_reference)
+    check_choice(model, features=features, direct=direct, reference=not no_reference)
     samples = samples_of(
         source,
         define=define,
@@ -86,11 +90,13 @@ def train(
         seed=seed,
         max_depth=max_depth,
         backend=backend,
+        direct=direct or None,
     )
     trained = train_model(
         samples,
         model,
         features=features,
+        direct=direct,
         reference=not no_reference,
         spp=spp,
         **given(seed=seed, iterations=iterations),
@@ -120,6 +126,12 @@ def estimate(
     denoise: Annotated[
         bool, typer.Option("--denoise", help="Put the picture through Open Image Denoise.")
     ] = False,
+    while_rendering: Annotated[
+        bool,
+        typer.Option(
+            "--while-rendering", help="Learn batch by batch as a scene renders; keep no samples."
+        ),
+    ] = False,
     iterations: Iterations = None,
     spp: Spp = None,
     size: Size = None,
@@ -132,7 +144,8 @@ def estimate(
 ) -> None:
     """Make a better picture of the samples there are; of a store, --spp takes the first samples.
 
-    Trains on these very samples, without a reference. The file holds the estimate, and as layers
+    Trains on these very samples, without a reference; with --while-rendering between the batches
+    of a render, in memory that does not grow with --spp. The file holds the estimate, and as layers
     its certainty, the ends of its interval, and the mean of the samples.
     """
     from chdstat._targets import checked_target
@@ -141,7 +154,8 @@ def estimate(
 
     target = checked_target(out, ".exr")  # refused before the work, not after
     trained = None if model is None else load_model(model)
-    samples = samples_of(
+    drawn = batches_of if while_rendering else samples_of
+    samples = drawn(
         source,
         define=define,
         size=size,
@@ -157,7 +171,7 @@ def estimate(
         samples,
         trained,
         denoise=denoise,
-        spp=spp,
+        spp=None if while_rendering else spp,
         **given(balance=balance, level=level, seed=seed, iterations=iterations),
         progress=progress_of(quiet),
     )

@@ -42,6 +42,9 @@ def render(
     size: Size = None,
     seed: Seed = None,
     max_depth: Depth = None,
+    direct: Annotated[
+        bool, typer.Option("--direct", help="Keep the direct light of each sample apart, too.")
+    ] = False,
     backend: BackendName = "auto",
     define: Defines = None,
     scheduler: Scheduler = None,
@@ -59,6 +62,7 @@ def render(
             scene_of(scene, define),
             out=out,
             client=client,
+            direct=direct,
             progress=progress_of(quiet),
             **given(spp=spp, size=size_of(size), seed=seed, max_depth=max_depth, backend=backend),
         )

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat.comparison._entries import Entry, learned_of, looks_around, own_of, takes
-from chdstat.comparison._tally import Function
+from chdstat.comparison._tally import Directed, Function
 from chdstat.comparison.denoising import Denoised, variants
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import Totals, draw_pixels
+from chdstat.estimators.heldout import Totals, direct_of, draw_pixels
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup
 from chdstat.samples import Samples
 
@@ -40,12 +40,15 @@ class Contestants:
         First-hit features of the picture, for those who look at them.
     pixels
         What they were trained on, rows (y, x), but for those that came trained.
+    direct
+        Whether the direct part of the samples is known.
     """
 
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
     features: Mapping[str, Array]
     pixels: npt.NDArray[np.int64]
+    direct: bool
 
     @classmethod
     def of(
@@ -63,12 +66,16 @@ class Contestants:
             if isinstance(entry, Denoised):
                 entry.check(samples)
         learned = learned_of(entries)
+        if any(entry.uses_direct for entry in learned.values()):
+            direct_of(samples)  # refused before the training, not after
         given = _given(model, learned)
         wanted = max((e.pixels for e in learned.values()), default=0)
         pixels = draw_pixels(samples.shape[:2], wanted, seed=seed)
         models = _train(learned, samples, pixels, given, sizes=sizes, seed=seed, progress=progress)
         _check_certainty(entries, models)
-        return cls(entries, models, samples.features, pixels)
+        direct = samples.direct
+        known = direct is not None and direct.spp >= samples.spp
+        return cls(entries, models, samples.features, pixels, known)
 
     def trained_anew(
         self, samples: Samples, *, sizes: Sequence[int], seed: int, progress: bool | None
@@ -121,10 +128,18 @@ class Contestants:
         }
 
     def _function(self, entry: Entry, features: Mapping[str, Array]) -> Function:
+        function = self._called(entry, features)
+        return Directed(function) if self.direct and own_of(entry).uses_direct else function
+
+    def _called(self, entry: Entry, features: Mapping[str, Array]) -> Callable[..., Array]:
+        """Return a function from samples, and options of one estimate, to estimates."""
         if isinstance(entry, Denoised):
-            if entry.certainty:
-                return partial(entry, self._certain(entry.entry, features), features)
-            return partial(entry, _uncertain(self._function(entry.entry, features)), features)
+            estimate = (
+                self._certain(entry.entry, features)
+                if entry.certainty
+                else _uncertain(self._called(entry.entry, features))
+            )
+            return partial(entry, estimate, features)
         options = _options(entry, features)
         if isinstance(entry, LearnedEstimator):
             return partial(self.models[entry.name].predict, **options)
@@ -132,13 +147,13 @@ class Contestants:
 
     def _certain(
         self, entry: Estimator | LearnedEstimator, features: Mapping[str, Array]
-    ) -> Callable[[npt.ArrayLike], tuple[Array, Array]]:
+    ) -> Callable[..., tuple[Array, Array]]:
         """Return a function from samples to estimates and their certainty."""
         model: Any = self.models[entry.name]
         options = _options(entry, features)
 
-        def estimate(x: npt.ArrayLike) -> tuple[Array, Array]:
-            found = model.estimate(x, **options)
+        def estimate(x: npt.ArrayLike, **more: Any) -> tuple[Array, Array]:
+            found = model.estimate(x, **options, **more)
             return found.radiance, found.certainty
 
         return estimate
@@ -226,8 +241,8 @@ def _options(entry: Estimator | LearnedEstimator, features: Mapping[str, Array])
     return options | ({"features": features} if entry.uses_features and features else {})
 
 
-def _uncertain(function: Function) -> Callable[[npt.ArrayLike], tuple[Array, None]]:
-    return lambda x: (function(x), None)
+def _uncertain(function: Callable[..., Array]) -> Callable[..., tuple[Array, None]]:
+    return lambda x, **more: (function(x, **more), None)
 
 
 def _says_certainty(model: Model | None) -> bool:

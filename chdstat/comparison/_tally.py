@@ -18,14 +18,29 @@ from chdstat._arrays import generator
 from chdstat.comparison._sums import ErrorSums, errors_of
 from chdstat.errors import InputError
 from chdstat.estimators import mean
-from chdstat.estimators.heldout import Totals, batches
+from chdstat.estimators.heldout import Totals, batches, direct_of
 from chdstat.progress import track
 from chdstat.samples import Samples
 
-__all__ = ["Function", "Pictures", "Tally", "Units", "judge"]
+__all__ = ["Directed", "Function", "Pictures", "Tally", "Units", "asked", "judge"]
 
 Array = npt.NDArray[Any]
-Function = Callable[[npt.ArrayLike], Array]
+
+
+@dataclass(frozen=True)
+class Directed:
+    """An estimator that is to be told the direct part of its samples.
+
+    Attributes
+    ----------
+    function
+        Takes samples, and their direct part as ``direct=``.
+    """
+
+    function: Callable[..., Array]
+
+
+Function = Callable[[npt.ArrayLike], Array] | Directed
 
 _MOST_UNITS = 128 * 128
 """Units of a bootstrap: with so many, the standard error of a mean is itself 1 % off."""
@@ -136,6 +151,7 @@ class _Batch:
     """One batch of the picture, and what the estimates of it are judged by."""
 
     samples: npt.NDArray[np.float32]
+    direct: npt.NDArray[np.float32] | None
     mean: npt.NDArray[np.float32]
     reference: npt.NDArray[np.float64]
 
@@ -143,7 +159,7 @@ class _Batch:
         """Yield the sample mean, then what each estimator says."""
         yield self.mean
         for name, function in functions.items():
-            found = np.asarray(function(self.samples))
+            found = asked(function, self.direct, self.samples)
             if found.shape != self.mean.shape:
                 message = (
                     f"{name} must return one estimate for each pixel and channel, shape "
@@ -151,6 +167,13 @@ class _Batch:
                 )
                 raise InputError(message)
             yield found
+
+
+def asked(function: Function, direct: Array | None, samples: npt.ArrayLike) -> Array:
+    """Return what an estimator makes of samples, with their direct part where it wants that."""
+    if isinstance(function, Directed):
+        return np.asarray(function.function(samples, direct=direct))
+    return np.asarray(function(samples))
 
 
 def judge(
@@ -176,8 +199,8 @@ def judge(
     shown, excluded = None, 0
     work = rounds * height * width * len(functions)
     with track(f"comparing at N = {n}", work, unit="px", show=progress) as advance:
-        for index, picture in enumerate(batches(samples, n, limit=limit)):
-            batch = _Batch(picture, mean(picture), totals.mean_without(picture))
+        for index, (picture, direct) in enumerate(_read(samples, n, limit, functions)):
+            batch = _Batch(picture, direct, mean(picture), totals.mean_without(picture))
             if index == 0 and pictures:
                 shown = _empty_pictures(batch, len(functions))
             excluded += _add_references(batch, units, by_unit, by_batch[index : index + 1])
@@ -189,6 +212,16 @@ def judge(
                     _keep(shown, k - 1, estimate)
                 advance(height * width if k > 0 else 0)
     return Tally(by_unit, by_batch, excluded, shown)
+
+
+def _read(
+    samples: Samples, n: int, limit: int | None, functions: Mapping[str, Function]
+) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]]:
+    """Yield the picture with n samples at a time, and their direct part where it is asked for."""
+    pictures = batches(samples, n, limit=limit)
+    if not any(isinstance(function, Directed) for function in functions.values()):
+        return ((picture, None) for picture in pictures)
+    return zip(pictures, batches(direct_of(samples), n, limit=limit), strict=True)
 
 
 def _add_references(batch: _Batch, units: Units, by_unit: ErrorSums, by_batch: ErrorSums) -> int:

@@ -57,9 +57,10 @@ class Denoised:
 
     def __call__(
         self,
-        estimate: Callable[[npt.ArrayLike], tuple[Array, Array | None]],
+        estimate: Callable[..., tuple[Array, Array | None]],
         features: Mapping[str, Array],
         x: npt.ArrayLike,
+        **options: Any,
     ) -> Array:
         """Denoise what an estimator makes of a picture's samples.
 
@@ -71,8 +72,10 @@ class Denoised:
             First-hit features of the picture.
         x
             Samples, shape (y, x, channel, sample).
+        **options
+            What else the estimator is told of them.
         """
-        radiance, certainty = estimate(x)
+        radiance, certainty = estimate(x, **options)
         return through_denoiser(
             radiance,
             features if self.features else {},

@@ -9,6 +9,7 @@ trained first; the pixels that they saw do not count, for none of the estimators
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,13 +20,13 @@ from chdstat.comparison._cost import Cost, measure_cost
 from chdstat.comparison._entries import Entry, resolve
 from chdstat.comparison._labels import Labels, labels_of
 from chdstat.comparison._sums import MEASURES, stack_intervals
-from chdstat.comparison._tally import Tally, Units, judge
+from chdstat.comparison._tally import Directed, Tally, Units, asked, judge
 from chdstat.comparison._trainings import spread_over_trainings
 from chdstat.comparison.denoising import check_denoiser
 from chdstat.comparison.parts import Breakdown
 from chdstat.comparison.results import Comparison
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import Totals, check_spp
+from chdstat.estimators.heldout import Totals, check_spp, direct_of
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:
@@ -253,4 +254,10 @@ def _costs(contestants: Contestants, samples: Samples, n: int) -> dict[str, Cost
     ys = slice(0, -(-_COST_PIXELS // width))
     rows = samples.read(ys, ss=slice(0, n))
     functions = contestants.taking(n, ys=ys)
-    return {name: measure_cost(function, rows) for name, function in functions.items()}
+    direct = None
+    if any(isinstance(function, Directed) for function in functions.values()):
+        direct = direct_of(samples).read(ys, ss=slice(0, n))
+    return {
+        name: measure_cost(partial(asked, function, direct), rows)
+        for name, function in functions.items()
+    }

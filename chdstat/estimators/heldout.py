@@ -25,6 +25,7 @@ __all__ = [
     "batches",
     "check_spp",
     "checked_pixels",
+    "direct_of",
     "draw_pixels",
     "training_batches",
 ]
@@ -111,6 +112,25 @@ def check_spp(samples: Samples, n: int) -> None:
             f"got {samples.spp}; render more samples per pixel"
         )
         raise InputError(message)
+
+
+def direct_of(samples: Samples) -> Samples:
+    """Return the direct part of a picture, as many samples of it.
+
+    Raises
+    ------
+    InputError
+        If it is not known, or not of all samples.
+    """
+    direct = samples.direct
+    if direct is None or direct.spp < samples.spp:
+        known = "none" if direct is None else f"that of {direct.spp}"
+        message = (
+            f"the direct light of all {samples.spp} samples is wanted, this picture has {known}; "
+            "render it with direct=True (chdstat render --direct) into the same store"
+        )
+        raise InputError(message)
+    return direct
 
 
 def draw_pixels(

@@ -78,6 +78,8 @@ class Estimator:
         Whether it takes ``features=``, the first-hit features of the picture, where there are any.
     learns
         Whether it trains on the samples at hand each time that it is called.
+    uses_direct
+        Whether it takes ``direct=``, the direct part of the samples, where it is known.
     """
 
     name: str
@@ -88,6 +90,7 @@ class Estimator:
     joint_channels: bool = False
     uses_features: bool = False
     learns: bool = False
+    uses_direct: bool = False
 
     def __call__(self, x: npt.ArrayLike, **options: Any) -> Array:
         """Estimate the radiance that the samples `x` are draws of.
@@ -124,6 +127,8 @@ class LearnedEstimator:
         As for `Estimator`.
     joint_channels
         As for `Estimator`.
+    uses_direct
+        Whether its models take ``direct=``, the direct part of the samples; they cannot do without.
     """
 
     name: str
@@ -134,6 +139,7 @@ class LearnedEstimator:
     options: Mapping[str, Any] = field(default_factory=dict)
     uses_features: bool = False
     joint_channels: bool = False
+    uses_direct: bool = False
 
     @property
     def learns(self) -> bool:
@@ -160,6 +166,7 @@ def register(
     joint_channels: bool = False,
     uses_features: bool = False,
     learns: bool = False,
+    uses_direct: bool = False,
 ) -> Callable[[Function], Function]:
     """Enter the decorated function as the estimator `name`.
 
@@ -175,7 +182,7 @@ def register(
     """
 
     def enter(function: Function) -> Function:
-        flags = uses_neighbours, joint_channels, uses_features, learns
+        flags = uses_neighbours, joint_channels, uses_features, learns, uses_direct
         _enter(Estimator(name, function, source, minimum_samples, *flags))
         return function
 

@@ -11,19 +11,22 @@ import numpy.typing as npt
 from chdstat._arrays import spans
 from chdstat._workers import in_order
 from chdstat.estimators.classical import mean_of_good
+from chdstat.estimators.progressive.causes import causes_of
 from chdstat.estimators.progressive.lessons import Scenery
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.results import Estimates, Learned
 from chdstat.estimators.progressive.shapes import AIMS
-from chdstat.estimators.progressive.spread import causes_of
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Answer
 
-__all__ = ["apply", "with_means"]
+__all__ = ["apply", "with_constants", "with_means"]
 
 _ROWS = 4096
 """Pixels at once: their profiles and hidden layers stay in the cache."""
+
+_FEWEST_ALIKE = 2
+"""Samples that can be alike."""
 
 Array = npt.NDArray[np.float32]
 
@@ -59,6 +62,7 @@ def apply(
     """
     import torch
 
+    from chdstat.estimators.progressive.doubt import Doubted
     from chdstat.estimators.progressive.network import device
     from chdstat.estimators.progressive.training import look, threads
 
@@ -67,7 +71,9 @@ def apply(
     low, high = (np.full_like(radiance, np.nan) for _ in range(2))
     certainty = np.empty(rows, np.float32)
     place = device()
-    network = learned.network.to(place)
+    network: Any = learned.network.to(place)
+    if learned.trust < 1:
+        network = Doubted(network, learned.trust)
 
     def enter(part: slice) -> None:
         profile = profile_of(part)
@@ -110,6 +116,34 @@ def with_means(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
         found.radiance[lost] = found.low[lost] = found.high[lost] = mean
         found.certainty[lost] = 0
     return found
+
+
+def with_constants(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
+    """Put the mean where all samples of a pixel are the same light: there is no noise to remove.
+
+    In a picture without any light nothing is known of its unit, either: it stays black. The
+    interval is kept, and widened to hold the mean: what few samples say may still be wrong.
+    """
+    if samples.shape[-1] < _FEWEST_ALIKE:
+        return found
+    # Two samples tell nearly all pixels apart from those; only the others are read.
+    pair = samples[..., 0]
+    good = np.isfinite(pair) & (pair >= 0)
+    lit = (pair > 0).any(axis=-1)
+    same = np.array((good & (pair == samples[..., -1])).all(axis=-1) & (lit | ~_any_light(samples)))
+    same[same] = (samples[same] == pair[same][..., np.newaxis]).all(axis=(-2, -1))
+    if same.any():
+        with np.errstate(over="ignore"):
+            mean = pair[same].astype(np.float32)
+        found.radiance[same], found.certainty[same] = mean, 0
+        found.low[same] = np.minimum(found.low[same], mean)
+        found.high[same] = np.maximum(found.high[same], mean)
+    return found
+
+
+def _any_light(samples: npt.NDArray[Any]) -> np.bool:
+    """Return whether any sample is lit; of nearly all pictures one a pixel is enough to tell."""
+    return np.bool((samples[..., 0] > 0).any() or (samples > 0).any())
 
 
 def _interval(

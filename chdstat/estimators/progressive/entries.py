@@ -28,11 +28,16 @@ def _train_with_features(samples: Samples, **options: Any) -> Progressive:
     return Progressive(features=True).train(samples, **options)
 
 
+def _train_with_direct(samples: Samples, **options: Any) -> Progressive:
+    return Progressive(direct=True).train(samples, **options)
+
+
 for _name, _function, _balance in (
     ("progressive", _train, 0.5),
     ("progressive_mse", _train, 0.0),
     ("progressive_relmse", _train, 1.0),
     ("progressive_features", _train_with_features, 0.5),
+    ("progressive_direct", _train_with_direct, 0.5),
 ):
     register_learned(
         LearnedEstimator(
@@ -44,6 +49,7 @@ for _name, _function, _balance in (
             options={"balance": _balance},
             uses_features=_function is _train_with_features,
             joint_channels=True,
+            uses_direct=_function is _train_with_direct,
         )
     )
 

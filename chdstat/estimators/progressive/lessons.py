@@ -16,7 +16,7 @@ from chdstat.estimators.heldout import check_spp
 from chdstat.estimators.progressive.first_hit import describe
 from chdstat.estimators.progressive.pictures import Lot, Scene
 from chdstat.estimators.progressive.profiles import Profile
-from chdstat.estimators.progressive.splits import Splits
+from chdstat.estimators.progressive.splits import Parts, Splits
 from chdstat.estimators.progressive.surroundings import BANDS, RADII, surround
 
 __all__ = [
@@ -110,7 +110,7 @@ class Material:
         How many of the pixels each scene gave, in order.
     """
 
-    splits: Splits
+    splits: Parts
     scenery: Scenery
     lesson: Lesson
     pixels: npt.NDArray[np.int64]
@@ -153,10 +153,11 @@ def with_reference(
         reference=True,
         iterations=_ITERATIONS if iterations is None else iterations,
     )
-    rows = np.concatenate([lot.rows for lot in lots]) if len(lots) > 1 else lots[0].rows
+    rows = _joined([lot.rows for lot in lots])
+    direct = [lot.direct for lot in lots if lot.direct is not None]
     nothing = Scenery.nothing(len(rows))
     return Material(
-        splits=Splits(rows, unit=1.0),
+        splits=Splits(rows, unit=1.0, direct=_joined(direct) if direct else None),
         scenery=Scenery(
             np.concatenate([lot.described for lot in lots]), nothing.bands, nothing.weight
         ),
@@ -165,6 +166,11 @@ def with_reference(
         excluded=sum(lot.excluded for lot in lots),
         parts=[len(lot.rows) for lot in lots],
     )
+
+
+def _joined(parts: Sequence[Picture]) -> Picture:
+    """Return pixels of several scenes as those of one; what is one already is not copied."""
+    return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
 
 def _check_alike(what: str, found: Sequence[int]) -> None:
@@ -181,6 +187,7 @@ def without_reference(
     unit: float,
     iterations: int | None,
     rng: np.random.Generator,
+    direct: Picture | None = None,
 ) -> Material:
     """Return a picture's pixels, each with splits of its own samples.
 
@@ -194,6 +201,8 @@ def without_reference(
         Whether alike pixels around are asked; their answers are computed for every split.
     unit, iterations, rng
         As for the others.
+    direct
+        The direct part of the samples, where it is looked at. Surroundings are of the whole.
 
     Raises
     ------
@@ -219,9 +228,16 @@ def without_reference(
     )
     profile = Profile.of(part, unit=unit) if neighbours else None
     rows = part.reshape(-1, *part.shape[2:])
-    good = np.flatnonzero(~is_bad(rows).any(axis=(1, 2)))
+    first = None if direct is None else direct[ys, xs].reshape(rows.shape)
+    bad = is_bad(rows).any(axis=(1, 2))
+    if first is not None:
+        bad |= is_bad(first).any(axis=(1, 2))
+    good = np.flatnonzero(~bad)
     splits = Splits(
-        rows[good], unit=unit, prepared=[(places, shared[good]) for places, shared in prepared]
+        rows[good],
+        unit=unit,
+        prepared=[(places, shared[good]) for places, shared in prepared],
+        direct=None if first is None else first[good],
     )
     corner = np.array([ys.start, xs.start])
     return Material(
@@ -250,8 +266,8 @@ def scenery_of(
 
 
 def _share_of(spp: int, share: float) -> int:
-    """Return a share of the samples, at least 2, with at least 1 to spare."""
-    return min(max(round(share * spp), 2), spp - 1)
+    """Return a share of the samples, at least 2, with at least 2 to spare: they are cut in two."""
+    return min(max(round(share * spp), 2), spp - 2)
 
 
 def _prepared(

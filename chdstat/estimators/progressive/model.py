@@ -15,13 +15,12 @@ from typing import Any, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-import chdstat
 from chdstat._arrays import as_samples, generator
 from chdstat.errors import InputError
 from chdstat.estimators._rows import check_pixels
 from chdstat.estimators.classical import mean_of_good
-from chdstat.estimators.heldout import Totals
-from chdstat.estimators.progressive.application import apply, with_means
+from chdstat.estimators.heldout import Totals, direct_of
+from chdstat.estimators.progressive.application import apply, with_constants, with_means
 from chdstat.estimators.progressive.conditions import CONDITIONS, conditions_of
 from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.lessons import (
@@ -34,18 +33,19 @@ from chdstat.estimators.progressive.lessons import (
 )
 from chdstat.estimators.progressive.pictures import Scene, chosen_pixels
 from chdstat.estimators.progressive.profiles import Profile
+from chdstat.estimators.progressive.provenance import provenance_of
 from chdstat.estimators.progressive.results import Estimates, Learned
 from chdstat.estimators.progressive.storage import read_learned, write_learned
 from chdstat.estimators.progressive.teaching import teach
 from chdstat.estimators.training import History
 from chdstat.samples import Samples
 
-__all__ = ["Progressive"]
+__all__ = ["Progressive", "checked_direct"]
 
 Array = npt.NDArray[Any]
 Features = Mapping[str, Array]
 
-_SIGHTS = ("features", "neighbours", "conditioned")
+_SIGHTS = ("features", "neighbours", "conditioned", "direct")
 _PIXELS_OF_CONDITIONS = 4096
 """Of a picture, evenly spaced: their samples tell what it is like."""
 _FEWEST_HALVES = 2
@@ -62,6 +62,10 @@ class Progressive:
     With a reference it learns two answers, one for the least MSE and one for the least relMSE;
     `balance` mixes them. Without one it learns from halves of each pixel's own samples, whose
     expectation is the truth: then every answer is unbiased, and `balance` makes little difference.
+    How far it is then believed is measured on pixels that did not train it, so that a picture which
+    teaches it nothing keeps its means.
+
+    Where all samples of a pixel are the same light, as those of a lamp, their mean is kept.
 
     Parameters
     ----------
@@ -74,6 +78,9 @@ class Progressive:
         Whether it looks at ten numbers that say what the samples of the whole picture are like
         (nulls, quantiles and spread of the luminance, firefly-like samples), to tell which of
         several scenes it resembles. Only with a reference.
+    direct
+        Whether it looks at direct and indirect light apart, as `chdstat.render` tells them with
+        ``direct=True``: light that comes seldom is then known to be indirect.
 
     References
     ----------
@@ -97,11 +104,17 @@ class Progressive:
     name = "progressive"
 
     def __init__(
-        self, *, features: bool = False, neighbours: bool = False, conditioned: bool = False
+        self,
+        *,
+        features: bool = False,
+        neighbours: bool = False,
+        conditioned: bool = False,
+        direct: bool = False,
     ) -> None:
         self.features = features
         self.neighbours = neighbours
         self.conditioned = conditioned
+        self.direct = direct
         self._learned: Learned | None = None
 
     def __repr__(self) -> str:
@@ -198,7 +211,8 @@ class Progressive:
         ------
         InputError
             If there are too few samples or good pixels, an option does not fit the others, the
-            pictures differ in channels, or one has no features where they are wanted.
+            pictures differ in channels, or one has no features, or no direct part of all samples,
+            where they are wanted.
         """
         if iterations is not None and iterations < 1:
             message = f"iterations must be at least 1, got {iterations}"
@@ -209,7 +223,13 @@ class Progressive:
             given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
             drawn = chosen_pixels(pictures, given, seed=seed)
             scenes = [
-                Scene(picture, self._features_of(picture), picture_unit(_means(picture)), own)
+                Scene(
+                    picture,
+                    self._features_of(picture),
+                    picture_unit(_means(picture)),
+                    own,
+                    direct_of(picture) if self.direct else None,
+                )
                 for picture, own in zip(pictures, drawn, strict=True)
             ]
             material = with_reference(
@@ -229,6 +249,7 @@ class Progressive:
                 unit=units[0],
                 iterations=iterations,
                 rng=generator(seed),
+                direct=direct_of(pictures[0]).read() if self.direct else None,
             )
         self._learned = self._learn(pictures, material, units, seed=seed, progress=progress)
         return self
@@ -238,6 +259,7 @@ class Progressive:
         x: npt.ArrayLike,
         *,
         features: Features | None = None,
+        direct: npt.ArrayLike | None = None,
         balance: float = 0.5,
         unit: float | None = None,
         trust: float | Literal["halves"] = 1.0,
@@ -249,13 +271,14 @@ class Progressive:
         ndarray
             Shape (..., channel).
         """
-        return self._estimate(x, features, balance, unit, trust, level=None).radiance
+        return self._estimate(x, features, direct, balance, unit, trust, level=None).radiance
 
     def estimate(
         self,
         x: npt.ArrayLike,
         *,
         features: Features | None = None,
+        direct: npt.ArrayLike | None = None,
         balance: float = 0.5,
         unit: float | None = None,
         level: float = 0.9,
@@ -271,6 +294,8 @@ class Progressive:
             infinite or negative is left out.
         features
             First-hit features of the picture.
+        direct
+            Direct part of the samples, of the shape of `x`, where it looks at that.
         balance
             0 for the least MSE, 1 for the least relMSE, and what lies between.
         unit
@@ -285,29 +310,30 @@ class Progressive:
         ------
         InputError
             If it is not trained, `x` has another number of channels or is no picture where it must
-            be, features are missing, or an option is out of range.
+            be, features or direct part are missing, or an option is out of range.
         """
         if not 0 < level < 1:
             message = f"level must lie between 0 and 1, got {level}"
             raise InputError(message)
-        return self._estimate(x, features, balance, unit, trust, level=level)
+        return self._estimate(x, features, direct, balance, unit, trust, level=level)
 
     def trust(
         self,
         x: npt.ArrayLike,
         *,
         features: Features | None = None,
+        direct: npt.ArrayLike | None = None,
         balance: float = 0.5,
         unit: float | None = None,
     ) -> float:
         r"""Measure how far from the mean to the estimate it pays to go, without a reference.
 
-        From one half of each pixel's samples come the mean m and the estimate g, from the other an
-        unbiased target t:
+        From one half of each pixel's samples come the mean m and the estimate g, from a quarter an
+        unbiased target t, and from the last quarter the mean s that errors are weighed by:
 
         .. math:: \alpha = \operatorname{clip}\left(
             \frac{\sum w (t - m)(g - m)}{\sum w (g - m)^2}, 0, 1\right),
-            \qquad w = (\min(g, m)^2 + 0.01\, u^2)^{-p},
+            \qquad w = (s^2 + 0.01\, u^2)^{-p},
 
         summed over pixels and channels, u being the unit; one standard error over pixels is taken
         off before the clip. The power p is 0 where balance is 0, which guards the MSE, and 1 where
@@ -319,7 +345,7 @@ class Progressive:
         ----------
         x
             Samples as for `estimate`, at least 2; the more pixels the better.
-        features, balance, unit
+        features, direct, balance, unit
             As for `estimate`.
 
         Returns
@@ -333,7 +359,8 @@ class Progressive:
             As for `estimate`, or if there is but one sample.
         """
         samples = self._checked(x, balance)
-        return self._trust(samples, features, balance, _unit_of(samples, unit))
+        part = checked_direct(self, direct, samples.shape)
+        return self._trust(samples, features, part, balance, _unit_of(samples, unit))
 
     def of_profile(
         self,
@@ -354,6 +381,7 @@ class Progressive:
             message = "an estimator that looks at neighbours needs the samples, not their profiles"
             raise InputError(message)
         self._check(profile.channels, balance)
+        self._check_parts(profile)
         shape = profile.count.shape
         rows = profile.reshape(-1)
         conditions = None
@@ -379,7 +407,7 @@ class Progressive:
         StoreError
             If the file cannot be written.
         """
-        write_learned(path, self._state, {sight: getattr(self, sight) for sight in _SIGHTS})
+        write_learned(path, self._state, self._sights)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -394,6 +422,10 @@ class Progressive:
         model = cls(**sights)
         model._learned = learned
         return model
+
+    @property
+    def _sights(self) -> dict[str, bool]:
+        return {sight: getattr(self, sight) for sight in _SIGHTS}
 
     @property
     def _state(self) -> Learned:
@@ -440,33 +472,12 @@ class Progressive:
         seed: int,
         progress: bool | None,
     ) -> Learned:
-        count = len(material.pixels)
-        network, spread, history = teach(
+        network, trust, spread, history = teach(
             material, channels=pictures[0].shape[2], seed=seed, progress=progress
         )
-        provenance = {
-            "scene": ", ".join(picture.name for picture in pictures),
-            "scenes": [
-                {
-                    "scene": picture.name,
-                    "samples": picture.attrs,
-                    "samples_shape": list(picture.shape),
-                    "unit": unit,
-                    "pixels_used": used,
-                }
-                for picture, unit, used in zip(pictures, units, material.parts, strict=True)
-            ],
-            "samples": pictures[0].attrs,
-            "samples_shape": list(pictures[0].shape),
-            "reference": material.lesson.reference,
-            **{sight: getattr(self, sight) for sight in _SIGHTS},
-            "seed": seed,
-            "pixels_used": count,
-            "pixels_excluded": material.excluded,
-            "sizes": sorted(set(material.lesson.sizes)),
-            "iterations": material.lesson.iterations,
-            "chdstat": chdstat.__version__,
-        }
+        provenance = provenance_of(
+            pictures, material, units=units, sights=self._sights, seed=seed, trust=trust
+        )
         return Learned(
             network,
             spread,
@@ -475,12 +486,14 @@ class Progressive:
             material.pixels,
             pictures[0].shape[:2],
             provenance,
+            trust,
         )
 
     def _estimate(
         self,
         x: npt.ArrayLike,
         features: Features | None,
+        direct: npt.ArrayLike | None,
         balance: float,
         unit: float | None,
         trust: float | Literal["halves"],
@@ -488,10 +501,11 @@ class Progressive:
         level: float | None,
     ) -> Estimates:
         samples = self._checked(x, balance)
+        direct = checked_direct(self, direct, samples.shape)
         unit = _unit_of(samples, unit)
         share: Any = trust
         if share == "halves":
-            share = self._trust(samples, features, balance, unit)
+            share = self._trust(samples, features, direct, balance, unit)
         if isinstance(share, str) or not 0 <= share <= 1:
             message = f"trust must lie between 0 and 1, or be 'halves', got {share}"
             raise InputError(message)
@@ -502,23 +516,31 @@ class Progressive:
             profile = Profile.of(samples, unit=unit)
             asked = ask(samples) / np.float32(unit)
         rows = samples.reshape(-1, channels, n)
+        first = None if direct is None else direct.reshape(rows.shape)
         conditions = None
         if self.conditioned:
             seen = rows[:: _step(len(rows))]
             conditions = conditions_of(Profile.of(seen, unit=unit))
         found = apply(
             self._trusted(share),
-            lambda part: Profile.of(rows[part], unit=unit),
+            lambda part: Profile.of(
+                rows[part], unit=unit, direct=None if first is None else first[part]
+            ),
             self._scenery(features, tuple(shape), profile, conditions),
             asked,
             shape=tuple(shape),
             balance=balance,
             level=level,
         )
-        return with_means(found, samples)
+        return with_constants(with_means(found, samples), samples)
 
     def _trust(
-        self, samples: Array, features: Features | None, balance: float, unit: float
+        self,
+        samples: Array,
+        features: Features | None,
+        direct: Array | None,
+        balance: float,
+        unit: float,
     ) -> float:
         from chdstat.estimators.progressive.doubt import paying_share
         from chdstat.estimators.progressive.training import FLOOR
@@ -528,20 +550,18 @@ class Progressive:
             raise InputError(message)
         return paying_share(
             samples,
-            lambda half: self._estimate(half, features, balance, unit, 1.0, level=None).radiance,
+            lambda half, part=None: (
+                self._estimate(half, features, part, balance, unit, 1.0, level=None).radiance
+            ),
             powers=[power for power, part in ((0, 1 - balance), (1, balance)) if part > 0],
             floor=FLOOR,
             unit=unit,
+            direct=direct,
         )
 
     def _trusted(self, trust: float) -> Learned:
         """Return what was learned, to be believed in part."""
-        if trust == 1:
-            return self._state
-        from chdstat.estimators.progressive.doubt import Doubted
-
-        network: Any = Doubted(self._state.network, trust)
-        return replace(self._state, network=network)
+        return replace(self._state, trust=self._state.trust * trust)
 
     def _checked(self, x: npt.ArrayLike, balance: float) -> Array:
         samples = as_samples(x)
@@ -560,6 +580,15 @@ class Progressive:
             raise InputError(message)
         if not 0 <= balance <= 1:
             message = f"balance must lie between 0 (MSE) and 1 (relMSE), got {balance}"
+            raise InputError(message)
+
+    def _check_parts(self, profile: Profile) -> None:
+        wanted = self._state.network.shape.parts
+        if profile.parts != wanted:
+            message = f"the model looks at {wanted} part(s) of a sample, got {profile.parts}"
+            raise InputError(message)
+        if self.direct and self.conditioned:
+            message = "conditions need the samples, not profiles of direct and indirect light"
             raise InputError(message)
 
     def _scenery(
@@ -591,6 +620,31 @@ class Progressive:
             )
             raise InputError(message)
         return found
+
+
+def checked_direct(
+    model: Progressive, direct: npt.ArrayLike | None, shape: tuple[int, ...]
+) -> Array | None:
+    """Return the direct part of samples of a shape where the model looks at it, else None.
+
+    Raises
+    ------
+    InputError
+        If it is wanted, and missing or of another shape.
+    """
+    if not model.direct:
+        return None
+    if direct is None:
+        message = (
+            "the model looks at direct light; pass direct=, the direct part of the samples, as "
+            "Samples.direct of a picture that was rendered with direct=True"
+        )
+        raise InputError(message)
+    part = as_samples(direct, name="direct")
+    if part.shape != shape:
+        message = f"direct must have the shape of the samples, {shape}, got {part.shape}"
+        raise InputError(message)
+    return part
 
 
 def _unit_of(samples: Array, unit: float | None) -> float:

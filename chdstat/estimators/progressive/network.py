@@ -22,7 +22,6 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from chdstat.estimators.progressive.profiles import OCTAVES
 from chdstat.estimators.progressive.shapes import AIMS, Shape
 from chdstat.estimators.progressive.surroundings import BANDS
 
@@ -42,7 +41,7 @@ class Sight:
     ----------
     bins
         Share of the samples in each octave, then the radiance in each channel, divided by the
-        number of samples; shape (row, octave, 1 + channel).
+        number of samples; shape (row, octave, 1 + channel), the octaves of all parts.
     count
         Samples, shape (row,).
     described
@@ -102,7 +101,7 @@ class Network(nn.Module):
         mean = radiance.sum(dim=1)
         channels, pools = self.shape.channels, self.shape.pools
         answers = self.answer(hidden).unflatten(1, (len(AIMS), -1))
-        sizes = (OCTAVES, channels, 1, pools * BANDS, int(self.shape.neighbours))
+        sizes = (self.shape.octaves, channels, 1, pools * BANDS, int(self.shape.neighbours))
         own, offset, worth, around, others = answers.split(sizes, dim=-1)
         proposal = torch.exp(own.clamp(-8, 3)) @ radiance + torch.exp((offset - 5).clamp(-12, 4))
         if pools:

@@ -41,12 +41,15 @@ class Scene:
         Its mean radiance.
     pixels
         Which of its pixels train, rows (y, x).
+    direct
+        The direct part of the samples, where it is looked at.
     """
 
     samples: Samples
     features: Features | None
     unit: float
     pixels: npt.NDArray[np.int64]
+    direct: Samples | None = None
 
 
 @dataclass(frozen=True)
@@ -63,26 +66,34 @@ class Lot:
         Where they are, rows (y, x).
     excluded
         Pixels left out for a bad sample.
+    direct
+        The direct part of the samples, of the shape and in the unit of `rows`; None where it is not
+        looked at.
     """
 
     rows: npt.NDArray[np.float32]
     described: npt.NDArray[np.float32]
     pixels: npt.NDArray[np.int64]
     excluded: int
+    direct: npt.NDArray[np.float32] | None
 
     @classmethod
     def of(cls, scene: Scene, spp: int, rng: np.random.Generator | None) -> Lot:
         """Read that many samples of each pixel; a generator draws where conditions are told."""
         shape = scene.samples.shape[:2]
         every, good = _rows(scene.samples, scene.pixels, spp)
-        rows, pixels = every if good.all() else every[good], scene.pixels[good]
-        rows /= np.float32(scene.unit)
+        first = None
+        if scene.direct is not None:
+            first, also = _rows(scene.direct, scene.pixels, spp)
+            good &= also
+        rows, pixels = _in_unit(every, good, scene.unit), scene.pixels[good]
+        direct = None if first is None else _in_unit(first, good, scene.unit)
         described = describe(scene.features, shape)[tuple(pixels.T)]
         if rng is not None and len(rows):
             seen = Profile.of(rows[..., :_SAMPLES], unit=1.0)
             found = local_conditions(seen, pixels, shape, rng)
             described = np.concatenate([described, found], axis=1)
-        return cls(rows, described, pixels, int((~good).sum()))
+        return cls(rows, described, pixels, int((~good).sum()), direct)
 
 
 def chosen_pixels(
@@ -114,6 +125,15 @@ def chosen_pixels(
         raise InputError(message)
     shapes = (picture.shape[:2] for picture in pictures)
     return [checked_pixels(one, shape) for one, shape in zip(given, shapes, strict=True)]
+
+
+def _in_unit(
+    rows: npt.NDArray[np.float32], good: npt.NDArray[np.bool_], unit: float
+) -> npt.NDArray[np.float32]:
+    """Return good rows in another unit; the array is overwritten."""
+    kept = rows if good.all() else rows[good]
+    kept /= np.float32(unit)
+    return kept
 
 
 def _rows(

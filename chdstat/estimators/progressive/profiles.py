@@ -4,10 +4,14 @@ A profile is to our estimator what the cascade is to `chdstat.estimators.zirr201
 enters the two octaves next to its luminance, linearly in the logarithm, with its weight and with
 its radiance in all channels. Profiles add up, do not depend on the order of the samples, and keep
 their mean exactly, as the radiance in all octaves together is that of all samples.
+
+Where a renderer says how much of each sample is direct light, direct and indirect light are counted
+apart, each in octaves of its own; together they are still all radiance.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -28,6 +32,10 @@ _TOP = OCTAVES - 1 - 2.0**-10
 _SAMPLES_AT_ONCE = 2**16
 """Small enough for all that is made of a block to stay in the cache."""
 _FEW = 4
+_PARTS = 2
+"""Direct and indirect light."""
+_ROUNDING = 1e-5
+"""Share of a sample by which its direct part may exceed it: sums of single precision."""
 _SMALLEST, _LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
 """Radiance that samples can be measured in, in single precision."""
 
@@ -42,7 +50,8 @@ class Profile:
     ----------
     bins
         Weight of the samples in each octave, then their radiance in each channel in units of
-        `unit`; shape (..., octave, 1 + channel). Nulls enter no octave.
+        `unit`; shape (..., octave, 1 + channel). Nulls enter no octave. Of parts, the octaves of
+        the direct light come first, then those of the indirect.
     count
         Good samples, nulls among them, shape (...).
     unit
@@ -55,49 +64,59 @@ class Profile:
     unit: float
 
     @classmethod
-    def empty(cls, shape: tuple[int, ...], channels: int, *, unit: float) -> Self:
+    def empty(cls, shape: tuple[int, ...], channels: int, *, unit: float, parts: int = 1) -> Self:
         """Return profiles without a sample, to be updated; float64, for very many samples."""
-        return cls(np.zeros((*shape, OCTAVES, 1 + channels)), np.zeros(shape, np.int64), unit)
+        bins = np.zeros((*shape, parts * OCTAVES, 1 + channels))
+        return cls(bins, np.zeros(shape, np.int64), unit)
 
     @classmethod
-    def of(cls, x: npt.ArrayLike, *, unit: float) -> Self:
+    def of(cls, x: npt.ArrayLike, *, unit: float, direct: npt.ArrayLike | None = None) -> Self:
         """Return the profiles of samples (..., channel, sample).
 
         A sample of which any channel is NaN, infinite or negative is left out.
 
+        Parameters
+        ----------
+        x
+            Linear radiance, shape (..., channel, sample).
+        unit
+            Radiance that octaves are counted from.
+        direct
+            Emission and direct light of each sample, of the same shape: then this part and the
+            rest, which is indirect, are counted apart. A sample that is bad in either is left out
+            of both.
+
         Raises
         ------
         InputError
-            If `x` has no channels, or `unit` is no positive, normal float32.
+            If `x` has no channels, `unit` is no positive, normal float32, or `direct` is of
+            another shape or exceeds the samples.
 
         Examples
         --------
         >>> one = Profile.of([[1.0, 0.0, 8.0]], unit=1.0)
         >>> one.count.item(), one.bins.sum(axis=0).tolist(), one.mean().tolist()
         (3, [2.0, 9.0], [3.0])
+
+        >>> two = Profile.of([[1.0, 0.0, 8.0]], unit=1.0, direct=[[1.0, 0.0, 2.0]])
+        >>> two.parts, two.bins.reshape(2, 24, 2).sum(axis=1).tolist(), two.mean().tolist()
+        (2, [[2.0, 3.0], [1.0, 6.0]], [3.0])
         """
-        samples = as_samples(x)
-        if samples.ndim < 2:
-            message = f"x must have shape (..., channel, sample), got {samples.shape}"
+        samples = _checked(x, unit)
+        scale = np.float32(unit)
+        if direct is None:
+            return cls(*_profiles((samples,), lambda rows: _profile(rows, scale)), unit)
+        part = as_samples(direct, name="direct")
+        if part.shape != samples.shape:
+            message = f"direct must have the shape of x, {samples.shape}, got {part.shape}"
             raise InputError(message)
-        if not _SMALLEST <= unit <= _LARGEST:
-            message = (
-                f"unit must be a positive radiance, {_SMALLEST:.1g} to {_LARGEST:.1g}, got {unit}"
-            )
-            raise InputError(message)
-        *shape, channels, n = samples.shape
-        rows = samples.reshape(-1, channels, n)
-        bins = np.empty((len(rows), OCTAVES, 1 + channels), np.float32)
-        count = np.empty(len(rows), np.int64)
+        found = _profiles((samples, part), lambda x, own: _profile_of_parts(x, own, scale))
+        return cls(*found, unit)
 
-        def enter(part: slice) -> None:
-            bins[part], count[part] = _profile(rows[part], np.float32(unit))
-
-        parts = list(spans(len(rows), max(1, _SAMPLES_AT_ONCE // n)))
-        # A few parts are done before threads have started.
-        for _ in map(enter, parts) if len(parts) <= _FEW else in_order(enter, parts):
-            pass
-        return cls(bins.reshape(*shape, *bins.shape[1:]), count.reshape(shape), unit)
+    @property
+    def parts(self) -> int:
+        """How many parts of the samples are counted apart."""
+        return int(self.bins.shape[-2]) // OCTAVES
 
     @property
     def channels(self) -> int:
@@ -122,6 +141,63 @@ class Profile:
     def __getitem__(self, pixels: Any) -> Self:
         """Return the profiles of some pixels."""
         return type(self)(self.bins[pixels], self.count[pixels], self.unit)
+
+
+def _checked(x: npt.ArrayLike, unit: float) -> Floats:
+    samples = as_samples(x)
+    if samples.ndim < 2:
+        message = f"x must have shape (..., channel, sample), got {samples.shape}"
+        raise InputError(message)
+    if not _SMALLEST <= unit <= _LARGEST:
+        message = f"unit must be a positive radiance, {_SMALLEST:.1g} to {_LARGEST:.1g}, got {unit}"
+        raise InputError(message)
+    return samples
+
+
+def _profiles(
+    arrays: Sequence[Floats], measure: Callable[..., tuple[Floats, npt.NDArray[np.int64]]]
+) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return bins and counts of samples (..., channel, sample), block by block on all cores.
+
+    `measure` takes rows of each of the arrays, of which there is one for each part.
+    """
+    *shape, channels, n = arrays[0].shape
+    flat = [array.reshape(-1, channels, n) for array in arrays]
+    rows, parts = len(flat[0]), len(flat)
+    bins = np.empty((rows, parts * OCTAVES, 1 + channels), np.float32)
+    count = np.empty(rows, np.int64)
+
+    def enter(here: slice) -> None:
+        bins[here], count[here] = measure(*(array[here] for array in flat))
+
+    blocks = list(spans(rows, max(1, _SAMPLES_AT_ONCE // (n * parts))))
+    # A few blocks are done before threads have started.
+    for _ in map(enter, blocks) if len(blocks) <= _FEW else in_order(enter, blocks):
+        pass
+    return bins.reshape(*shape, *bins.shape[1:]), count.reshape(shape)
+
+
+def _profile_of_parts(
+    total: Floats, direct: Floats, unit: np.float32
+) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return bins (row, part * octave, 1 + channel) and good samples of rows."""
+    rows, channels, n = total.shape
+    bad = np.asarray((is_bad(direct) | is_bad(total)).any(axis=1, keepdims=True))
+    apart = np.empty((rows, _PARTS, channels, n), np.result_type(direct, total))
+    apart[:, 0] = np.where(bad, np.nan, direct)
+    rest = np.where(bad, np.nan, total) - apart[:, 0]
+    above = np.asarray(rest < -_ROUNDING * apart[:, 0])
+    if above.any():
+        row, channel, sample = np.argwhere(above)[0]
+        message = (
+            "direct light must be part of the samples, but of one it is "
+            f"{direct[row, channel, sample]:.6g} and the whole {total[row, channel, sample]:.6g}; "
+            "give what was rendered with the same seed"
+        )
+        raise InputError(message)
+    np.maximum(rest, 0, out=apart[:, 1])
+    bins, count = _profile(apart.reshape(-1, channels, n), unit)
+    return bins.reshape(rows, _PARTS * OCTAVES, -1), count[::_PARTS]
 
 
 def _profile(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int64]]:

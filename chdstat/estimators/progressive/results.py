@@ -58,6 +58,8 @@ class Learned:
         Pixels used, rows (y, x), and height and width of the picture that they lie in.
     provenance
         Where it comes from, ready for JSON.
+    trust
+        How far to go from the mean to what the network estimates, 0 to 1.
     """
 
     network: Network
@@ -67,3 +69,4 @@ class Learned:
     train_pixels: npt.NDArray[np.int64]
     train_shape: tuple[int, int]
     provenance: Mapping[str, Any]
+    trust: float = 1.0

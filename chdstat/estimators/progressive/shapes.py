@@ -26,6 +26,8 @@ class Shape:
         Numbers that describe the first hit; 0 without features.
     neighbours
         Whether it looks at its surroundings and at what alike pixels say.
+    parts
+        Of a sample that it sees apart: 2 for direct and indirect light.
     width, layers
         Neurons of a hidden layer, and how many of these there are.
     """
@@ -33,8 +35,14 @@ class Shape:
     channels: int
     described: int = 0
     neighbours: bool = False
+    parts: int = 1
     width: int = 128
     layers: int = 3
+
+    @property
+    def octaves(self) -> int:
+        """Octaves of all parts."""
+        return OCTAVES * self.parts
 
     @property
     def pools(self) -> int:
@@ -44,14 +52,14 @@ class Shape:
     @property
     def inputs(self) -> int:
         """Numbers that go in."""
-        own = OCTAVES * (1 + self.channels) + 1
+        own = self.octaves * (1 + self.channels) + 1
         around = self.pools * (BANDS * (1 + self.channels) + 1)
         return own + self.described + around + self.channels * self.neighbours
 
     @property
     def answers(self) -> int:
         """Numbers that come out for each aim: weights, offsets, and the worth of the experience."""
-        return OCTAVES + self.channels + 1 + self.pools * BANDS + int(self.neighbours)
+        return self.octaves + self.channels + 1 + self.pools * BANDS + int(self.neighbours)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields, ready for JSON."""

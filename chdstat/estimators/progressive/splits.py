@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat.estimators.progressive.profiles import Profile
 
-__all__ = ["Part", "Splits"]
+__all__ = ["Part", "Parts", "Splits"]
 
 _SAMPLES = 2**17
 """Samples of a minibatch, at most: of many samples, fewer rows tell as much."""
@@ -33,7 +34,9 @@ class Part:
     rows
         Which pixels, shape (row,).
     places
-        Which of their samples to learn from, shape (n,).
+        Which of their samples to learn from, or which of the buckets that these were dealt to.
+    size
+        How many samples of each pixel that is.
     profile
         Of the samples to learn from.
     shared
@@ -45,9 +48,37 @@ class Part:
 
     rows: npt.NDArray[np.int64]
     places: npt.NDArray[np.int64]
+    size: int
     profile: Profile
     shared: Array
     target: Array
+
+
+class Parts(Protocol):
+    """What minibatches are drawn from: pixels whose samples can be cut in two at random."""
+
+    def __len__(self) -> int:
+        """Return the number of pixels."""
+
+    @property
+    def parts(self) -> int:
+        """Parts of a sample that profiles hold apart: 2 for direct and indirect light."""
+
+    @property
+    def mean(self) -> npt.NDArray[np.float64]:
+        """Mean radiance, in the unit of the profiles, shape (pixel, channel)."""
+
+    @property
+    def variance(self) -> npt.NDArray[np.float64]:
+        """Variance of a sample, in the squared unit of the profiles, shape (pixel, channel)."""
+
+    def draw(
+        self, pixels: npt.NDArray[np.int64], n: int, rows: int, rng: np.random.Generator
+    ) -> Part:
+        """Draw a minibatch of about `rows` of the given pixels, n samples each to learn from."""
+
+    def halves(self, part: Part, rng: np.random.Generator) -> npt.NDArray[np.float64]:
+        """Return the means of the two halves of the other samples, shape (2, row, channel)."""
 
 
 class Splits:
@@ -62,19 +93,32 @@ class Splits:
     prepared
         Splits to choose from in place of new ones, because much was computed for them: places, and
         what `Part.shared` needs, shape (pixel, channel), radiance.
+    direct
+        The direct part of the samples, of their shape: then profiles hold it apart.
     """
 
     def __init__(
-        self, samples: Array, *, unit: float, prepared: Sequence[tuple[Places, Array]] = ()
+        self,
+        samples: Array,
+        *,
+        unit: float,
+        prepared: Sequence[tuple[Places, Array]] = (),
+        direct: Array | None = None,
     ) -> None:
         self._prepared = prepared
         self.unit = unit
-        self._samples = (samples / np.float32(unit)).astype(np.float32, copy=False)
+        self._samples = _in_unit(samples, unit)
         self._flat = self._samples.reshape(-1)
+        self._direct = None if direct is None else _in_unit(direct, unit).reshape(-1)
         self._total = self._samples.sum(axis=-1, dtype=np.float64)
 
     def __len__(self) -> int:
         return len(self._samples)
+
+    @property
+    def parts(self) -> int:
+        """Parts of a sample that profiles hold apart."""
+        return 1 if self._direct is None else 2
 
     @property
     def spp(self) -> int:
@@ -99,11 +143,12 @@ class Splits:
         chosen = rng.choice(pixels, size=max(1, min(rows, _SAMPLES // n)))
         # All rows of a minibatch share the places of their samples: these are exchangeable.
         places, shared = self._places(n, rng)
-        seen = self._at(chosen, places)
+        seen = self._flat.take(self._index(chosen, places))
         return Part(
             rows=chosen,
             places=places,
-            profile=Profile.of(seen, unit=1.0),
+            size=n,
+            profile=self._profile(seen, chosen, places),
             shared=shared[chosen] / np.float32(self.unit),
             target=self._rest(chosen, seen),
         )
@@ -118,15 +163,26 @@ class Splits:
         """Return the means of the two halves of the other samples, shape (2, row, channel)."""
         others = rng.permutation(np.setdiff1d(np.arange(self.spp), part.places))
         parts = np.array_split(others, 2)
-        return np.stack([self._at(part.rows, p).mean(axis=-1, dtype=np.float64) for p in parts])
+        means = (self._flat.take(self._index(part.rows, p)).mean(-1, np.float64) for p in parts)
+        return np.stack(list(means))
 
-    def _at(self, pixels: npt.NDArray[np.int64], places: npt.NDArray[np.int64]) -> Array:
-        """Return samples (row, channel, sample)."""
+    def _profile(self, seen: Array, pixels: Places, places: Places) -> Profile:
+        direct = None
+        if self._direct is not None:
+            direct = self._direct.take(self._index(pixels, places))
+        return Profile.of(seen, unit=1.0, direct=direct)
+
+    def _index(self, pixels: Places, places: Places) -> Places:
+        """Return where the samples are, shape (row, channel, sample)."""
         _, channels, spp = self._samples.shape
         starts = (pixels[:, np.newaxis] * channels + np.arange(channels)) * spp
-        return np.asarray(self._flat.take(starts[..., np.newaxis] + places))
+        return np.asarray(starts[..., np.newaxis] + places)
 
     def _rest(self, pixels: npt.NDArray[np.int64], seen: Array) -> Array:
         """Return the mean of the samples that were not seen; rounding leaves none below 0."""
         total = np.maximum(self._total[pixels] - seen.sum(axis=-1, dtype=np.float64), 0)
         return np.asarray(total / (self.spp - seen.shape[-1]), np.float32)
+
+
+def _in_unit(samples: Array, unit: float) -> Array:
+    return (samples / np.float32(unit)).astype(np.float32, copy=False)

@@ -1,13 +1,11 @@
 """Spread: how large the errors of the estimates are, learned from pixels that did not train them.
 
-The samples that an estimate p has not seen are cut in two. Their means t and u are independent and
-unbiased, and so ``(p - t)(p - u)`` has the expectation ``(p - y)^2`` whatever the truth y is: this
-tells errors without a reference. They are explained by a sum of what may cause them, each with a
-weight that is not negative.
-
-The radiance of a pixel is then taken for gamma distributed with the estimate for its mean and that
-variance. Where references tell, quantiles are calibrated by split conformal prediction (Lei et al.
-2018, doi:10.1080/01621459.2017.1307116).
+Squared errors are explained by a sum of what may cause them, each with a weight that is not
+negative. The radiance of a pixel is then taken for gamma distributed with the estimate for its mean
+and that variance. Where references tell, the weights are least squares, and quantiles are
+calibrated by split conformal prediction (Lei et al. 2018, doi:10.1080/01621459.2017.1307116).
+Without one the weights are upper bounds (`bounds`), and the quantiles normal ones: where errors are
+mixtures of many sizes, these hold 90 % nearly as often as they say, whatever the mixture.
 """
 
 from __future__ import annotations
@@ -20,26 +18,21 @@ import numpy as np
 import numpy.typing as npt
 from scipy import optimize, special
 
-from chdstat.estimators.progressive.lessons import Material, Scenery
-from chdstat.estimators.progressive.profiles import Profile
+from chdstat.estimators.progressive.bounds import bounded_weights
+from chdstat.estimators.progressive.causes import CAUSES, DARK
+from chdstat.estimators.progressive.lessons import Material
 from chdstat.estimators.progressive.shapes import AIMS
-from chdstat.estimators.progressive.splits import Part, Splits
+from chdstat.estimators.progressive.trials import Trial, trials_of
 
 if TYPE_CHECKING:
-    from chdstat.estimators.progressive.network import Answer, Network
+    from torch import nn
 
-__all__ = ["BALANCES", "CAUSES", "LEVELS", "Spread", "causes_of"]
+__all__ = ["BALANCES", "LEVELS", "Spread"]
 
-CAUSES = 6
 LEVELS = np.array([0.005, 0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975, 0.995])
 """Probabilities at which quantiles are calibrated."""
 BALANCES = np.array([0.0, 0.5, 1.0])
 """Mixtures of the aims that quantiles are calibrated for; between them they are interpolated."""
-_DARK = 0.02
-"""Radiance, in units of the picture's, below which errors no longer fall with it."""
-_DRAWS = 16
-"""Splits of each size that errors are learned from."""
-_ROWS = 1024
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -72,23 +65,19 @@ class Spread:
     @classmethod
     def learn(
         cls,
-        network: Network,
+        network: nn.Module,
         material: Material,
         *,
         pixels: npt.NDArray[np.int64],
         rng: np.random.Generator,
     ) -> Self:
         """Learn from splits of pixels that did not train the network."""
-        splits, scenery, lesson = material.splits, material.scenery, material.lesson
-        sizes = sorted(set(lesson.sizes))
-        trials = [
-            _Trial.of(network, splits, splits.draw(pixels, n, _ROWS, rng), scenery, rng)
-            for n in sizes
-            for _ in range(_DRAWS)
-        ]
-        weights = np.array([_weights(trials, aim) for aim in range(len(AIMS))])
-        if not lesson.reference:
+        trials = trials_of(network, material, pixels=pixels, rng=rng)
+        if not material.lesson.reference:
+            weights = np.array([bounded_weights(trials, aim) for aim in range(len(AIMS))])
             return cls(weights, np.empty(0), np.empty((0, len(BALANCES), len(LEVELS))))
+        weights = np.array([_weights(trials, aim) for aim in range(len(AIMS))])
+        sizes = sorted({trial.size for trial in trials})
         by_size = [[trial for trial in trials if trial.size == n] for n in sizes]
         normal = np.array([_calibrate(weights, found) for found in by_size])
         return cls(weights, np.array(sizes, np.float64), normal)
@@ -108,9 +97,9 @@ class Spread:
     ) -> Floats:
         """Return a quantile; estimate and variance (row, channel), samples (row,)."""
         z = self._normal(np.maximum(count, 1), balance, level)[:, np.newaxis]
-        mean = estimate + _DARK
+        mean = estimate + DARK
         root = 1 - variance / (9 * mean**2) + z * np.sqrt(variance) / (3 * mean)
-        return np.asarray(np.maximum(mean * np.maximum(root, 0) ** 3 - _DARK, 0))
+        return np.asarray(np.maximum(mean * np.maximum(root, 0) ** 3 - DARK, 0))
 
     def _normal(self, count: npt.NDArray[Any], balance: float, level: float) -> Floats:
         if not len(self.sizes):
@@ -128,85 +117,7 @@ def _mixed(of_aims: Floats, balance: float) -> Floats:
     return np.asarray((1 - balance) * of_aims[0] + balance * of_aims[1])
 
 
-def causes_of(answer: Answer, profile: Profile, aim: int) -> Floats:
-    """Return what may cause squared errors, shape (row, channel, cause), float64.
-
-    The square of the estimate, of its distance to the mean, the variance of the mean and what the
-    estimate takes over of it, and a constant for the dark.
-    """
-    estimate, mean, certainty = (
-        t.cpu().numpy().astype(np.float64)
-        for t in (answer.estimate[:, aim], answer.mean, answer.certainty[:, aim, None])
-    )
-    noise = _variance_of_mean(profile, mean)
-    causes = (
-        np.full_like(estimate, _DARK**2),
-        estimate**2,
-        (estimate - mean) ** 2,
-        noise,
-        (1 - certainty) ** 2 * noise,
-        certainty**2 * mean**2,
-    )
-    return np.stack(causes, axis=-1)
-
-
-def _variance_of_mean(profile: Profile, mean: Floats) -> Floats:
-    """Return the variance of the mean as far as octaves tell, shape (row, channel)."""
-    count = np.maximum(profile.count, 1)[:, np.newaxis].astype(np.float64)
-    weight, radiance = profile.bins[..., :1], profile.bins[..., 1:].astype(np.float64)
-    squares = radiance**2 / np.where(weight > 0, weight, np.inf)
-    return np.asarray(np.maximum(squares.sum(axis=1) / count - mean**2, 0) / count)
-
-
-@dataclass(frozen=True)
-class _Trial:
-    """Estimates and what their samples' other halves say of them.
-
-    Attributes
-    ----------
-    size
-        Samples of each estimate.
-    estimate, truth
-        Shape (aim, row, channel) and (row, channel).
-    squared
-        Unbiased for the squared error of the estimate, shape (aim, row, channel).
-    causes
-        Shape (aim, row, channel, cause).
-    """
-
-    size: int
-    estimate: Floats
-    truth: Floats
-    squared: Floats
-    causes: Floats
-
-    @classmethod
-    def of(
-        cls,
-        network: Network,
-        splits: Splits,
-        part: Part,
-        scenery: Scenery,
-        rng: np.random.Generator,
-    ) -> Self:
-        import torch
-
-        from chdstat.estimators.progressive.training import look
-
-        with torch.inference_mode():
-            answer = network(look(part.profile, scenery[part.rows], part.shared, "cpu"))
-        estimate = np.moveaxis(answer.estimate.numpy().astype(np.float64), 1, 0)
-        first, second = splits.halves(part, rng)
-        return cls(
-            size=len(part.places),
-            estimate=estimate,
-            truth=part.target.astype(np.float64),
-            squared=(estimate - first) * (estimate - second),
-            causes=np.stack([causes_of(answer, part.profile, aim) for aim in range(len(AIMS))]),
-        )
-
-
-def _weights(trials: Sequence[_Trial], aim: int) -> Floats:
+def _weights(trials: Sequence[Trial], aim: int) -> Floats:
     """Return the weights of the causes by least squares, errors relative to the radiance."""
     causes = np.concatenate([t.causes[aim].reshape(-1, CAUSES) for t in trials])
     squared = np.concatenate([t.squared[aim].reshape(-1) for t in trials])
@@ -219,7 +130,7 @@ def _weights(trials: Sequence[_Trial], aim: int) -> Floats:
     return np.asarray(weights)
 
 
-def _calibrate(weights: Floats, trials: Sequence[_Trial]) -> Floats:
+def _calibrate(weights: Floats, trials: Sequence[Trial]) -> Floats:
     """Return the normal quantiles of the truth, shape (balance, level).
 
     The cube root of a gamma variable is near normal (Wilson and Hilferty 1931,
@@ -227,11 +138,11 @@ def _calibrate(weights: Floats, trials: Sequence[_Trial]) -> Floats:
     """
     estimates = np.concatenate([t.estimate for t in trials], axis=1)
     causes = np.concatenate([t.causes for t in trials], axis=1)
-    truth = np.concatenate([t.truth for t in trials]) + _DARK
+    truth = np.concatenate([t.target for t in trials]) + DARK
     variances = np.stack([c @ w for c, w in zip(causes, weights, strict=True)])
     found = []
     for balance in BALANCES:
-        mean = _mixed(estimates, balance) + _DARK
+        mean = _mixed(estimates, balance) + DARK
         spread = np.sqrt(_mixed(variances, balance)) / (3 * mean)
         z = (np.cbrt(truth / mean) - 1 + spread**2) / spread
         found.append(np.quantile(z, LEVELS))

@@ -36,6 +36,7 @@ def write_learned(path: str | Path, learned: Learned, sights: Mapping[str, bool]
         "sights": dict(sights),
         "unit": learned.unit,
         "train_shape": learned.train_shape,
+        "trust": learned.trust,
         "provenance": learned.provenance,
     }
     arrays: dict[str, npt.NDArray[Any]] = {
@@ -75,6 +76,11 @@ def _learned(arrays: Arrays, about: Mapping[str, Any]) -> Learned:
     if arrays["train_pixels"].shape != (used, 2):
         message = f"its scenes have {used} pixels, got {arrays['train_pixels'].shape}"
         raise ValueError(message)
+    # Files of before networks were doubted say nothing of it.
+    trust = float(about.get("trust", 1.0))
+    if not 0 <= trust <= 1:
+        message = f"its trust must lie between 0 and 1, got {trust}"
+        raise ValueError(message)
     return Learned(
         network=network.eval(),
         spread=Spread(**_below("spread.", arrays)),
@@ -83,6 +89,7 @@ def _learned(arrays: Arrays, about: Mapping[str, Any]) -> Learned:
         train_pixels=arrays["train_pixels"].astype(np.int64, copy=False),
         train_shape=(int(about["train_shape"][0]), int(about["train_shape"][1])),
         provenance=provenance,
+        trust=trust,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,28 +11,56 @@ import numpy.typing as npt
 from chdstat._arrays import as_samples
 from chdstat.errors import InputError
 from chdstat.estimators.classical import mean_of_good
+from chdstat.estimators.progressive.courses import Course
 from chdstat.estimators.progressive.exposure import picture_unit
-from chdstat.estimators.progressive.first_hit import Features
-from chdstat.estimators.progressive.model import Progressive
+from chdstat.estimators.progressive.first_hit import Features, describe
+from chdstat.estimators.progressive.model import Progressive, checked_direct
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.results import Estimates
+from chdstat.progress import track
 
 __all__ = ["Stream"]
+
+_NOTHING_YET = "the stream has no samples yet; call update(samples)"
+_FIXED = "this stream takes its model as it is; make it with learns=True"
 
 
 class Stream:
     """Estimates that get better with every batch, in memory that does not grow.
 
-    A pixel takes 24 octaves of 4 numbers (of RGB), however many samples there are.
+    A pixel takes 24 octaves of 4 numbers (of RGB), however many samples there are, twice as many
+    where the model looks at direct light; of 65,536 pixels eight times as many are kept where it
+    learns, to cut them in two at random.
 
     Parameters
     ----------
     model
-        A trained estimator that looks at no neighbours.
+        An estimator that looks at no neighbours: these need the samples. It was trained before, or
+        learns here.
     features
         First-hit features of the picture, where it looks at these.
     unit
         Mean radiance of the picture; None measures it on the first batch.
+    learns
+        Whether `learn` is going to train the model on the samples as they arrive, without a
+        reference. A model that was trained before goes on from there; until it has learned
+        anything, a new one gives the mean.
+    seed
+        Of the training: draws pixels, first weights and minibatches.
+    attrs
+        Where the samples come from, as `Samples.attrs`, for the provenance of what is learned.
+
+    Raises
+    ------
+    InputError
+        If a model that learns looks at neighbours or conditions, or wants features and gets none;
+        or if one looks at direct light and at conditions.
+
+    References
+    ----------
+    J. Lehtinen et al., "Noise2Noise: learning image restoration without clean data", ICML 2018.
+    I. Loshchilov and F. Hutter, "SGDR: stochastic gradient descent with warm restarts", ICLR 2017,
+    arXiv:1608.03983.
 
     Examples
     --------
@@ -44,15 +73,46 @@ class Stream:
     ...     stream.update(rendered[..., first : first + 16])
     >>> int(stream.count[0, 0]), stream.estimate().radiance.shape
     (64, (16, 16, 1))
+
+    One that learns while it streams:
+
+    >>> stream = Stream(Progressive(), learns=True)
+    >>> for first in range(0, 64, 16):
+    ...     stream.update(rendered[..., first : first + 16])
+    ...     stream.learn(iterations=5)
+    >>> stream.iterations, stream.estimate().radiance.shape
+    (20, (16, 16, 1))
     """
 
     def __init__(
-        self, model: Progressive, *, features: Features | None = None, unit: float | None = None
+        self,
+        model: Progressive,
+        *,
+        features: Features | None = None,
+        unit: float | None = None,
+        learns: bool = False,
+        seed: int = 0,
+        attrs: Mapping[str, Any] | None = None,
     ) -> None:
-        self.model = model
+        if learns:
+            _check_pupil(model, features)
+        if model.direct and model.conditioned:
+            message = f"conditions need the samples, not direct and indirect light; got {model!r}"
+            raise InputError(message)
+        self._model = model
         self.features = features
         self._unit = unit
+        self._learns, self._seed, self._attrs = learns, seed, dict(attrs or {})
+        self._course: Course | None = None
         self._profile: Profile | None = None
+
+    @property
+    def model(self) -> Progressive:
+        """The estimator, with all that it has learned so far; `Progressive.save` keeps it."""
+        if self._course is not None:
+            found = self._course.learned(self._attrs)
+            self._model._learned = found or self._model._learned
+        return self._model
 
     @property
     def count(self) -> npt.NDArray[np.int64]:
@@ -60,26 +120,45 @@ class Stream:
         return self._state.count
 
     @property
+    def iterations(self) -> int:
+        """Minibatches that were learned from."""
+        return 0 if self._course is None else self._course.iterations
+
+    @property
     def nbytes(self) -> int:
         """Bytes that are kept."""
-        return 0 if self._profile is None else self._profile.bins.nbytes + self.count.nbytes
+        if self._profile is None:
+            return 0
+        dealt = 0 if self._course is None else self._course.nbytes
+        return self._profile.bins.nbytes + self.count.nbytes + dealt
 
-    def update(self, x: npt.ArrayLike) -> None:
+    def update(self, x: npt.ArrayLike, direct: npt.ArrayLike | None = None) -> None:
         """Add samples (..., channel, sample) of the same pixels as before.
+
+        Parameters
+        ----------
+        x
+            The samples.
+        direct
+            Their direct part, of the same shape, where the model looks at it.
 
         Raises
         ------
         InputError
-            If these are other pixels, or `x` has no channels.
+            If these are other pixels, `x` has no channels, it is no picture (y, x, channel, sample)
+            where the model learns, or `direct` is missing or not their direct part.
         """
         samples = as_samples(x)
         if samples.ndim < 2:
             message = f"x must have shape (..., channel, sample), got {samples.shape}"
             raise InputError(message)
+        part = checked_direct(self._model, direct, samples.shape)
         shape, channels = samples.shape[:-2], samples.shape[-2]
         if self._profile is None:
             unit = picture_unit(mean_of_good(samples)) if self._unit is None else self._unit
-            self._profile = Profile.empty(shape, channels, unit=unit)
+            if self._learns:
+                self._course = self._new_course(shape, channels, unit)
+            self._profile = Profile.empty(shape, channels, unit=unit, parts=self._parts)
         kept = self._profile
         if (kept.count.shape, kept.channels) != (shape, channels):
             message = (
@@ -87,21 +166,95 @@ class Stream:
                 f"samples of shape {samples.shape}"
             )
             raise InputError(message)
-        kept.add(Profile.of(samples, unit=kept.unit))
+        kept.add(Profile.of(samples, unit=kept.unit, direct=part))
+        if self._course is not None:
+            self._course.add(samples, part)
+
+    def learn(self, *, iterations: int = 500, progress: bool | None = False) -> None:
+        """Learn from all samples so far, going on from what was learned before.
+
+        Parameters
+        ----------
+        iterations
+            Minibatches. The step size falls as a cosine from its start to 0, each time anew.
+        progress
+            Show a progress bar; None shows it on a terminal.
+
+        Raises
+        ------
+        InputError
+            If the stream does not learn, there are fewer than 4 samples, or too few pixels without
+            a bad sample.
+        """
+        if iterations < 1:
+            message = f"iterations must be at least 1, got {iterations}"
+            raise InputError(message)
+        if self._course is None:
+            message = _NOTHING_YET if self._learns else _FIXED
+            raise InputError(message)
+        with track("learning", iterations, unit="it", show=progress) as advance:
+            self._course.learn(iterations, advance)
 
     def mean(self) -> npt.NDArray[np.floating[Any]]:
         """Return the sample mean so far, shape (..., channel)."""
         return self._state.mean()
 
     def estimate(self, *, balance: float = 0.5, level: float = 0.9) -> Estimates:
-        """Estimate from all samples so far; see `Progressive.estimate`."""
-        return self.model.of_profile(
-            self._state, features=self.features, balance=balance, level=level
-        )
+        """Estimate from all samples so far; see `Progressive.estimate`.
+
+        Before a new model has learned anything it is the mean, its certainty is 0, and nothing is
+        said of its error: the ends of the interval, and its level, are NaN.
+        """
+        state = self._state
+        if self._course is not None and self._course.iterations == 0:
+            return _of_nothing(state)
+        return self.model.of_profile(state, features=self.features, balance=balance, level=level)
+
+    @property
+    def _parts(self) -> int:
+        return 2 if self._model.direct else 1
 
     @property
     def _state(self) -> Profile:
         if self._profile is None:
-            message = "the stream has no samples yet; call update(samples)"
-            raise InputError(message)
+            raise InputError(_NOTHING_YET)
         return self._profile
+
+    def _new_course(self, shape: tuple[int, ...], channels: int, unit: float) -> Course:
+        if len(shape) != 2:
+            message = f"learning takes a picture (y, x, channel, sample), got pixels {shape}"
+            raise InputError(message)
+        start = self._model._learned
+        if start is not None and self._model.channels != channels:
+            message = f"the model takes {self._model.channels} channels, got {channels}"
+            raise InputError(message)
+        size = shape[0], shape[1]
+        described = describe(self.features if self._model.features else None, size)
+        return Course(
+            size,
+            channels,
+            unit=unit,
+            described=described.reshape(size[0] * size[1], -1),
+            seed=self._seed,
+            start=start,
+            parts=self._parts,
+        )
+
+
+def _check_pupil(model: Progressive, features: Features | None) -> None:
+    if model.neighbours or model.conditioned:
+        message = (
+            "learning from a stream takes a model without neighbours, which need the samples, and "
+            f"without conditions, which need a reference; got {model!r}"
+        )
+        raise InputError(message)
+    if model.features and not features:
+        message = "the model looks at first-hit features, but the stream got none; pass features="
+        raise InputError(message)
+
+
+def _of_nothing(profile: Profile) -> Estimates:
+    """Return the mean, of which nothing more is known."""
+    mean = profile.mean().astype(np.float32)
+    unknown = np.full_like(mean, np.nan)
+    return Estimates(mean, np.zeros(mean.shape[:-1], np.float32), unknown, unknown, np.nan)

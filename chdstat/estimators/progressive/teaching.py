@@ -1,4 +1,4 @@
-"""Teaching: a new network from material, with what errors to expect of it."""
+"""Teaching: a new network from material, how far to believe it, and what errors to expect of it."""
 
 from __future__ import annotations
 
@@ -12,21 +12,27 @@ from chdstat.errors import InputError
 from chdstat.estimators.progressive.lessons import Material
 from chdstat.estimators.progressive.shapes import Shape
 from chdstat.estimators.progressive.spread import Spread
+from chdstat.estimators.progressive.trials import trials_of
 from chdstat.progress import track
 
 if TYPE_CHECKING:
+    from torch import nn
+
     from chdstat.estimators.progressive.network import Network
 
-__all__ = ["teach"]
+__all__ = ["doubted", "teach"]
 
-_VALIDATION_SHARE = 0.1
+_WATCHING = 0.1
+"""Share of the pixels that train nothing, and tell how large the errors are."""
+_WATCHING_ALONE, _MOST_WATCHING = 512, 0.25
+"""Without a reference that takes at least so many, up to this share: what they say is noisy."""
 _FEWEST = 2
 
 
 def teach(
     material: Material, *, channels: int, seed: int, progress: bool | None
-) -> tuple[Network, Spread, npt.NDArray[np.float64]]:
-    """Train a network; one pixel in ten only watches, and tells how large the errors are.
+) -> tuple[Network, float, Spread, npt.NDArray[np.float64]]:
+    """Train a network; some pixels only watch, and tell how large the errors are.
 
     Parameters
     ----------
@@ -42,7 +48,10 @@ def teach(
     Returns
     -------
     network : Network
+    trust : float
+        How far to go from the mean to its estimate, 0 to 1; 1 with a reference.
     spread : Spread
+        Of the errors at this trust.
     history : ndarray
         As of `training.learn`.
 
@@ -65,12 +74,13 @@ def teach(
         raise InputError(message)
     rng = generator(seed).spawn(1)[0]
     order = rng.permutation(count)
-    watching = max(1, round(count * _VALIDATION_SHARE))
+    watching = _watching(count, alone=not material.lesson.reference)
     scenery = material.scenery
     shape = Shape(
         channels=channels,
         described=scenery.described.shape[1],
         neighbours=scenery.weight.shape[1] > 0,
+        parts=material.splits.parts,
     )
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -84,5 +94,25 @@ def teach(
             rng=rng,
             advance=advance,
         )
-    spread = Spread.learn(network, material, pixels=order[:watching], rng=rng)
-    return network, spread, history
+    believed, trust = doubted(network, material, order[:watching], rng)
+    spread = Spread.learn(believed, material, pixels=order[:watching], rng=rng)
+    return network, trust, spread, history
+
+
+def _watching(count: int, *, alone: bool) -> int:
+    """Return how many of the pixels watch."""
+    usual = round(count * _WATCHING)
+    more = min(_WATCHING_ALONE, round(count * _MOST_WATCHING)) if alone else 0
+    return max(1, usual, more)
+
+
+def doubted(
+    network: Network, material: Material, watching: npt.NDArray[np.int64], rng: np.random.Generator
+) -> tuple[nn.Module, float]:
+    """Return a network that goes as far from the mean as it pays, and how far that is."""
+    if material.lesson.reference:
+        return network, 1.0
+    from chdstat.estimators.progressive.doubt import Doubted, warranted_share
+
+    trust = warranted_share(trials_of(network, material, pixels=watching, rng=rng))
+    return Doubted(network, trust), trust

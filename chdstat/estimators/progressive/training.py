@@ -22,7 +22,7 @@ from chdstat._workers import cores, in_order
 from chdstat.estimators.progressive.lessons import Lesson, Material, Scenery
 from chdstat.estimators.progressive.network import Answer, Network, Sight, device
 from chdstat.estimators.progressive.profiles import Profile
-from chdstat.estimators.progressive.splits import Part, Splits
+from chdstat.estimators.progressive.splits import Part, Parts
 
 __all__ = ["FLOOR", "learn", "look", "threads"]
 
@@ -35,13 +35,16 @@ _WITH_REFERENCE = (0.0, 1.0)
 _WITHOUT = (0.5, 0.75)
 """Powers of the squared radiance in the loss of each aim. Without a reference they only say which
 pixels matter; at the ends few bright or many dark ones do, and both errors are larger."""
-_RECORDS = 40
+_RECORDS, _APART = 40, 10
+"""Records of a training at most, and iterations from one to the next at least: each takes a few."""
 _VALIDATION_ROWS = 4096
 _LARGEST_GRADIENT = 10.0
 """Norm at which gradients are cut: a firefly shall not undo many steps, nor often be cut."""
 _KEEP = 0.995
 """Of the average of the weights at each step, as Polyak and Juditsky 1992 average them: the targets
 are noisy, and so is each step."""
+_AVERAGED = 0.1
+"""Share of the steps that the average covers at most: a short training would keep its beginning."""
 
 Array = npt.NDArray[np.float32]
 Pixels = npt.NDArray[np.int64]
@@ -79,12 +82,13 @@ def learn(
     """
     splits, scenery, lesson = material.splits, material.scenery, material.lesson
     network.to(device()).train()
-    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(_KEEP))  # type: ignore[no-untyped-call]
+    keep = min(_KEEP, max(0.0, 1 - 1 / (_AVERAGED * lesson.iterations)))
+    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(keep))  # type: ignore[no-untyped-call]
     optimiser = torch.optim.Adam(network.parameters(), lr=lesson.learning_rate, fused=True)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, lesson.iterations)
     judge = _Judge.of(splits, reference=lesson.reference)
     watched = _watch(splits, validation, lesson, rng)
-    every, seen, history = max(1, lesson.iterations // _RECORDS), [], []
+    every, seen, history = max(_APART, lesson.iterations // _RECORDS), [], []
     with threads(max(1, cores() - 1)):
         parts = _minibatches(splits, train, lesson, rng)
         for iteration, part in enumerate(parts, 1):
@@ -116,7 +120,7 @@ def look(profile: Profile, scenery: Scenery, shared: Array, place: str) -> Sight
 
 
 def _minibatches(
-    splits: Splits, train: Pixels, lesson: Lesson, rng: np.random.Generator
+    splits: Parts, train: Pixels, lesson: Lesson, rng: np.random.Generator
 ) -> Iterator[Part]:
     """Yield minibatches, each drawn while the one before it trains."""
     own = rng.spawn(1)[0]
@@ -150,7 +154,7 @@ class _Judge:
     reference: bool
 
     @classmethod
-    def of(cls, splits: Splits, *, reference: bool) -> _Judge:
+    def of(cls, splits: Parts, *, reference: bool) -> _Judge:
         mean, variance = splits.mean, splits.variance
         floor = FLOOR * np.maximum(mean.mean(axis=0), _DARKEST) ** 2
         powers = _WITH_REFERENCE if reference else _WITHOUT
@@ -164,7 +168,7 @@ class _Judge:
         truth = target if self.reference else answer.estimate.mean(dim=1).detach()
         weight = torch.stack(
             [
-                len(part.places) / scale / (truth**2 + self.floor) ** power
+                part.size / scale / (truth**2 + self.floor) ** power
                 for power, scale in zip(self.powers, self.scale, strict=True)
             ],
             dim=1,
@@ -193,7 +197,7 @@ def _validate(
     return float(loss), float(baseline)
 
 
-def _watch(splits: Splits, pixels: Pixels, lesson: Lesson, rng: np.random.Generator) -> list[Part]:
+def _watch(splits: Parts, pixels: Pixels, lesson: Lesson, rng: np.random.Generator) -> list[Part]:
     """Draw the splits that watch: the same for every record, at the middle number of samples."""
     size = sorted(lesson.sizes)[len(lesson.sizes) // 2]
     return [splits.draw(pixels, size, _VALIDATION_ROWS, rng)] if len(pixels) else []

@@ -1,18 +1,15 @@
 """Spread: errors are told without a reference, and quantiles are those of the radiance."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
+from chdstat.estimators.progressive.causes import CAUSES
 from chdstat.estimators.progressive.splits import Splits
-from chdstat.estimators.progressive.spread import (
-    CAUSES,
-    LEVELS,
-    Spread,
-    _calibrate,
-    _Trial,
-    _weights,
-)
+from chdstat.estimators.progressive.spread import LEVELS, Spread, _calibrate, _weights
+from chdstat.estimators.progressive.trials import Trial
 
 
 def test_halves_of_what_was_not_seen_tell_squared_errors_without_bias():
@@ -27,7 +24,7 @@ def test_halves_of_what_was_not_seen_tell_squared_errors_without_bias():
     splits = Splits(x, unit=1.0)
     part = splits.draw(np.arange(40_000), 8, 4096, rng)
     rows = np.arange(40_000)
-    whole = type(part)(rows, part.places, part.profile, part.shared, part.target)
+    whole = replace(part, rows=rows)
     first, second = splits.halves(whole, rng)
     assert first.shape == (40_000, 1)
     assert ((p - first) * (p - second)).mean() == pytest.approx((p - y) ** 2, abs=0.01)
@@ -40,11 +37,13 @@ def trial(rng, rows=4000, *, size=16):
     causes = rng.gamma(1, 1, size=(1, rows, 1, CAUSES)) * estimate[..., np.newaxis] ** 2
     variance = 0.02 * causes[..., 1] + 0.05 * causes[..., 3]
     truth = rng.gamma(estimate**2 / variance, variance / estimate)[0]
-    return _Trial(
+    return Trial(
         size=size,
+        rows=np.arange(rows),
         estimate=np.repeat(estimate, 2, axis=0),
-        truth=truth,
-        squared=np.repeat((estimate - truth) ** 2, 2, axis=0),
+        mean=estimate[0],
+        target=truth,
+        noise=np.zeros_like(truth),
         causes=np.repeat(causes, 2, axis=0),
     )
 
@@ -69,7 +68,7 @@ def test_calibrated_quantiles_hold_as_often_as_stated():
     count = np.full(8000, 16)
     for level in (0.05, 0.25, 0.5, 0.95):
         end = spread.quantile(fresh.estimate[0], variance, count, balance=0.5, level=level)
-        assert (fresh.truth <= end).mean() == pytest.approx(level, abs=0.03)
+        assert (fresh.target <= end).mean() == pytest.approx(level, abs=0.03)
 
 
 def test_without_a_reference_quantiles_are_those_of_a_gamma_distribution():

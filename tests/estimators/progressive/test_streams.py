@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Profile, Progressive, Stream
+from chdstat.simulation import CHD, Component, truth_of
 
 
 def parts(x, *ends):
@@ -108,3 +110,206 @@ def test_samples_without_channels_are_refused(trained):
 def test_one_that_looks_at_neighbours_needs_the_samples(alone):
     with pytest.raises(InputError, match="needs the samples"):
         alone.of_profile(Profile.of(np.ones((4, 4, 3, 8)), unit=1.0))
+
+
+# --- learning while they arrive -----------------------------------------------------------------
+
+
+def learner(source, *, batch=16, iterations=(), **options):
+    """Return a stream that was fed batch by batch, and learned after the last ones."""
+    features = source.samples.features
+    stream = Stream(Progressive(features=True), features=features, learns=True, **options)
+    batches = np.split(source.x, range(batch, source.x.shape[-1], batch), axis=-1)
+    times = [0] * (len(batches) - len(iterations)) + list(iterations)
+    for x, count in zip(batches, times, strict=True):
+        stream.update(x)
+        if count:
+            stream.learn(iterations=count)
+    return stream
+
+
+@pytest.fixture(scope="module")
+def source(picture):
+    return picture(24, 64, seed=7)
+
+
+@pytest.fixture(scope="module")
+def taught(source):
+    """Return a stream of 64 samples that learned from 32 of them, and then from all."""
+    return learner(source, iterations=(20, 0, 60), attrs={"scene": "made up"})
+
+
+def test_before_it_has_learned_the_estimate_is_the_mean(source):
+    stream = learner(source)
+    found = stream.estimate()
+    assert found.radiance == pytest.approx(source.x.mean(axis=-1), rel=1e-4, abs=1e-6)
+    assert (found.certainty == 0).all()
+    assert np.isnan([found.level, *found.low.ravel(), *found.high.ravel()]).all()
+    with pytest.raises(InputError, match="not trained yet"):
+        _ = stream.model.provenance
+
+
+def test_learning_brings_it_nearer_to_the_truth():
+    """Nulls and long tails, four brightnesses; the truth is known, and the mean has an error of 1.
+
+    The network begins at the mean. Of 1024 pixels, errors below 0.9 by chance alone would be a
+    matter of less than one seed in a thousand: the mean's squared error varies by 1 in 20.
+    """
+    body = [(Component("lognormal", 1.0, median),) for median in (0.05, 0.2, 0.8, 3.2)]
+    chds = [CHD(part, tail_index=0.3, null_share=0.6) for part in body]
+    samples = chd.simulate(chds, size=(32, 32), spp=64, seed=3)
+    truth = truth_of(samples)["mean"].to_numpy()[..., np.newaxis]
+    stream = Stream(Progressive(), learns=True)
+    for part in np.split(samples.read(), 4, axis=-1):
+        stream.update(part)
+    stream.learn(iterations=60)
+    errors = [((p - truth) ** 2).mean() for p in (stream.estimate().radiance, stream.mean())]
+    assert errors[0] < 0.9 * errors[1]
+
+
+def test_the_interval_holds_the_truth(source, taught):
+    found = taught.estimate()
+    inside = (found.low <= source.radiance) & (source.radiance <= found.high)
+    assert found.level == 0.9
+    assert inside.mean() > 0.75
+
+
+def test_constant_pixels_stay_where_they_are():
+    """The negative control: where samples do not differ, there is nothing to improve."""
+    level = np.random.default_rng(0).lognormal(size=(16, 16, 3, 1))
+    stream = Stream(Progressive(), learns=True)
+    for _ in range(4):
+        stream.update(np.broadcast_to(level, (16, 16, 3, 8)).astype(np.float32))
+        stream.learn(iterations=8)
+    assert stream.estimate().radiance == pytest.approx(level[..., 0], rel=1e-5)
+    assert stream.iterations == 0
+    # Once they differ, there is something to learn.
+    stream.update(np.random.default_rng(1).exponential(size=(16, 16, 3, 8)))
+    stream.learn(iterations=1)
+    assert stream.iterations == 1
+
+
+def test_a_black_picture_stays_black():
+    stream = Stream(Progressive(), learns=True)
+    stream.update(np.zeros((8, 8, 3, 8)))
+    stream.learn(iterations=5)
+    assert (stream.estimate().radiance == 0).all()
+
+
+def test_learning_goes_on_from_where_it_was(source):
+    stream = learner(source, iterations=(30,))
+    before = stream.model
+    first = before.history.validation_loss[-1]
+    weights = before._learned.network.to_arrays()
+    stream.learn(iterations=1)
+    history = stream.model.history
+    assert stream.iterations == 31
+    assert (np.diff(history.iteration) > 0).all()
+    # One step of a new network would be near the loss of the mean.
+    assert abs(history.validation_loss[-1] - first) < abs(history.validation_baseline[-1] - first)
+    after = stream.model._learned.network.to_arrays()
+    assert any((after[name] != w).any() for name, w in weights.items())
+
+
+def test_memory_does_not_grow_where_it_learns(source):
+    stream, sizes = Stream(Progressive(), learns=True), set()
+    for seed in range(4):
+        stream.update(np.random.default_rng(seed).exponential(size=(4, 5, 3, 64)))
+        sizes.add(stream.nbytes)
+    assert sizes == {20 * (24 * 4 + 1) * 8 + 20 * 8 * (24 * 4 * 4 + 3 * 8 + 8)}
+
+
+def test_the_same_seed_learns_the_same(source):
+    first, again, other = (
+        learner(source, iterations=(4,), seed=seed).estimate().radiance for seed in (1, 1, 2)
+    )
+    assert (first == again).all()
+    assert (first != other).any()
+
+
+def test_what_was_learned_is_a_model_like_any_other(source, taught, tmp_path):
+    taught.model.save(tmp_path / "a.safetensors")
+    loaded = Progressive.load(tmp_path / "a.safetensors")
+    features = source.samples.features
+    ours = taught.model.predict(source.x, features=features)
+    assert (loaded.predict(source.x, features=features) == ours).all()
+    told = loaded.provenance
+    assert (told["scene"], told["on_the_fly"], told["reference"]) == ("made up", True, False)
+    assert (told["iterations"], told["samples_shape"]) == (80, [24, 24, 3, 64])
+    assert told["pixels_used"] == len(loaded.train_pixels) == 24 * 24
+    assert loaded.train_shape == (24, 24)
+
+
+def test_one_that_was_trained_before_learns_on(source, trained):
+    start = trained.predict(source.x)
+    model = Progressive()
+    model._learned = trained._learned
+    stream = Stream(model, learns=True, unit=1.0)
+    stream.update(source.x)
+    expected = trained.predict(source.x, unit=1.0)
+    assert stream.estimate().radiance == pytest.approx(expected, rel=1e-3, abs=1e-5)
+    before = stream.iterations
+    stream.learn(iterations=3)
+    assert stream.iterations == before + 3
+    assert stream.model.provenance["began_from"]["scene"] == trained.provenance["scene"]
+    assert (trained.predict(source.x) == start).all()
+
+
+def test_bad_samples_are_left_out_where_it_learns(source):
+    x = source.x.copy()
+    x[0, 0], x[1, 1, 2, 3], x[2, 2, :, 0], x[3, 3, 0, 0] = np.nan, -1, np.inf, 1e30
+    stream = Stream(Progressive(), learns=True)
+    stream.update(x)
+    stream.learn(iterations=3)
+    assert stream.model.provenance["pixels_excluded"] == 4
+    radiance = stream.estimate().radiance
+    assert np.isnan(radiance[0, 0]).all()
+    assert np.isfinite(radiance).sum() == 3 * (24 * 24 - 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "match"),
+    [
+        ({"model": Progressive(neighbours=True)}, "neighbours, which need the samples"),
+        ({"model": Progressive(conditioned=True)}, "conditions, which need a reference"),
+        ({"model": Progressive(features=True)}, "looks at first-hit features"),
+    ],
+)
+def test_models_that_cannot_learn_from_a_stream_are_refused(options, match):
+    with pytest.raises(InputError, match=match):
+        Stream(options["model"], learns=True)
+
+
+@pytest.mark.parametrize(
+    ("x", "match"),
+    [
+        (np.ones((4, 4, 3, 1)), "at least 4 samples of each pixel, got 1"),
+        (np.full((4, 4, 3, 8), np.nan), "got 0 of 16: give a larger picture"),
+        (np.ones((1, 1, 3, 8)), "got 1 of 1: give a larger picture"),
+    ],
+)
+def test_too_little_to_learn_from_is_refused(x, match):
+    stream = Stream(Progressive(), learns=True)
+    stream.update(x)
+    with pytest.raises(InputError, match=match):
+        stream.learn(iterations=1)
+    assert stream.estimate().radiance == pytest.approx(x.mean(axis=-1), nan_ok=True)
+
+
+def test_learning_needs_a_stream_that_learns_a_picture(trained, source):
+    with pytest.raises(InputError, match="make it with learns=True"):
+        Stream(trained).learn(iterations=1)
+    fresh = Stream(Progressive(), learns=True)
+    with pytest.raises(InputError, match="no samples yet"):
+        fresh.learn(iterations=1)
+    with pytest.raises(InputError, match="iterations must be at least 1, got 0"):
+        fresh.learn(iterations=0)
+    with pytest.raises(InputError, match=r"takes a picture .*, got pixels \(9,\)"):
+        fresh.update(np.ones((9, 3, 8)))
+    fresh.update(source.x)
+    with pytest.raises(InputError, match="the stream holds pixels"):
+        fresh.update(source.x[1:])
+    model = Progressive()
+    model._learned = trained._learned
+    with pytest.raises(InputError, match="takes 3 channels, got 1"):
+        Stream(model, learns=True).update(np.ones((4, 4, 1, 8)))

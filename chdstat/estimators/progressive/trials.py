@@ -1,0 +1,108 @@
+"""Trials: estimates from some samples of pixels, and what the other samples say of them.
+
+The samples that an estimate p has not seen are cut in two. Their means t and u are independent and
+unbiased, and so ``(p - t)(p - u)`` has the expectation ``(p - y)^2`` whatever the truth y is: this
+tells errors without a reference.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.estimators.progressive.causes import causes_of
+from chdstat.estimators.progressive.lessons import Material
+from chdstat.estimators.progressive.shapes import AIMS
+from chdstat.estimators.progressive.splits import Part
+
+if TYPE_CHECKING:
+    from torch import nn
+
+__all__ = ["Trial", "trials_of"]
+
+_DRAWS = 16
+"""Splits of each size."""
+_ROWS = 1024
+_CUTS = 4
+"""Ways to cut the other samples in two: together they tell their noise better than one does. With a
+reference it is small, and one tells enough."""
+
+Floats = npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Estimates of some pixels, in units of the picture's radiance.
+
+    Attributes
+    ----------
+    size
+        Samples of each estimate.
+    rows
+        Which pixels, shape (row,).
+    estimate
+        Shape (aim, row, channel).
+    mean, target
+        Of the samples that were seen and of the others, shape (row, channel).
+    noise
+        Unbiased for the variance of the target, shape (row, channel).
+    causes
+        Of squared errors, shape (aim, row, channel, cause).
+    """
+
+    size: int
+    rows: npt.NDArray[np.int64]
+    estimate: Floats
+    mean: Floats
+    target: Floats
+    noise: Floats
+    causes: Floats
+
+    @property
+    def squared(self) -> Floats:
+        """Unbiased for the squared error of the estimate, shape (aim, row, channel).
+
+        ``(p - t)(p - u)`` of two halves is ``(p - (t + u) / 2)^2 - (t - u)^2 / 4``.
+        """
+        return np.asarray((self.estimate - self.target) ** 2 - self.noise)
+
+    @classmethod
+    def of(
+        cls, network: nn.Module, material: Material, part: Part, rng: np.random.Generator
+    ) -> Self:
+        """Estimate from a part of the samples."""
+        import torch
+
+        from chdstat.estimators.progressive.training import look
+
+        with torch.inference_mode():
+            answer = network(look(part.profile, material.scenery[part.rows], part.shared, "cpu"))
+        times = 1 if material.lesson.reference else _CUTS
+        cuts = np.stack([material.splits.halves(part, rng) for _ in range(times)])
+        return cls(
+            size=part.size,
+            rows=part.rows,
+            estimate=np.moveaxis(answer.estimate.numpy().astype(np.float64), 1, 0),
+            mean=answer.mean.numpy().astype(np.float64),
+            target=part.target.astype(np.float64),
+            noise=((cuts[:, 0] - cuts[:, 1]) ** 2).mean(axis=0) / 4,
+            causes=np.stack([causes_of(answer, part.profile, aim) for aim in range(len(AIMS))]),
+        )
+
+
+def trials_of(
+    network: nn.Module,
+    material: Material,
+    *,
+    pixels: npt.NDArray[np.int64],
+    rng: np.random.Generator,
+) -> list[Trial]:
+    """Return trials of pixels at all sizes of the lesson."""
+    return [
+        Trial.of(network, material, material.splits.draw(pixels, n, _ROWS, rng), rng)
+        for n in sorted(set(material.lesson.sizes))
+        for _ in range(_DRAWS)
+    ]

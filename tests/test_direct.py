@@ -1,0 +1,166 @@
+"""Direct light: rendered as the same samples once more, stored beside them, and never mixed up."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat import capture
+from chdstat._store import DIRECT, Store
+from chdstat.backend import probe
+from chdstat.errors import InputError, RenderError, StoreError
+from chdstat.models import first_samples
+from chdstat.samples import inspect
+
+BACKENDS = [
+    "scalar",
+    pytest.param(
+        "llvm", marks=[pytest.mark.slow, pytest.mark.skipif(not probe("llvm").works, reason="none")]
+    ),
+]
+
+
+def render(scene: Any = "cornell-box", **options: Any) -> chd.Samples:
+    return chd.render(
+        scene,
+        **{"backend": "scalar", "size": (8, 6), "spp": 4, "direct": True, "progress": False}
+        | options,
+    )
+
+
+def direct_of(samples: chd.Samples) -> np.ndarray:
+    assert samples.direct is not None
+    return samples.direct.read()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("scene", ["cornell-box", pytest.param("fog", marks=pytest.mark.slow)])
+def test_direct_light_is_part_of_every_sample(scene, backend):
+    """Bit for bit the same paths: no sample of it is brighter, and those that end there agree."""
+    samples = render(scene, backend=backend)
+    whole, direct = samples.read(), direct_of(samples)
+    assert (direct <= whole).all()
+    assert (direct < whole).any()
+    assert ((direct == whole) & (whole > 0)).any()
+    assert (whole == render(scene, backend=backend, direct=False).read()).all()
+
+
+def test_it_is_what_paths_of_two_segments_carry():
+    samples = render()
+    assert (direct_of(samples) == render(max_depth=2, direct=False).read()).all()
+    assert samples.direct.attrs["integrator"]["max_depth"] == 2
+    assert render(direct=False).direct is None
+
+
+@pytest.mark.parametrize("depth", [1, 2])
+def test_paths_that_are_as_short_anyway_are_all_direct(depth):
+    samples = render(max_depth=depth)
+    assert (direct_of(samples) == samples.read()).all()
+
+
+def test_the_store_holds_it_and_finds_it_again(tmp_path):
+    rendered = render(out=tmp_path / "a.zarr")
+    found = chd.open(tmp_path / "a.zarr")
+    expected = direct_of(render())
+    for samples in (rendered, found, found.load()):
+        assert (direct_of(samples) == expected).all()
+    assert found.direct.path == tmp_path / "a.zarr" / DIRECT
+    assert inspect(tmp_path / "a.zarr", verify=True)["direct_spp"] == 4
+    assert found.features
+
+
+def test_it_can_be_added_to_a_store_and_grows_with_it(tmp_path):
+    out = tmp_path / "a.zarr"
+    render(out=out, direct=False)
+    assert chd.open(out).direct is None
+    assert inspect(out)["direct_spp"] == 0
+    assert (direct_of(render(out=out)) == direct_of(render())).all()
+    grown = render(out=out, spp=70, direct=False)  # whoever has it goes on with it
+    assert (direct_of(grown) == direct_of(render(spp=70))).all()
+
+
+def test_a_render_that_was_stopped_resumes(tmp_path, monkeypatch):
+    out, size = tmp_path / "a.zarr", (80, 6)
+
+    def stop(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    plain = capture._direct
+    monkeypatch.setattr(capture, "_direct", stop)
+    with pytest.raises(KeyboardInterrupt):
+        render(out=out, size=size)
+    assert chd.open(out).direct is None
+    monkeypatch.setattr(capture, "_direct", plain)
+    with monkeypatch.context() as patch:
+        write = Store.write
+        patch.setattr(
+            Store, "write", lambda s, c, b: stop() if s.path.name == DIRECT else write(s, c, b)
+        )
+        with pytest.raises(KeyboardInterrupt):
+            render(out=out, size=size)
+    assert chd.open(out).spp == 4
+    assert chd.open(out).direct is None
+    assert (direct_of(render(out=out, size=size)) == direct_of(render(size=size))).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"seed": 1}, "seed"),
+        ({"size": (6, 8)}, "shape"),
+        ({"scene": "night-room"}, "scene_hash"),
+    ],
+)
+def test_that_of_other_samples_is_refused(tmp_path, change, named):
+    out = tmp_path / "a.zarr"
+    render(out=out, direct=False)
+    render(**{"out": out / DIRECT, "max_depth": 2, "direct": False} | change)
+    for again in (lambda: chd.open(out), lambda: inspect(out), lambda: render(out=out, spp=8)):
+        with pytest.raises(StoreError, match=f"not the direct part of .*{named}"):
+            again()
+
+
+def test_an_integrator_without_depths_is_refused_before_the_work(tmp_path):
+    scene = {
+        "type": "scene",
+        "sensor": {"type": "perspective"},
+        "integrator": {"type": "direct"},
+        "sky": {"type": "constant"},
+    }
+    out = tmp_path / "a.zarr"
+    with pytest.raises(RenderError, match="'direct' has no max_depth"):
+        render(scene, out=out)
+    assert not out.exists()
+
+
+def test_samples_in_memory_carry_it():
+    x = np.random.default_rng(0).exponential(size=(4, 5, 3, 8)).astype(np.float32)
+    samples = chd.Samples.from_array(x, direct=x / 2, scene="half")
+    assert samples.direct.name == "half"
+    first = first_samples(samples, 3)
+    assert (first.direct.read() == x[..., :3] / 2).all()
+    assert (first.spp, first.attrs["spp"]) == (3, 3)
+    assert samples.load() is samples
+    with pytest.raises(InputError, match=r"shape of the samples, \(4, 5, 3, 8\)"):
+        chd.Samples.from_array(x, direct=x[..., :4])
+
+
+def test_the_command_renders_it(tmp_path, monkeypatch, capsys):
+    from chdstat.cli import main
+
+    out: Path = tmp_path / "a.zarr"
+    given = ["render", "cornell-box", "-o", out, "--spp", 2, "--size", "4x4", "--direct", "-q"]
+    monkeypatch.setattr("sys.argv", ["chdstat", *map(str, given), "--backend", "scalar"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    capsys.readouterr()
+    monkeypatch.setattr("sys.argv", ["chdstat", "info", str(out), "--json"])
+    with pytest.raises(SystemExit):
+        main()
+    assert json.loads(capsys.readouterr().out)["direct_spp"] == 2

@@ -1,0 +1,121 @@
+"""Renderings: the samples that a render would keep, batch by batch, and nothing else."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.backend import activate, probe
+from chdstat.capture import render_batches
+from chdstat.errors import InputError, RenderError, SceneError
+
+SIZE = (70, 12)
+
+
+def batches(scene="cornell-box", **options):
+    return render_batches(scene, **{"backend": "scalar", "size": SIZE, "spp": 20, **options})
+
+
+@pytest.fixture(scope="module")
+def whole() -> chd.Samples:
+    """Return what `render` keeps of two tiles, the second one narrow."""
+    return chd.render("cornell-box", backend="scalar", size=SIZE, spp=20)
+
+
+@pytest.mark.parametrize(("batch", "sizes"), [(16, [16, 4]), (7, [7, 7, 6]), (100, [20])])
+def test_the_batches_are_the_samples_of_a_render(whole, batch, sizes):
+    found = list(batches(batch=batch))
+    assert [part.shape[-1] for part in found] == sizes
+    assert all(part.dtype == np.float32 for part in found)
+    assert np.array_equal(np.concatenate(found, axis=-1), whole.read())
+
+
+def test_a_wavefront_gives_the_samples_of_a_render_too(llvm):
+    job = {"backend": llvm, "size": (8, 6), "spp": 70}
+    found = list(render_batches("cornell-box", batch=24, **job))
+    assert [part.shape[-1] for part in found] == [24, 24, 22]
+    assert np.array_equal(np.concatenate(found, axis=-1), chd.render("cornell-box", **job).read())
+
+
+def test_each_loop_draws_the_same(whole):
+    rendering = batches(batch=4, spp=8)
+    for _ in range(2):
+        assert np.array_equal(np.concatenate(list(rendering), axis=-1), whole.read()[..., :8])
+
+
+def test_it_says_what_it_renders(whole):
+    rendering = batches()
+    assert rendering.shape == whole.shape
+    assert (rendering.name, rendering.channels) == (whole.name, whole.channels)
+    assert (rendering.spp, rendering.batch) == (20, 16)
+    assert rendering.features.keys() == whole.features.keys()
+    for name, image in rendering.features.items():
+        assert np.array_equal(image, whole.features[name])
+    ours, theirs = rendering.attrs, whole.attrs
+    assert ours.pop("render_seconds") == 0
+    assert theirs.pop("render_seconds") > 0
+    assert ours == theirs
+    next(iter(rendering))
+    assert rendering.attrs["render_seconds"] > 0
+    assert repr(rendering) == "<Rendering 'cornell-box' 70 x 12 pixels, 20 spp in batches of 16>"
+
+
+def test_between_batches_mitsuba_is_as_the_user_left_it():
+    with activate(probe("scalar")) as mi:
+        mi.set_variant("scalar_spectral")
+        for _ in batches(batch=10):
+            assert mi.variant() == "scalar_spectral"
+
+
+def test_a_loop_can_be_left():
+    for part in batches(batch=5):
+        assert part.shape[-1] == 5
+        break
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"spp": 0}, "spp must be at least 1, got 0"),
+        ({"batch": 0}, "batch must be at least 1, got 0"),
+        ({"seed": -1}, "seed must not be negative"),
+        ({"size": (0, 8)}, "size must be"),
+        ({"spp": 2**40}, "spp must be at most"),
+        ({"size": (10**6, 10**6), "spp": 1}, "spp must be at most|than the memory can hold"),
+    ],
+)
+def test_what_is_out_of_range_is_refused_before_any_work(options, message):
+    with pytest.raises(InputError, match=message):
+        batches(**options)
+
+
+def test_scenes_that_cannot_be_rendered_are_refused():
+    with pytest.raises(SceneError, match="no built-in scene"):
+        batches("nowhere.xml")
+    sky = {"type": "scene", "sensor": {"type": "perspective"}, "integrator": {"type": "ptracer"}}
+    with pytest.raises(RenderError):
+        batches(sky)
+
+
+def test_ctrl_c_ends_it():
+    code = (
+        "from chdstat.capture import render_batches\n"
+        "for k, _ in enumerate(render_batches('cornell-box', spp=10**5, size=(64, 64),"
+        " backend='scalar', batch=8)):\n"
+        "    print(k, flush=True)\n"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert child.stdout.readline() == "0\n"
+    time.sleep(0.05)
+    child.send_signal(signal.SIGINT)
+    _, err = child.communicate(timeout=60)
+    assert child.returncode != 0
+    assert err.rstrip().endswith("KeyboardInterrupt")
