@@ -240,7 +240,10 @@ def test_maps_take_the_place_of_the_picture(person, store_path):
             " && document.querySelector('#working').innerText === ''",
             arg=expected,
         )
-        assert one.query["map"] == [name]
+        # The address follows in an answer of its own.
+        one.page.wait_for_function(
+            "name => new URLSearchParams(location.search).get('map') === name", arg=name
+        )
     one.point(20, 10)
     assert "Error of huber" in one.text("#readout")
     one.page.locator("select[data-option=map]").select_option("picture")
