@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -56,6 +57,14 @@ def test_version(run):
     import chdstat
 
     assert run("--version")[:2] == (0, f"chdstat {chdstat.__version__}\n")
+
+
+def test_python_runs_it_as_a_module():
+    import chdstat
+
+    command = [sys.executable, "-m", "chdstat", "--version"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == f"chdstat {chdstat.__version__}\n"
 
 
 def test_render_resumes_appends_and_speaks_json(run, tmp_path):
