@@ -23,6 +23,7 @@ PATIENCE = 120_000
 
 
 def photograph(url: str, browser: str | None) -> None:
+    """Write what the page at an address shows."""
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=browser, args=["--no-sandbox"])
         page = chromium.new_page(viewport=SIZE)
@@ -36,6 +37,7 @@ def photograph(url: str, browser: str | None) -> None:
 
 
 def main() -> None:
+    """Render, serve, photograph."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--browser", help="Chromium to use; playwright's own without.")
     arguments = parser.parse_args()
