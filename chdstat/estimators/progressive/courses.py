@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-import chdstat
 from chdstat._arrays import generator
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.buckets import BUCKETS, BucketParts, Buckets
 from chdstat.estimators.progressive.lessons import Lesson, Material, Scenery
+from chdstat.estimators.progressive.provenance import Origin, provenance_of
 from chdstat.estimators.progressive.results import Learned
 from chdstat.estimators.progressive.shapes import Shape
 from chdstat.estimators.progressive.spread import Spread
@@ -194,39 +194,30 @@ class Course:
             history=self._history,
             train_pixels=material.pixels,
             train_shape=self._shape,
-            provenance={**self._provenance(material, attrs), "trust": trust},
+            provenance=self._provenance(material, attrs, trust),
             trust=trust,
         )
 
-    def _provenance(self, material: Material, attrs: Mapping[str, Any]) -> dict[str, Any]:
+    def _provenance(
+        self, material: Material, attrs: Mapping[str, Any], trust: float
+    ) -> dict[str, Any]:
         scene = str(attrs.get("scene", "samples"))
-        shape = [*self._shape, self._buckets.channels, self._buckets.dealt]
-        used = len(material.pixels)
-        return {
-            "scene": scene,
-            "scenes": [
-                {
-                    "scene": scene,
-                    "samples": dict(attrs),
-                    "samples_shape": shape,
-                    "unit": self._buckets.unit,
-                    "pixels_used": used,
-                }
-            ],
-            "samples": dict(attrs),
-            "samples_shape": shape,
-            "reference": False,
-            "on_the_fly": True,
-            "buckets": BUCKETS,
+        shape = (*self._shape, self._buckets.channels, self._buckets.dealt)
+        sights = {
             "features": bool(material.scenery.described.shape[1]),
             "neighbours": False,
             "conditioned": False,
             "direct": self._parts > 1,
-            "seed": self._seed,
-            "pixels_used": used,
-            "pixels_excluded": material.excluded,
-            "sizes": sorted(set(material.lesson.sizes)),
-            "iterations": self.iterations,
+        }
+        return {
+            **provenance_of(
+                [Origin(scene, attrs, shape, self._buckets.unit)],
+                material,
+                sights=sights,
+                seed=self._seed,
+                trust=trust,
+            ),
+            "on_the_fly": True,
+            "buckets": BUCKETS,
             "began_from": None if self._start is None else self._start.provenance,
-            "chdstat": chdstat.__version__,
         }

@@ -33,7 +33,7 @@ from chdstat.estimators.progressive.lessons import (
 )
 from chdstat.estimators.progressive.pictures import Scene, chosen_pixels
 from chdstat.estimators.progressive.profiles import Profile
-from chdstat.estimators.progressive.provenance import provenance_of
+from chdstat.estimators.progressive.provenance import Origin, provenance_of
 from chdstat.estimators.progressive.results import Estimates, Learned
 from chdstat.estimators.progressive.storage import read_learned, write_learned
 from chdstat.estimators.progressive.teaching import teach
@@ -475,9 +475,8 @@ class Progressive:
         network, trust, spread, history = teach(
             material, channels=pictures[0].shape[2], seed=seed, progress=progress
         )
-        provenance = provenance_of(
-            pictures, material, units=units, sights=self._sights, seed=seed, trust=trust
-        )
+        origins = [Origin.of(one, unit) for one, unit in zip(pictures, units, strict=True)]
+        provenance = provenance_of(origins, material, sights=self._sights, seed=seed, trust=trust)
         return Learned(
             network,
             spread,

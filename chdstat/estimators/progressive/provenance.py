@@ -3,20 +3,57 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import chdstat
 from chdstat.estimators.progressive.lessons import Material
 from chdstat.samples import Samples
 
-__all__ = ["provenance_of"]
+__all__ = ["Origin", "provenance_of"]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """A picture that trained.
+
+    Attributes
+    ----------
+    scene
+        Its name.
+    attrs
+        Provenance of its samples.
+    shape
+        Of its samples, (y, x, channel, sample).
+    unit
+        Its mean radiance.
+    """
+
+    scene: str
+    attrs: Mapping[str, Any]
+    shape: tuple[int, ...]
+    unit: float
+
+    @classmethod
+    def of(cls, picture: Samples, unit: float) -> Self:
+        """Return that of samples."""
+        return cls(picture.name, picture.attrs, picture.shape, unit)
+
+    def to_dict(self, pixels_used: int) -> dict[str, Any]:
+        """Return the fields, and how many of its pixels were used, ready for JSON."""
+        return {
+            "scene": self.scene,
+            "samples": dict(self.attrs),
+            "samples_shape": list(self.shape),
+            "unit": self.unit,
+            "pixels_used": pixels_used,
+        }
 
 
 def provenance_of(
-    pictures: Sequence[Samples],
+    origins: Sequence[Origin],
     material: Material,
     *,
-    units: Sequence[float],
     sights: Mapping[str, bool],
     seed: int,
     trust: float,
@@ -25,8 +62,8 @@ def provenance_of(
 
     Parameters
     ----------
-    pictures, units
-        What trained, and the mean radiance of each.
+    origins
+        What trained.
     material
         What was made of it.
     sights
@@ -36,20 +73,12 @@ def provenance_of(
     trust
         How far to go from the mean to what the network estimates.
     """
+    scenes = [one.to_dict(used) for one, used in zip(origins, material.parts, strict=True)]
     return {
-        "scene": ", ".join(picture.name for picture in pictures),
-        "scenes": [
-            {
-                "scene": picture.name,
-                "samples": picture.attrs,
-                "samples_shape": list(picture.shape),
-                "unit": unit,
-                "pixels_used": used,
-            }
-            for picture, unit, used in zip(pictures, units, material.parts, strict=True)
-        ],
-        "samples": pictures[0].attrs,
-        "samples_shape": list(pictures[0].shape),
+        "scene": ", ".join(one.scene for one in origins),
+        "scenes": scenes,
+        "samples": scenes[0]["samples"],
+        "samples_shape": scenes[0]["samples_shape"],
         "reference": material.lesson.reference,
         **sights,
         "seed": seed,
