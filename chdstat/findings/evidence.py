@@ -104,6 +104,8 @@ class Evidence:
         The same scene and view at a smaller path length.
     integrator
         The same scene and view by another integrator.
+    given_shorter
+        What `chdstat.summarize` returned for `shorter`; None to compute it when it is needed.
     comparison
         Estimators side by side on this scene, a learned one among them.
     complexity
@@ -126,6 +128,7 @@ class Evidence:
     given: xr.Dataset | None = None
     shorter: Samples | None = None
     integrator: Samples | None = None
+    given_shorter: xr.Dataset | None = None
     comparison: Comparison | None = None
     complexity: float | None = None
 
@@ -144,7 +147,9 @@ class Evidence:
     @cached_property
     def shorter_summary(self) -> xr.Dataset | None:
         """Statistics and histograms per pixel of the shorter paths."""
-        return None if self.shorter is None else summarize(self.shorter, progress=False)
+        if self.shorter is None or self.given_shorter is not None:
+            return self.given_shorter
+        return summarize(self.shorter, progress=False)
 
     @cached_property
     def chds(self) -> LogChds:

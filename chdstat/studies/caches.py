@@ -5,41 +5,45 @@ from __future__ import annotations
 import functools
 import hashlib
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
+from chdstat._records import read_record, write_record
 from chdstat.analysis import analyze, save
 from chdstat.comparison import Comparison, compare
 from chdstat.errors import StoreError
+from chdstat.estimators.registry import Model
 from chdstat.models import AnyModel, load_model
 from chdstat.samples import Samples
 from chdstat.studies.stores import Stores
+from chdstat.summary import summarize
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["analysis_of", "comparison_of"]
+__all__ = ["analysis_of", "comparison_of", "record_of", "summary_of"]
 
-_ANALYSIS, _MODEL = ".analysis", ".safetensors"
+T = TypeVar("T")
+
+_MODEL, _RECORD = ".safetensors", ".npz"
 _N = 32
 """Samples of one estimate, as in Elek et al. 2019."""
 
 
 def analysis_of(samples: Samples, stores: Stores, *, progress: bool | None) -> xr.Dataset:
     """Return what `chdstat.analyze` says of samples, from the cache where it is there."""
-    place = _place(samples, stores, "", _ANALYSIS)
-    found = None if place is None else _read_analysis(place)
-    if found is not None:
-        return found
-    found = analyze(_at_hand(samples), progress=progress)
-    if place is not None:
-        _forget_others(place)
-        # Complete or absent: a cache that was interrupted is never read.
-        partial = place.with_name(f".{place.name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        save(found, partial).replace(place)
-    return found
+
+    def analysed() -> xr.Dataset:
+        return analyze(_at_hand(samples), progress=progress)
+
+    return _dataset(samples, stores, ".analysis", analysed)
+
+
+def summary_of(samples: Samples, stores: Stores, *, progress: bool | None) -> xr.Dataset:
+    """Return what `chdstat.summarize` says of samples, from the cache where it is there."""
+    return _dataset(samples, stores, ".summary", lambda: summarize(samples, progress=progress))
 
 
 def comparison_of(
@@ -61,15 +65,62 @@ def comparison_of(
     kept = {name: place for name, place in places.items() if place is not None}
     read = {name: _read_model(place) for name, place in kept.items()}
     known = {name: model for name, model in read.items() if model is not None}
-    found = compare(
-        _at_hand(samples), estimators, n=_N, model=known, labels=labels, progress=progress
-    )
-    for name in found.models.keys() & kept.keys() - known.keys():
-        model = found.models[name]
-        if isinstance(model, AnyModel):
-            _forget_others(kept[name])
-            model.save(kept[name])
-    return found
+    models: dict[str, Model] = {**known}
+
+    def compared() -> Comparison:
+        found = compare(
+            _at_hand(samples), estimators, n=_N, model=known, labels=labels, progress=progress
+        )
+        models.update(found.models)
+        for name in found.models.keys() & kept.keys() - known.keys():
+            model = found.models[name]
+            if isinstance(model, AnyModel):
+                _forget_others(kept[name])
+                model.save(kept[name])
+        return replace(found, models={})  # a record holds no network
+
+    found = record_of(samples, stores, "comparison", Comparison, compared, needs=[estimators])
+    return replace(found, models=models)
+
+
+def record_of(
+    samples: Samples,
+    stores: Stores,
+    name: str,
+    kind: type[T],
+    work: Callable[[], T],
+    *,
+    needs: Sequence[object] = (),
+) -> T:
+    """Return what was found in samples, from the cache where it is there.
+
+    Parameters
+    ----------
+    samples, stores
+        Where it was found, and the folder that holds it.
+    name
+        What it is.
+    kind
+        Its type, such as ``tuple[Finding, ...]``.
+    work
+        Finds it.
+    needs
+        What else it depends on, each with a `repr` that tells it from others; None if one of these
+        has nothing that would tell it, so that nothing is kept.
+    """
+    told = hashlib.sha256(repr(needs).encode()).hexdigest()[:12]
+    place = None if None in needs else _place(samples, stores, f"{name}-{told}-", _RECORD)
+    if place is None:
+        return work()
+    if place.is_file():
+        try:
+            return read_record(place, kind)
+        except StoreError:  # damaged: find it again
+            place.unlink()
+    found = work()
+    _forget_others(place)
+    # Read as it will be, so that no study differs from the one before.
+    return read_record(write_record(place, found), kind)
 
 
 def _at_hand(samples: Samples) -> Samples:
@@ -92,13 +143,31 @@ def _code() -> str:
     return digest.hexdigest()[:12]
 
 
-def _read_analysis(place: Path) -> xr.Dataset | None:
+def _dataset(
+    samples: Samples, stores: Stores, suffix: str, work: Callable[[], xr.Dataset]
+) -> xr.Dataset:
+    place = _place(samples, stores, "", suffix)
+    found = None if place is None else _read_dataset(place)
+    if found is not None:
+        return found
+    found = work()
+    if place is not None:
+        _forget_others(place)
+        # Complete or absent: a cache that was interrupted is never read.
+        partial = place.with_name(f".{place.name}.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        save(found, partial).replace(place)
+    return found
+
+
+def _read_dataset(place: Path) -> xr.Dataset | None:
     import xarray as xr
 
     if not place.is_dir():
         return None
     try:
-        found: xr.Dataset = xr.open_zarr(place, consolidated=False).load()
+        # Without chunks: all of it is read at once, for which Dask would take three times as long.
+        found: xr.Dataset = xr.open_zarr(place, consolidated=False, chunks=None).load()
     except (OSError, ValueError, KeyError, RuntimeError):  # damaged: compute it again
         shutil.rmtree(place, ignore_errors=True)
         return None

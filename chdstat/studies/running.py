@@ -18,9 +18,9 @@ from chdstat.estimators import lookup
 from chdstat.findings import FINDINGS, Evidence, Finding
 from chdstat.recipes import choose_regions
 from chdstat.samples import Samples
-from chdstat.studies.caches import analysis_of, comparison_of
+from chdstat.studies.caches import analysis_of, comparison_of, record_of, summary_of
 from chdstat.studies.results import SceneStudy, Study
-from chdstat.studies.stores import Renders, Stores
+from chdstat.studies.stores import Stores
 from chdstat.studies.subjects import Source, Subject, subjects_of
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ _log = logging.getLogger("chdstat")
 
 T = TypeVar("T")
 
-_ONCE = {14, 15}
+_ONCE = frozenset({14, 15})
 """Claims that need the whole analysis or a training: no other seed repeats them."""
 _OPPOSITE = {"supported", "not supported"}
 
@@ -63,8 +63,9 @@ def study(
         `Samples`, one or several; None takes every built-in scene that has a recipe. Stores and
         samples stand alone: nothing else is rendered for them.
     folder
-        Where renders, analyses and trained networks are kept. What is there is taken up, whole or
-        half done; a store with more samples than asked for is used whole. None keeps all in memory.
+        Where renders, trained networks and all that was found are kept. What is there is taken up,
+        whole or half done, so that the same study once more takes seconds; a store with more
+        samples than asked for is used whole. None keeps all in memory.
     spp, size, seed, max_depth, backend
         As for `chdstat.render`; None takes the recipe's, or 1024 spp, 128 pixels along the longer
         edge, and seed 1.
@@ -113,8 +114,7 @@ def study(
     for i, subject in enumerate(subjects):
         _log.info("studying %s (%d of %d)", subject.name, i + 1, len(subjects))
         found.append(_scene(subject, stores, estimators, progress))
-    first, *others = (scene.evidence for scene in found)
-    across = tuple(claim.find(first, others) for claim in FINDINGS if claim.across)
+    across = _across([scene.evidence for scene in found], stores)
     return Study(tuple(found), across, _provenance(time.monotonic() - start))
 
 
@@ -139,23 +139,25 @@ def _scene(
     samples = renders.samples
     dataset = clock("analysis", lambda: analysis_of(samples, stores, progress=progress))
     comparison, notes = clock("estimators", lambda: _compared(samples, estimators, dataset, stores))
+    shorter = renders.shorter
     evidence = Evidence(
         subject.name,
         samples,
         subject.regions or choose_regions(dataset),
         given=dataset,
-        shorter=renders.shorter,
+        shorter=shorter,
+        given_shorter=None if shorter is None else summary_of(shorter, stores, progress=progress),
         integrator=renders.integrator,
         comparison=comparison,
     )
-    findings = clock("findings", lambda: _findings(evidence))
-    repeated = clock("another seed", lambda: _repeated(evidence, renders))
+    findings = clock("findings", lambda: _findings(evidence, stores, needs=[estimators]))
+    repeated = clock("another seed", lambda: _repeated(evidence, renders.again, stores))
     return SceneStudy(
         evidence=evidence,
         findings=tuple(_confirmed(f, repeated.get(f.number)) for f in findings),
         repeated={number: f.verdict for number, f in repeated.items()},
         chosen=not subject.regions,
-        atlas=clock("atlas", lambda: _shapes(dataset)),
+        atlas=clock("atlas", lambda: _shapes(samples, dataset, stores)),
         again=renders.again,
         seconds=clock.seconds,
         notes=notes,
@@ -189,16 +191,52 @@ def _compared(
         return None, (f"estimators were not compared: {error}",)
 
 
-def _findings(evidence: Evidence, *, but: set[int] | None = None) -> list[Finding]:
-    return [c.find(evidence) for c in FINDINGS if not c.across and c.number not in (but or set())]
+def _findings(
+    evidence: Evidence,
+    stores: Stores,
+    *,
+    but: frozenset[int] = frozenset(),
+    needs: Sequence[object] = (),
+) -> tuple[Finding, ...]:
+    """Ask a scene for every claim about one scene but some."""
+
+    def asked() -> tuple[Finding, ...]:
+        return tuple(c.find(evidence) for c in FINDINGS if not c.across and c.number not in but)
+
+    told = [evidence.name, evidence.regions, stores.told(evidence.shorter), sorted(but), *needs]
+    kind = tuple[Finding, ...]
+    return record_of(evidence.samples, stores, "findings", kind, asked, needs=told)
 
 
-def _repeated(evidence: Evidence, renders: Renders) -> dict[int, Finding]:
+def _repeated(evidence: Evidence, again: Samples | None, stores: Stores) -> dict[int, Finding]:
     """Return what another seed says, by number of the claim."""
-    if renders.again is None:
+    if again is None:
         return {}
-    again = Evidence(evidence.name, renders.again, evidence.regions, shorter=renders.shorter)
-    return {f.number: f for f in _findings(again, but=_ONCE)}
+    repeat = Evidence(
+        evidence.name,
+        again,
+        evidence.regions,
+        shorter=evidence.shorter,
+        given_shorter=evidence.given_shorter,
+    )
+    return {f.number: f for f in _findings(repeat, stores, but=_ONCE)}
+
+
+def _across(evidences: Sequence[Evidence], stores: Stores) -> tuple[Finding, ...]:
+    """Ask all scenes for the claims that compare scenes."""
+    first, *others = evidences
+
+    def asked() -> tuple[Finding, ...]:
+        return tuple(claim.find(first, others) for claim in FINDINGS if claim.across)
+
+    told = [
+        stores.told(samples)
+        for evidence in evidences
+        for samples in (evidence.samples, evidence.shorter, evidence.integrator)
+    ]
+    names = tuple(evidence.name for evidence in evidences)
+    kind = tuple[Finding, ...]
+    return record_of(first.samples, stores, "across", kind, asked, needs=[names, *told])
 
 
 def _confirmed(finding: Finding, again: Finding | None) -> Finding:
@@ -209,8 +247,8 @@ def _confirmed(finding: Finding, again: Finding | None) -> Finding:
     return replace(finding, verdict="cannot tell", reason=reason)
 
 
-def _shapes(dataset: xr.Dataset) -> Atlas | None:
-    found = atlas(dataset)
+def _shapes(samples: Samples, dataset: xr.Dataset, stores: Stores) -> Atlas | None:
+    found = record_of(samples, stores, "atlas", Atlas, lambda: atlas(dataset))
     return found if len(found.share) else None
 
 

@@ -93,9 +93,16 @@ class Stores:
 
     def beside(self, samples: Samples, suffix: str) -> Path | None:
         """Return where to keep what was computed of samples; None without a place."""
+        told = self.told(samples)
+        return None if self.folder is None or told is None else self.folder / f"{told}{suffix}"
+
+    def told(self, samples: Samples | None) -> str | None:
+        """Return what tells samples from all others; "" of no samples, None without a place."""
+        if samples is None:
+            return ""
         if self.folder is None or samples.path is None or samples.path.parent != self.folder:
             return None
-        return self.folder / f"{samples.path.stem}-{samples.spp}{suffix}"
+        return f"{samples.path.stem}-{samples.spp}"
 
     def _rendered(self, scene: Scene, settings: Mapping[str, Any]) -> Samples:
         out = None if self.folder is None else self.folder / f"{_name(scene, settings)}.zarr"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pypdfium2
@@ -259,12 +258,41 @@ def test_what_learned_is_kept_beside_its_samples(found, folder, tmp_path, monkey
 
     def compared(samples, estimators, *, model, **options):
         asked.append(dict(model))
-        return SimpleNamespace(models={"elek2019": trained})
+        return chd.compare(samples, estimators, **options, model={"elek2019": trained})
 
     monkeypatch.setattr(caches, "compare", compared)
-    trained, names = model, ["mean", "elek2019"]
-    for _ in range(2):
-        caches.comparison_of(samples, names, labels, stores.Stores(copy), progress=False)
-    assert asked[0] == {}
+    trained, where = model, stores.Stores(copy)
+    names = ["mean", "elek2019"]
+    first = caches.comparison_of(samples, names, labels, where, progress=False)
+    again = caches.comparison_of(samples, names, labels, where, progress=False)
+    assert asked == [{}]
+    np.testing.assert_equal(again.table(), first.table())
+    assert list(again.models) == names[1:]
+    for record in copy.glob("*comparison*.npz"):
+        record.write_bytes(b"damaged")
+    caches.comparison_of(samples, names, labels, where, progress=False)
     assert list(asked[1]) == ["elek2019"]
     assert len(list(copy.glob("*.safetensors"))) == 1
+
+
+def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, monkeypatch):
+    def refuse(*args, **kwargs):
+        pytest.fail("done again")
+
+    copy = tmp_path / "renders"
+    shutil.copytree(folder, copy)
+    once = study("cornell-box", folder=copy, **TINY)
+    with monkeypatch.context() as patch:
+        patch.setattr(running, "atlas", refuse)
+        patch.setattr(caches, "compare", refuse)
+        patch.setattr(type(FINDINGS[0]), "find", refuse)
+        again = study("cornell-box", folder=copy, **TINY)
+    told, as_before = again.to_dict(), once.to_dict()
+    for content in (told, as_before):
+        del content["provenance"], content["scenes"][0]["seconds"]
+    assert told == as_before
+    with monkeypatch.context() as patch:
+        patch.setattr(caches, "_code", lambda: "another")
+        patch.setattr(running, "atlas", refuse)
+        with pytest.raises(pytest.fail.Exception, match="done again"):
+            study("cornell-box", folder=copy, **TINY)
