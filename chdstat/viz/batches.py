@@ -85,7 +85,7 @@ def batch_histograms(panels: Sequence[BatchPanel], *, number: int, size: int) ->
         axes = figure.subplots(2, len(panels), squeeze=False)
         for (upper, lower), panel, color in zip(axes.T, panels, colors, strict=True):
             alpha = min(0.5, max(0.03, 2.5 / len(panel.counts)))
-            steps = PolyCollection(_outlines(panel), facecolor=color, edgecolor="none", alpha=alpha)
+            steps = PolyCollection([*_outlines(panel)], facecolor=color, edgecolor="none", alpha=alpha)
             upper.add_collection(steps)
             upper.stairs(panel.counts.mean(axis=0), panel.edges, color="#222222", linewidth=0.6)
             lower.stairs(panel.mean_counts, panel.mean_edges, fill=True, color=color)
