@@ -55,6 +55,7 @@ def measure(evidences: Sequence[Evidence]) -> Conclusion:
             "complexity of the scene",
             "mean number of modes",
         ),
+        few="scenes",
     )
 
 

@@ -34,6 +34,8 @@ class Conclusion:
         What was measured, where it could be one thing or another: the reason names it.
     beside
         The same of others, by name; the verdict does not rest on it.
+    few
+        What there are too few of where an interval is wide, if it is not samples.
     """
 
     parts: tuple[Part, ...] = ()
@@ -43,6 +45,7 @@ class Conclusion:
     exhibit: Exhibit = field(default_factory=lambda: Exhibit("curves"))
     subject: str = ""
     beside: Mapping[str, Conclusion] = field(default_factory=dict)
+    few: str = ""
 
     @property
     def verdict(self) -> Verdict:
@@ -113,13 +116,15 @@ def _reason(found: Conclusion, spp: int) -> str:
     said = {
         "supported": "; ".join(str(part) for part in found.parts),
         "not supported": str(part),
-        "cannot tell": f"{part}; {_needed(part, spp)}",
+        "cannot tell": f"{part}; {_needed(part, spp, found.few)}",
     }[verdict]
     return _sentence(f"{found.subject}: {said}" if found.subject else said)
 
 
-def _needed(part: Part, spp: int) -> str:
+def _needed(part: Part, spp: int, few: str) -> str:
     """Say how many samples would decide, if the interval shrinks with their square root."""
+    if few:
+        return f"more {few} would decide"
     if not math.isfinite(part.low):
         return "there are too few pixels or samples for an interval"
     margin = part.margin

@@ -55,7 +55,7 @@ def measure(evidence: Evidence) -> Conclusion:
             if ordinary.size
             else None,
         },
-        exhibit=_exhibit(evidence, partner, ratio),
+        exhibit=_exhibit(evidence, partner, np.where(found, square, np.nan)),
     )
 
 
@@ -95,12 +95,13 @@ def _squares(evidence: Evidence, partner: Ints) -> Floats:
     return squared_distance(chds, type(chds)(beside), width=_BIN)
 
 
-def _exhibit(evidence: Evidence, partner: Ints, ratio: Floats) -> Exhibit:
-    """Return the CHDs of the brightest firefly and of its neighbour."""
-    chds = evidence.chds.whole.reshape(ratio.size, -1)
-    place = int(ratio.argmax())
+def _exhibit(evidence: Evidence, partner: Ints, square: Floats) -> Exhibit:
+    """Return the CHDs of the firefly at the median distance and of its neighbour."""
+    chds = evidence.chds.whole.reshape(square.size, -1)
+    known = np.count_nonzero(np.isfinite(square))
+    place = int(np.argsort(square, kind="stable")[max(known - 1, 0) // 2])
     edges = -5 + _BIN * np.arange(chds.shape[1])
-    pair = {"firefly": place, "neighbour": int(partner.ravel()[place])}
+    pair = {"firefly at the median distance": place, "neighbour": int(partner.ravel()[place])}
     return Exhibit(
         "curves",
         {name: (edges, chds[i]) for name, i in pair.items()},

@@ -85,8 +85,8 @@ def batch_histograms(panels: Sequence[BatchPanel], *, number: int, size: int) ->
         axes = figure.subplots(2, len(panels), squeeze=False)
         for (upper, lower), panel, color in zip(axes.T, panels, colors, strict=True):
             alpha = min(0.5, max(0.03, 2.5 / len(panel.counts)))
-            steps = PolyCollection([*_outlines(panel)], facecolor=color, edgecolor="none", alpha=alpha)
-            upper.add_collection(steps)
+            outlines = [*_outlines(panel)]
+            upper.add_collection(PolyCollection(outlines, facecolor=color, lw=0, alpha=alpha))
             upper.stairs(panel.counts.mean(axis=0), panel.edges, color="#222222", linewidth=0.6)
             lower.stairs(panel.mean_counts, panel.mean_edges, fill=True, color=color)
             for cell in (upper, lower):

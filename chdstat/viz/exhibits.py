@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -128,12 +129,17 @@ def _labels(figure: Figure, shown: Sequence[Display]) -> None:
     labels = {(display.x_label, display.y_label) for display in shown}
     if len(labels) == 1:
         x, y = labels.pop()
-        figure.supxlabel(x, fontsize=8)
-        figure.supylabel(y, fontsize=8)
+        figure.supxlabel(_raised(x), fontsize=8)
+        figure.supylabel(_raised(y), fontsize=8)
         return
     for axes, display in zip(figure.axes, shown, strict=False):
-        axes.set_xlabel(textwrap.fill(display.x_label, _LABEL))
-        axes.set_ylabel(textwrap.fill(display.y_label, _LABEL))
+        axes.set_xlabel(_raised(textwrap.fill(display.x_label, _LABEL)))
+        axes.set_ylabel(_raised(textwrap.fill(display.y_label, _LABEL)))
+
+
+def _raised(label: str) -> str:
+    """Return a label with the exponents of its units, as in "m-2" or ")^2", raised."""
+    return re.sub(r"(?<=[a-z])(-\d+)|\^(\d+)", lambda m: f"$^{{{m[1] or m[2]}}}$", label)
 
 
 def _look(place: int, number: int, kind: str) -> dict[str, Any]:

@@ -46,7 +46,7 @@ def test_three_seeds_agree(benchmark, folder):
     alike = Counter()
     print()
     for same in zip(*rows, strict=True):
-        for scene in studies[0].names + ("all scenes",):
+        for scene in (*studies[0].names, "all scenes"):
             verdicts = [row[scene] for row in same]
             alike[len(set(verdicts))] += bool(verdicts[0])
             if len(set(verdicts)) > 1:
