@@ -38,6 +38,9 @@ _ERROR = "error:"
 _JUDGED = 32
 """Samples of an estimate, in maps of errors."""
 _MOST_BATCHES = 16
+_DECADES = 8.0
+"""Of a colour bar, at most."""
+_OVER_MEAN = "log10, luminance"
 
 Image = npt.NDArray[np.float32]
 Step = Callable[[float, Image], None]
@@ -104,6 +107,8 @@ class Map:
         if not finite.size:
             return 0.0, 1.0
         low, high = (float(v) for v in np.percentile(finite, (1, 99)))
+        if self.kind.log:  # a lamp has no variance but that of rounding
+            low = max(low, high - _DECADES)
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
@@ -115,8 +120,9 @@ MAPS: dict[str, MapKind] = {
     for kind in (
         MapKind("null_share", "Null share", "share of the good samples", limits=(0, 1)),
         MapKind("variance", "Variance of luminance", "log10, (W sr⁻¹ m⁻²)²", log=True),
-        MapKind("variation", "Standard deviation over mean", "log10, luminance", log=True),
-        MapKind("relative_error", "Standard error over mean", "log10, luminance", log=True),
+        MapKind("variation", "Standard deviation over mean", _OVER_MEAN, log=True, limits=(-2, 2)),
+        # One bright sample among nulls has an error as large as the mean.
+        MapKind("relative_error", "Standard error over mean", _OVER_MEAN, log=True, limits=(-3, 0)),
         MapKind("bad_count", "Bad samples", "samples"),
         MapKind("tail_index", "Tail index", "generalised Pareto ξ, luminance", limits=(-0.5, 1)),
         MapKind("best_family", "Best family", "by BIC, luminance", dict(enumerate(SELECTED))),

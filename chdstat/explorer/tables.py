@@ -212,6 +212,8 @@ def _p(value: float) -> str:
     """Return a p-value; below 0.001 as a power of ten."""
     if not np.isfinite(value):
         return "—"
+    if value == 0:  # too small for a float
+        return "< 1e−300"
     if value < 1e-3:
         return f"{value:.0e}".replace("-", "−").replace("e−0", "e−")
     return f"{value:.3f}" if value < 0.1 else f"{value:.2f}"

@@ -187,6 +187,7 @@ def _running(series: Sequence[Series]) -> Panel:
 def _averages(view: View, series: Sequence[Series]) -> Panel:
     """Draw the distribution of averages of N samples, with the Gaussian of the same moments."""
     areas, lines, notes = [], [], []
+    beyond = 0.0
     for s in series:
         averages = s.measured.averages(view.batch)[s.row]
         averages = averages[np.isfinite(averages)]
@@ -195,23 +196,35 @@ def _averages(view: View, series: Sequence[Series]) -> Panel:
         if averages.min() == averages.max():
             notes.append(f"{s.name}: all equal")
             continue
-        bins = int(np.clip(np.sqrt(len(averages)), 8, 40))
-        heights, edges = np.histogram(averages, bins=bins, density=True)
+        edges = _edges_of_averages(averages)
+        heights = np.histogram(averages, edges)[0] / (len(averages) * (edges[1] - edges[0]))
+        beyond = max(beyond, float((averages > edges[-1]).mean()))
         x, y = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
         if not s.other:
             areas.append(Trace(x, y, s.color, name=s.name))
         lines.append(Trace(x, y, s.color, "dashed" if s.other else "solid", 1.2, s.name))
         if not s.other:
-            lines.append(_gaussian(averages, s))
+            lines.append(_gaussian(averages, edges, s))
             notes.append(_normality(s, view.batch))
     if not lines:
         notes = notes or [f"too few samples for averages of {view.batch}"]
+    if beyond > 0:
+        notes.append(f"{_percent(beyond)} beyond")
     return Panel(areas, lines, notes=[n for n in notes if n])
 
 
-def _gaussian(averages: Floats, s: Series) -> Trace:
+def _edges_of_averages(averages: Floats) -> Floats:
+    """Return edges of bins up to the largest average, or to where few fireflies begin."""
+    bins = int(np.clip(np.sqrt(len(averages)), 8, 40))
+    low, usual, high = averages.min(), np.quantile(averages, 0.99), averages.max()
+    end = min(high, usual + (usual - low)) if usual > low else high
+    return np.linspace(low, end, bins + 1)
+
+
+def _gaussian(averages: Floats, edges: Floats, s: Series) -> Trace:
     mean, sd = averages.mean(), averages.std(ddof=1)
-    x = np.linspace(max(averages.min() - sd, min(0.0, averages.min())), averages.max() + sd, 120)
+    low, high = edges[0], edges[-1]
+    x = np.linspace(max(low - sd, min(0.0, low)), min(high + sd, 2 * high - low), 120)
     y = np.exp(-(((x - mean) / sd) ** 2) / 2) / (sd * np.sqrt(2 * np.pi))
     return Trace(x, y, s.color, "dotted", 1.8, f"{s.name} Gaussian")
 

@@ -98,8 +98,8 @@ def _squares(evidence: Evidence, partner: Ints) -> Floats:
 def _exhibit(evidence: Evidence, partner: Ints, square: Floats) -> Exhibit:
     """Return the CHDs of the firefly at the median distance and of its neighbour."""
     chds = evidence.chds.whole.reshape(square.size, -1)
-    known = np.count_nonzero(np.isfinite(square))
-    place = int(np.argsort(square, kind="stable")[max(known - 1, 0) // 2])
+    known = int(np.isfinite(square).sum())
+    place = int(np.argsort(square, kind="stable")[known // 2])
     edges = -5 + _BIN * np.arange(chds.shape[1])
     pair = {"firefly at the median distance": place, "neighbour": int(partner.ravel()[place])}
     return Exhibit(

@@ -140,6 +140,33 @@ def test_quantiles_of_the_true_family_lie_on_the_diagonal():
         np.testing.assert_allclose(line.y[middle], line.x[middle], rtol=0.2)
 
 
+def test_few_fireflies_among_the_averages_squeeze_nothing():
+    x = np.random.default_rng(0).gamma(2.0, size=(3, 32 * 500)).astype(np.float32)
+    x[:, 7] = 1e5
+    drawn = panels(View(batch=32), series_of(View(batch=32), [Measured(x, RGB)]))["averages"]
+    assert drawn.notes[-1] == "0.2 % beyond"
+    for area in drawn.areas:
+        assert area.x.max() < 10
+        assert np.trapezoid(area.y, area.x) == pytest.approx(0.998, abs=1e-6)
+
+
+def test_averages_that_are_nearly_all_null_keep_their_range():
+    x = np.zeros((3, 32 * 500), np.float32)
+    x[..., 7] = 1.0
+    drawn = panels(View(batch=32), series_of(View(batch=32), [Measured(x, RGB)]))["averages"]
+    assert drawn.areas[0].x.max() == pytest.approx(1 / 32)
+
+
+def test_a_p_value_below_all_floats_is_said_to_be():
+    assert [tables._p(v) for v in (0.0, 2e-5, 0.02, 0.5, np.nan)] == [
+        "< 1e−300",
+        "2e−5",
+        "0.020",
+        "0.50",
+        "—",
+    ]
+
+
 def test_cargo_holds_what_panels_hold():
     view = View()
     drawn = panels(view, series_of(view, [Measured(gamma(), RGB)]))

@@ -14,7 +14,7 @@ from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import cache
 from chdstat.explorer.images import Overall, preview, rgba, stream
 from chdstat.explorer.live import FIRST_SPP, SceneSource
-from chdstat.explorer.maps import MAPS, map_kind, of_overall, walk
+from chdstat.explorer.maps import MAPS, Map, map_kind, of_overall, walk
 from chdstat.explorer.sources import StoreSource, pooled
 from chdstat.fit.tail import tail_of_part
 from chdstat.patterns import classify, luminance_part
@@ -141,6 +141,13 @@ def test_every_map_covers_the_image(flames, name):
     assert low < high
     if found.kind.names:
         assert set(np.unique(found.values[np.isfinite(found.values)])) <= set(found.kind.names)
+
+
+def test_pixels_without_noise_do_not_stretch_the_colours():
+    values = np.full((10, 10), -1.0, np.float32)
+    values[:2] = -17
+    values[2:4] = 1
+    assert Map(MAPS["variance"], values).limits == (-7, 1)
 
 
 def test_maps_say_what_the_library_says(flames):
