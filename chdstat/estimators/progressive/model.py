@@ -8,46 +8,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, generator
+from chdstat._arrays import generator
 from chdstat.errors import InputError
-from chdstat.estimators._rows import check_pixels
-from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.heldout import Totals, direct_of
 from chdstat.estimators.progressive.application import apply, with_constants, with_means
-from chdstat.estimators.progressive.conditions import CONDITIONS, conditions_of
 from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.lessons import (
     Material,
-    Scenery,
-    ask,
-    scenery_of,
     with_reference,
     without_reference,
 )
 from chdstat.estimators.progressive.pictures import Scene, chosen_pixels
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.provenance import Origin, provenance_of
+from chdstat.estimators.progressive.questions import Question, check_asked, conditions_of_rows
 from chdstat.estimators.progressive.results import Estimates, Learned
+from chdstat.estimators.progressive.sights import Sights
 from chdstat.estimators.progressive.storage import read_learned, write_learned
 from chdstat.estimators.progressive.teaching import teach
 from chdstat.estimators.training import History
 from chdstat.samples import Samples
 
-__all__ = ["Progressive", "checked_direct"]
+__all__ = ["Progressive"]
 
 Array = npt.NDArray[Any]
 Features = Mapping[str, Array]
 
-_SIGHTS = ("features", "neighbours", "conditioned", "direct")
-_PIXELS_OF_CONDITIONS = 4096
-"""Of a picture, evenly spaced: their samples tell what it is like."""
 _FEWEST_HALVES = 2
 
 
@@ -118,9 +111,13 @@ class Progressive:
         self._learned: Learned | None = None
 
     def __repr__(self) -> str:
-        sees = [name for name in _SIGHTS if getattr(self, name)]
         known = "untrained" if self._learned is None else f"scene {self.provenance['scene']!r}"
-        return f"<Progressive {', '.join([*sees, known])}>"
+        return f"<Progressive {', '.join([*self.sights.names(), known])}>"
+
+    @property
+    def sights(self) -> Sights:
+        """What it looks at beside the samples of a pixel."""
+        return Sights(self.features, self.neighbours, self.conditioned, self.direct)
 
     @property
     def unit(self) -> float:
@@ -218,14 +215,15 @@ class Progressive:
             message = f"iterations must be at least 1, got {iterations}"
             raise InputError(message)
         pictures = [samples] if isinstance(samples, Samples) else list(samples)
-        self._check_lesson(pictures, reference=reference, split_options=(pixels, sizes))
+        sights = self.sights
+        sights.check_lesson(pictures, reference=reference, split_options=(pixels, sizes))
         if reference:
             given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
             drawn = chosen_pixels(pictures, given, seed=seed)
             scenes = [
                 Scene(
                     picture,
-                    self._features_of(picture),
+                    sights.features_of(picture),
                     picture_unit(_means(picture)),
                     own,
                     direct_of(picture) if self.direct else None,
@@ -244,7 +242,7 @@ class Progressive:
             units = [picture_unit(_means(pictures[0]))]
             material = without_reference(
                 pictures[0].read(),
-                features=self._features_of(pictures[0]),
+                features=sights.features_of(pictures[0]),
                 neighbours=self.neighbours,
                 unit=units[0],
                 iterations=iterations,
@@ -271,7 +269,8 @@ class Progressive:
         ndarray
             Shape (..., channel).
         """
-        return self._estimate(x, features, direct, balance, unit, trust, level=None).radiance
+        asked = self._asked(x, features=features, direct=direct, balance=balance, unit=unit)
+        return self._answer(asked, trust, level=None).radiance
 
     def estimate(
         self,
@@ -315,7 +314,8 @@ class Progressive:
         if not 0 < level < 1:
             message = f"level must lie between 0 and 1, got {level}"
             raise InputError(message)
-        return self._estimate(x, features, direct, balance, unit, trust, level=level)
+        asked = self._asked(x, features=features, direct=direct, balance=balance, unit=unit)
+        return self._answer(asked, trust, level=level)
 
     def trust(
         self,
@@ -358,9 +358,9 @@ class Progressive:
         InputError
             As for `estimate`, or if there is but one sample.
         """
-        samples = self._checked(x, balance)
-        part = checked_direct(self, direct, samples.shape)
-        return self._trust(samples, features, part, balance, _unit_of(samples, unit))
+        return self._paying(
+            self._asked(x, features=features, direct=direct, balance=balance, unit=unit)
+        )
 
     def of_profile(
         self,
@@ -377,22 +377,20 @@ class Progressive:
         InputError
             As for `estimate`; or if it looks at neighbours, which need samples.
         """
-        if self.neighbours:
-            message = "an estimator that looks at neighbours needs the samples, not their profiles"
-            raise InputError(message)
-        self._check(profile.channels, balance)
-        self._check_parts(profile)
-        shape = profile.count.shape
+        shape = self._state.network.shape
+        check_asked(shape.channels, profile.channels, balance)
+        self.sights.check_profile(profile, shape.parts)
+        pixels = profile.count.shape
         rows = profile.reshape(-1)
         conditions = None
         if self.conditioned:
-            conditions = conditions_of(rows[:: _step(len(rows.count))])
+            conditions = conditions_of_rows(len(rows.count), lambda some: rows[some])
         return apply(
             self._state,
             lambda part: rows[part],
-            self._scenery(features, shape, None, conditions),
+            self.sights.scenery(features, pixels, None, conditions, described=shape.described),
             None,
-            shape=shape,
+            shape=pixels,
             balance=balance,
             level=level,
         )
@@ -407,7 +405,7 @@ class Progressive:
         StoreError
             If the file cannot be written.
         """
-        write_learned(path, self._state, self._sights)
+        write_learned(path, self._state, asdict(self.sights))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -424,44 +422,11 @@ class Progressive:
         return model
 
     @property
-    def _sights(self) -> dict[str, bool]:
-        return {sight: getattr(self, sight) for sight in _SIGHTS}
-
-    @property
     def _state(self) -> Learned:
         if self._learned is None:
             message = f"{self.name} is not trained yet; call train(samples) or load(path)"
             raise InputError(message)
         return self._learned
-
-    def _features_of(self, samples: Samples) -> Features | None:
-        if not self.features:
-            return None
-        if not samples.features:
-            message = "this picture has no first-hit features; render it, or pass features=False"
-            raise InputError(message)
-        return samples.features
-
-    def _check_lesson(
-        self, pictures: Sequence[Samples], *, reference: bool, split_options: tuple[Any, Any]
-    ) -> None:
-        if not pictures:
-            message = "training needs at least one picture, got none"
-            raise InputError(message)
-        if reference and self.neighbours:
-            message = "neighbours=True learns without a reference: train(samples, reference=False)"
-            raise InputError(message)
-        if reference:
-            return
-        if split_options != (None, None):
-            message = "pixels and sizes are for training with a reference; without one, all train"
-            raise InputError(message)
-        if len(pictures) > 1 or self.conditioned:
-            message = (
-                "several pictures, and conditioned=True, are for training with a reference; "
-                "without one, give the one picture that is to be improved"
-            )
-            raise InputError(message)
 
     def _learn(
         self,
@@ -476,7 +441,8 @@ class Progressive:
             material, channels=pictures[0].shape[2], seed=seed, progress=progress
         )
         origins = [Origin.of(one, unit) for one, unit in zip(pictures, units, strict=True)]
-        provenance = provenance_of(origins, material, sights=self._sights, seed=seed, trust=trust)
+        sights = asdict(self.sights)
+        provenance = provenance_of(origins, material, sights=sights, seed=seed, trust=trust)
         return Learned(
             network,
             spread,
@@ -488,170 +454,50 @@ class Progressive:
             trust,
         )
 
-    def _estimate(
-        self,
-        x: npt.ArrayLike,
-        features: Features | None,
-        direct: npt.ArrayLike | None,
-        balance: float,
-        unit: float | None,
-        trust: float | Literal["halves"],
-        *,
-        level: float | None,
+    def _asked(self, x: npt.ArrayLike, **given: Any) -> Question:
+        return Question.of(x, self.sights, self.channels, **given)
+
+    def _answer(
+        self, asked: Question, trust: float | Literal["halves"], *, level: float | None
     ) -> Estimates:
-        samples = self._checked(x, balance)
-        direct = checked_direct(self, direct, samples.shape)
-        unit = _unit_of(samples, unit)
-        share: Any = trust
-        if share == "halves":
-            share = self._trust(samples, features, direct, balance, unit)
+        share: Any = self._paying(asked) if trust == "halves" else trust
         if isinstance(share, str) or not 0 <= share <= 1:
             message = f"trust must lie between 0 and 1, or be 'halves', got {share}"
             raise InputError(message)
-        *shape, channels, n = samples.shape
-        profile, asked = None, None
-        if self.neighbours:
-            check_pixels(samples, picture=True)
-            profile = Profile.of(samples, unit=unit)
-            asked = ask(samples) / np.float32(unit)
-        rows = samples.reshape(-1, channels, n)
-        first = None if direct is None else direct.reshape(rows.shape)
-        conditions = None
-        if self.conditioned:
-            seen = rows[:: _step(len(rows))]
-            conditions = conditions_of(Profile.of(seen, unit=unit))
+        state = self._state
+        scenery, alike = asked.seen(self.sights, state.network.shape)
         found = apply(
-            self._trusted(share),
-            lambda part: Profile.of(
-                rows[part], unit=unit, direct=None if first is None else first[part]
-            ),
-            self._scenery(features, tuple(shape), profile, conditions),
-            asked,
-            shape=tuple(shape),
-            balance=balance,
+            replace(state, trust=state.trust * share),
+            asked.profile,
+            scenery,
+            alike,
+            shape=asked.shape,
+            balance=asked.balance,
             level=level,
         )
-        return with_constants(with_means(found, samples), samples)
+        return with_constants(with_means(found, asked.samples), asked.samples)
 
-    def _trust(
-        self,
-        samples: Array,
-        features: Features | None,
-        direct: Array | None,
-        balance: float,
-        unit: float,
-    ) -> float:
+    def _paying(self, asked: Question) -> float:
+        """Return how far it pays to go from the mean to the answer."""
         from chdstat.estimators.progressive.doubt import paying_share
         from chdstat.estimators.progressive.training import FLOOR
 
-        if samples.shape[-1] < _FEWEST_HALVES:
-            message = f"halves need at least {_FEWEST_HALVES} samples, got {samples.shape[-1]}"
+        if asked.samples.shape[-1] < _FEWEST_HALVES:
+            message = (
+                f"halves need at least {_FEWEST_HALVES} samples, got {asked.samples.shape[-1]}"
+            )
             raise InputError(message)
+        powers = [p for p, part in ((0, 1 - asked.balance), (1, asked.balance)) if part > 0]
         return paying_share(
-            samples,
-            lambda half, part=None: (
-                self._estimate(half, features, part, balance, unit, 1.0, level=None).radiance
+            asked.samples,
+            lambda half, direct=None: (
+                self._answer(asked.of_part(half, direct), 1.0, level=None).radiance
             ),
-            powers=[power for power, part in ((0, 1 - balance), (1, balance)) if part > 0],
+            powers=powers,
             floor=FLOOR,
-            unit=unit,
-            direct=direct,
+            unit=asked.unit,
+            direct=asked.direct,
         )
-
-    def _trusted(self, trust: float) -> Learned:
-        """Return what was learned, to be believed in part."""
-        return replace(self._state, trust=self._state.trust * trust)
-
-    def _checked(self, x: npt.ArrayLike, balance: float) -> Array:
-        samples = as_samples(x)
-        if samples.ndim < 2:
-            message = f"x must have shape (..., channel, sample), got {samples.shape}"
-            raise InputError(message)
-        self._check(samples.shape[-2], balance)
-        return samples
-
-    def _check(self, channels: int, balance: float) -> None:
-        if channels != self.channels:
-            message = (
-                f"the model was trained on samples with {self.channels} channels, got {channels}; "
-                "train one for these"
-            )
-            raise InputError(message)
-        if not 0 <= balance <= 1:
-            message = f"balance must lie between 0 (MSE) and 1 (relMSE), got {balance}"
-            raise InputError(message)
-
-    def _check_parts(self, profile: Profile) -> None:
-        wanted = self._state.network.shape.parts
-        if profile.parts != wanted:
-            message = f"the model looks at {wanted} part(s) of a sample, got {profile.parts}"
-            raise InputError(message)
-        if self.direct and self.conditioned:
-            message = "conditions need the samples, not profiles of direct and indirect light"
-            raise InputError(message)
-
-    def _scenery(
-        self,
-        features: Features | None,
-        shape: tuple[int, ...],
-        profile: Profile | None,
-        conditions: npt.NDArray[np.float32] | None,
-    ) -> Scenery:
-        count = int(np.prod(shape))
-        found = Scenery.nothing(count)
-        if self.features or self.neighbours:
-            if len(shape) != 2:
-                message = (
-                    f"features belong to a picture (y, x, channel, sample), got pixels {shape}"
-                )
-                raise InputError(message)
-            found = scenery_of(features if self.features else None, (shape[0], shape[1]), profile)
-        if conditions is not None:
-            whole = np.tile(conditions, (count, 1))
-            described = np.concatenate([found.described, whole], axis=1) if self.features else whole
-            found = replace(found, described=described)
-        wanted = self._state.network.shape.described
-        if found.described.shape[1] != wanted:
-            own = CONDITIONS * self.conditioned
-            message = (
-                f"the model looks at {wanted - own} numbers of the first hit, but these features "
-                f"give {found.described.shape[1] - own}; pass features= as it was trained with"
-            )
-            raise InputError(message)
-        return found
-
-
-def checked_direct(
-    model: Progressive, direct: npt.ArrayLike | None, shape: tuple[int, ...]
-) -> Array | None:
-    """Return the direct part of samples of a shape where the model looks at it, else None.
-
-    Raises
-    ------
-    InputError
-        If it is wanted, and missing or of another shape.
-    """
-    if not model.direct:
-        return None
-    if direct is None:
-        message = (
-            "the model looks at direct light; pass direct=, the direct part of the samples, as "
-            "Samples.direct of a picture that was rendered with direct=True"
-        )
-        raise InputError(message)
-    part = as_samples(direct, name="direct")
-    if part.shape != shape:
-        message = f"direct must have the shape of the samples, {shape}, got {part.shape}"
-        raise InputError(message)
-    return part
-
-
-def _unit_of(samples: Array, unit: float | None) -> float:
-    return picture_unit(mean_of_good(samples)) if unit is None else unit
-
-
-def _step(pixels: int) -> int:
-    return max(1, pixels // _PIXELS_OF_CONDITIONS)
 
 
 def _means(samples: Samples) -> Array:

@@ -14,7 +14,7 @@ from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.progressive.courses import Course
 from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.first_hit import Features, describe
-from chdstat.estimators.progressive.model import Progressive, checked_direct
+from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.results import Estimates
 from chdstat.progress import track
@@ -152,7 +152,7 @@ class Stream:
         if samples.ndim < 2:
             message = f"x must have shape (..., channel, sample), got {samples.shape}"
             raise InputError(message)
-        part = checked_direct(self._model, direct, samples.shape)
+        part = self._model.sights.direct_of(direct, samples.shape)
         shape, channels = samples.shape[:-2], samples.shape[-2]
         if self._profile is None:
             unit = picture_unit(mean_of_good(samples)) if self._unit is None else self._unit

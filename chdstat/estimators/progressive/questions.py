@@ -1,0 +1,153 @@
+"""Questions: samples to estimate from, with all that goes with them, checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import as_samples
+from chdstat.errors import InputError
+from chdstat.estimators._rows import check_pixels
+from chdstat.estimators.classical import mean_of_good
+from chdstat.estimators.progressive.conditions import conditions_of
+from chdstat.estimators.progressive.exposure import picture_unit
+from chdstat.estimators.progressive.lessons import Scenery, ask
+from chdstat.estimators.progressive.profiles import Profile
+from chdstat.estimators.progressive.shapes import Shape
+from chdstat.estimators.progressive.sights import Sights
+
+__all__ = ["Question", "check_asked", "conditions_of_rows"]
+
+Array = npt.NDArray[Any]
+Features = Mapping[str, Array]
+
+_PIXELS_OF_CONDITIONS = 4096
+"""Of a picture, evenly spaced: their samples tell what it is like."""
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a network is asked.
+
+    Attributes
+    ----------
+    samples
+        Shape (..., channel, sample).
+    features
+        First-hit features of the picture.
+    direct
+        Direct part of the samples, of their shape; None where nobody looks at it.
+    balance
+        From 0, the least MSE, to 1, the least relMSE.
+    unit
+        Mean radiance of the picture that the samples belong to.
+    """
+
+    samples: Array
+    features: Features | None
+    direct: Array | None
+    balance: float
+    unit: float
+
+    @classmethod
+    def of(
+        cls,
+        x: npt.ArrayLike,
+        sights: Sights,
+        channels: int,
+        *,
+        features: Features | None,
+        direct: npt.ArrayLike | None,
+        balance: float,
+        unit: float | None,
+    ) -> Self:
+        """Check what a user asks of an estimator with sights, for samples of so many channels.
+
+        Raises
+        ------
+        InputError
+            If the samples have another shape, the direct part is missing, or the balance is out of
+            range.
+        """
+        samples = as_samples(x)
+        if samples.ndim < 2:
+            message = f"x must have shape (..., channel, sample), got {samples.shape}"
+            raise InputError(message)
+        check_asked(channels, samples.shape[-2], balance)
+        part = sights.direct_of(direct, samples.shape)
+        measured = picture_unit(mean_of_good(samples)) if unit is None else unit
+        return cls(samples, features, part, balance, measured)
+
+    def of_part(self, samples: Array, direct: Array | None) -> Self:
+        """Return the same question about some of the samples."""
+        return replace(self, samples=samples, direct=direct)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the pixels."""
+        return self.samples.shape[:-2]
+
+    def profile(self, part: slice) -> Profile:
+        """Return the profiles of some pixels, counted along the flat image."""
+        return Profile.of(
+            self._rows[part],
+            unit=self.unit,
+            direct=None if self.direct is None else self._flat(self.direct)[part],
+        )
+
+    def seen(self, sights: Sights, shape: Shape) -> tuple[Scenery, npt.NDArray[np.float32] | None]:
+        """Return what a network sees beside the samples, and what alike pixels say.
+
+        Raises
+        ------
+        InputError
+            If the samples are no picture where they must be, or features are not as in training.
+        """
+        profile, alike, conditions = None, None, None
+        if sights.neighbours:
+            check_pixels(self.samples, picture=True)
+            profile = Profile.of(self.samples, unit=self.unit)
+            alike = ask(self.samples) / np.float32(self.unit)
+        if sights.conditioned:
+            conditions = conditions_of_rows(
+                len(self._rows), lambda some: Profile.of(self._rows[some], unit=self.unit)
+            )
+        scenery = sights.scenery(
+            self.features, self.shape, profile, conditions, described=shape.described
+        )
+        return scenery, alike
+
+    @property
+    def _rows(self) -> Array:
+        return self._flat(self.samples)
+
+    def _flat(self, x: Array) -> Array:
+        return x.reshape(-1, *x.shape[-2:])
+
+
+def conditions_of_rows(count: int, profile: Callable[[slice], Profile]) -> npt.NDArray[np.float32]:
+    """Return what a picture of so many pixels is like, from the profiles of some of them."""
+    return conditions_of(profile(slice(None, None, max(1, count // _PIXELS_OF_CONDITIONS))))
+
+
+def check_asked(channels: int, asked: int, balance: float) -> None:
+    """Refuse samples of other channels than a network's, and a balance out of range.
+
+    Raises
+    ------
+    InputError
+        If either is so.
+    """
+    if asked != channels:
+        message = (
+            f"the model was trained on samples with {channels} channels, got {asked}; "
+            "train one for these"
+        )
+        raise InputError(message)
+    if not 0 <= balance <= 1:
+        message = f"balance must lie between 0 (MSE) and 1 (relMSE), got {balance}"
+        raise InputError(message)
