@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ __all__ = ["Block", "Shards"]
 
 _CHECKSUM = 4
 _ENTRY = 16
+_THREADS = 2
 _CODECS = ["bytes", "blosc", "crc32c"]
 
 Image = npt.NDArray[np.float32]
@@ -59,10 +61,18 @@ class Shards:
         per_tile = TILE // BLOCK
         (tile_y, y), (tile_x, x) = divmod(row, per_tile), divmod(column, per_tile)
         inside = np.s_[: height - row * BLOCK, : width - column * BLOCK]
+        batches = list(spans(spp, BATCH))
+        folder = self._folder / f"c/{tile_y}/{tile_x}/0"
+        # Unpacking leaves the interpreter to others: a person waits for half of it.
+        with ThreadPoolExecutor(_THREADS) as pool:
+            read = list(
+                pool.map(
+                    lambda i: _inner(folder / str(i), y * per_tile + x, per_tile**2),
+                    range(len(batches)),
+                )
+            )
         parts: list[Image] = []
-        for ss in spans(spp, BATCH):
-            file = self._folder / f"c/{tile_y}/{tile_x}/0/{len(parts)}"
-            part = _inner(file, y * per_tile + x, per_tile**2)
+        for part, ss in zip(read, batches, strict=True):
             if part is None or len(part) != BLOCK * BLOCK * channels * BATCH * 4:
                 return None
             samples = np.frombuffer(part, "<f4").reshape(BLOCK, BLOCK, channels, BATCH)
