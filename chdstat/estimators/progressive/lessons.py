@@ -18,6 +18,7 @@ from chdstat.estimators.progressive.pictures import Lot, Scene
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.splits import Parts, Splits
 from chdstat.estimators.progressive.surroundings import BANDS, RADII, surround
+from chdstat.samples import Samples
 
 __all__ = [
     "Lesson",
@@ -180,21 +181,21 @@ def _check_alike(what: str, found: Sequence[int]) -> None:
 
 
 def without_reference(
-    picture: Picture,
+    picture: Samples,
     *,
     features: Features | None,
     neighbours: bool,
     unit: float,
     iterations: int | None,
     rng: np.random.Generator,
-    direct: Picture | None = None,
+    direct: Samples | None = None,
 ) -> Material:
     """Return a picture's pixels, each with splits of its own samples.
 
     Parameters
     ----------
     picture
-        Samples, shape (y, x, channel, sample).
+        Of which a part is read, if it is large.
     features
         First-hit features of the picture, or none.
     neighbours
@@ -214,7 +215,7 @@ def without_reference(
         message = f"learning from halves of the samples needs at least {_FEWEST} spp, got {spp}"
         raise InputError(message)
     ys, xs = _window(picture.shape[:2], rng)
-    part = picture[ys, xs]
+    part = picture.read(ys, xs)
     shape = part.shape[:2]
     features = None if features is None else {k: v[ys, xs] for k, v in features.items()}
     prepared = _prepared(part, rng) if neighbours else []
@@ -228,7 +229,7 @@ def without_reference(
     )
     profile = Profile.of(part, unit=unit) if neighbours else None
     rows = part.reshape(-1, *part.shape[2:])
-    first = None if direct is None else direct[ys, xs].reshape(rows.shape)
+    first = None if direct is None else direct.read(ys, xs).reshape(rows.shape)
     bad = is_bad(rows).any(axis=(1, 2))
     if first is not None:
         bad |= is_bad(first).any(axis=(1, 2))

@@ -241,13 +241,13 @@ class Progressive:
         else:
             units = [picture_unit(_means(pictures[0]))]
             material = without_reference(
-                pictures[0].read(),
+                pictures[0],
                 features=sights.features_of(pictures[0]),
                 neighbours=self.neighbours,
                 unit=units[0],
                 iterations=iterations,
                 rng=generator(seed),
-                direct=direct_of(pictures[0]).read() if self.direct else None,
+                direct=direct_of(pictures[0]) if self.direct else None,
             )
         self._learned = self._learn(pictures, material, units, seed=seed, progress=progress)
         return self
