@@ -101,7 +101,7 @@ def _exhibit(evidence: Evidence, partner: Ints, square: Floats) -> Exhibit:
     known = int(np.isfinite(square).sum())
     place = int(np.argsort(square, kind="stable")[known // 2])
     edges = -5 + _BIN * np.arange(chds.shape[1])
-    pair = {"firefly at the median distance": place, "neighbour": int(partner.ravel()[place])}
+    pair = {"firefly": place, "neighbour": int(partner.ravel()[place])}
     return Exhibit(
         "curves",
         {name: (edges, chds[i]) for name, i in pair.items()},
