@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import glob
 import hashlib
+import importlib.metadata
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,6 +16,7 @@ from chdstat._records import read_record, write_record
 from chdstat.analysis import analyze, save
 from chdstat.comparison import Comparison, compare
 from chdstat.errors import StoreError
+from chdstat.estimators import LearnedEstimator, lookup
 from chdstat.estimators.registry import Model
 from chdstat.models import AnyModel, load_model
 from chdstat.samples import Samples
@@ -28,6 +31,8 @@ __all__ = ["analysis_of", "comparison_of", "record_of", "summary_of"]
 T = TypeVar("T")
 
 _MODEL, _RECORD = ".safetensors", ".npz"
+_LIBRARIES = ("numpy", "scipy", "scikit-learn", "statsmodels", "diptest", "torch", "pyoidn")
+"""Whose numbers are kept; without the last one, a denoiser, some are missing."""
 _N = 32
 """Samples of one estimate, as in Elek et al. 2019."""
 
@@ -79,7 +84,16 @@ def comparison_of(
                 model.save(kept[name])
         return replace(found, models={})  # a record holds no network
 
-    found = record_of(samples, stores, "comparison", Comparison, compared, needs=[estimators])
+    learned = {name for name in estimators if isinstance(lookup(name), LearnedEstimator)}
+    found = record_of(
+        samples,
+        stores,
+        "comparison",
+        Comparison,
+        compared,
+        needs=[estimators],
+        afresh=not learned <= known.keys(),
+    )
     return replace(found, models=models)
 
 
@@ -91,6 +105,7 @@ def record_of(
     work: Callable[[], T],
     *,
     needs: Sequence[object] = (),
+    afresh: bool = False,
 ) -> T:
     """Return what was found in samples, from the cache where it is there.
 
@@ -107,12 +122,14 @@ def record_of(
     needs
         What else it depends on, each with a `repr` that tells it from others; None if one of these
         has nothing that would tell it, so that nothing is kept.
+    afresh
+        Find it again, though it may be there: something that goes with it is not.
     """
     told = hashlib.sha256(repr(needs).encode()).hexdigest()[:12]
     place = None if None in needs else _place(samples, stores, f"{name}-{told}-", _RECORD)
     if place is None:
         return work()
-    if place.is_file():
+    if place.is_file() and not afresh:
         try:
             return read_record(place, kind)
         except StoreError:  # damaged: find it again
@@ -134,13 +151,20 @@ def _place(samples: Samples, stores: Stores, name: str, suffix: str) -> Path | N
 
 @functools.cache
 def _code() -> str:
-    """Return a digest of the package's own code: what another version computed is not read."""
-    digest = hashlib.sha256()
+    """Return a digest of all code that findings rest on: what other code computed is not read."""
+    digest = hashlib.sha256(repr([_version(name) for name in _LIBRARIES]).encode())
     package = Path(__file__).parents[1]
     for path in sorted(package.rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
+
+
+def _version(library: str) -> str:
+    try:
+        return importlib.metadata.version(library)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
 
 
 def _dataset(
@@ -185,7 +209,7 @@ def _read_model(place: Path) -> AnyModel | None:
 
 def _forget_others(place: Path) -> None:
     """Delete what earlier code kept of the same samples."""
-    prefix = place.stem.removesuffix(_code())
+    prefix = glob.escape(place.stem.removesuffix(_code()))
     for old in place.parent.glob(f"{prefix}*{place.suffix}"):
         if old.is_dir():
             shutil.rmtree(old, ignore_errors=True)

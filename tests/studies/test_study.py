@@ -272,6 +272,11 @@ def test_what_learned_is_kept_beside_its_samples(found, folder, tmp_path, monkey
         record.write_bytes(b"damaged")
     caches.comparison_of(samples, names, labels, where, progress=False)
     assert list(asked[1]) == ["elek2019"]
+    (network,) = copy.glob("*.safetensors")
+    network.write_bytes(b"damaged")  # a comparison without its network is none
+    last = caches.comparison_of(samples, names, labels, where, progress=False)
+    assert asked[2] == {}
+    assert list(last.models) == names[1:]
     assert len(list(copy.glob("*.safetensors"))) == 1
 
 
