@@ -105,6 +105,8 @@ def test_scenes_that_cannot_be_rendered_are_refused():
 
 def test_ctrl_c_ends_it():
     code = (
+        # A shell that runs the tests in the background has its children ignore Ctrl-C.
+        "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "from chdstat.capture import render_batches\n"
         "for k, _ in enumerate(render_batches('cornell-box', spp=10**5, size=(64, 64),"
         " backend='scalar', batch=8)):\n"
