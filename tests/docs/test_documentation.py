@@ -6,6 +6,7 @@ import ast
 import pydoc
 import re
 import runpy
+import shlex
 import textwrap
 import tomllib
 from importlib import metadata
@@ -59,19 +60,34 @@ def test_python_in_the_readme_is_python_and_its_names_exist() -> None:
     assert set(used) <= set(chd.__all__)
 
 
-def test_commands_in_the_readme_exist() -> None:
+def commands() -> set[str]:
+    """Return all that the documentation, and the help itself, tells people to type."""
     from typer.main import get_command
 
     from chdstat.cli import app
 
-    used = {
-        line.split()[1]
-        for block in code_blocks(README, "sh")
-        for line in block.replace("&&", "\n").splitlines()
-        if line.strip().startswith("chdstat ")
-    }
-    assert used >= {"render", "info", "analyze", "report", "doctor"}
-    assert used <= set(get_command(app).commands)
+    lines = [line for block in code_blocks(README, "sh") for line in re.split("&&|\n", block)]
+    for page in (ROOT / "docs").rglob("*.rst"):
+        lines += re.findall(r"^ +\$ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    for command in get_command(app).commands.values():
+        lines.append((command.epilog or "").removeprefix("Example: "))
+    for path in (*(ROOT / "docs" / "examples").glob("*.py"), *(ROOT / "docs").glob("*.rst")):
+        lines += re.findall(r"``(chdstat [^`]+ [^`]+)``", path.read_text(encoding="utf-8"))
+    return {line.strip() for line in lines if line.strip().startswith("chdstat ")}
+
+
+def test_commands_in_the_documentation_can_be_typed() -> None:
+    from typer.main import get_command
+
+    from chdstat.cli import app
+
+    known, used = get_command(app).commands, commands()
+    assert len(used) > 20
+    for line in used:
+        _, name, *arguments = shlex.split(line, comments=True)
+        known[name].make_context(name, arguments)  # refuses what it does not know
+    with pytest.raises(Exception, match="unexpected extra argument"):
+        known["explore"].make_context("explore", ["one.zarr", "two.zarr"])
 
 
 @pytest.mark.parametrize("name", sorted(set(chd.__all__) - {"__version__"}))
