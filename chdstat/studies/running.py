@@ -157,7 +157,7 @@ def _scene(
         findings=tuple(_confirmed(f, repeated.get(f.number)) for f in findings),
         repeated={number: f.verdict for number, f in repeated.items()},
         chosen=not subject.regions,
-        atlas=clock("atlas", lambda: _shapes(samples, dataset, stores)),
+        atlas=clock("atlas", lambda: _shapes(samples, stores)),
         again=renders.again,
         seconds=clock.seconds,
         notes=notes,
@@ -247,8 +247,11 @@ def _confirmed(finding: Finding, again: Finding | None) -> Finding:
     return replace(finding, verdict="cannot tell", reason=reason)
 
 
-def _shapes(samples: Samples, dataset: xr.Dataset, stores: Stores) -> Atlas | None:
-    found = record_of(samples, stores, "atlas", Atlas, lambda: atlas(dataset))
+def _shapes(samples: Samples, stores: Stores) -> Atlas | None:
+    def drawn() -> Atlas:
+        return atlas(samples, progress=stores.progress)
+
+    found = record_of(samples, stores, "atlas", Atlas, drawn)
     return found if len(found.share) else None
 
 

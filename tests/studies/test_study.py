@@ -55,11 +55,11 @@ def noise(scene, shape=(12, 12, 3, 128), seed=0):
 def few_shapes():
     """Let atlases have two shapes: to choose their number takes longer than all the rest."""
 
-    def drawn(dataset):
+    def drawn(samples, **options):
         try:
-            return atlas(dataset, clusters=2)
+            return atlas(samples, clusters=2, **options)
         except InputError:  # all pixels are alike
-            return atlas(dataset)
+            return atlas(samples, **options)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(running, "atlas", drawn)
