@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from chdstat import viz
 from chdstat._arrays import is_bad, is_null, luminance
+from chdstat._exposure import auto_exposure
 from chdstat._moments import Moments
 from chdstat.errors import InputError
 from chdstat.explorer.sources import StoreSource
@@ -63,10 +64,8 @@ class Overall:
 
     @cached_property
     def exposure(self) -> float:
-        """Stops that put the 90th percentile of the picture near white."""
-        finite = self.mean[np.isfinite(self.mean)]
-        bright = float(np.percentile(finite, 90)) if finite.size else 0.0
-        return float(np.clip(np.log2(0.8 / bright), -32, 32)) if bright > 0 else 0.0
+        """Stops that show the picture well."""
+        return auto_exposure(self.mean)
 
     @classmethod
     def empty(cls, height: int, width: int, channels: int) -> Overall:

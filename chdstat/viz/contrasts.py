@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from chdstat._exposure import auto_exposure
 from chdstat.errors import InputError
 from chdstat.viz.chd import Curve
 from chdstat.viz.image import tonemap
@@ -102,7 +103,7 @@ def view_pair(
     if len(images) != 2:
         message = f"expected two images of one view, got {len(images)}"
         raise InputError(message)
-    exposure = _exposure(list(images.values())[1])
+    exposure = auto_exposure(list(images.values())[1])
     with style():
         height = 0.225 * WIDTH * np.shape(next(iter(images.values())))[0]
         height /= np.shape(next(iter(images.values())))[1]
@@ -125,14 +126,6 @@ def view_pair(
             cell.set_axis_off()
         right.supxlabel("radiance in W sr$^{-1}$ m$^{-2}$", fontsize=7)
     return figure
-
-
-def _exposure(image: npt.ArrayLike) -> float:
-    """Return stops that put the 90th percentile near white."""
-    values = np.asarray(image, dtype=float)
-    values = values[np.isfinite(values)]
-    bright = float(np.percentile(values, 90)) if values.size else 0.0
-    return float(np.log2(0.8 / bright)) if bright > 0 else 0.0
 
 
 def _overlay(axes: Axes, curves: Mapping[str, Curve], *, log: bool = False) -> None:

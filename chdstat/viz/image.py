@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from chdstat._exposure import auto_exposure
 from chdstat.errors import InputError
 from chdstat.viz.style import PALETTE, WIDTH, style
 
@@ -48,7 +49,8 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
     image
         Linear radiance, shape (y, x, channel) with 1 or 3 channels.
     exposure
-        Stops. None puts the 90th percentile of luminance near white, which suits interiors.
+        Stops. None puts the 90th percentile near white, which suits interiors, or up to three stops
+        above it where windows or lamps would leave all else dark.
 
     Returns
     -------
@@ -72,15 +74,10 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
         raise InputError(message)
     linear = np.broadcast_to(linear, (*linear.shape[:2], 3))
     finite = np.asarray(np.isfinite(linear).all(axis=-1))
-    scale = 2.0**exposure if exposure is not None else _auto_scale(linear[finite])
-    value = np.clip(np.where(finite[..., None], linear, 0) * scale, 0, 1)
+    stops = auto_exposure(linear[finite]) if exposure is None else exposure
+    value = np.clip(np.where(finite[..., None], linear, 0) * 2.0**stops, 0, 1)
     curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.where(finite[..., None], curve, (1.0, 0.0, 1.0))
-
-
-def _auto_scale(values: Array) -> float:
-    bright = float(np.percentile(values, 90)) if values.size else 0.0
-    return 0.8 / bright if bright > 0 else 1.0
 
 
 def with_marks(
@@ -189,7 +186,7 @@ def pictures(
     window = crop or (slice(None), slice(None))
     exposed = np.asarray(list(images.values())[-1])[window]
     if exposure is None:
-        exposure = float(np.log2(_auto_scale(exposed[np.isfinite(exposed)])))
+        exposure = auto_exposure(exposed)
     rows = 2 if errors else 1
     with style():
         height, width = np.shape(exposed)[:2]
