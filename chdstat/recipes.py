@@ -1,6 +1,6 @@
 """Recipes: how a study renders a scene, and the regions that it looks at.
 
-A recipe is a TOML file in ``renders/``, one for each study scene. For a scene without one,
+A recipe is a TOML file; those of the study scenes lie in ``renders/``. For a scene without one,
 `choose_regions` finds a region for every pattern of the classified image.
 """
 
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -109,7 +109,7 @@ class Recipe:
     Parameters
     ----------
     scene
-        What `chdstat.load_scene` takes.
+        What `chdstat.load_scene` takes; in a file, a path may start from the file's folder.
     size, spp, seed, max_depth
         As for `chdstat.render`.
     regions
@@ -178,7 +178,7 @@ def _folders() -> Iterator[Path]:
 
 
 def load_recipe(path: str | Path) -> Recipe:
-    """Read a recipe.
+    """Read a recipe; a scene that lies beside it may be named from there.
 
     Raises
     ------
@@ -196,10 +196,14 @@ def load_recipe(path: str | Path) -> Recipe:
         message = f"recipe {path} is not valid TOML: {error}"
         raise InputError(message) from error
     try:
-        return _recipe(content)
+        recipe = _recipe(content)
     except InputError as error:
         message = f"recipe {path}: {error}"
         raise InputError(message) from error
+    beside = path.parent / recipe.scene
+    if recipe.scene not in BUILTIN and beside.is_file():
+        return replace(recipe, scene=str(beside))
+    return recipe
 
 
 def _recipe(content: Mapping[str, Any]) -> Recipe:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -50,6 +53,18 @@ def test_a_recipe_is_read(tmp_path):
 def test_what_a_recipe_does_not_say_is_left_to_the_scene(tmp_path):
     recipe = load_recipe(write(tmp_path, GOOD.replace("integrator =", "# integrator =")))
     assert (recipe.integrator, recipe.max_depth) == (None, None)
+
+
+def test_a_scene_beside_its_recipe_is_found_from_anywhere(tmp_path, monkeypatch):
+    scene = tmp_path / "attic" / "scene.xml"
+    scene.parent.mkdir()
+    scene.write_text("<scene version='3.0.0'/>")
+    named = re.sub(r'scene = "[^"]*"', 'scene = "attic/scene.xml"', GOOD)
+    path = write(tmp_path, named)
+    monkeypatch.chdir("/")
+    assert Path(load_recipe(path).scene) == scene
+    scene.unlink()
+    assert load_recipe(path).scene == "attic/scene.xml"
 
 
 def test_two_regions_of_one_name_are_refused(tmp_path):

@@ -68,7 +68,11 @@ def report(
 def study(
     scenes: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME|PATH]...", help="Scenes; all study scenes without any."),
+        typer.Argument(
+            metavar="[NAME|PATH]...",
+            help="Built-in names, Mitsuba XML files, recipes (.toml) or finished stores; "
+            "all study scenes without any.",
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The PDF to write.")] = None,
     json_out: Annotated[Path | None, typer.Option("--json", help="The JSON to write.")] = None,

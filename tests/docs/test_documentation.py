@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import chdstat as chd
+from chdstat.recipes import PHENOMENA, load_recipe
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -112,6 +113,22 @@ def test_code_on_the_page_of_methods_runs(
     script.write_text("\n".join(textwrap.dedent(block) for block in blocks), encoding="utf-8")
     runpy.run_path(str(script))
     assert len(capsys.readouterr().out.splitlines()) >= len(blocks) > 5
+
+
+def test_recipe_and_code_on_the_page_of_studies_are_good(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text = (ROOT / "docs" / "studies.rst").read_text(encoding="utf-8")
+    kinds = {}
+    for kind, block in re.findall(
+        r"^\.\. code-block:: (\w+)\n\n((?:   .*\n|\n)+)", text, re.MULTILINE
+    ):
+        kinds[kind] = tmp_path / f"block.{kind}"
+        kinds[kind].write_text(textwrap.dedent(block), encoding="utf-8")
+    assert len(load_recipe(kinds["toml"]).regions) == 2
+    runpy.run_path(str(kinds["python"]))
+    assert "supported" in capsys.readouterr().out
+    assert set(re.findall(r"^([a-z-]+)  +\d", text, re.MULTILINE)) < set(PHENOMENA)
 
 
 def test_commands_on_the_page_of_methods_name_tests_that_exist() -> None:
