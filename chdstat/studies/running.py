@@ -140,13 +140,17 @@ def _scene(
     dataset = clock("analysis", lambda: analysis_of(samples, stores, progress=progress))
     comparison, notes = clock("estimators", lambda: _compared(samples, estimators, dataset, stores))
     shorter = renders.shorter
+    summary = clock(
+        "shorter paths",
+        lambda: None if shorter is None else summary_of(shorter, stores, progress=progress),
+    )
     evidence = Evidence(
         subject.name,
         samples,
         subject.regions or choose_regions(dataset),
         given=dataset,
         shorter=shorter,
-        given_shorter=None if shorter is None else summary_of(shorter, stores, progress=progress),
+        given_shorter=summary,
         integrator=renders.integrator,
         comparison=comparison,
     )
