@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.evidence import Evidence, Patch
-from chdstat.findings.glossy import SHIFT, channel_shift
+from chdstat.findings.glossy import SHIFT, channel_shift, pooled_distance
 from chdstat.findings.log_chds import SAME_SHAPE, LogChds, aligned, squared_distance
 from chdstat.findings.resampling import Blocks, Spread, interval_of
 from chdstat.findings.results import Exhibit, Part
@@ -24,11 +24,12 @@ CONTRAST = 0.1
 NO_SLOPE = 0.5
 """Slope of log relative variance on log albedo that counts as none: -2 is that of additive noise,
 0 that of radiance times albedo; a quarter of the way does not matter."""
+_PAIRED = "albedo-contrast"
 _PARTS = 3
 
 
 def measure(evidence: Evidence) -> Conclusion:
-    """Compare the channels' shapes, and relative variance with first-hit albedo."""
+    """Compare shapes of channels, of dark and pale surfaces, and relative variance with albedo."""
     albedo = evidence.feature("albedo")
     if albedo is None or evidence.samples.shape[2] != albedo.shape[-1]:
         return Conclusion(missing=("needs first-hit albedo of each channel",))
@@ -37,9 +38,10 @@ def measure(evidence: Evidence) -> Conclusion:
         return Conclusion(
             missing=(f"needs a region whose log10 albedo varies by {CONTRAST} or more",)
         )
-    x, level = evidence.radiance(patch), level_of(_PARTS)
+    pair = _dark_and_pale(evidence, albedo)
+    x, level = evidence.radiance(patch), level_of(_PARTS + (pair is not None))
     log_albedo, log_variance = _centered(patch, albedo), _relative(patch, x)
-    parts = (
+    parts = [
         Part.of(
             "shift between channels",
             channel_shift(x, patch.blocks, level=level),
@@ -59,9 +61,14 @@ def measure(evidence: Evidence) -> Conclusion:
             least=-NO_SLOPE,
             most=NO_SLOPE,
         ),
-    )
+    ]
+    if pair is not None:
+        dark, pale = (aligned(evidence.light(side)) for side in pair)
+        distance = pooled_distance(dark, pale, pair[0].blocks, pair[1].blocks, level=level)
+        name = "distance between the shapes of dark and pale"
+        parts.append(Part.of(name, distance, most=SAME_SHAPE, unit="decade^1/2"))
     return Conclusion(
-        parts,
+        tuple(parts),
         details={"regions": list(patch.names), "pixels": len(patch)},
         exhibit=_exhibit(evidence.samples.channels, log_albedo, log_variance),
     )
@@ -79,6 +86,23 @@ def _textured(evidence: Evidence, albedo: Floats) -> Patch | None:
         if chosen:
             return Patch.of(chosen, *albedo.shape[:2])
     return None
+
+
+def _dark_and_pale(evidence: Evidence, albedo: Floats) -> tuple[Patch, Patch] | None:
+    """Return dark surfaces and the pale ones beside them; None without a pair of regions.
+
+    They lie so close together that about the same light falls on both.
+    """
+    chosen = [region for region in evidence.regions if region.phenomenon == _PAIRED]
+    shape = albedo.shape[:2]
+    pairs = [
+        sorted(pair, key=lambda region: float(albedo[region.pixels(*shape)].mean()))
+        for pair in zip(chosen[::2], chosen[1::2], strict=False)
+    ]
+    if not pairs:
+        return None
+    dark, pale = (Patch.of(side, *shape) for side in zip(*pairs, strict=True))
+    return dark, pale
 
 
 def _contrast(albedo: Floats) -> bool:

@@ -69,6 +69,13 @@ def test_every_part_of_a_claim_can_be_refuted(number, words, world):
     assert found.verdict == "not supported"
 
 
+def test_a_dark_surface_has_the_shape_of_the_pale_one_beside_it():
+    parts = look(7, worlds.pair(0.5)).parts
+    assert [part.verdict for part in parts] == ["supported"] * 4
+    assert parts[-1].statistic.name == "distance between the shapes of dark and pale"
+    assert parts[0].level == pytest.approx(1 - 0.05 / 4)
+
+
 @NUMBERS
 def test_too_few_samples_tell_nothing(number):
     claim = BY_NUMBER[number]

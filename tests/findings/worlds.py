@@ -358,6 +358,22 @@ def other_texture(color: np.ndarray, sigma: float) -> World:
     return world
 
 
+def pair(sigma: float) -> World:
+    """Return a texture, and beside it a pale and a dark surface, of which that has a spread."""
+
+    def world(rng, spp):
+        albedo = BROWN * rng.uniform(0.2, 1, size=(EDGE, 3 * EDGE, 1))
+        albedo[:, EDGE : 2 * EDGE] = 0.8
+        albedo[:, 2 * EDGE :] = 0.04
+        light = rng.lognormal(0, 0.5, (EDGE, 3 * EDGE, spp))
+        light[:, 2 * EDGE :] **= sigma / 0.5
+        shown = "texture", "albedo-contrast", "albedo-contrast"
+        features = {"albedo": albedo.astype(np.float32)}
+        return [evidence(image(light, albedo), *shown, features=features)]
+
+    return world
+
+
 def moved_seam(rng, spp):
     """Return a seam whose CHD lies between those of both sides, and is none of them."""
     shape = (36, 13, spp)
@@ -392,6 +408,7 @@ REFUTED: list[tuple[int, str, World]] = [
     (7, "shift between channels", other_texture(WHITE, 0.5)),
     (7, "shapes of channels", other_texture(BROWN, 1.5)),
     (7, "slope", texture(False)),
+    (7, "dark and pale", pair(1.5)),
     *((9, part, path_lengths(1.0, 0.5)) for part in ("support", "tail", "skewness", "variance")),
     (10, "neighbours", neighbours(False)),
     (10, "blend", moved_seam),
