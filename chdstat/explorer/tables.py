@@ -213,7 +213,7 @@ def _p(value: float) -> str:
     if not np.isfinite(value):
         return "—"
     if value == 0:  # too small for a float
-        return "< 1e−300"
+        return "≈\u00a00"
     if value < 1e-3:
         return f"{value:.0e}".replace("-", "−").replace("e−0", "e−")
     return f"{value:.3f}" if value < 0.1 else f"{value:.2f}"
