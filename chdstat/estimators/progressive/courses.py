@@ -23,6 +23,7 @@ from chdstat.estimators.progressive.lessons import Lesson, Material, Scenery
 from chdstat.estimators.progressive.provenance import Origin, provenance_of
 from chdstat.estimators.progressive.results import Learned
 from chdstat.estimators.progressive.shapes import Shape
+from chdstat.estimators.progressive.sights import Sights
 from chdstat.estimators.progressive.spread import Spread
 from chdstat.estimators.progressive.teaching import doubted
 
@@ -203,17 +204,12 @@ class Course:
     ) -> dict[str, Any]:
         scene = str(attrs.get("scene", "samples"))
         shape = (*self._shape, self._buckets.channels, self._buckets.dealt)
-        sights = {
-            "features": bool(material.scenery.described.shape[1]),
-            "neighbours": False,
-            "conditioned": False,
-            "direct": self._parts > 1,
-        }
+        features = bool(material.scenery.described.shape[1])
         return {
             **provenance_of(
                 [Origin(scene, attrs, shape, self._buckets.unit)],
                 material,
-                sights=sights,
+                sights=Sights(features=features, direct=self._parts > 1),
                 seed=self._seed,
                 trust=trust,
             ),

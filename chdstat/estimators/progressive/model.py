@@ -441,8 +441,7 @@ class Progressive:
             material, channels=pictures[0].shape[2], seed=seed, progress=progress
         )
         origins = [Origin.of(one, unit) for one, unit in zip(pictures, units, strict=True)]
-        sights = asdict(self.sights)
-        provenance = provenance_of(origins, material, sights=sights, seed=seed, trust=trust)
+        provenance = provenance_of(origins, material, sights=self.sights, seed=seed, trust=trust)
         return Learned(
             network,
             spread,

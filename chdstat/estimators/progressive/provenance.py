@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Self
 
 import chdstat
 from chdstat.estimators.progressive.lessons import Material
+from chdstat.estimators.progressive.sights import Sights
 from chdstat.samples import Samples
 
 __all__ = ["Origin", "provenance_of"]
@@ -54,7 +55,7 @@ def provenance_of(
     origins: Sequence[Origin],
     material: Material,
     *,
-    sights: Mapping[str, bool],
+    sights: Sights,
     seed: int,
     trust: float,
 ) -> dict[str, Any]:
@@ -80,7 +81,7 @@ def provenance_of(
         "samples": scenes[0]["samples"],
         "samples_shape": scenes[0]["samples_shape"],
         "reference": material.lesson.reference,
-        **sights,
+        **asdict(sights),
         "seed": seed,
         "pixels_used": len(material.pixels),
         "pixels_excluded": material.excluded,
