@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_origin
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._targets import replacing
 from chdstat.errors import StoreError
 
 if TYPE_CHECKING:
@@ -65,16 +66,12 @@ def write_record(path: Path, value: Any) -> Path:
         raise TypeError(message)
 
     tree = json.dumps(_converter().unstructure(value), default=written)
-    partial = path.with_name(f".{path.name}.partial")
     try:
-        with partial.open("wb") as file:
+        with replacing(path) as partial, partial.open("wb") as file:
             np.savez(file, *arrays, tree=np.array(tree))
-        partial.replace(path)
     except OSError as error:
         message = f"cannot write {path}: {error.strerror or error}"
         raise StoreError(message) from error
-    finally:
-        partial.unlink(missing_ok=True)
     return path
 
 

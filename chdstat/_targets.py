@@ -1,13 +1,15 @@
-"""Targets: files that are to be written, refused before the work where they cannot be."""
+"""Targets: files to write, refused before the work where they cannot be, replaced as a whole."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from chdstat.errors import InputError
 
-__all__ = ["checked_target"]
+__all__ = ["checked_target", "replacing"]
 
 
 def checked_target(path: str | Path, suffix: str) -> Path:
@@ -36,3 +38,27 @@ def checked_target(path: str | Path, suffix: str) -> Path:
         message = f"{str(target)!r} cannot be written; give another path"
         raise InputError(message)
     return target
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield a path beside another, which it replaces when it is written, or not at all.
+
+    It keeps the suffix, by which some writers tell what to write.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with replacing(Path(folder, "found.json")) as partial:
+    ...         written = partial.write_text("[]")
+    ...     [path.name for path in Path(folder).iterdir()]
+    ['found.json']
+    """
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    try:
+        yield partial
+        partial.replace(path)
+    finally:
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)

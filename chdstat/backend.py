@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from chdstat._targets import replacing
 from chdstat.errors import InputError, RenderError
 
 __all__ = ["BACKENDS", "Backend", "Verdict", "activate", "probe", "resolve"]
@@ -228,7 +229,6 @@ def _write_cache(cache: dict[str, Any]) -> None:
     """Keep the answers; a home that cannot be written to only costs the next trial."""
     with contextlib.suppress(OSError):
         _cache_file().parent.mkdir(parents=True, exist_ok=True)
-        partial = _cache_file().with_suffix(f".{os.getpid()}.partial")
-        partial.write_text(json.dumps(cache, indent=1))
-        partial.replace(_cache_file())
+        with replacing(_cache_file()) as partial:
+            partial.write_text(json.dumps(cache, indent=1))
     _read_cache.cache_clear()

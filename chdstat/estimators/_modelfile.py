@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
+from chdstat._targets import replacing
 from chdstat.errors import StoreError
 
 __all__ = ["read_model", "write_model"]
@@ -31,13 +31,11 @@ def write_model(path: Path, arrays: Mapping[str, npt.NDArray[Any]], about: Any) 
     StoreError
         If the file cannot be written.
     """
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
     try:
-        save_file(contiguous, partial, metadata={_KEY: json.dumps(about, default=str)})
-        partial.replace(path)
+        with replacing(path) as partial:
+            save_file(contiguous, partial, metadata={_KEY: json.dumps(about, default=str)})
     except (OSError, SafetensorError) as error:
-        partial.unlink(missing_ok=True)
         message = f"cannot write a model to {path}: {error}"
         raise StoreError(message) from error
 

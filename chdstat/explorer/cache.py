@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._targets import replacing
 from chdstat.samples import Samples
 
 __all__ = ["kept"]
@@ -70,10 +71,8 @@ def _folder() -> Path:
 
 def _write(file: Path, arrays: Arrays) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_suffix(f".{os.getpid()}.partial")
-    with partial.open("wb") as stream:
+    with replacing(file) as partial, partial.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]
-    partial.replace(file)
     newest = sorted(file.parent.glob("*.npz"), key=lambda f: f.stat().st_mtime, reverse=True)
     for old in newest[_MOST_FILES:]:
         old.unlink(missing_ok=True)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._targets import replacing
 from chdstat.errors import StoreError
 
 __all__ = ["OF_THE_FORMAT", "read_planes", "write_planes"]
@@ -51,17 +50,12 @@ def write_planes(path: Path, header: dict[str, Any], planes: dict[str, Array]) -
     import OpenEXR
 
     layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
-        with OpenEXR.File({**header, **layout}, planes) as file:
+        with replacing(path) as partial, OpenEXR.File({**header, **layout}, planes) as file:
             file.write(str(partial))
-        partial.replace(path)
     except (OSError, RuntimeError, ValueError) as error:
         message = f"cannot write an EXR file to {path}: {error}"
         raise StoreError(message) from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink()
 
 
 def read_planes(path: Path) -> tuple[dict[str, str], dict[str, Array]]:

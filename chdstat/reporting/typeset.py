@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from chdstat._targets import replacing
 from chdstat.errors import ChdstatError
 from chdstat.viz import style
 
@@ -64,16 +65,13 @@ def typeset(document: Document, folder: Path, target: Path) -> Path:
     with style():
         for name, figure in document.figures.items():
             figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
-    partial = target.with_suffix(".partial.pdf")
     try:
-        typst.compile(folder / document.template, output=partial)
-        partial.replace(target)
+        with replacing(target) as partial:
+            typst.compile(folder / document.template, output=partial)
     except (RuntimeError, typst.TypstError) as error:
         message = f"typesetting the report failed: {error}"
         raise ChdstatError(message) from error
     except OSError as error:
         message = f"cannot write {target}: {error.strerror or error}"
         raise ChdstatError(message) from error
-    finally:
-        partial.unlink(missing_ok=True)
     return target

@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from chdstat._targets import checked_target
+from chdstat._targets import checked_target, replacing
 from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
@@ -171,15 +171,12 @@ class Study:
         """
         target = checked_target(path, ".json")
         text = json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
-        partial = target.with_suffix(".partial.json")
         try:
-            partial.write_text(text + "\n", encoding="utf-8")
-            partial.replace(target)
+            with replacing(target) as partial:
+                partial.write_text(text + "\n", encoding="utf-8")
         except OSError as error:
             message = f"cannot write {target}: {error.strerror or error}"
             raise StoreError(message) from error
-        finally:
-            partial.unlink(missing_ok=True)
         return target
 
     def save_pdf(self, path: str | Path) -> Path:
