@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import itertools
-import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -14,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._renderer import Interrupted, Job, Renderer
+from chdstat._interrupts import Interrupts
+from chdstat._renderer import Job, Renderer
 from chdstat._store import Chunk
 from chdstat._workers import cores
 from chdstat.backend import activate
@@ -22,45 +22,33 @@ from chdstat.backend import activate
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["python_interrupts", "rendered"]
+__all__ = ["rendered"]
 
 Image = npt.NDArray[np.float32]
-
-
-@contextlib.contextmanager
-def python_interrupts() -> Iterator[None]:
-    """Let Ctrl-C raise KeyboardInterrupt, whatever Mitsuba does to the signal's handler.
-
-    A scalar render puts a handler of its own in place that cancels a pass, and puts back what it
-    found: of renders in several threads, one finds the handler of another, and Python's is lost.
-    """
-    try:
-        yield
-    except Interrupted as interrupted:
-        raise KeyboardInterrupt from interrupted
-    finally:
-        if threading.current_thread() is threading.main_thread():
-            handler = signal.getsignal(signal.SIGINT)
-            if handler is not None:
-                signal.signal(signal.SIGINT, handler)
 
 
 def rendered(
     job: Job, renderer: Renderer, chunks: Sequence[Chunk], client: Client | None
 ) -> Iterator[tuple[Chunk, Image]]:
-    """Yield chunks with their samples, in the order they are done."""
+    """Yield chunks with their samples, in the order they are done.
+
+    Ctrl-C ends it with KeyboardInterrupt once no thread is at work any more.
+    """
     if client is not None:
         remote = client.get_executor(pure=False)
         window = 2 * max(1, sum(client.ncores().values()))
         yield from _collect(lambda c: remote.submit(_render_remote, job, c), chunks, window)
         return
-    stop = threading.Event()
-    draw = functools.partial(renderer.chunk, stopped=stop.is_set)
-    with _workers(job) as workers, ThreadPoolExecutor(workers) as pool:
+    with (
+        Interrupts() as interrupts,
+        _workers(job) as workers,
+        ThreadPoolExecutor(workers) as pool,
+    ):
+        draw = functools.partial(renderer.chunk, before_pass=interrupts.before_pass)
         try:
             yield from _collect(lambda c: pool.submit(draw, c), chunks, workers + 1)
         finally:
-            stop.set()
+            interrupts.stop()
 
 
 @contextlib.contextmanager

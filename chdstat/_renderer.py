@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._interrupts import Interrupted
 from chdstat._store import Chunk
 from chdstat._streams import Streams
 from chdstat.backend import BACKENDS, Verdict, activate
 from chdstat.errors import RenderError, SceneError
 from chdstat.scenes import Scene
 
-__all__ = ["Interrupted", "Job", "Renderer", "film_size"]
+__all__ = ["Job", "Renderer", "film_size"]
 
 _BLOCK = 32
 _RUN = 16
@@ -60,10 +61,6 @@ def _film_size(properties: Any) -> tuple[int, int]:
     return int(properties.get("width", 768)), int(properties.get("height", 576))
 
 
-class Interrupted(Exception):  # noqa: N818 - like KeyboardInterrupt, for which it stands
-    """Mitsuba caught Ctrl-C and cancelled a pass, whose samples are worthless."""
-
-
 class Renderer:
     """Renders chunks of samples of one job; safe to call from several threads."""
 
@@ -80,14 +77,15 @@ class Renderer:
             self._local = threading.local()
             _ = self._integrator  # one that cannot be used is refused before any work
 
-    def chunk(self, chunk: Chunk, *, stopped: Callable[[], bool] = lambda: False) -> Image:
+    def chunk(self, chunk: Chunk, *, before_pass: Callable[[], None] = lambda: None) -> Image:
         """Draw the samples of one chunk, shape (y, x, channel, sample).
 
-        `stopped` is asked between passes; when it says so, the samples drawn so far are dropped
-        and an empty array is returned.
+        `before_pass` is called just before each pass, to end the chunk by an exception. Raises
+        `Interrupted` if Mitsuba cancelled a pass.
         """
         if self._scalar:
-            return self._chunk_scalar(chunk, stopped)
+            return self._chunk_scalar(chunk, before_pass)
+        before_pass()
         return self._chunk_wavefront(chunk)
 
     def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, seed: int | None = None) -> Image:
@@ -208,15 +206,14 @@ class Renderer:
 
     # --- scalar ---------------------------------------------------------------------------------
 
-    def _chunk_scalar(self, chunk: Chunk, stopped: Callable[[], bool]) -> Image:
+    def _chunk_scalar(self, chunk: Chunk, before_pass: Callable[[], None]) -> Image:
         height, width, samples = chunk.shape
         sensor = self._sensor((chunk.xs.start, chunk.ys.start), (width, height))
         block = np.empty((samples, height, width, 3), np.float32)
         integrator = self._integrator
         for i, sample in enumerate(range(chunk.ss.start, chunk.ss.stop)):
-            if stopped():
-                return np.empty(0, np.float32)
             seed = self._streams.of_pass(chunk, sample)
+            before_pass()
             block[i] = integrator.render(self._scene, sensor, seed=seed, spp=1)
             if integrator.should_stop():
                 raise Interrupted

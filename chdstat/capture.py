@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._crew import python_interrupts, rendered
+from chdstat._crew import rendered
 from chdstat._machine import free_disk, memory
 from chdstat._renderer import Job, Renderer, film_size
 from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
@@ -360,9 +360,8 @@ def _fill(
         f"rendering {job.scene.name}", sum(c.size for c in chunks), unit="S", show=progress
     ) as advance:
         try:
-            with python_interrupts():
-                for chunk, block in rendered(job, renderer, chunks, client):
-                    sink.write(chunk, block)
-                    advance(chunk.size)
+            for chunk, block in rendered(job, renderer, chunks, client):
+                sink.write(chunk, block)
+                advance(chunk.size)
         finally:
             sink.spent(time.monotonic() - start)

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import spans
-from chdstat._crew import python_interrupts, rendered
+from chdstat._crew import rendered
 from chdstat._renderer import Job, Renderer
 from chdstat._sinks import provenance
 from chdstat._store import BATCH, Chunk, chunk_grid
@@ -111,7 +111,7 @@ class Rendering:
         """Draw some samples of all pixels; nothing of the renderer is left at work after it."""
         start = time.monotonic()
         block = np.empty((*self.shape[:3], ss.stop - ss.start), np.float32)
-        with activate(self._job.verdict), python_interrupts():
+        with activate(self._job.verdict):
             for chunk, part in rendered(self._job, self._renderer, self._chunks(ss), None):
                 here = slice(chunk.ss.start - ss.start, chunk.ss.stop - ss.start)
                 block[chunk.ys, chunk.xs, :, here] = part

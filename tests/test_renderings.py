@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -103,21 +101,37 @@ def test_scenes_that_cannot_be_rendered_are_refused():
         batches(sky)
 
 
-def test_ctrl_c_ends_it():
-    code = (
-        # A shell that runs the tests in the background has its children ignore Ctrl-C.
-        "import signal\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "from chdstat.capture import render_batches\n"
-        "for k, _ in enumerate(render_batches('cornell-box', spp=10**5, size=(64, 64),"
-        " backend='scalar', batch=8)):\n"
-        "    print(k, flush=True)\n"
+INTERRUPTED = """
+import os, random, signal, threading
+from chdstat.capture import render_batches
+
+# A shell that runs the tests in the background has its children ignore Ctrl-C.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+interrupt = lambda: os.kill(os.getpid(), signal.SIGINT)
+for turn in range(40):
+    batches = iter(
+        render_batches("cornell-box", spp=2000, size=(64, 64), backend="scalar", batch=8)
     )
-    child = subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    next(batches)
+    threading.Timer(random.Random(turn).uniform(0, 0.05), interrupt).start()
+    try:
+        for _ in batches:
+            pass
+    except KeyboardInterrupt:
+        pass
+    else:
+        print("lost in turn", turn)
+"""
+
+
+def test_ctrl_c_ends_it_whenever_it_comes():
+    # Between two passes of two threads or amid them: of those that were left to Mitsuba a tenth
+    # was lost, and waiting for threads was cut short, which hung the next render.
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
-    assert child.stdout.readline() == "0\n"
-    time.sleep(0.05)
-    child.send_signal(signal.SIGINT)
-    _, err = child.communicate(timeout=60)
-    assert child.returncode != 0
-    assert err.rstrip().endswith("KeyboardInterrupt")
+    assert (done.stdout, done.stderr, done.returncode) == ("", "", 0)
