@@ -7,6 +7,7 @@ for their number: a render that was stopped resumes, and more samples append.
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,12 +98,16 @@ class Stores:
         return None if self.folder is None or told is None else self.folder / f"{told}{suffix}"
 
     def told(self, samples: Samples | None) -> str | None:
-        """Return what tells samples from all others; "" of no samples, None without a place."""
+        """Return what tells samples from all others; "" of no samples, None without a place.
+
+        All that a store says of itself is in it: another render may take its place and name.
+        """
         if samples is None:
             return ""
-        if self.folder is None or samples.path is None or samples.path.parent != self.folder:
+        if self.folder is None or samples.path is None:
             return None
-        return f"{samples.path.stem}-{samples.spp}"
+        attrs = json.dumps(samples.attrs, sort_keys=True)
+        return f"{samples.path.stem}-{_digest(attrs)}-{samples.spp}"
 
     def _rendered(self, scene: Scene, settings: Mapping[str, Any]) -> Samples:
         out = None if self.folder is None else self.folder / f"{_name(scene, settings)}.zarr"
@@ -114,8 +119,11 @@ class Stores:
 
 def _name(scene: Scene, settings: Mapping[str, Any]) -> str:
     told = {name: settings.get(name) for name in ("size", "seed", "max_depth")}
-    digest = hashlib.sha256(repr((scene.hash, sorted(told.items()))).encode()).hexdigest()
-    return f"{scene.name}-{digest[:12]}"
+    return f"{scene.name}-{_digest(repr((scene.hash, sorted(told.items()))))}"
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
 def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:

@@ -301,3 +301,21 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
         patch.setattr(running, "atlas", refuse)
         with pytest.raises(pytest.fail.Exception, match="done again"):
             study("cornell-box", folder=copy, **TINY)
+
+
+def test_a_store_from_elsewhere_is_analysed_once_and_one_in_its_place_anew(tmp_path, monkeypatch):
+    path, folder = tmp_path / "mine.zarr", tmp_path / "kept"
+    options = {"spp": 64, "size": (16, 16), "backend": "scalar"}
+    asked = {"folder": folder, "estimators": ("mean",)}
+    chd.render("cornell-box", **options, out=path)
+    once = study(path, **asked)
+    with monkeypatch.context() as patch:
+        patch.setattr(caches, "analyze", lambda *_, **__: pytest.fail("done again"))
+        again = study(path, **asked)
+    assert again.table() == once.table()
+    shutil.rmtree(path)
+    chd.render("cornell-box", **options, seed=1, out=path)
+    other = study(path, **asked)
+    assert not np.array_equal(
+        other.scenes[0].evidence.summary["mean"], once.scenes[0].evidence.summary["mean"]
+    )
