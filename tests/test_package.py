@@ -20,7 +20,7 @@ ROOT = Path(chd.__file__).parent
 ORDER = (
     "errors",
     "_targets",
-    "_arrays _exposure _interrupts _machine _reasons _records _workers progress",
+    "_arrays _code _exposure _interrupts _machine _reasons _records _workers progress",
     "scenes",
     "_store _shards _streams",
     "backend",

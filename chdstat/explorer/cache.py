@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._code import code_digest
 from chdstat._targets import replacing
 from chdstat.samples import Samples
 
@@ -27,7 +28,8 @@ def kept(samples: Samples, name: str, compute: Callable[[], Arrays]) -> Arrays:
     """Return arrays from the cache, or compute and keep them.
 
     A store is known by its path, its spp and when it was last written to; samples in memory are not
-    kept. A cache that cannot be read or written costs time and is no error.
+    kept, and what other code computed is not read. A cache that cannot be read or written costs
+    time and is no error.
 
     Parameters
     ----------
@@ -60,7 +62,8 @@ def _file(samples: Samples, name: str) -> Path | None:
         written = max(part.stat().st_mtime_ns for part in parts)
     except OSError:
         return None
-    key = hashlib.sha256(f"{path}|{samples.spp}|{written}|{name}".encode()).hexdigest()[:32]
+    told = f"{path}|{samples.spp}|{written}|{name}|{code_digest()}"
+    key = hashlib.sha256(told.encode()).hexdigest()[:32]
     return _folder() / f"{key}.npz"
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import functools
 import glob
 import hashlib
-import importlib.metadata
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from chdstat._code import code_digest
 from chdstat._records import read_record, write_record
 from chdstat.analysis import analyze, save
 from chdstat.comparison import Comparison, compare
@@ -31,8 +30,6 @@ __all__ = ["analysis_of", "comparison_of", "record_of", "summary_of"]
 T = TypeVar("T")
 
 _MODEL, _RECORD = ".safetensors", ".npz"
-_LIBRARIES = ("numpy", "scipy", "scikit-learn", "statsmodels", "diptest", "torch", "pyoidn")
-"""Whose numbers are kept; without the last one, a denoiser, some are missing."""
 _N = 32
 """Samples of one estimate, as in Elek et al. 2019."""
 
@@ -146,25 +143,7 @@ def _at_hand(samples: Samples) -> Samples:
 
 
 def _place(samples: Samples, stores: Stores, name: str, suffix: str) -> Path | None:
-    return stores.beside(samples, f"-{name}{_code()}{suffix}")
-
-
-@functools.cache
-def _code() -> str:
-    """Return a digest of all code that findings rest on: what other code computed is not read."""
-    digest = hashlib.sha256(repr([_version(name) for name in _LIBRARIES]).encode())
-    package = Path(__file__).parents[1]
-    for path in sorted(package.rglob("*.py")):
-        digest.update(path.relative_to(package).as_posix().encode())
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
-
-
-def _version(library: str) -> str:
-    try:
-        return importlib.metadata.version(library)
-    except importlib.metadata.PackageNotFoundError:
-        return ""
+    return stores.beside(samples, f"-{name}{code_digest()}{suffix}")
 
 
 def _dataset(
@@ -209,7 +188,7 @@ def _read_model(place: Path) -> AnyModel | None:
 
 def _forget_others(place: Path) -> None:
     """Delete what earlier code kept of the same samples."""
-    prefix = glob.escape(place.stem.removesuffix(_code()))
+    prefix = glob.escape(place.stem.removesuffix(code_digest()))
     for old in place.parent.glob(f"{prefix}*{place.suffix}"):
         if old.is_dir():
             shutil.rmtree(old, ignore_errors=True)

@@ -176,7 +176,7 @@ def test_a_walk_can_be_stopped(flames):
         walk(StoreSource(flames), "tail_index", step)
 
 
-def test_passes_are_kept_and_forgotten_when_the_store_changes(own_store):
+def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monkeypatch):
     samples, calls = chd.open(own_store), []
 
     def compute():
@@ -190,10 +190,14 @@ def test_passes_are_kept_and_forgotten_when_the_store_changes(own_store):
     (own_store / "radiance" / "zarr.json").touch()
     cache.kept(samples, "x", compute)
     assert len(calls) == 3
+    with monkeypatch.context() as patch:
+        patch.setattr(cache, "code_digest", lambda: "another")
+        cache.kept(samples, "x", compute)
+    assert len(calls) == 4
     in_memory = chd.Samples.from_array(np.ones((2, 2, 3, 4)))
     cache.kept(in_memory, "x", compute)
     cache.kept(in_memory, "x", compute)
-    assert len(calls) == 5
+    assert len(calls) == 6
 
 
 def test_a_broken_cache_is_computed_anew(own_store):
