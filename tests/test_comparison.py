@@ -315,15 +315,16 @@ def test_those_that_use_neighbours_come_last_and_are_marked():
 # --- how sure it is -----------------------------------------------------------------------------
 
 
-def test_every_pixel_is_in_one_unit_of_its_label():
+def test_every_pixel_is_in_one_unit_of_its_label_and_block():
     rng = np.random.default_rng(1)
     test = rng.random((40, 50)) < 0.7
     labels = rng.integers(0, 3, size=test.shape)
-    units = Units.of(test, labels, most=100)
+    blocks = np.arange(40)[:, np.newaxis] // 5 * 8 + np.arange(50) * 8 // 50
+    units = Units.of(test, labels)
     assert sorted(zip(units.ys, units.xs, strict=True)) == sorted(map(tuple, np.argwhere(test)))
-    assert len(units.starts) <= 103  # a group of each label may not be full
-    of_pixel = np.repeat(units.label, units.pixels)
-    assert (of_pixel == units(labels)).all()
+    assert len({*zip(units.label.tolist(), units.block.tolist(), strict=True)}) == len(units.starts)
+    assert (np.repeat(units.label, units.pixels) == units(labels)).all()
+    assert (np.repeat(units.block, units.pixels) == units(blocks)).all()
     assert units.pixels.sum() == test.sum()
     ones = units.sum(np.ones(test.sum()))
     assert (ones == units.pixels).all()
@@ -336,18 +337,19 @@ def test_a_few_pixels_are_units_of_their_own_in_order():
     assert (units.pixels == 1).all()
 
 
-def test_groups_of_pixels_tell_the_same_as_pixels(monkeypatch):
-    # The standard error from 640 groups is itself 3 % off, that from 1280 pixels 2 %.
-    from chdstat.comparison import side_by_side
-
-    samples = picture(height=40, width=32, spp=64)
-    each = chd.compare(samples, ["median_of_means"], cost=False).table()[0]
-    of = Units.of
-    monkeypatch.setattr(side_by_side.Units, "of", lambda *a, **k: of(*a, **k, most=640))
-    grouped = chd.compare(samples, ["median_of_means"], cost=False).table()[0]
-    for measure in ("relmse", "improved", "mse_ratio", "bias"):
-        assert grouped[measure] == pytest.approx(each[measure], rel=1e-9)
-        assert grouped[f"{measure}_se"] == pytest.approx(each[f"{measure}_se"], rel=0.25)
+def test_intervals_know_that_neighbours_gain_and_lose_together():
+    """The spread over 40 pictures of other blocks; with pixels for units it would be 3 times as
+    large as claimed."""
+    rng = np.random.default_rng(3)
+    rows = []
+    for _ in range(40):
+        tailed = np.repeat(np.repeat(rng.random((8, 8)) < 0.5, 4, axis=0), 4, axis=1)
+        sigma = np.where(tailed, 2.0, 0.3)[..., np.newaxis, np.newaxis]
+        samples = chd.Samples.from_array(rng.lognormal(sigma=sigma, size=(32, 32, 1, 64)))
+        rows.append(chd.compare(samples, ["median_of_means"], n=32, cost=False).table()[0])
+    spread = np.std([row["improved"] for row in rows], ddof=1)
+    claimed = np.mean([row["improved_se"] for row in rows])
+    assert 1 / 1.5 < claimed / spread < 1.5
 
 
 def test_intervals_over_batches_say_how_other_random_numbers_would_do():
@@ -466,6 +468,7 @@ def test_labels_do_not_change_the_measures_of_all(labelled):
     split = chd.compare(picture(), ["median_of_means"], labels=labelled, cost=False)
     for measure, interval in plain.measures.items():
         assert split.measures[measure].value == pytest.approx(interval.value, nan_ok=True)
+        assert split.measures[measure].low == pytest.approx(interval.low, nan_ok=True)
     assert plain.breakdown is None
     assert plain.to_dict()["per_label"] == []
 

@@ -1,7 +1,7 @@
 """Sums: what is added up of the errors of estimators, and the measures that it comes to.
 
 Every measure is a ratio of sums over units, so that one bootstrap over the units serves them all.
-A unit is a pixel (or a few of them) with all its batches, or a batch with all its pixels.
+A unit is a block of pixels with all their batches, or a batch with all its pixels.
 """
 
 from __future__ import annotations
@@ -72,6 +72,17 @@ class ErrorSums:
     def __getitem__(self, units: Any) -> ErrorSums:
         """Return the sums of some units."""
         return ErrorSums(self.sums[units], self.reference[units], self.count[units])
+
+    def joined(self, groups: npt.NDArray[np.int64]) -> ErrorSums:
+        """Return the sums of units of the same group, in the order of the groups' numbers."""
+        _, group = np.unique(groups, return_inverse=True)
+        found = ErrorSums.empty(
+            group.max(initial=-1) + 1, self.sums.shape[2] - 1, self.sums.shape[3]
+        )
+        np.add.at(found.sums, group, self.sums)
+        np.add.at(found.reference, group, self.reference)
+        np.add.at(found.count, group, self.count)
+        return found
 
     def measures(self, *, seed: int) -> dict[str, Interval]:
         """Return every measure with its interval over units, shape (estimator, channel + 1).

@@ -52,7 +52,7 @@ class ErrorCurve:
     sizes
         Samples per estimate, ascending.
     measures
-        By the names of `chdstat.comparison.MEASURES`: intervals over pixels, averaged over
+        By the names of `chdstat.comparison.MEASURES`: intervals over blocks, averaged over
         channels, shape (size, estimator); NaN where an estimator does not take so many samples.
     reference_noise
         For "mse" and "relmse": the error that even a perfect estimator would show, since the
@@ -183,7 +183,7 @@ def error_curve(
     contestants = Contestants.of(
         entries, samples, sizes=chosen, seed=seed, model=model, progress=progress
     )
-    units = Units.of(contestants.test_pixels(samples.shape[:2]), seed=seed)
+    units = Units.of(contestants.test_pixels(samples.shape[:2]))
     tallies = [
         judge(
             contestants.taking(n),
@@ -245,7 +245,7 @@ def _measures(tally: Tally, contestants: Contestants, n: int, seed: int) -> dict
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
         )
         raise InputError(message)
-    found = tally.by_unit.measures(seed=seed)
+    found = tally.by_block.measures(seed=seed)
     names = list(contestants.taking(n))
     place = [names.index(name) if name in names else len(names) for name in contestants.names]
     return {measure: _placed(interval[:, -1], place) for measure, interval in found.items()}

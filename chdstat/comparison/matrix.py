@@ -54,7 +54,7 @@ class Across:
     scenes
         Names of the scenes that judge.
     measures
-        By the names of `MEASURES`, averaged over channels: intervals over pixels, shape (training,
+        By the names of `MEASURES`, averaged over channels: intervals over blocks, shape (training,
         scene).
     trusted
         The same for ``trust="halves"``.
@@ -317,12 +317,12 @@ def _judge(
     functions = {str(k): function for k, function in enumerate(every)}
     test = np.ones(samples.shape[:2], bool)
     test[tuple(pixels.T)] = False
-    units = Units.of(test, seed=seed)
+    units = Units.of(test)
     totals = totals_of(samples)
     tally = judge(
         functions, samples, totals, units, n=n, limit=limit, pictures=False, progress=progress
     )
-    measures = tally.by_unit.measures(seed=seed)
+    measures = tally.by_block.measures(seed=seed)
     count = len(models)
     return _Column(
         {name: found[:count, ALL_CHANNELS] for name, found in measures.items()},

@@ -77,7 +77,7 @@ class Breakdown:
     pixels
         Pixels with each label that judge, shape (label,).
     measures
-        By the names of `MEASURES`: intervals over pixels, shape (label, estimator).
+        By the names of `MEASURES`: intervals over blocks, shape (label, estimator).
     """
 
     labels: tuple[str, ...]

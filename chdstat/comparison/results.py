@@ -50,9 +50,9 @@ class Comparison:
     channels
         Names of the channels.
     measures
-        By the names of `MEASURES`: intervals over pixels, shape (estimator, channel + 1), the last
-        place being the average over channels. They say how the measure would vary with other
-        pixels of such a picture.
+        By the names of `MEASURES`: intervals over 8 x 8 blocks of pixels, shape (estimator,
+        channel + 1), the last place being the average over channels. They say how the measure would
+        vary with other parts of such a picture.
     over_batches
         The same measures with intervals over batches: how they would vary with other random
         numbers, in the same pixels. The batches of a pixel share most of their reference, and with
@@ -120,7 +120,7 @@ class Comparison:
         """Return one row per estimator: its name and every measure, averaged over channels.
 
         Each measure also has ``_se``, ``_low`` and ``_high``, the standard error and the interval
-        over pixels, and the same with ``_over_batches``; where there were several trainings, also
+        over blocks, and the same with ``_over_batches``; where there were several trainings, also
         ``_sd_over_trainings``. ``time`` is in seconds for each estimate, ``peak_memory`` in bytes;
         both are NaN where they were not measured.
         """

@@ -152,7 +152,7 @@ def compare(
     contestants = contestants.with_denoised() if denoise else contestants
     functions = contestants.taking(n)
     test = contestants.test_pixels(samples.shape[:2])
-    units = Units.of(test, None if named is None else named.codes, seed=seed)
+    units = Units.of(test, None if named is None else named.codes)
     tally = judge(functions, samples, totals, units, n=n, limit=max_batches, progress=progress)
     if tally.by_unit.count.sum() == 0:
         message = (
@@ -205,7 +205,7 @@ def _comparison(
         estimators=contestants.names,
         uses_neighbours=contestants.uses_neighbours,
         channels=samples.channels,
-        measures=tally.by_unit.measures(seed=settings["seed"]),
+        measures=tally.by_block.measures(seed=settings["seed"]),
         over_batches=tally.by_batch.measures(seed=settings["seed"]),
         over_trainings=over_trainings,
         cost=cost,

@@ -100,8 +100,8 @@ def early_gain(history: Any, *, level: float) -> Spread:
     A gain is the validation baseline less the validation loss. What is early is the first record
     after a tenth of the iterations, the end the mean of the last tenth of the records. The interval
     takes the scatter of records for independent, with the deviation that successive differences
-    have (von Neumann 1941, doi:10.1214/aoms/1177731677). Where nothing was gained at the end, the
-    share is 0.
+    have (von Neumann 1941, doi:10.1214/aoms/1177731677). Where the end is worse than the mean, the
+    share is 0; where it may be better or worse, it is not known.
     """
     gain = np.asarray(history.validation_baseline - history.validation_loss, dtype=np.float64)
     if len(gain) < _RECORDS or not np.isfinite(gain).all():
@@ -112,10 +112,12 @@ def early_gain(history: Any, *, level: float) -> Spread:
     deviation = math.sqrt(float(np.mean(np.diff(later) ** 2)) / 2)
     end = float(gain[-last:].mean())
     reach = float(stats.t.ppf((1 + level) / 2, len(later) - 1))
-    if end <= reach * deviation / math.sqrt(last):
+    noise = reach * deviation / math.sqrt(last)
+    if end <= -noise:
         return Spread(0.0, 0.0, 0.0, level)
-    early = float(gain[int((iterations >= EARLY * iterations[-1]).argmax())])
-    share = early / end
+    if end <= noise:
+        return Spread.unknown(level=level)
+    share = float(gain[int((iterations >= EARLY * iterations[-1]).argmax())]) / end
     half = reach * deviation / end * math.sqrt(1 + share**2 / last)
     return Spread(share, share - half, share + half, level)
 
@@ -125,16 +127,20 @@ def _value(comparison: Comparison, measure: str, index: int) -> float:
 
 
 def _read(comparison: Comparison, measure: str, index: int, level: float) -> Spread:
-    """Return a measure with a normal interval over pixels and batches, of standard errors added."""
+    """Return a measure with a normal interval over blocks and batches, of standard errors added.
+
+    A single batch has no spread of its own: that of the blocks holds most of it. What has none over
+    blocks, such as fireflies that all lie in one, is not known.
+    """
     value = _value(comparison, measure, index)
-    errors = [
+    over_blocks, over_batches = (
         float(intervals[measure].standard_error[index, -1])
         for intervals in (comparison.measures, comparison.over_batches)
-    ]
-    known = [error for error in errors if math.isfinite(error)]
-    if not known:
+    )
+    if not math.isfinite(over_blocks):
         return Spread.unknown(value, level=level)
-    half = float(stats.norm.ppf((1 + level) / 2)) * math.hypot(*known)
+    error = math.hypot(over_blocks, over_batches if math.isfinite(over_batches) else 0.0)
+    half = float(stats.norm.ppf((1 + level) / 2)) * error
     return Spread(value, value - half, value + half, level)
 
 

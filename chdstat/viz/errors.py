@@ -150,8 +150,8 @@ def error_curves(
 ) -> Figure:
     """Draw errors against the number of samples, both on logarithmic scales.
 
-    Bands are intervals over pixels; dashed lines are estimators that use neighbours. A dotted line
-    is the noise of the reference, below which no error can be seen.
+    Bands are intervals over blocks of pixels; dashed lines are estimators that use neighbours. A
+    dotted line is the noise of the reference, below which no error can be seen.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ TITLES = {
 def estimator_measures(found: Comparison, *, names: Names = None) -> Figure:
     """Draw all measures of all estimators, those that use neighbours apart, below a line.
 
-    Ratios are those to the sample mean, on a logarithmic scale; intervals are over pixels. Time is
+    Ratios are those to the sample mean, on a logarithmic scale; intervals are over blocks. Time is
     for each estimate.
 
     Parameters
