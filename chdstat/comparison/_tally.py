@@ -77,12 +77,11 @@ class Units:
         rows, columns = min(height, _ACROSS), min(width, _ACROSS)
         block = (ys * rows // height) * columns + xs * columns // width
         order = np.lexsort((block, label))
-        both = np.stack([label, block], axis=1)[order]
-        new = np.ones(len(ys), dtype=bool)
-        new[1:] = (both[1:] != both[:-1]).any(axis=1)
+        label, block = label[order], block[order]
+        new = (np.diff(label, prepend=-1) != 0) | (np.diff(block, prepend=-1) != 0)
         starts = np.flatnonzero(new)
         pixels = np.diff(starts, append=len(ys))
-        return cls(ys[order], xs[order], starts, *both[starts].T, pixels)
+        return cls(ys[order], xs[order], starts, label[starts], block[starts], pixels)
 
     def __call__(self, picture: Array) -> Array:
         """Return a picture's values at the pixels, shape (pixel, ...)."""

@@ -1,4 +1,7 @@
-"""Complexity: whether CHDs have more modes where the scene is more complex (finding 11)."""
+"""Complexity: whether CHDs have more modes where the scene is more complex (finding 11).
+
+Modes are counted among equally many samples everywhere: the more there are, the more can be told.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from chdstat.findings._equal import common_count, drawn
 from chdstat.findings.conclusions import Conclusion
 from chdstat.findings.evidence import Evidence
 from chdstat.findings.resampling import Spread, mean_of
 from chdstat.findings.results import Exhibit, Part
+from chdstat.modes import modality
 
 __all__ = ["LEAST", "measure", "rank_correlation", "scene_complexity"]
 
@@ -20,6 +25,10 @@ Floats = npt.NDArray[np.float64]
 
 LEAST = 5
 """Scenes that a rank correlation needs: of fewer, even perfect order has p above 1/100."""
+_LEAST_SAMPLES = 64
+"""Positive samples of a pixel among which modes are looked for, at least:"""
+_PIXELS = 1024
+"""in that many pixels of a scene."""
 _TURN, _STEP, _PAINT = 0.9, 0.1, 0.1
 """Cosine between normals, difference of log depth, and of albedo, from which surfaces differ."""
 
@@ -29,7 +38,8 @@ def measure(evidences: Sequence[Evidence]) -> Conclusion:
     if len(evidences) < LEAST:
         return Conclusion(missing=(f"needs {LEAST} scenes to rank, there are {len(evidences)}",))
     complexity = np.array([scene_complexity(e) for e in evidences])
-    spreads = [_modes(e) for e in evidences]
+    n = common_count(evidences, least=_LEAST_SAMPLES)
+    spreads = [_modes(e, n) for e in evidences]
     modes = np.array([s.value for s in spreads])
     known = np.isfinite(complexity + modes)
     if np.count_nonzero(known) < LEAST:
@@ -39,6 +49,7 @@ def measure(evidences: Sequence[Evidence]) -> Conclusion:
         (Part.of("rank correlation of modes with scene complexity", found, least=0.0),),
         p_value=p,
         details={
+            "positive_samples": n,
             "modes": {
                 e.name: {"value": s.value, "low": s.low, "high": s.high}
                 for e, s in zip(evidences, spreads, strict=True)
@@ -113,7 +124,8 @@ def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Spre
     return Spread(round(r, 12), math.tanh(z - half), math.tanh(z + half), level), float(p)
 
 
-def _modes(evidence: Evidence) -> Spread:
-    codes = evidence.analysis["modality_modes"].to_numpy().astype(np.float64)
-    modes = np.where(codes > 0, codes, np.nan)
-    return mean_of(modes.reshape(-1, modes.shape[-1]), evidence.whole().blocks)
+def _modes(evidence: Evidence, n: int) -> Spread:
+    x, blocks = drawn(evidence, n, pixels=_PIXELS)
+    modes = modality(x, silverman=False).modes.astype(np.float64)
+    known = modes > 0
+    return mean_of(modes[known], blocks[known])

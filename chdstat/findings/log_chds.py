@@ -178,5 +178,5 @@ def _cumulative(rows: Floats) -> Floats:
     bins = np.clip(place, 0, len(EDGES)).astype(np.intp)
     row = np.arange(len(rows))[:, np.newaxis] * (len(EDGES) + 1)
     counts = np.bincount((bins + row)[positive], minlength=len(rows) * (len(EDGES) + 1))
-    below = np.cumsum(counts.reshape(len(rows), -1)[:, :-1], axis=1)
+    below = np.cumsum(counts.reshape(len(rows), len(EDGES) + 1)[:, :-1], axis=1)
     return np.where((n >= LEAST)[:, np.newaxis], below / np.maximum(n, 1)[:, np.newaxis], np.nan)

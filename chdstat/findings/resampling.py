@@ -200,7 +200,7 @@ def interval_of(
 
 def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Spread:
     """Return the mean over pixels (pixel,) or (pixel, ...), without those that are NaN."""
-    values = values.reshape(len(values), -1)
+    values = values.reshape(len(values), math.prod(values.shape[1:]))
     known = np.isfinite(values)
     total = blocks.sums(np.where(known, values, 0).sum(axis=1))
     count = blocks.sums(known.sum(axis=1))
@@ -211,7 +211,7 @@ def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -
 
 def median_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Spread:
     """Return the median over pixels, shape (pixel,) or (pixel, ...), without those that are NaN."""
-    flat = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    flat = np.asarray(values, dtype=np.float64).reshape(len(values), math.prod(values.shape[1:]))
     of_value = np.repeat(blocks.of_pixel, flat.shape[1])
     known = np.isfinite(flat.ravel())
     order = np.argsort(flat.ravel()[known], kind="stable")

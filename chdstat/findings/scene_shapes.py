@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import generator
-from chdstat.atlases._shapes import BINS, WIDTH, of_histograms
+from chdstat.findings._equal import common_count, drawn
 from chdstat.findings._integrators import permuted, squares
 from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.evidence import Evidence
+from chdstat.findings.log_chds import EDGES, aligned
 from chdstat.findings.resampling import Blocks, Spread, interval_of, mean_of
 from chdstat.findings.results import Exhibit, Part
 from chdstat.summary import summarize
@@ -41,6 +41,8 @@ _ACROSS = 4
 _PIXELS = 1500
 """Pixels of each scene that take part, at most."""
 _LEAST = 64
+_LEAST_SAMPLES = 32
+"""Positive samples that a shape needs."""
 _TREES = 30
 _PARTS = 2
 
@@ -59,15 +61,16 @@ def measure(evidences: Sequence[Evidence]) -> Conclusion:
     level = level_of(_PARTS)
     parts, missing = list[Part](), list[str]()
     details: dict[str, Any] = {}
-    looks = [_shapes(evidence) for evidence in evidences]
+    n = common_count(evidences, least=_LEAST_SAMPLES)
+    looks = [_shapes(evidence, n) for evidence in evidences]
     if len(evidences) < 2:
         missing.append("needs a second scene")
     else:
         found, confusion = tells_apart(looks, level=level)
         if confusion is None:
-            missing.append(f"needs {_LEAST} pixels of each scene with enough positive samples")
+            missing.append(f"needs {_LEAST} pixels of each scene with {n} positive samples")
         else:
-            details["confusion"] = confusion
+            details |= {"confusion": confusion, "positive_samples": n}
             chance = 1 / len(evidences)
             name = "accuracy of telling scenes apart"
             parts.append(Part.of(name, found, least=(1 + chance) / 2))
@@ -96,7 +99,8 @@ def tells_apart(
     Each scene comes with shapes, (pixel, edge), and the blocks that its pixels lie in.
 
     Extremely randomised trees (Geurts, Ernst and Wehenkel 2006, doi:10.1007/s10994-006-6226-1) see
-    shapes without place, scale or share of nulls. Each image is cut into 16 blocks; a quarter of
+    shapes without place or scale, each of as many positive samples: of more, a shape is smoother,
+    which would tell of nulls and spp. Each image is cut into 16 blocks; a quarter of
     them is held out at a time, as neighbours resemble each other (Roberts et al. 2017,
     doi:10.1111/ecog.02881). Every scene counts alike.
 
@@ -140,18 +144,12 @@ def _balanced(right: Floats, count: Floats, scene: Ints) -> Callable[[Floats], F
     return accuracy
 
 
-def _shapes(evidence: Evidence) -> tuple[Floats, Blocks]:
-    """Return shapes of some pixels, shape (pixel, edge), and the blocks that they lie in."""
-    aligned = of_histograms(evidence.summary, generator(0))
-    rows = aligned.whole.cumulative.reshape(-1, aligned.whole.cumulative.shape[-1])
-    known = np.flatnonzero(np.isfinite(rows).all(axis=1))
-    some = np.sort(generator(0).permutation(known)[:_PIXELS])
-    return rows[some].astype(np.float64), _kept(evidence.whole(across=_ACROSS).blocks, some)
-
-
-def _kept(blocks: Blocks, pixels: Ints) -> Blocks:
-    """Return the blocks of some pixels under the numbers they had."""
-    return Blocks(blocks.of_pixel[pixels], blocks.region)
+def _shapes(evidence: Evidence, n: int) -> tuple[Floats, Blocks]:
+    """Return shapes of `n` samples, shape (pixel, edge), and the blocks that the pixels lie in."""
+    x, blocks = drawn(evidence, n, pixels=_PIXELS, across=_ACROSS)
+    found = aligned(x)
+    # Blocks keep their numbers, which say where they lie.
+    return found.whole[found.known], Blocks(blocks.of_pixel[found.known], blocks.region)
 
 
 def _between_integrators(evidences: Sequence[Evidence], level: float) -> _Difference:
@@ -176,9 +174,8 @@ def _other_summary(evidence: Evidence) -> xr.Dataset | None:
 
 
 def _exhibit(evidences: Sequence[Evidence], looks: Sequence[tuple[Floats, Blocks]]) -> Exhibit:
-    edges = WIDTH * (np.arange(1, BINS) - BINS / 2)
     series = {}
     for evidence, (shapes, _) in zip(evidences, looks, strict=True):
         if len(shapes):
-            series[evidence.name] = (edges, shapes.mean(axis=0))
+            series[evidence.name] = (EDGES, shapes.mean(axis=0))
     return Exhibit("curves", series, "log10 radiance around its mean", "share below")

@@ -187,6 +187,19 @@ def test_integrators_are_told_apart_by_a_test_and_by_size(sigma, same):
     assert found.details["p_value_by_scene"] == {"scene 0": found.p_value}
 
 
+@pytest.mark.parametrize("number", [11, 12])
+@SEEDS
+def test_more_positive_samples_are_no_other_shape_and_no_more_modes(number, seed):
+    found = look(number, worlds.more_light, seed)
+    (part,) = found.parts
+    assert part.verdict != "supported"
+    if number == 11:
+        modes = [mode["value"] for mode in found.details["modes"].values()]
+        assert np.ptp(modes) < 0.1
+    else:
+        assert part.statistic.value < 0.35
+
+
 def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():
     rng = np.random.default_rng(0)
     dark = worlds.nulls(0.7)(rng, 64)[0]

@@ -177,12 +177,20 @@ def complexity(sign: int) -> World:
             several = np.arange(12).reshape(3, 4, 1) < 1.5 * i
             high = (rng.random((3, 4, spp)) < 0.5) & several
             x = chd.Samples.from_array(image(rng.lognormal(np.where(high, 3, 0), 0.3)))
-            modes = chd.modality(x, silverman=False, progress=False)[["modes"]]
-            given = modes.rename(modes="modality_modes")
-            found.append(Evidence(f"scene {i}", x, given=given, complexity=sign * i))
+            found.append(Evidence(f"scene {i}", x, complexity=sign * i))
         return found
 
     return world
+
+
+def more_light(rng, spp):
+    """Return five scenes of one CHD, of which ever fewer samples are null."""
+    found = []
+    for i, share in enumerate((0.85, 0.8, 0.7, 0.5, 0.0)):
+        high = rng.random((16, 16, spp)) < 0.5
+        x = nulled(rng.lognormal(np.where(high, 1.2, -1.2), 0.55), share, rng)
+        found.append(replace(evidence(image(x), name=f"scene {i}"), complexity=float(i)))
+    return found
 
 
 def scenes(*sigmas: float) -> World:
