@@ -151,5 +151,6 @@ def _means(a: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
         # Welch (1947), equation 28: the degrees of freedom of the sum of two variances.
         parts = (e**2 / (x.shape[1] - 1) for e, x in zip(errors, (a, b), strict=True))
         p = 2 * special.stdtr(squared**2 / sum(parts), -np.abs(t))
-    constant = squared == 0  # without scatter, there is nothing to measure a difference by
+    # Without scatter, there is nothing to measure a difference by; rounding is none.
+    constant = (np.ptp(a, axis=-1) == 0) & (np.ptp(b, axis=-1) == 0)
     return delta, np.where(constant, np.nan, t), np.where(constant, np.nan, p)

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import generator, is_bad
+from chdstat._arrays import generator
 from chdstat.findings.evidence import Evidence
 from chdstat.findings.resampling import Blocks
 
@@ -26,17 +26,12 @@ def common_count(evidences: Sequence[Evidence], *, least: int) -> int:
 
     Of pixels that have any, and of the channel in the middle; not less than `least`.
     """
-    middles = []
-    for evidence in evidences:
-        counts = evidence.summary["log_counts"].to_numpy()
-        positive = counts[:, :, counts.shape[2] // 2].sum(axis=-1)
-        middles.append(np.median(positive[positive > 0]) if positive.any() else 0)
+    counts = [_positive(evidence) for evidence in evidences]
+    middles = [np.median(n[n > 0]) if n.any() else 0 for n in counts]
     return max(least, int(min(middles, default=0)))
 
 
-def drawn(
-    evidence: Evidence, n: int, *, pixels: int, across: int = 8, seed: int = 0
-) -> tuple[Floats, Blocks]:
+def drawn(evidence: Evidence, n: int, *, pixels: int, across: int = 8) -> tuple[Floats, Blocks]:
     """Draw `n` positive samples of pixels spread over the image, of the channel in the middle.
 
     Parameters
@@ -49,34 +44,27 @@ def drawn(
         How many, at most, as many in each of `across` x `across` blocks of the image.
     across
         Blocks along each side.
-    seed
-        Of the draws.
 
     Returns
     -------
     tuple
         Radiance, shape (pixel, n), and the blocks that the pixels lie in.
     """
-    rng, samples = generator(seed), evidence.samples
-    height, width, channels, _ = samples.shape
-    rows, columns = min(height, across), min(width, across)
-    each = max(1, pixels // (rows * columns))
-    found, places = [np.empty((0, n))], [np.empty(0, np.int64)]
-    # A block at a time: all of an image may not fit in memory.
-    for block in range(rows * columns):
-        row, column = divmod(block, columns)
-        ys = slice(-(-row * height // rows), -(-(row + 1) * height // rows))
-        xs = slice(-(-column * width // columns), -(-(column + 1) * width // columns))
-        x = samples.read(ys, xs)
-        good = ~is_bad(x).any(axis=2).reshape(-1, samples.spp)
-        light = x[:, :, channels // 2].reshape(-1, samples.spp)
-        positive = good & (light > 0)
-        able = np.flatnonzero(np.count_nonzero(positive, axis=-1) >= n)
-        some = np.sort(rng.permutation(able)[:each])
+    rng, blocks = generator(0), evidence.whole(across).blocks
+    found, places = [np.empty((0, n))], [np.empty(0, dtype=np.int64)]
+    for patch in evidence.scattered(pixels, across=across, able=_positive(evidence) >= n):
+        x = evidence.radiance(patch)
+        light = x[:, x.shape[1] // 2]
         # Positive ones first, in an order drawn at random.
-        rank = np.where(positive[some], rng.random((len(some), samples.spp)), 2)
+        rank = np.where(light > 0, rng.random(light.shape), 2)
         first = np.argpartition(rank, n - 1, axis=-1)[:, :n]
-        found.append(np.take_along_axis(light[some], first, axis=-1).astype(np.float64))
-        places.append(np.full(len(some), block))
-    region = np.zeros(rows * columns, dtype=np.int64)
-    return np.concatenate(found), Blocks(np.concatenate(places), region)
+        found.append(np.take_along_axis(light, first, axis=-1))
+        places.append(patch.blocks.of_pixel)
+    return np.concatenate(found), Blocks(np.concatenate(places), blocks.region)
+
+
+def _positive(evidence: Evidence) -> npt.NDArray[np.int64]:
+    """Return how many positive samples each pixel has within its log histogram, shape (y, x)."""
+    counts = evidence.summary["log_counts"]
+    middle = counts.isel(channel=counts.sizes["channel"] // 2)
+    return np.asarray(middle.sum("log_bin").to_numpy(), dtype=np.int64)

@@ -41,9 +41,17 @@ def uniformity(batches: Floats, blocks: Blocks) -> dict[str, float]:
     known = np.isfinite(noise) & (rest > 0)
     noise, level, block = noise[known], np.log(rest[known]), blocks.of_pixel[known]
     p = {"breusch_pagan": _breusch_pagan(noise, level), "levene": _levene(noise, block)}
-    small, large = sorted(p, key=lambda name: p[name])
-    adjusted = min(1.0, 2 * p[small])
-    return {small: adjusted, large: max(adjusted, p[large])}
+    return dict(zip(p, _holm(np.array(list(p.values()))).tolist(), strict=True))
+
+
+def _holm(p: Floats) -> Floats:
+    """Return adjusted p-values; what was not tested counts for none."""
+    from statsmodels.stats.multitest import multipletests
+
+    adjusted, known = p.copy(), np.flatnonzero(np.isfinite(p))
+    if known.size:
+        adjusted[known] = multipletests(p[known], method="holm")[1]
+    return adjusted
 
 
 def _breusch_pagan(noise: Floats, level: Floats) -> float:

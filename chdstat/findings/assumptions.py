@@ -13,7 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator, luminance
+from chdstat._moments import Moments
 from chdstat.findings._explained import explained_by_features
+from chdstat.findings._growth import growing, with_room
 from chdstat.findings._uniformity import uniformity
 from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.evidence import Evidence
@@ -41,6 +43,8 @@ IRREGULAR = 0.5
 """Share of all squared steps of log radiance that the largest steps hold:"""
 STEPS = 0.05
 """share of the steps that are the largest; of Gaussian steps, they would hold 0.28."""
+_GROWING = 1024
+"""Pixels that are asked how much skewness grows with the number of samples."""
 LEAST = 12
 """Batches of samples that the parts of the data need."""
 _PARTS = 4
@@ -94,7 +98,6 @@ def _of_samples(
     evidence: Evidence, batches: _Batches, blocks: Blocks, level: float
 ) -> tuple[Part, ...]:
     """Return the parts that need nothing but samples."""
-    skewness = evidence.summary["skewness"].to_numpy() / np.sqrt(AVERAGED)
     return (
         Part.of(
             "slope of log variance on log mean",
@@ -103,7 +106,7 @@ def _of_samples(
         ),
         Part.of(
             f"skewness of averages of {AVERAGED}",
-            median_of(skewness.reshape(-1, skewness.shape[-1]), blocks, level=level),
+            _skewness(evidence, blocks, level),
             least=SKEWED,
         ),
         Part.of(
@@ -112,6 +115,20 @@ def _of_samples(
             least=IRREGULAR,
         ),
     )
+
+
+def _skewness(evidence: Evidence, blocks: Blocks, level: float) -> Spread:
+    """Return the median skewness of averages; how it grows is asked of some pixels."""
+
+    def of_averages(moments: Moments) -> Floats:
+        return np.asarray(moments.skewness / np.sqrt(AVERAGED))
+
+    skewness = evidence.summary["skewness"].to_numpy() / np.sqrt(AVERAGED)
+    found = median_of(skewness.reshape(-1, skewness.shape[-1]), blocks, level=level)
+    some = (evidence.radiance(patch) for patch in evidence.scattered(_GROWING))
+    parts = [growing(np.nan_to_num(x), np.isfinite(x), of_averages) for x in some]
+    quarter, half, whole = (np.concatenate(values) for values in zip(*parts, strict=True))
+    return with_room(found, (quarter, half, whole))
 
 
 def _told(summary: xr.Dataset) -> dict[int, float] | None:

@@ -128,11 +128,13 @@ def _needed(part: Part, spp: int, few: str) -> str:
     if not math.isfinite(part.low):
         return "there are too few pixels or samples for an interval"
     margin = part.margin
+    if math.isinf(part.high) and part.statistic.value < part.least:
+        return f"{spp} spp do not show how far its tail reaches, many more would decide"
     needed = spp * (1.2 / margin) ** 2 if margin > 0 else math.inf
     if not needed < _MOST_SPP:
         return "the value is too near the border for any number of samples, or needs more pixels"
-    spp = 2 ** math.ceil(math.log2(needed))
-    return f"about {spp} spp would decide if noise makes it wide, more pixels if these differ"
+    rounded = 2 ** math.ceil(math.log2(needed))
+    return f"about {rounded} spp would decide if noise makes it wide, more pixels if these differ"
 
 
 def _sentence(text: str) -> str:

@@ -6,6 +6,7 @@ the pixels of regions.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import is_bad, luminance
+from chdstat._arrays import generator, is_bad, luminance
 from chdstat.analysis import analyze
 from chdstat.findings.log_chds import LogChds, of_histograms
 from chdstat.findings.resampling import Blocks
@@ -167,6 +168,24 @@ class Evidence:
         y, x = np.mgrid[:height, :width].reshape(2, -1)
         region = np.zeros(len(y), dtype=np.int64)
         return Patch(("image",), y, x, region, Blocks.grid(height, width, across=across))
+
+    def scattered(
+        self, pixels: int, *, across: int = 8, able: npt.NDArray[np.bool_] | None = None
+    ) -> Iterator[Patch]:
+        """Yield pixels drawn from each of `across` x `across` blocks, a patch a block.
+
+        About `pixels` in all, of those that are `able`, shape (y, x); None draws from all.
+        """
+        rng, whole = generator(0), self.whole(across)
+        each = max(1, pixels // len(whole.blocks))
+        taking_part = np.ones(len(whole), dtype=bool) if able is None else able.ravel()
+        for block in range(len(whole.blocks)):
+            here = np.flatnonzero((whole.blocks.of_pixel == block) & taking_part)
+            some = np.sort(rng.permutation(here)[:each])
+            if len(some):
+                number = np.full(len(some), block)
+                blocks = Blocks(number, whole.blocks.region)
+                yield Patch((f"block {block}",), whole.y[some], whole.x[some], 0 * some, blocks)
 
     def radiance(self, patch: Patch) -> Floats:
         """Return the samples of a patch, shape (pixel, channel, sample); bad ones are NaN."""

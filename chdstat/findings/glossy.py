@@ -104,8 +104,8 @@ def spread_slope(x: Floats, blocks: Blocks, *, level: float) -> Spread:
     """Return the slope of log deviation on log mean over the channels of each pixel.
 
     Means are noisy, and noise in what explains flattens a slope. The mean of the one half of the
-    samples is therefore the instrument of that of the other, and the deviation is that of the
-    instrument's half:
+    samples is therefore the instrument of that of the other, and the deviation is that of the other
+    half, too, so that its noise has nothing in common with the instrument's:
     ``sum(d(log s1) d(log m2)) / sum(d(log m1) d(log m2))``, both ways added up.
 
     References

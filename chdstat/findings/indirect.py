@@ -7,6 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from chdstat.findings._growth import growing, with_room
 from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.diffuse import log_skewness
 from chdstat.findings.evidence import Evidence
@@ -23,8 +24,8 @@ TAIL = float(np.log(100) / np.log(2))
 """Quantile at 99 % over the median, of the exponential distribution: 6.6. Beyond it, a tail is
 long."""
 KURTOSIS = 6.0
-"""Excess kurtosis of the exponential distribution; beyond it, kurtosis is high. That of a sample is
-too low where tails are long, so that "supported" errs on the safe side."""
+"""Excess kurtosis of the exponential distribution; beyond it, that of positive samples is high.
+Nulls would add to it, but are a part of the claim of their own."""
 LEAST = 100
 """Positive samples that a quantile at 99 % needs."""
 _PARTS = 4
@@ -36,16 +37,21 @@ def measure(evidence: Evidence) -> Conclusion:
     if patch is None:
         return Conclusion(missing=("needs a region of indirect light",))
     summary, level = evidence.summary, level_of(_PARTS)
-    kurtosis = patch.take(summary["kurtosis"].to_numpy())
     null = patch.take(summary["null_share"].to_numpy())
     x = evidence.light(patch)
     tail, skewness = _tail(x), log_skewness(x)
     if not np.isfinite(tail).any():
         return Conclusion(missing=(_needed(x),))
     blocks = patch.blocks
+    grown = growing(x, x > 0, lambda moments: moments.kurtosis)
+    kurtosis = grown[-1]
     parts = (
         Part.of("quantile at 99 % over median", median_of(tail, blocks, level=level), least=TAIL),
-        Part.of("excess kurtosis", median_of(kurtosis, blocks, level=level), least=KURTOSIS),
+        Part.of(
+            "excess kurtosis of positive samples",
+            with_room(median_of(kurtosis, blocks, level=level), grown),
+            least=KURTOSIS,
+        ),
         Part.of("skewness of log radiance", mean_of(skewness, blocks, level=level), most=0.0),
         Part.of(
             "share of nulls", mean_of(null, blocks, level=level), least=Thresholds().null_share

@@ -109,8 +109,11 @@ def _bright(x: Floats, border: float) -> Floats:
 
 def _along(values: Floats, y: Floats, x: Floats) -> Floats:
     """Return positions along the direction in which values rise, in pixels."""
-    design = np.stack([y, x], axis=1)
-    slope = np.linalg.lstsq(design, values - values.mean(), rcond=None)[0]
+    design, known = np.stack([y, x], axis=1), np.isfinite(values)
+    if not known.any():
+        return np.full(len(values), np.nan)
+    rise = values[known] - values[known].mean()
+    slope = np.linalg.lstsq(design[known] - design[known].mean(axis=0), rise, rcond=None)[0]
     length = float(np.linalg.norm(slope))
     return np.asarray(design @ slope / length if length > 0 else np.zeros(len(values)))
 

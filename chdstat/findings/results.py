@@ -8,7 +8,7 @@ lies outside, and else there is no telling.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -50,7 +50,7 @@ class Part:
     statistic
         The number.
     low, high
-        Its interval, in the same unit; NaN where there is none.
+        Its interval, in the same unit; NaN where there is none, infinite where it is open.
     level
         Coverage of the interval.
     least, most
@@ -90,18 +90,28 @@ class Part:
 
     @property
     def margin(self) -> float:
-        """Distance of the value to the nearest end of the range, in half widths of the interval."""
-        ends = [e for e in (self.least, self.most) if math.isfinite(e)]
-        half = (self.high - self.low) / 2
-        if not ends or not half > 0 or not math.isfinite(self.statistic.value):
+        """Distance of the value to an end of the range over that to the interval's end beyond it.
+
+        Of the end that is less sure; above 1, the interval does not reach it. 0 where the interval
+        is open to that side, NaN without an interval.
+        """
+        value = self.statistic.value
+        ends = [end for end in (self.least, self.most) if math.isfinite(end)]
+        arms = [value - self.low if end < value else self.high - value for end in ends]
+        if not ends or not min(arms) > 0:
             return math.nan
-        return min(abs(self.statistic.value - end) for end in ends) / half
+        return min(abs(value - end) / arm for end, arm in zip(ends, arms, strict=True))
+
+    def between(self, write: Callable[[float], str]) -> str:
+        """Return the interval in words, each of its ends as `write` has it; "" without one."""
+        if math.isnan(self.low) or math.isnan(self.high):
+            return ""
+        rest = "or more" if math.isinf(self.high) else f"to {write(self.high)}"
+        return f"{write(self.low)} {rest}"
 
     def __str__(self) -> str:
         value = f"{self.statistic.name} is {number(self.statistic.value)}"
-        known = math.isfinite(self.low) and math.isfinite(self.high)
-        between = f"{number(self.low)} to {number(self.high)}" if known else "no interval"
-        return f"{value} ({between}), claimed {self._range()}"
+        return f"{value} ({self.between(number) or 'no interval'}), claimed {self._range()}"
 
     def _range(self) -> str:
         if math.isinf(self.least):

@@ -33,6 +33,8 @@ def measure(evidence: Evidence) -> Conclusion:
     albedo = evidence.feature("albedo")
     if albedo is None or evidence.samples.shape[2] != albedo.shape[-1]:
         return Conclusion(missing=("needs first-hit albedo of each channel",))
+    if albedo.shape[-1] < 2:
+        return Conclusion(missing=("needs several channels",))
     patch = _textured(evidence, albedo)
     if patch is None:
         return Conclusion(

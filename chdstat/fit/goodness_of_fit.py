@@ -159,7 +159,8 @@ def goodness(
     name = _name(fit)
 
     def of_part(part: Part) -> Goodness:
-        stream = stream_of(part, seed) if image else seed
+        # Never that of `numpy.random.default_rng(seed)`, of which the samples may be draws.
+        stream = seed if isinstance(seed, np.random.Generator) else stream_of(part, seed)
         return goodness_of_part(part, fit, tests=tests, resamples=resamples, seed=stream)
 
     result = run(

@@ -113,11 +113,10 @@ def finding_content(finding: Finding) -> dict[str, Any]:
 
 def _part_content(part: Part) -> dict[str, str]:
     unit = "" if part.statistic.unit == "1" else f" ({_unit(part.statistic.unit)})"
-    known = math.isfinite(part.low) and math.isfinite(part.high)
     return {
         "name": f"{part.statistic.name}{unit}",
         "value": number(part.statistic.value),
-        "interval": f"{number(part.low)} to {number(part.high)}" if known else "—",
+        "interval": part.between(number) or "—",
         "claimed": " ".join(_claimed(part)),
         "verdict": part.verdict,
     }

@@ -80,16 +80,21 @@ class Stores:
         spp = int(settings["spp"])
         fewer, fewest = (max(min(spp, _LEAST), spp // by) for by in (_FEWER, _FEWEST))
         samples = self._rendered(scene, settings)
+
+        def seed(further: int) -> dict[str, int]:
+            # Tests of a difference take the samples of all renders for independent.
+            return {"seed": int(settings["seed"]) + further}
+
         other = _by_another(scene, samples)
         return Renders(
             samples,
-            shorter=self._rendered(scene, settings | {"max_depth": SHORT, "spp": fewer})
+            shorter=self._rendered(scene, settings | {"max_depth": SHORT, "spp": fewer, **seed(3)})
             if _is_longer(samples)
             else None,
-            integrator=self._rendered(other, settings | {"spp": fewest}) if other else None,
-            again=self._rendered(
-                scene, settings | {"seed": int(settings["seed"]) + 1, "spp": fewer}
-            ),
+            integrator=self._rendered(other, settings | {"spp": fewest, **seed(2)})
+            if other
+            else None,
+            again=self._rendered(scene, settings | {"spp": fewer, **seed(1)}),
         )
 
     def beside(self, samples: Samples, suffix: str) -> Path | None:

@@ -171,8 +171,9 @@ def _intervals(axes: Axes, part: Measured) -> None:
     for i in range(len(value)):
         color = VERDICTS[_of_interval(low[i], high[i], part)][0]
         shade = "#777777" if color == VERDICTS["cannot tell"][0] else color
-        axes.plot([low[i], high[i]], [i, i], color=shade, linewidth=1.6, solid_capstyle="butt")
-        full = bool(np.isfinite(low[i]) and np.isfinite(high[i]))
+        ends = np.clip([low[i], high[i]], *span)  # one may be open
+        axes.plot(ends, [i, i], color=shade, linewidth=1.6, solid_capstyle="butt")
+        full = not np.isnan(ends).any()
         axes.plot(
             value[i], i, "o", color=shade, markersize=3.6, fillstyle="full" if full else "none"
         )

@@ -187,6 +187,45 @@ def test_integrators_are_told_apart_by_a_test_and_by_size(sigma, same):
     assert found.details["p_value_by_scene"] == {"scene 0": found.p_value}
 
 
+@SEEDS
+def test_too_few_samples_do_not_refute_a_long_tail(seed):
+    """The kurtosis is 6.7, but of 128 samples 3.7: a claim of 6 is not refuted."""
+    rng = np.random.default_rng(seed)
+    x = worlds.image(rng.gamma(0.9, size=worlds.size(128, 16)))
+    found = BY_NUMBER[5].find(worlds.evidence(x, "indirect"))
+    (part,) = (p for p in found.parts if "kurtosis" in p.statistic.name)
+    assert part.statistic.value < 5
+    assert part.verdict == "cannot tell"
+
+
+@SEEDS
+def test_too_few_samples_do_not_make_averages_symmetric(seed):
+    """The skewness of averages of 32 is 0.58, but that of 384 samples is 0.46."""
+    rng = np.random.default_rng(seed)
+    x = worlds.image(rng.lognormal(0, 0.75, (32, 32, 384)))
+    found = BY_NUMBER[13].find(worlds.evidence(x))
+    (part,) = (p for p in found.parts if "skewness" in p.statistic.name)
+    assert part.statistic.value < 0.5
+    assert part.verdict == "cannot tell"
+
+
+def test_one_bad_pixel_does_not_spoil_its_region():
+    first = worlds.TRUE[6](np.random.default_rng(0), SPP)[0]
+    x = first.samples.read().copy()
+    x[5, 5] = np.nan
+    found = BY_NUMBER[6].find(replace(first, samples=chd.Samples.from_array(x)))
+    assert found.verdict == "supported"
+
+
+def test_one_channel_has_no_other_to_differ_from():
+    first = worlds.TRUE[7](np.random.default_rng(0), SPP)[0]
+    one = chd.Samples.from_array(
+        first.samples.read()[:, :, 1:2],
+        features={"albedo": first.samples.features["albedo"][..., 1:2]},
+    )
+    assert "several channels" in BY_NUMBER[7].find(replace(first, samples=one)).reason
+
+
 @pytest.mark.parametrize("number", [11, 12])
 @SEEDS
 def test_more_positive_samples_are_no_other_shape_and_no_more_modes(number, seed):

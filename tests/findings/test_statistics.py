@@ -15,10 +15,11 @@ from scipy import stats
 import chdstat as chd
 from chdstat.findings import Evidence, Part, Statistic
 from chdstat.findings._explained import explained_by_features
+from chdstat.findings._growth import growing, with_room
 from chdstat.findings._integrators import permuted, squares
 from chdstat.findings._uniformity import uniformity
 from chdstat.findings.complexity import rank_correlation, scene_complexity
-from chdstat.findings.conclusions import Conclusion, level_of
+from chdstat.findings.conclusions import Conclusion, conclude, level_of
 from chdstat.findings.diffuse import log_skewness
 from chdstat.findings.learning import early_gain
 from chdstat.findings.log_chds import EDGES, aligned, of_histograms, squared_distance
@@ -195,6 +196,19 @@ def test_noise_that_grows_with_radiance_is_told():
     assert 0 < found["levene"] < 1e-6
 
 
+def test_what_cannot_be_tested_has_no_p_value_and_adjusts_none():
+    rng = np.random.default_rng(0)
+    single = uniformity(rng.normal(4, 1, (64, 12)), Blocks.grid(8, 8, across=8))
+    assert np.isnan(single["levene"])
+    # Breusch-Pagan alone: a fifth of the p-values of no effect is below 0.2, were it adjusted for
+    # two, a tenth; of 200, chance makes 27 or less 0.4 % of the time.
+    found = [
+        uniformity(rng.normal(4, 1, (64, 12)), Blocks.grid(8, 8, across=8)) for _ in range(200)
+    ]
+    assert np.sum([p["breusch_pagan"] < 0.2 for p in found]) > 27
+    assert all(np.isnan(p) for p in uniformity(np.ones((64, 12)), Blocks.grid(8, 8)).values())
+
+
 def test_features_that_fix_the_variance_explain_all_but_noise():
     rng = np.random.default_rng(0)
     depth = rng.uniform(0, 1, size=(40, 40)).astype(np.float32)
@@ -247,6 +261,64 @@ def test_early_gain_is_a_share_of_the_last_one():
     assert early_gain(history(noise - 0.1), level=0.95).high == 0
     assert np.isnan(early_gain(history(noise), level=0.95).value)
     assert np.isnan(early_gain(history(noise[:5]), level=0.95).value)
+
+
+def conclude_of(part):
+    about = {"number": 1, "name": "x", "claim": "x", "scene": "x"}
+    return conclude(Conclusion((part,)), **about, spp=512)
+
+
+def test_an_open_interval_supports_and_refutes_nothing_above():
+    part = Part(Statistic("tail", 4.0), 3.5, np.inf, 0.95, least=6)
+    assert part.verdict == "cannot tell"
+    assert "3.5 or more" in str(part)
+    reason = conclude_of(part).reason
+    assert "512 spp do not show how far its tail reaches" in reason
+    assert Part(Statistic("tail", 8.0), 7.5, np.inf, 0.95, least=6).verdict == "supported"
+
+
+def test_advice_looks_at_the_side_that_reaches_over_the_border():
+    """The interval would not reach the border with a third of its upper arm; the lower is short."""
+    part = Part(Statistic("share", 0.3), 0.29, 0.51, 0.95, most=0.5)
+    assert part.margin == pytest.approx(0.2 / 0.21)
+    assert "about 1024 spp would decide" in conclude_of(part).reason
+
+
+# --- statistics that grow with the number of samples --------------------------------------------
+
+
+def skewness(moments):
+    return moments.skewness
+
+
+@pytest.mark.parametrize(
+    ("draw", "spp", "truth"),
+    [
+        (lambda rng, size: rng.lognormal(0, 0.75, size), 256, 3.26),
+        (lambda rng, size: rng.lognormal(0, 0.75, size), 1024, 3.26),
+        (lambda rng, size: rng.lognormal(0, 1.2, size), 512, 11.2),
+        (lambda rng, size: rng.gamma(0.8, size=size), 128, 2.236),
+        (lambda rng, size: rng.normal(8, 1, size), 256, 0.0),
+        (lambda rng, size: rng.uniform(1, 2, size), 256, 0.0),
+    ],
+)
+def test_room_is_left_for_the_samples_that_are_missing(draw, spp, truth):
+    rng = np.random.default_rng(0)
+    for pixels in (64, 2000):
+        x = draw(rng, (pixels, spp))
+        grown = growing(x, x > 0, skewness)
+        found = with_room(median_of(grown[-1], Blocks.grid(8, pixels // 8)), grown)
+        assert found.high > truth
+        if truth == 0:  # what does not grow is known
+            assert found.high < 0.5
+
+
+def test_parts_of_the_samples_have_their_own_moments():
+    x = np.random.default_rng(0).gamma(1, size=(3, 40))
+    quarters, halves, whole = growing(x, x > 0, skewness)
+    assert whole == pytest.approx(stats.skew(x, axis=1))
+    assert halves[3:] == pytest.approx(stats.skew(x[:, 1::2], axis=1))
+    assert quarters[6:9] == pytest.approx(stats.skew(x[:, 2::4], axis=1))
 
 
 # --- verdicts -----------------------------------------------------------------------------------

@@ -226,6 +226,13 @@ def test_replicates_are_independent_and_seeded():
     assert 0.4 < more.var() / (19 * share * (1 - share)) < 2.2
 
 
+def test_replicates_are_not_the_draws_that_are_tested():
+    """The default seed may be that of the samples; 500 p-values, of which 5 % are as small."""
+    x = np.random.default_rng(0).lognormal(size=(500, 200))
+    p = goodness(x, "lognormal", tests=["kolmogorov-smirnov"], resamples=19).p_value
+    assert 0.02 < np.mean(p <= 0.05) < 0.09
+
+
 def test_radiance_scales_and_nulls_take_no_part():
     rng = np.random.default_rng(83)
     x = rng.gamma(2.0, size=300)

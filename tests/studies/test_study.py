@@ -101,6 +101,8 @@ def test_a_scene_is_rendered_in_four_ways_and_given_samples_in_none(found):
     assert depth == [stores.SHORT, 8]
     assert evidence.integrator.attrs["integrator"]["rr_depth"] == stores.ROULETTE
     assert cornell.again.attrs["seed"] == evidence.samples.attrs["seed"] + 1
+    renders = (evidence.samples, cornell.again, evidence.shorter, evidence.integrator)
+    assert len({samples.attrs["seed"] for samples in renders if samples is not None}) == 4
     assert given.evidence.shorter is given.evidence.integrator is given.again is None
 
 
