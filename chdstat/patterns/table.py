@@ -164,10 +164,17 @@ def _is_long(e: Evidence, t: Thresholds) -> Mask:
 
 
 def _tail_p_value(e: Evidence, t: Thresholds) -> Floats:
-    """Return the p-value of the tail, or that of the body where it is the body's that is long."""
+    """Return the p-value of the tail, or of tail and body where it is the body's that is long.
+
+    Every log-normal distribution has a long body, so that this one needs log-normal to be
+    significantly better than gamma, too: of 32 exponential samples, it often is a little better. Of
+    two tests, the smaller p-value counts twice (Bonferroni).
+    """
     with np.errstate(invalid="ignore", divide="ignore"):
         of_body = special.ndtr(-e.body_index / e.body_index_se)
-    return np.where(_body_is_long(e, t), np.fmin(of_body, e.tail_p_value), e.tail_p_value)
+    of_body = np.where(e.vuong_z > 0, of_body, np.fmax(of_body, special.ndtr(e.vuong_z)))
+    both = np.minimum(2 * np.fmin(of_body, e.tail_p_value), 1.0)
+    return np.where(_body_is_long(e, t), both, e.tail_p_value)
 
 
 def _is_like(sign: int) -> Callable[[Evidence, Thresholds], Mask]:
