@@ -2,7 +2,7 @@
 
 `mse` and `relmse` measure the error, `improved` counts the estimates that beat the sample mean, and
 `bias` belongs next to each of them: an estimator that darkens the picture can have a small error.
-`bootstrap` gives any of them a standard error and an interval over pixels.
+`bootstrap` gives any of them a standard error and an interval over pixels, or blocks of them.
 
 Arrays hold channels on the last axis; every leading axis (pixels, batches) is averaged over.
 """
@@ -222,7 +222,8 @@ def bootstrap(
     r"""Bootstrap a statistic of pixel means: draw pixels with replacement, ask for its spread.
 
     Pixels are the unit that is drawn, so whatever varies within a pixel (batches, channels) stays
-    together. The interval takes pixels for independent draws of the picture, as their noise is.
+    together. The interval takes pixels for independent draws of the picture, as their noise is; for
+    what neighbours share, such as the gain of an estimator, give means over blocks in their place.
 
     Parameters
     ----------
