@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from chdstat._renderer import Job, Renderer
 from chdstat._store import Chunk, Store, chunk_grid
+from chdstat._streams import STREAMS
 from chdstat.errors import StoreError
 from chdstat.samples import Samples
 
@@ -35,13 +36,14 @@ def provenance(job: Job, renderer: Renderer, spp: int) -> dict[str, Any]:
         "chdstat_version": importlib.metadata.version("chdstat"),
         "filter": "box",
         "sampler": "independent",
+        "streams": STREAMS,
         "units": "linear radiance",
         "notes": renderer.notes,
         "render_seconds": 0.0,
     }
 
 
-_IDENTITY = ("scene_hash", "integrator", "size", "seed", "backend", "mitsuba_version")
+_IDENTITY = ("scene_hash", "integrator", "size", "seed", "backend", "mitsuba_version", "streams")
 """Attributes that must agree before samples are added to a store."""
 
 
