@@ -5,23 +5,66 @@ Samples lie on the last axis; leading axes are a batch (pixels, channels).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+import operator
+from collections.abc import Iterator, Sequence
+from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat.errors import InputError
 
-__all__ = ["LUMINANCE", "as_samples", "generator", "is_bad", "is_null", "luminance", "spans"]
+__all__ = [
+    "LUMINANCE",
+    "as_samples",
+    "generator",
+    "is_bad",
+    "is_null",
+    "luminance",
+    "spans",
+    "whole",
+]
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
 """Weights of linear sRGB in luminance (ITU-R BT.709)."""
 
 
-def generator(seed: int | np.random.Generator | None) -> np.random.Generator:
-    """Turn a seed into a random generator; a generator passes through."""
-    return np.random.default_rng(seed)
+def generator(seed: int | Sequence[int] | np.random.Generator | None) -> np.random.Generator:
+    """Turn a seed into a random generator; a generator passes through.
+
+    Raises
+    ------
+    InputError
+        If the seed is neither a whole number from 0, several of them, a generator, nor None.
+    """
+    try:
+        return np.random.default_rng(seed)
+    except (TypeError, ValueError) as error:
+        message = f"seed must be a whole number from 0, a generator or None, got {seed!r}"
+        raise InputError(message) from error
+
+
+def whole(name: str, value: object, *, least: int) -> int:
+    """Return a whole number, of whatever type, as an int.
+
+    Raises
+    ------
+    InputError
+        If it is none, a truth value, or less than `least`.
+
+    Examples
+    --------
+    >>> whole("n", np.int32(3), least=1)
+    3
+    """
+    if not isinstance(value, SupportsIndex) or isinstance(value, bool):
+        message = f"{name} must be a whole number, got {value!r}"
+        raise InputError(message)
+    number = operator.index(value)
+    if number < least:
+        message = f"{name} must be at least {least}, got {number}"
+        raise InputError(message)
+    return number
 
 
 def as_samples(

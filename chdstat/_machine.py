@@ -19,10 +19,14 @@ def memory() -> int | None:
     return total if limit is None else min(limit, total)
 
 
-def free_disk(path: Path) -> int:
-    """Return the free bytes of the disk that a path, which need not exist yet, would be on."""
+def free_disk(path: Path) -> int | None:
+    """Return the free bytes of the disk that a path, which need not exist yet, would be on.
+
+    None where there is no disk, as in /proc: whoever writes there learns what is wrong.
+    """
     existing = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
-    return shutil.disk_usage(existing).free
+    usage = shutil.disk_usage(existing)
+    return usage.free if usage.total else None
 
 
 def _container_limit() -> int | None:

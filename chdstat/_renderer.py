@@ -22,11 +22,13 @@ from chdstat.backend import BACKENDS, Verdict, activate
 from chdstat.errors import RenderError, SceneError
 from chdstat.scenes import Scene
 
-__all__ = ["Job", "Renderer", "film_size"]
+__all__ = ["Job", "Renderer", "film_size", "integrator_type"]
 
 _BLOCK = 32
 _RUN = 16
 """Samples of a pixel in neighbouring lanes: their paths begin alike, which saves a tenth."""
+_INTEGRATOR = "path"
+"""What renders a scene that names no integrator."""
 _FEATURE_SPP = 16
 _FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
 
@@ -54,6 +56,14 @@ def film_size(job: Job) -> tuple[int, int]:
     with activate(job.verdict) as mi:
         nodes = job.scene.parse(BACKENDS[job.verdict.backend]).nodes
         return _film_size(next((n.props for n in nodes if n.type == mi.ObjectType.Film), {}))
+
+
+def integrator_type(job: Job) -> str:
+    """Return Mitsuba's name of the integrator that the scene of a job asks for."""
+    with activate(job.verdict) as mi:
+        nodes = job.scene.parse(BACKENDS[job.verdict.backend]).nodes
+        found = (n.props.plugin_name() for n in nodes if n.type == mi.ObjectType.Integrator)
+        return str(next(found, _INTEGRATOR))
 
 
 def _film_size(properties: Any) -> tuple[int, int]:
@@ -143,7 +153,7 @@ class Renderer:
             )
 
     def _read_integrator(self, found: list[Any], job: Job) -> None:
-        properties = self._mi.Properties(found[0] if found else self._mi.Properties("path"))
+        properties = self._mi.Properties(found[0] if found else self._mi.Properties(_INTEGRATOR))
         for name in ("samples_per_pass", "timeout", "block_size"):
             if name in properties:
                 del properties[name]

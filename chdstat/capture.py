@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._arrays import whole
 from chdstat._crew import rendered
 from chdstat._machine import free_disk, memory
-from chdstat._renderer import Job, Renderer, film_size
+from chdstat._renderer import Job, Renderer, film_size, integrator_type
 from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
 from chdstat._store import DIRECT
 from chdstat._streams import max_spp
@@ -32,7 +34,15 @@ from chdstat.scenes import Scene, load_scene
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["render", "render_batches", "render_pixels", "scene_size"]
+__all__ = [
+    "job_of",
+    "refuse_render",
+    "render",
+    "render_batches",
+    "render_pixels",
+    "scene_integrator",
+    "scene_size",
+]
 
 _log = logging.getLogger("chdstat")
 
@@ -72,7 +82,7 @@ def render(
     size
         (width, height) in pixels; None takes that of `out`, else the scene's own.
     seed
-        Any non-negative integer; small seeds give independent images.
+        Any non-negative integer; another one gives independent samples.
     max_depth
         Longest path in segments; None takes the scene's own.
     direct
@@ -109,14 +119,13 @@ def render(
     >>> samples
     <Samples 'cornell-box' 8 x 8 pixels, 3 channels, 2 spp, in memory>
     """
-    loaded = load_scene(scene)
-    _check(spp, size, seed)
+    loaded, spp = load_scene(scene), whole("spp", spp, least=1)
     existing = existing_store(out)
     if existing is not None:
         direct = existing.direct() is not None or direct  # one of other samples is refused here
         backend = existing.attrs["backend"] if backend == "auto" else backend
         size = size or tuple(existing.attrs["size"])
-    job = Job(loaded, resolve(backend), size, seed, max_depth)
+    job = job_of(loaded, backend, size, seed, max_depth)
     with activate(job.verdict):
         renderer = Renderer(job)
         _check_streams(job, renderer, spp)
@@ -182,11 +191,8 @@ def render_batches(
     >>> [batch.shape for batch in rendering]
     [(8, 8, 3, 16), (8, 8, 3, 16), (8, 8, 3, 8)]
     """
-    _check(spp, size, seed)
-    if batch < 1:
-        message = f"batch must be at least 1, got {batch}"
-        raise InputError(message)
-    job = Job(load_scene(scene), resolve(backend), size, seed, max_depth)
+    spp, batch = whole("spp", spp, least=1), whole("batch", batch, least=1)
+    job = job_of(scene, backend, size, seed, max_depth)
     with activate(job.verdict):
         renderer = Renderer(job)
     _check_streams(job, renderer, spp)
@@ -233,8 +239,8 @@ def render_pixels(
     >>> chd.render_pixels("cornell-box", [(4, 4)], spp=16, size=(8, 8)).shape
     (1, 3, 16)
     """
-    _check(spp, size, seed)
-    job = Job(load_scene(scene), resolve(backend), size, seed, max_depth)
+    spp = whole("spp", spp, least=1)
+    job = job_of(scene, backend, size, seed, max_depth)
     with activate(job.verdict):
         renderer = Renderer(job)
         return renderer.pixels(_checked_pixels(pixels, renderer.size), spp)
@@ -253,19 +259,61 @@ def scene_size(scene: str | Path | dict[str, Any] | Scene) -> tuple[int, int]:
     return film_size(job)
 
 
+def scene_integrator(scene: str | Path | dict[str, Any] | Scene) -> str:
+    """Return Mitsuba's name of the integrator that a scene asks for.
+
+    Examples
+    --------
+    >>> from chdstat.capture import scene_integrator
+    >>> scene_integrator("fog")
+    'volpath'
+    """
+    return integrator_type(Job(load_scene(scene), resolve("scalar")))
+
+
+def refuse_render(source: object, settings: Mapping[str, Any]) -> None:
+    """Refuse settings of a render, by name, where samples are there already.
+
+    What is None, and the backend "auto", was not asked for.
+
+    Raises
+    ------
+    InputError
+        If any was.
+    """
+    asked = [name for name, value in settings.items() if value not in (None, "auto")]
+    if asked:
+        message = (
+            f"{', '.join(asked)}: a setting of a render, but {source} holds finished samples; "
+            "leave it out, or give the scene"
+        )
+        raise InputError(message)
+
+
 # --- checks -------------------------------------------------------------------------------------
 
 
-def _check(spp: int, size: tuple[int, int] | None, seed: int) -> None:
-    if spp < 1:
-        message = f"spp must be at least 1, got {spp}"
-        raise InputError(message)
-    if size is not None and (len(size) != 2 or min(size) < 1):
-        message = f"size must be (width, height) in pixels, each at least 1, got {size}"
-        raise InputError(message)
-    if seed < 0:
-        message = f"seed must not be negative, got {seed}"
-        raise InputError(message)
+def job_of(
+    scene: str | Path | dict[str, Any] | Scene,
+    backend: Backend,
+    size: tuple[int, int] | None,
+    seed: int,
+    max_depth: int | None,
+) -> Job:
+    """Return a job whose settings are checked, so that no work is done for wrong ones."""
+    if size is not None:
+        pair = isinstance(size, Sequence) and len(size) == 2
+        if not pair:
+            message = f"size must be (width, height) in pixels, got {size!r}"
+            raise InputError(message)
+        size = whole("width", size[0], least=1), whole("height", size[1], least=1)
+    if max_depth is not None:
+        max_depth = whole("max_depth", max_depth, least=-1)
+        if max_depth == 0:
+            message = "max_depth must be at least 1 segment, or -1 for no limit, got 0"
+            raise InputError(message)
+    seed = whole("seed", seed, least=0)
+    return Job(load_scene(scene), resolve(backend), size, seed, max_depth)
 
 
 def _check_streams(job: Job, renderer: Renderer, spp: int) -> None:
@@ -285,7 +333,9 @@ def _check_room(size: tuple[int, int], spp: int, out: str | Path | None) -> None
     if out is None:
         there, where, advice = memory() or needed, "memory", "give a store to write to"
     else:
-        there, where, advice = _MOST_COMPRESSION * free_disk(Path(out)), "disk", "free some space"
+        free = free_disk(Path(out))
+        there = needed if free is None else _MOST_COMPRESSION * free
+        where, advice = "disk", "free some space"
     if needed > there:
         message = (
             f"{spp} samples for each of {size[0]} x {size[1]} pixels take {needed / 1e9:.3g} GB, "

@@ -27,7 +27,7 @@ from chdstat.estimators.heldout import direct_of
 from chdstat.estimators.progressive.timetables import follow
 from chdstat.io import write_exr
 from chdstat.models import AnyModel, first_samples, load_model, train_model
-from chdstat.samples import Samples
+from chdstat.samples import Samples, checked
 
 if TYPE_CHECKING:
     from chdstat.renderings import Rendering
@@ -74,7 +74,7 @@ def estimate(
         Put the picture through Open Image Denoise, with first-hit features where there are any.
         Certainty and interval remain those of the estimate before it.
     seed, iterations
-        Of the training, as for `chdstat.models.train_model`.
+        Of the training, as for `chdstat.models.train_model`; no iterations with a model.
     progress
         Show progress bars; None shows them on a terminal. A rendering shows its own.
 
@@ -217,9 +217,14 @@ def _improve(
     progress: bool | None = None,
 ) -> _Improved:
     _check_options(balance, level)
+    if model is not None and iterations is not None:
+        message = f"iterations={iterations} is for training; with a model, nothing is trained"
+        raise InputError(message)
     own = load_model(model) if isinstance(model, str | Path) else model
     asked: dict[str, float] = {"balance": balance, "level": level}
     training: dict[str, Any] = {"seed": seed, "iterations": iterations}
+    if not hasattr(samples, "batch"):  # a rendering has it; its class would need Mitsuba here
+        checked(samples)
     if isinstance(samples, Samples):
         samples = first_samples(samples, spp)
         if denoise:
@@ -236,7 +241,7 @@ def _improve(
         "spp": samples.spp,
         "estimator": start.model.name,
         "training": start.training if model is None else "before",
-        "balance": balance,
+        "balance": balance if isinstance(start.model, Progressive) else "none",
         "level": "none" if np.isnan(final.level) else final.level,
         "denoiser": "Open Image Denoise" if denoise else "none",
         "samples": samples.attrs,

@@ -7,12 +7,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators import MLP, LearnedEstimator, Progressive, lookup, names
+from chdstat.estimators import MLP, Estimator, LearnedEstimator, Progressive, lookup, names
 from chdstat.estimators._modelfile import read_model
-from chdstat.samples import Samples
+from chdstat.samples import Samples, checked
 
 __all__ = ["AnyModel", "check_choice", "first_samples", "load_model", "train_model"]
 
@@ -103,8 +103,9 @@ def check_choice(
         If it learns nothing, or looks at no features or direct light, or needs a reference.
     """
     entry = lookup(name)
-    if not isinstance(entry, LearnedEstimator):
-        message = f"{name} learns nothing; give one of {', '.join(names('learned'))}"
+    if not _can_be_kept(entry):
+        kept = [other for other in names("learned") if _can_be_kept(lookup(other))]
+        message = f"{name} trains no network that could be kept; give one of {', '.join(kept)}"
         raise InputError(message)
     if name != Progressive.name and (features or direct or not reference):
         message = (
@@ -113,6 +114,10 @@ def check_choice(
         )
         raise InputError(message)
     return entry
+
+
+def _can_be_kept(entry: Estimator | LearnedEstimator) -> TypeGuard[LearnedEstimator]:
+    return isinstance(entry, LearnedEstimator) and entry.iterates
 
 
 def load_model(path: str | Path) -> AnyModel:
@@ -146,6 +151,7 @@ def first_samples(samples: Samples, spp: int | None) -> Samples:
     InputError
         If there are not so many, or less than one is wanted.
     """
+    checked(samples)
     if spp is None or spp == samples.spp:
         return samples
     return samples.first(spp)

@@ -16,9 +16,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from chdstat.capture import scene_integrator
 from chdstat.errors import InputError
 from chdstat.samples import Samples
-from chdstat.scenes import BUILTIN
+from chdstat.scenes import BUILTIN, Scene
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -27,6 +28,7 @@ __all__ = [
     "PHENOMENA",
     "Recipe",
     "Region",
+    "check_integrator",
     "choose_regions",
     "find_recipe",
     "load_recipe",
@@ -79,6 +81,15 @@ class Region:
     phenomenon: str
     rectangle: tuple[float, float, float, float]
     note: str = ""
+
+    def __post_init__(self) -> None:
+        left, top, right, bottom = self.rectangle
+        if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1):
+            message = (
+                "rectangle must be (left, top, right, bottom) as fractions of the image, "
+                f"0 <= left < right <= 1, top < bottom alike, got {self.rectangle}"
+            )
+            raise InputError(message)
 
     def pixels(self, height: int, width: int) -> tuple[slice, slice]:
         """Return the rows and columns that the region covers, at least one of each.
@@ -144,6 +155,23 @@ class Recipe:
         return abs(width - own_width * scale) < 1 and abs(height - own_height * scale) < 1
 
 
+def check_integrator(recipe: Recipe, scene: Scene) -> None:
+    """Refuse a recipe that was written for another integrator than its scene has.
+
+    Raises
+    ------
+    InputError
+        If the types differ.
+    """
+    used = scene_integrator(scene)
+    if recipe.integrator not in (None, used):
+        message = (
+            f"key integrator.type of the recipe must be {used!r}, as scene {scene.name!r} has it, "
+            f"got {recipe.integrator!r}; change it in the scene, or leave it out of the recipe"
+        )
+        raise InputError(message)
+
+
 def own_recipe(name: str, origin: str) -> Recipe | None:
     """Return the recipe of a scene that is built in; None of another, whatever its name is.
 
@@ -191,6 +219,9 @@ def load_recipe(path: str | Path) -> Recipe:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         message = f"cannot read recipe {path}: {error.strerror}"
+        raise InputError(message) from error
+    except UnicodeDecodeError as error:
+        message = f"recipe {path} is no text in UTF-8"
         raise InputError(message) from error
     except tomllib.TOMLDecodeError as error:
         message = f"recipe {path} is not valid TOML: {error}"

@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from chdstat._store import Store
 
-__all__ = ["Samples", "inspect", "open"]
+__all__ = ["Samples", "checked", "inspect", "open"]
 
 _MAP_BYTES = 16 * 2**20
 """Size of the block that `Samples.map` hands out at most, unless 16 x 16 pixels are larger."""
@@ -166,7 +166,11 @@ class Samples:
 
     def __getitem__(self, pixel: tuple[int, int]) -> npt.NDArray[np.float32]:
         """Return the samples of one pixel, shape (channel, sample)."""
-        y, x = pixel
+        pair = isinstance(pixel, tuple) and len(pixel) == 2
+        if not pair or not all(isinstance(place, SupportsIndex) for place in pixel):
+            message = f"expected one pixel (y, x), got {pixel!r}; read() returns parts of an image"
+            raise InputError(message)
+        y, x = map(int, pixel)
         height, width = self.shape[:2]
         if not (-height <= y < height and -width <= x < width):
             message = f"pixel (y={y}, x={x}) is outside the image of {width} x {height} pixels"
@@ -329,6 +333,22 @@ class Samples:
             # Strings of variable length: zarr v3 has no stable type for those of fixed length.
             dataset = dataset.assign_coords(channel=np.array(self.channels, dtype=object))
         return dataset
+
+
+def checked(samples: object) -> Samples:
+    """Return samples; what is none is refused, the path of a store with advice.
+
+    Raises
+    ------
+    InputError
+        If it is something else.
+    """
+    if not isinstance(samples, Samples):
+        advice = "; chdstat.open opens a store" if isinstance(samples, str | Path) else ""
+        got = repr(samples) if advice else type(samples).__name__
+        message = f"expected Samples, got {got}{advice}"
+        raise InputError(message)
+    return samples
 
 
 def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open

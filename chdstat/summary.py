@@ -20,7 +20,7 @@ from chdstat._moments import Moments
 from chdstat._streaming import Blocks, reduce_tiles
 from chdstat.errors import InputError
 from chdstat.histograms import Histogram, StreamingHistogram, label_histogram
-from chdstat.samples import Mapped, Samples
+from chdstat.samples import Mapped, Samples, checked
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -306,6 +306,7 @@ def summarize(
             summary.update(block)
         return _variables(summary.read())
 
+    checked(samples)
     # A run of the batches alone says how they will end, and refuses wrong options at once.
     batches = Batches((), size=batch_size, limit=max_batches)
     batches.update(np.zeros(samples.spp))

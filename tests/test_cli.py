@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import chdstat as chd
 from chdstat.cli import main
 
 
@@ -244,7 +245,7 @@ def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
         (("analyze", "s.zarr", "--threshold", "alpha"), "--threshold takes KEY=VALUE"),
         (("analyze", "s.zarr", "--threshold", "alpha=2"), "null_share and firefly_share in (0, 1)"),
         (("train", "box", "-o", "a.txt"), "must end in .safetensors"),
-        (("train", "box", "-o", "a.safetensors", "--model", "mean"), "mean learns nothing"),
+        (("train", "box", "-o", "a.safetensors", "--model", "mean"), "mean trains no network"),
         (
             ("train", "box", "-o", "a.safetensors", "--model", "elek2019", "--features"),
             "are for 'progressive'",
@@ -298,3 +299,27 @@ def test_an_interrupt_says_how_to_go_on(run, monkeypatch):
     code, _, err = run("info", "x.zarr")
     assert code == 130
     assert "resume" in err
+
+
+def test_settings_of_a_render_are_refused_where_samples_are_there(run, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    run("render", "cornell-box", "-o", "s.zarr", "--spp", "16", "--size", "6x5", "-q")
+    for asked in (
+        ("report", "s.zarr", "-o", "a.pdf", "--size", "8x8"),
+        ("report", "s.zarr", "-o", "a.pdf", "-D", "a=1"),
+        ("estimate", "s.zarr", "-o", "a.exr", "--max-depth", "3"),
+        ("train", "s.zarr", "-o", "a.safetensors", "--backend", "scalar"),
+        ("study", "s.zarr", "--spp", "8"),
+        ("explore", "s.zarr", "-D", "a=1"),
+    ):
+        code, _, err = run(*asked)
+        assert code == 1
+        assert "a setting of a render, but" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
+
+
+def test_a_curve_that_cannot_be_measured_is_refused_before_the_comparison(run, tmp_path):
+    chd.render("cornell-box", spp=48, size=(6, 5), backend="scalar", out=tmp_path / "s.zarr")
+    code, out, err = run("compare", tmp_path / "s.zarr", "--curve", "-q")
+    assert (code, out) == (1, "")
+    assert "elek2019 takes exactly 32 samples" in err

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.comparison import error_curve
+from chdstat.comparison import curve_sizes, error_curve
 from chdstat.errors import InputError
 from chdstat.estimators import MLP
 
@@ -27,6 +27,14 @@ def curve():
     rng = np.random.default_rng(7)
     samples = chd.Samples.from_array(rng.exponential(size=(40, 40, 1, 256)))
     return error_curve(samples, ["mean", "median", "median_of_means"])
+
+
+def test_default_sizes_hold_one_that_each_estimator_takes():
+    names = ["mean", "median_of_means", "elek2019"]
+    assert curve_sizes(picture(spp=64), names) == (4, 8, 11, 32)
+    assert curve_sizes(picture(spp=1024), names) == (4, 8, 16, 32, 64, 128)
+    with pytest.raises(InputError, match=r"elek2019 takes exactly 32 samples, got sizes \(4, 11"):
+        curve_sizes(picture(spp=48), names)
 
 
 def test_sizes_double_up_to_an_eighth_of_the_samples(curve):
@@ -93,7 +101,11 @@ def test_the_curve_is_ready_for_json_and_netcdf(curve):
     [
         (["mean"], {"sizes": []}, "different numbers from 1"),
         (["mean"], {"sizes": [4, 4]}, "different numbers from 1"),
-        (["mean"], {"sizes": [0, 4]}, "different numbers from 1"),
+        (["mean"], {"sizes": [0, 4]}, "a size must be at least 1, got 0"),
+        (["mean"], {"sizes": [4.5]}, "a size must be a whole number, got 4.5"),
+        (["mean"], {"sizes": 8}, "sizes must be several numbers, got 8"),
+        ("mean", {}, "must be a list of names, got the single name 'mean'"),
+        ([np.mean], {"sizes": [8]}, "expected names of estimators or entries"),
         (["mean"], {"sizes": [4, 81]}, "at least 162 spp, got 160"),
         (["mean"], {"max_batches": 0}, "max_batches must be"),
         (["median_of_means"], {"sizes": [4, 8]}, r"at least 11 samples, got sizes \(4, 8\)"),

@@ -62,7 +62,11 @@ def test_the_first_samples_are_the_first():
 @pytest.mark.parametrize(
     ("name", "options", "match"),
     [
-        ("mean", {}, "mean learns nothing; give one of .*elek2019"),
+        (
+            "mean",
+            {},
+            "mean trains no network .* give one of elek2019, .*progressive, progressive_mse",
+        ),
         ("nobody", {}, "no estimator is called 'nobody'"),
         ("elek2019", {"features": True}, "are for 'progressive', not 'elek2019'"),
         ("elek2019", {"reference": False}, "are for 'progressive', not 'elek2019'"),

@@ -16,6 +16,7 @@ from chdstat.patterns import Label
 from chdstat.recipes import (
     PHENOMENA,
     Region,
+    check_integrator,
     choose_regions,
     find_recipe,
     load_recipe,
@@ -195,3 +196,23 @@ def test_regions_are_those_of_the_view_that_the_recipe_shows():
     assert regions(x[:20], scene="bathroom", scene_source="chdstat") == ()
     assert regions(x, scene="bathroom", scene_source="other.xml") == ()
     assert regions(x, scene="attic", scene_source="chdstat") == ()
+
+
+def test_a_recipe_of_another_integrator_is_refused(tmp_path):
+    recipe = load_recipe(write(tmp_path, GOOD.replace('"path"', '"volpath"')))
+    with pytest.raises(InputError, match="must be 'path', as scene 'bathroom' has it, got 'volp"):
+        check_integrator(recipe, load_scene("bathroom"))
+    check_integrator(load_recipe(write(tmp_path, GOOD)), load_scene("bathroom"))
+
+
+def test_a_file_that_is_no_text_is_refused(tmp_path):
+    path = tmp_path / "noise.toml"
+    path.write_bytes(bytes(range(128, 256)))
+    with pytest.raises(InputError, match="noise.toml is no text in UTF-8"):
+        load_recipe(path)
+
+
+@pytest.mark.parametrize("rectangle", [(4, 4, 12, 12), (0.5, 0, 0.5, 1), (0, -0.1, 1, 1)])
+def test_regions_are_fractions_of_the_image(rectangle):
+    with pytest.raises(InputError, match="as fractions of the image"):
+        Region("wall", "diffuse", rectangle)

@@ -82,8 +82,8 @@ def test_a_loop_can_be_left():
     [
         ({"spp": 0}, "spp must be at least 1, got 0"),
         ({"batch": 0}, "batch must be at least 1, got 0"),
-        ({"seed": -1}, "seed must not be negative"),
-        ({"size": (0, 8)}, "size must be"),
+        ({"seed": -1}, "seed must be at least 0"),
+        ({"size": (0, 8)}, "width must be"),
         ({"spp": 2**40}, "spp must be at most"),
         ({"size": (10**6, 10**6), "spp": 1}, "spp must be at most|than the memory can hold"),
     ],

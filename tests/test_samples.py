@@ -208,3 +208,28 @@ def test_damage_shows_when_it_is_read(x, tmp_path):
     assert np.array_equal(samples[0, 0], x[0, 0])
     with pytest.raises(StoreError, match=f"cannot read {file}"):
         samples[69, 0]
+
+
+@pytest.mark.parametrize("index", [0, (0, 1, 2), (slice(0, 2), 0), ..., (0.5, 1)])
+def test_what_is_no_pixel_is_refused_with_advice(index):
+    samples = chd.Samples.from_array(np.ones((2, 2, 1, 3)))
+    with pytest.raises(InputError, match=r"expected one pixel \(y, x\), .* read\(\) returns parts"):
+        samples[index]
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        chd.summarize,
+        chd.analyze,
+        chd.estimate,
+        chd.train_model,
+        lambda x: chd.compare(x, ["mean"]),
+        lambda x: chd.error_curve(x, ["mean"]),
+    ],
+)
+def test_what_is_no_samples_is_refused_with_advice(ask):
+    with pytest.raises(InputError, match=r"expected Samples, got 'a.zarr'; chdstat.open opens"):
+        ask("a.zarr")
+    with pytest.raises(InputError, match="expected Samples, got ndarray"):
+        ask(np.ones((2, 2, 3, 64)))

@@ -53,7 +53,7 @@ def main() -> None:
         _fail(str(error), 1)
     except SystemExit as ended:
         if ended.code == _INTERRUPTED:  # what typer makes of Ctrl-C
-            _fail("stopped; with a store, the same command resumes where it was", _INTERRUPTED)
+            _fail("stopped; what renders to a store resumes where it was", _INTERRUPTED)
         raise
     except MemoryError:
         _fail("out of memory; use a smaller --size or --spp, or keep samples in a store", 1)

@@ -27,12 +27,12 @@ __all__ = [
     "batches_of",
     "client_of",
     "given",
-    "is_store",
     "pairs_of",
     "progress_of",
     "samples_of",
     "scene_of",
     "size_of",
+    "source_of",
     "thresholds_of",
 ]
 
@@ -87,6 +87,9 @@ Scheduler = Annotated[
 ]
 
 
+_RENDERING = ("max_depth", "backend")
+
+
 def scene_of(name: str, define: list[str] | None) -> Any:
     """Return a scene by name or file, with its parameters."""
     from chdstat.scenes import load_scene
@@ -105,11 +108,16 @@ def samples_of(
 ) -> Any:
     """Return the samples of a finished store, or render those of a scene."""
     import chdstat
+    from chdstat.capture import refuse_render
 
-    if is_store(source):
-        return chdstat.open(source)
+    found = source_of(source, define)
+    if isinstance(found, Path):
+        # A seed may be that of a training, and spp the number of first samples.
+        other = {name: value for name, value in settings.items() if name in _RENDERING}
+        refuse_render(source, {"size": size, "store": store, **other})
+        return chdstat.open(found)
     return chdstat.render(
-        scene_of(source, define),
+        found,
         progress=progress_of(quiet),
         **given(size=size_of(size), out=store, **settings),
     )
@@ -138,6 +146,16 @@ def batches_of(
         progress=progress_of(quiet),
         **given(size=size_of(size), **settings),
     )
+
+
+def source_of(source: str, define: list[str] | None) -> Any:
+    """Return the path of a finished store, or a scene by name or file, with its parameters."""
+    from chdstat.capture import refuse_render
+
+    if not is_store(source):
+        return scene_of(source, define)
+    refuse_render(source, {"-D": define or None})
+    return Path(source)
 
 
 def is_store(source: str) -> bool:

@@ -218,6 +218,7 @@ def compare(
         unused_folder(out)  # refused before the work, not after
     samples = chdstat.open(store)
     settings = given(estimators=estimator, seed=seed, max_batches=max_batches)
+    sizes = chdstat.comparison.curve_sizes(samples, **given(estimators=estimator)) if curve else ()
     found = chdstat.compare(
         samples,
         **settings,
@@ -228,7 +229,11 @@ def compare(
     errors = None
     if curve:
         errors = chdstat.error_curve(
-            samples, **settings, model=found.reusable_models, progress=progress_of(quiet)
+            samples,
+            **settings,
+            sizes=sizes,
+            model=found.reusable_models,
+            progress=progress_of(quiet),
         )
     if out is not None:
         save_comparison(found, out, curve=errors)

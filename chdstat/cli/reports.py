@@ -20,10 +20,9 @@ from chdstat.cli._options import (
     Spp,
     StoreKept,
     given,
-    is_store,
     progress_of,
-    scene_of,
     size_of,
+    source_of,
 )
 from chdstat.cli._output import print_json, print_rows, print_table
 
@@ -50,7 +49,7 @@ def report(
     import chdstat
 
     path = chdstat.report(
-        source if is_store(source) else scene_of(source, define),
+        source_of(source, define),
         out,
         spp=spp,
         size=size_of(size),
@@ -146,7 +145,7 @@ def explore(
     import chdstat
 
     explorer = chdstat.explore(
-        source if is_store(source) else scene_of(source, define),
+        source_of(source, define),
         other=other,
         reference=reference,
         models=model or (),

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from chdstat.comparison._cost import Cost
 from chdstat.comparison._sums import MEASURES
-from chdstat.comparison.curves import ErrorCurve, error_curve
+from chdstat.comparison.curves import ErrorCurve, curve_sizes, error_curve
 from chdstat.comparison.denoising import Denoised, denoised
 from chdstat.comparison.matrix import Across, across
 from chdstat.comparison.parts import Breakdown, PixelEstimates
@@ -28,6 +28,7 @@ __all__ = [
     "PixelEstimates",
     "across",
     "compare",
+    "curve_sizes",
     "denoised",
     "error_curve",
 ]

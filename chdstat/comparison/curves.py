@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._arrays import whole
 from chdstat.comparison._contestants import Contestants, Given, totals_of
-from chdstat.comparison._entries import Entry, resolve
+from chdstat.comparison._entries import DEFAULT, Entry, least_taken, looked_up, resolve, takes
 from chdstat.comparison._sums import MEASURES, stack_intervals
 from chdstat.comparison._tables import (
     dataset_of,
@@ -28,12 +29,12 @@ from chdstat.errors import InputError
 from chdstat.estimators.heldout import check_spp
 from chdstat.estimators.registry import Model
 from chdstat.metrics import Interval
-from chdstat.samples import Samples
+from chdstat.samples import Samples, checked
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ErrorCurve", "error_curve"]
+__all__ = ["ErrorCurve", "curve_sizes", "error_curve"]
 
 _SMALLEST, _SHARE = 4, 8
 """By default, sizes double from 4 to an eighth of the samples: the rest is the reference."""
@@ -125,7 +126,7 @@ class ErrorCurve:
 
 def error_curve(
     samples: Samples,
-    estimators: Sequence[str | Entry] = ("mean", "median_of_means", "elek2019", "progressive"),
+    estimators: Sequence[str | Entry] = DEFAULT,
     *,
     sizes: Sequence[int] | None = None,
     seed: int = 0,
@@ -149,7 +150,8 @@ def error_curve(
         Names of registered estimators, or entries of your own. Where one does not take N samples,
         there is no number.
     sizes
-        N, in any order; None doubles from 4 to an eighth of the samples.
+        N, in any order; None doubles from 4 to an eighth of the samples, and adds the fewest that
+        an estimator takes where these are none.
     seed, max_batches, model, progress
         As for `chdstat.compare`. Pixels that trained a model count at no N. Small batches are
         read one by one: `Samples.load` a store first.
@@ -177,7 +179,10 @@ def error_curve(
     array([[ 1.,  2.],
            [ 1., 11.]])
     """
-    chosen = _sizes(sizes, samples, max_batches)
+    checked(samples)
+    if max_batches is not None:
+        max_batches = whole("max_batches", max_batches, least=1)
+    chosen = curve_sizes(samples, estimators, sizes=sizes)
     entries = resolve(estimators, chosen)
     totals = totals_of(samples)
     contestants = Contestants.of(
@@ -220,22 +225,35 @@ def error_curve(
     )
 
 
-def _sizes(
-    given: Sequence[int] | None, samples: Samples, max_batches: int | None
+def curve_sizes(
+    samples: Samples,
+    estimators: Sequence[str | Entry] = DEFAULT,
+    *,
+    sizes: Sequence[int] | None = None,
 ) -> tuple[int, ...]:
-    """Return the sizes in ascending order, checked."""
-    if max_batches is not None and max_batches < 1:
-        message = f"max_batches must be at least 1, got {max_batches}"
-        raise InputError(message)
-    if given is None:
+    """Return the N of an error curve in ascending order, checked before any work.
+
+    Raises
+    ------
+    InputError
+        As `error_curve` does.
+    """
+    if sizes is None:
         largest = max(_SMALLEST, samples.spp // _SHARE)
-        given = [2**k for k in range(_SMALLEST.bit_length() - 1, largest.bit_length())]
-    sizes = tuple(sorted(given))
-    if not sizes or sizes[0] < 1 or len(set(sizes)) < len(sizes):
-        message = f"sizes must be one or more different numbers from 1, got {tuple(given)}"
+        doubled = [2**k for k in range(_SMALLEST.bit_length() - 1, largest.bit_length())]
+        entries = looked_up(estimators)
+        fewest = {least_taken(e) for e in entries if not any(takes(e, n) for n in doubled)}
+        sizes = [*doubled, *(n for n in fewest if 2 * n <= samples.spp)]
+    if np.ndim(sizes) != 1:
+        message = f"sizes must be several numbers, got {sizes!r}"
         raise InputError(message)
-    check_spp(samples, sizes[-1])
-    return sizes
+    chosen = tuple(sorted(whole("a size", n, least=1) for n in sizes))
+    if not chosen or len(set(chosen)) < len(chosen):
+        message = f"sizes must be one or more different numbers from 1, got {chosen}"
+        raise InputError(message)
+    check_spp(samples, chosen[-1])
+    resolve(estimators, chosen)
+    return chosen
 
 
 def _measures(tally: Tally, contestants: Contestants, n: int, seed: int) -> dict[str, Interval]:

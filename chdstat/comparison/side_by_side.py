@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._arrays import whole
 from chdstat.comparison._contestants import Contestants, Given, totals_of
 from chdstat.comparison._cost import Cost, measure_cost
-from chdstat.comparison._entries import Entry, resolve
+from chdstat.comparison._entries import DEFAULT, Entry, resolve
 from chdstat.comparison._labels import Labels, labels_of
 from chdstat.comparison._sums import MEASURES, stack_intervals
 from chdstat.comparison._tally import Directed, Tally, Units, asked, judge
@@ -27,7 +28,7 @@ from chdstat.comparison.parts import Breakdown
 from chdstat.comparison.results import Comparison
 from chdstat.errors import InputError
 from chdstat.estimators.heldout import Totals, check_spp, direct_of
-from chdstat.samples import Samples
+from chdstat.samples import Samples, checked
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,7 +41,7 @@ _COST_PIXELS = 64 * 64
 
 def compare(
     samples: Samples,
-    estimators: Sequence[str | Entry] = ("mean", "median_of_means", "elek2019", "progressive"),
+    estimators: Sequence[str | Entry] = DEFAULT,
     *,
     n: int = 32,
     seed: int = 0,
@@ -132,11 +133,10 @@ def compare(
     mean 1.0 False
     median_of_means 1.5 True
     """
-    numbers = {"n": n, "max_batches": max_batches, "training_seeds": training_seeds}
-    for name, number in numbers.items():
-        if number is not None and number < 1:
-            message = f"{name} must be at least 1, got {number}"
-            raise InputError(message)
+    checked(samples)
+    n, training_seeds = whole("n", n, least=1), whole("training_seeds", training_seeds, least=1)
+    if max_batches is not None:
+        max_batches = whole("max_batches", max_batches, least=1)
     if model is not None and training_seeds > 1:
         message = f"training_seeds={training_seeds} trains anew; give no model with it"
         raise InputError(message)

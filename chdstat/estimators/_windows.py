@@ -7,13 +7,13 @@ takes from another, that one takes from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import spans
+from chdstat._arrays import spans, whole
 from chdstat.errors import InputError
 from chdstat.estimators._rows import Floats
 from chdstat.estimators.classical import mean_of_good
@@ -128,15 +128,22 @@ def with_own(
 
 
 def check_window(
-    radius: int, *, patch: int = 0, alpha: float = 0.5, threshold: float = 1.0
+    radius: int,
+    *,
+    patch: int = 0,
+    alpha: float = 0.5,
+    above_zero: Mapping[str, float] | None = None,
 ) -> None:
     """Refuse options of a shared estimator that are out of range."""
-    if radius < 0 or patch < 0 or not 0 < alpha < 1 or not threshold > 0:
-        message = (
-            "radius and patch must be at least 0, alpha between 0 and 1 and threshold larger than "
-            f"0, got {radius}, {patch}, {alpha} and {threshold}"
-        )
+    whole("radius", radius, least=0)
+    whole("patch", patch, least=0)
+    if not 0 < alpha < 1:
+        message = f"alpha must lie between 0 and 1, got {alpha}"
         raise InputError(message)
+    for name, value in (above_zero or {}).items():
+        if not value > 0:
+            message = f"{name} must be larger than 0, got {value}"
+            raise InputError(message)
 
 
 def _pool(

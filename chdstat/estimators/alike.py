@@ -126,7 +126,7 @@ def shared_patches(
     >>> shared_patches(picture, fireflies="keep")[4, [0, 3, 4, 7], 0].round(1).tolist()
     [1.0, 0.9, 100.0, 93.1]
     """
-    check_window(radius, patch=patch, threshold=threshold)
+    check_window(radius, patch=patch, above_zero={"threshold": threshold})
     if fireflies not in ("limit", "keep"):
         message = f"fireflies must be 'limit' or 'keep', got {fireflies!r}"
         raise InputError(message)
@@ -202,7 +202,7 @@ def shared_shape(
     >>> found[2:5, 3, 0].round().tolist()
     [108.0, 338.0, 205.0]
     """
-    check_window(radius, alpha=alpha, threshold=limit)
+    check_window(radius, alpha=alpha, above_zero={"limit": limit})
     samples = as_samples(x, minimum=2)
     check_pixels(samples, picture=True)
     picture = Picture.of(samples)

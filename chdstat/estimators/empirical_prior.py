@@ -367,5 +367,6 @@ register_learned(
         "doi:10.1214/aoms/1177728066",
         inputs=_INPUTS,
         pixels=_PIXELS,
+        iterates=False,
     )
 )

@@ -129,6 +129,8 @@ class LearnedEstimator:
         As for `Estimator`.
     uses_direct
         Whether its models take ``direct=``, the direct part of the samples; they cannot do without.
+    iterates
+        Whether ``train`` also takes ``iterations``, and what it returns can be saved.
     """
 
     name: str
@@ -140,6 +142,7 @@ class LearnedEstimator:
     uses_features: bool = False
     joint_channels: bool = False
     uses_direct: bool = False
+    iterates: bool = True
 
     @property
     def learns(self) -> bool:

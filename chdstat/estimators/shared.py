@@ -99,7 +99,7 @@ def delbracio2014(
     >>> bool(shared.std() < alone.std() / 3)
     True
     """
-    check_window(radius, patch=patch, threshold=threshold)
+    check_window(radius, patch=patch, above_zero={"threshold": threshold})
     samples = as_samples(x)
     check_pixels(samples, picture=True)
     picture = Picture.of(samples)

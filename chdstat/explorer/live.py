@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import spans
-from chdstat._renderer import Job, Renderer
+from chdstat._renderer import Renderer
 from chdstat._store import TILE, Chunk
-from chdstat.backend import activate, resolve
+from chdstat.backend import activate
+from chdstat.capture import job_of
 from chdstat.errors import SceneError
 from chdstat.explorer.images import Overall, Tally
 from chdstat.explorer.sources import Box, mixed, pooled
@@ -49,8 +50,8 @@ class SceneSource:
 
     Raises
     ------
-    SceneError, RenderError
-        If the scene cannot be rendered.
+    InputError, SceneError, RenderError
+        If the scene cannot be rendered so.
     """
 
     channels = ("R", "G", "B")
@@ -63,7 +64,7 @@ class SceneSource:
         seed: int = 0,
         max_depth: int | None = None,
     ) -> None:
-        self._job = Job(scene, resolve("scalar"), size, seed, max_depth)
+        self._job = job_of(scene, "scalar", size, seed, max_depth)
         with activate(self._job.verdict):
             self._renderer = Renderer(self._job)
         width, height = self._renderer.size

@@ -61,6 +61,7 @@ def measure(evidence: Evidence) -> Conclusion:
         "tail": tail,
         "tail_index": tail_index(x).xi,
         "excess_kurtosis": kurtosis,
+        "excess_kurtosis_with_nulls": patch.take(summary["kurtosis"].to_numpy()),
         "log_skewness": skewness,
     }
     ordered = np.sort(skewness[np.isfinite(skewness)])

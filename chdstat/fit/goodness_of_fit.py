@@ -227,7 +227,7 @@ def goodness_of_part(
 def stream_of(part: Part, seed: Any) -> np.random.Generator:
     """Return a generator of this tile's own: tiles that share a seed must not share replicates."""
     held = zlib.crc32(part.n.tobytes() + part.log_statistics.mean.tobytes())
-    return generator(None) if seed is None else np.random.default_rng([seed, held])
+    return generator(None) if seed is None else generator([seed, held])
 
 
 def _name(fit: Family | Fitted) -> str:

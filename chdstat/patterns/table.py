@@ -290,7 +290,7 @@ PATTERNS: tuple[Pattern, ...] = (
         rule="no larger than rounding leaves",
         source="a definition, not a test",
         measure=lambda e: e.spread,
-        large_enough=lambda e, _: e.constant,
+        large_enough=lambda e, _: e.constant & (e.n > 1),
     ),
 )
 """The patterns, in no order; `Label` has the order."""

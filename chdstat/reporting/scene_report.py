@@ -11,14 +11,22 @@ from chdstat._targets import checked_target
 from chdstat.analysis import analyze
 from chdstat.atlases import Atlas, atlas
 from chdstat.backend import Backend
-from chdstat.capture import render, scene_size
+from chdstat.capture import refuse_render, render, scene_size
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.errors import InputError
 from chdstat.estimators import LearnedEstimator, Progressive, lookup
 from chdstat.estimators.heldout import draw_pixels
 from chdstat.findings import FINDINGS, Evidence
+from chdstat.models import first_samples
 from chdstat.overviews import overview
-from chdstat.recipes import Region, choose_regions, load_recipe, own_recipe, regions_of
+from chdstat.recipes import (
+    Region,
+    check_integrator,
+    choose_regions,
+    load_recipe,
+    own_recipe,
+    regions_of,
+)
 from chdstat.reporting.content import Study, document
 from chdstat.reporting.trials import Trials
 from chdstat.reporting.typeset import typeset
@@ -67,7 +75,8 @@ def report(
         The PDF to write.
     spp, size, seed, max_depth, backend
         As for `chdstat.render`; None takes the recipe's, or 512 spp and 128 pixels along the
-        longer edge. They do not apply to samples that are already there.
+        longer edge. Of samples that are already there, `spp` takes the first, and the others have
+        no place.
     recipe
         A recipe file; None takes the scene's own where there is one in the same proportions.
         Without a recipe, the library chooses a region for each pattern that it finds.
@@ -97,12 +106,22 @@ def report(
         As for `chdstat.render` and `chdstat.open`.
     """
     target = checked_target(path, ".pdf")
+    for name in estimators:
+        lookup(name)  # an unknown one is refused before the work
+    if iterations is not None and iterations < 1:
+        message = f"iterations must be at least 1, got {iterations}"
+        raise InputError(message)
     asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     given = {name: value for name, value in asked.items() if value is not None}
     named = load_recipe(recipe) if recipe else None
     samples = _finished(source)
-    if samples is None:
+    if samples is not None:
+        refuse_render(samples, asked | {"spp": None, "store": store, "backend": backend})
+        samples = first_samples(samples, spp)
+    else:
         scene = load_scene(source)  # type: ignore[arg-type]
+        if named is not None:
+            check_integrator(named, scene)
         found = named or own_recipe(scene.name, scene.origin)
         settings = (found.settings() if found else _defaults(scene)) | given
         samples = render(scene, **settings, out=store, backend=backend, progress=progress)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from chdstat.atlases import Atlas, atlas
 from chdstat.backend import Backend
+from chdstat.capture import refuse_render
 from chdstat.comparison import Comparison
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import lookup
@@ -68,7 +69,7 @@ def study(
         samples than asked for is used whole. None keeps all in memory.
     spp, size, seed, max_depth, backend
         As for `chdstat.render`; None takes the recipe's, or 1024 spp, 128 pixels along the longer
-        edge, and seed 1.
+        edge, and seed 1. Stores and samples are taken as they are.
     estimators
         Names of the estimators to compare; those that learn are trained on each scene. "elek2019"
         is the model that the claim on learning is about; what else learns is judged beside it.
@@ -108,6 +109,8 @@ def study(
     for name in estimators:
         lookup(name)  # an unknown one is refused before the work
     subjects = subjects_of(scenes, given=given)
+    if all(subject.scene is None for subject in subjects):
+        refuse_render("what is studied", asked | {"backend": backend})
     stores = Stores(_made(folder), backend, progress)
     start = time.monotonic()
     found = []

@@ -9,7 +9,15 @@ from typing import Any
 
 from chdstat.capture import scene_size
 from chdstat.errors import InputError
-from chdstat.recipes import Recipe, Region, find_recipe, load_recipe, own_recipe, regions_of
+from chdstat.recipes import (
+    Recipe,
+    Region,
+    check_integrator,
+    find_recipe,
+    load_recipe,
+    own_recipe,
+    regions_of,
+)
 from chdstat.samples import Samples
 from chdstat.samples import open as open_samples
 from chdstat.scenes import BUILTIN, Scene, load_scene
@@ -90,7 +98,9 @@ def _subject(source: Source, given: Mapping[str, Any]) -> Subject:
             return _of_samples(open_samples(source))
         if Path(source).suffix.lower() == ".toml":
             recipe = load_recipe(source)
-            return _of_scene(load_scene(recipe.scene), recipe, given)
+            scene = load_scene(recipe.scene)
+            check_integrator(recipe, scene)
+            return _of_scene(scene, recipe, given)
     scene = load_scene(source)
     return _of_scene(scene, own_recipe(scene.name, scene.origin), given)
 
