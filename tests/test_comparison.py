@@ -12,7 +12,7 @@ import chdstat as chd
 from chdstat import metrics
 from chdstat.comparison import MEASURES
 from chdstat.comparison._cost import measure_cost
-from chdstat.comparison._sums import SUMS, errors_of
+from chdstat.comparison._sums import SUMS, ErrorSums, errors_of
 from chdstat.comparison._tally import Units
 from chdstat.errors import InputError
 from chdstat.estimators import MLP, Estimator, registry
@@ -350,6 +350,20 @@ def test_intervals_know_that_neighbours_gain_and_lose_together():
     spread = np.std([row["improved"] for row in rows], ddof=1)
     claimed = np.mean([row["improved_se"] for row in rows])
     assert 1 / 1.5 < claimed / spread < 1.5
+
+
+@pytest.mark.parametrize("units", [2, 3, 6, 64])
+def test_intervals_hold_what_they_say_with_few_units(units):
+    """Of 300 intervals of 95 % hold 285, and a tenth fewer where gamma samples are but two."""
+    rng, held = np.random.default_rng(units), 0
+    for _ in range(300):
+        sums = ErrorSums.empty(units, 1, 1)
+        sums.sums[:, 0, 1] = rng.gamma(4, size=(units, 1))
+        sums.reference[:], sums.count[:] = 1, 1
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = sums.measures(seed=0)["mse"]
+        held += found.low[0, 0] <= 4 <= found.high[0, 0]
+    assert 260 < held < 298
 
 
 def test_intervals_over_batches_say_how_other_random_numbers_would_do():

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import stats
 
 from chdstat.metrics import Interval, bootstrap, relative_squared_error
 
@@ -98,11 +99,23 @@ class ErrorSums:
             sums, reference, count = np.split(means, [-1 - channels, -1], axis=1)
             return _measure(sums.reshape(-1, *used.sums.shape[1:]), reference, count)
 
-        found = bootstrap(np.concatenate(parts, axis=1), statistic, seed=seed)
-        if units == 1:
-            unknown = np.full_like(found.value, np.nan)
-            found = Interval(found.value, unknown, unknown, unknown)
+        found = _stretched(bootstrap(np.concatenate(parts, axis=1), statistic, seed=seed), units)
         return {name: found[index] for index, name in enumerate(MEASURES)}
+
+
+def _stretched(found: Interval, units: int) -> Interval:
+    """Return an interval that is right for few units, too; of a single one there is none.
+
+    Of k units, percentiles are too close by sqrt((k - 1) / k), and by the normal quantile in place
+    of Student's (Hesterberg 2015, doi:10.1080/00031305.2015.1089789).
+    """
+    if units == 1:
+        unknown = np.full_like(found.value, np.nan)
+        return Interval(found.value, unknown, unknown, unknown)
+    spread = float(np.sqrt(units / (units - 1)))
+    reach = spread * float(stats.t.ppf(0.975, units - 1) / stats.norm.ppf(0.975))
+    low, high = (found.value + reach * (end - found.value) for end in (found.low, found.high))
+    return Interval(found.value, spread * found.standard_error, low, high)
 
 
 def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Array) -> Array:

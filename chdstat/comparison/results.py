@@ -55,8 +55,8 @@ class Comparison:
         vary with other parts of such a picture.
     over_batches
         The same measures with intervals over batches: how they would vary with other random
-        numbers, in the same pixels. The batches of a pixel share most of their reference, and with
-        few of them the interval is somewhat narrow. NaN for a single batch.
+        numbers, in the same pixels. The batches of a pixel share most of their reference.
+        NaN for a single batch.
     cost
         Time and memory by estimator; none where they were not asked for.
     estimates

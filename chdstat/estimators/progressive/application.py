@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from chdstat.estimators.progressive.shapes import AIMS
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Answer
 
-__all__ = ["apply", "with_constants", "with_means"]
+__all__ = ["Alike", "apply", "with_constants", "with_means"]
 
 _ROWS = 4096
 """Pixels at once: their profiles and hidden layers stay in the cache."""
@@ -118,32 +119,69 @@ def with_means(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
     return found
 
 
-def with_constants(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
+@dataclass
+class Alike:
+    """Which pixels have seen nothing but equal samples, as lamps have.
+
+    Attributes
+    ----------
+    first
+        The first sample, shape (..., channel).
+    same
+        Whether all others are equal to it and good, shape (...).
+    lit
+        Whether any sample of the picture is above 0.
+    count
+        Samples so far.
+    """
+
+    first: npt.NDArray[Any]
+    same: npt.NDArray[np.bool_]
+    lit: bool = False
+    count: int = 0
+
+    @classmethod
+    def of(cls, samples: npt.NDArray[Any]) -> Alike:
+        """Look at samples, shape (..., channel, sample), of which there is at least one."""
+        first = samples[..., 0].copy()
+        good = np.asarray((np.isfinite(first) & (first >= 0)).all(axis=-1))
+        found = cls(first, good)
+        found.add(samples)
+        return found
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept."""
+        return self.first.nbytes + self.same.nbytes
+
+    def add(self, samples: npt.NDArray[Any]) -> None:
+        """Look at further samples of the same pixels."""
+        # The last one tells nearly all pixels apart from these; only the others are read.
+        last = (samples[..., -1] == self.first).all(axis=-1)
+        self.same[~last] = False
+        same = self.same
+        same[same] = (samples[same] == self.first[same][..., np.newaxis]).all(axis=(-2, -1))
+        # Of nearly all pictures one sample a pixel is enough to tell.
+        self.lit = self.lit or bool((samples[..., 0] > 0).any() or (samples > 0).any())
+        self.count += samples.shape[-1]
+
+
+def with_constants(found: Estimates, alike: Alike) -> Estimates:
     """Put the mean where all samples of a pixel are the same light: there is no noise to remove.
 
     In a picture without any light nothing is known of its unit, either: it stays black. The
     interval is kept, and widened to hold the mean: what few samples say may still be wrong.
     """
-    if samples.shape[-1] < _FEWEST_ALIKE:
+    if alike.count < _FEWEST_ALIKE:
         return found
-    # Two samples tell nearly all pixels apart from those; only the others are read.
-    pair = samples[..., 0]
-    good = np.isfinite(pair) & (pair >= 0)
-    lit = (pair > 0).any(axis=-1)
-    same = np.array((good & (pair == samples[..., -1])).all(axis=-1) & (lit | ~_any_light(samples)))
-    same[same] = (samples[same] == pair[same][..., np.newaxis]).all(axis=(-2, -1))
+    same = alike.same & ((alike.first > 0).any(axis=-1) | (not alike.lit))
     if same.any():
         with np.errstate(over="ignore"):
-            mean = pair[same].astype(np.float32)
+            mean = alike.first[same].astype(np.float32)
         found.radiance[same], found.certainty[same] = mean, 0
         found.low[same] = np.minimum(found.low[same], mean)
         found.high[same] = np.maximum(found.high[same], mean)
     return found
-
-
-def _any_light(samples: npt.NDArray[Any]) -> np.bool:
-    """Return whether any sample is lit; of nearly all pictures one a pixel is enough to tell."""
-    return np.bool((samples[..., 0] > 0).any() or (samples > 0).any())
 
 
 def _interval(

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat.estimators.progressive.profiles import OCTAVES, Profile
-from chdstat.estimators.progressive.splits import Part
+from chdstat.estimators.progressive.splits import Halves, Part
 
 __all__ = ["BUCKETS", "BucketParts", "Buckets"]
 
@@ -166,10 +166,12 @@ class BucketParts:
             target=self._mean(chosen, order[seen:]).astype(np.float32),
         )
 
-    def halves(self, part: Part, rng: np.random.Generator) -> Floats:
-        """Return the means of two halves of the other buckets, of which there must be two."""
+    def halves(self, part: Part, rng: np.random.Generator) -> Halves:
+        """Return two halves of the other buckets, of which there must be two."""
         others = rng.permutation(np.setdiff1d(np.arange(len(self._sizes)), part.places))
-        return np.stack([self._mean(part.rows, half) for half in np.array_split(others, 2)])
+        one, two = np.array_split(others, 2)
+        means = [self._mean(part.rows, half) for half in (one, two)]
+        return Halves(np.stack(means), (self._samples(one), self._samples(two)))
 
     def _profile(self, rows: Places, places: Places, size: int) -> Profile:
         here = self._pixels[rows]
@@ -180,4 +182,7 @@ class BucketParts:
 
     def _mean(self, rows: Places, places: Places) -> Floats:
         total = sum(self._sums[place].take(rows, axis=0) for place in places)
-        return np.asarray(total / self._sizes[places].sum())
+        return np.asarray(total / self._samples(places))
+
+    def _samples(self, places: Places) -> int:
+        return int(self._sizes[places].sum())

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from chdstat._arrays import generator
 from chdstat.errors import InputError
 from chdstat.estimators.heldout import Totals, direct_of
-from chdstat.estimators.progressive.application import apply, with_constants, with_means
+from chdstat.estimators.progressive.application import Alike, apply, with_constants, with_means
 from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.lessons import (
     Material,
@@ -474,7 +474,7 @@ class Progressive:
             balance=asked.balance,
             level=level,
         )
-        return with_constants(with_means(found, asked.samples), asked.samples)
+        return with_constants(with_means(found, asked.samples), Alike.of(asked.samples))
 
     def _paying(self, asked: Question) -> float:
         """Return how far it pays to go from the mean to the answer."""

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from chdstat.estimators.progressive.profiles import Profile
 
-__all__ = ["Part", "Parts", "Splits"]
+__all__ = ["Halves", "Part", "Parts", "Splits"]
 
 _SAMPLES = 2**17
 """Samples of a minibatch, at most: of many samples, fewer rows tell as much."""
@@ -77,8 +77,38 @@ class Parts(Protocol):
     ) -> Part:
         """Draw a minibatch of about `rows` of the given pixels, n samples each to learn from."""
 
-    def halves(self, part: Part, rng: np.random.Generator) -> npt.NDArray[np.float64]:
-        """Return the means of the two halves of the other samples, shape (2, row, channel)."""
+    def halves(self, part: Part, rng: np.random.Generator) -> Halves:
+        """Return the two halves of the other samples, at random."""
+
+
+@dataclass(frozen=True)
+class Halves:
+    """The samples that were not seen, in two halves.
+
+    Attributes
+    ----------
+    means
+        Shape (2, row, channel).
+    sizes
+        Samples of each.
+    """
+
+    means: npt.NDArray[np.float64]
+    sizes: tuple[int, int]
+
+    @property
+    def noise(self) -> npt.NDArray[np.float64]:
+        """Unbiased for the variance of the mean of both together, shape (row, channel).
+
+        Of a and b samples, that is ``(t - u)^2 a b / (a + b)^2``.
+
+        Examples
+        --------
+        >>> Halves(np.array([[[1.0]], [[3.0]]]), (2, 2)).noise.item()
+        1.0
+        """
+        a, b = self.sizes
+        return np.asarray(np.diff(self.means, axis=0)[0] ** 2 * (a * b / (a + b) ** 2))
 
 
 class Splits:
@@ -159,12 +189,12 @@ class Splits:
         usable = [split for split in self._prepared if len(split[0]) == n]
         return usable[rng.integers(len(usable))]
 
-    def halves(self, part: Part, rng: np.random.Generator) -> npt.NDArray[np.float64]:
-        """Return the means of the two halves of the other samples, shape (2, row, channel)."""
+    def halves(self, part: Part, rng: np.random.Generator) -> Halves:
+        """Return the two halves of the other samples, at random."""
         others = rng.permutation(np.setdiff1d(np.arange(self.spp), part.places))
         parts = np.array_split(others, 2)
-        means = (self._flat.take(self._index(part.rows, p)).mean(-1, np.float64) for p in parts)
-        return np.stack(list(means))
+        means = [self._flat.take(self._index(part.rows, p)).mean(-1, np.float64) for p in parts]
+        return Halves(np.stack(means), (len(parts[0]), len(parts[1])))
 
     def _profile(self, seen: Array, pixels: Places, places: Places) -> Profile:
         direct = None

@@ -105,8 +105,10 @@ class Spread:
         if not len(self.sizes):
             return np.full(len(count), special.ndtri(level))
         places, place = special.ndtri(LEVELS), special.ndtri(level)
+        # Beyond what was calibrated, tails go on as normal ones.
+        beyond = place - np.clip(place, places[0], places[-1])
         known = [
-            np.interp(balance, BALANCES, [np.interp(place, places, z) for z in rows])
+            np.interp(balance, BALANCES, [np.interp(place, places, z) for z in rows]) + beyond
             for rows in self.normal
         ]
         return np.asarray(np.interp(np.log2(count), np.log2(self.sizes), known))

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from chdstat._arrays import as_samples
 from chdstat.errors import InputError
 from chdstat.estimators.classical import mean_of_good
+from chdstat.estimators.progressive.application import Alike, with_constants
 from chdstat.estimators.progressive.courses import Course
 from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.first_hit import Features, describe
@@ -105,6 +106,7 @@ class Stream:
         self._learns, self._seed, self._attrs = learns, seed, dict(attrs or {})
         self._course: Course | None = None
         self._profile: Profile | None = None
+        self._alike: Alike | None = None
 
     @property
     def model(self) -> Progressive:
@@ -127,10 +129,8 @@ class Stream:
     @property
     def nbytes(self) -> int:
         """Bytes that are kept."""
-        if self._profile is None:
-            return 0
-        dealt = 0 if self._course is None else self._course.nbytes
-        return self._profile.bins.nbytes + self.count.nbytes + dealt
+        kept = self._profile, self._course, self._alike
+        return sum(part.nbytes for part in kept if part is not None)
 
     def update(self, x: npt.ArrayLike, direct: npt.ArrayLike | None = None) -> None:
         """Add samples (..., channel, sample) of the same pixels as before.
@@ -167,6 +167,10 @@ class Stream:
             )
             raise InputError(message)
         kept.add(Profile.of(samples, unit=kept.unit, direct=part))
+        if self._alike is not None:
+            self._alike.add(samples)
+        elif samples.shape[-1]:
+            self._alike = Alike.of(samples)
         if self._course is not None:
             self._course.add(samples, part)
 
@@ -208,7 +212,8 @@ class Stream:
         state = self._state
         if self._course is not None and self._course.iterations == 0:
             return _of_nothing(state)
-        return self.model.of_profile(state, features=self.features, balance=balance, level=level)
+        found = self.model.of_profile(state, features=self.features, balance=balance, level=level)
+        return found if self._alike is None else with_constants(found, self._alike)
 
     @property
     def _parts(self) -> int:

@@ -63,10 +63,7 @@ class Trial:
 
     @property
     def squared(self) -> Floats:
-        """Unbiased for the squared error of the estimate, shape (aim, row, channel).
-
-        ``(p - t)(p - u)`` of two halves is ``(p - (t + u) / 2)^2 - (t - u)^2 / 4``.
-        """
+        """Unbiased for the squared error of the estimate, shape (aim, row, channel)."""
         return np.asarray((self.estimate - self.target) ** 2 - self.noise)
 
     @classmethod
@@ -81,14 +78,14 @@ class Trial:
         with torch.inference_mode():
             answer = network(look(part.profile, material.scenery[part.rows], part.shared, "cpu"))
         times = 1 if material.lesson.reference else _CUTS
-        cuts = np.stack([material.splits.halves(part, rng) for _ in range(times)])
+        noise = [material.splits.halves(part, rng).noise for _ in range(times)]
         return cls(
             size=part.size,
             rows=part.rows,
             estimate=np.moveaxis(answer.estimate.numpy().astype(np.float64), 1, 0),
             mean=answer.mean.numpy().astype(np.float64),
             target=part.target.astype(np.float64),
-            noise=((cuts[:, 0] - cuts[:, 1]) ** 2).mean(axis=0) / 4,
+            noise=np.mean(noise, axis=0),
             causes=np.stack([causes_of(answer, part.profile, aim) for aim in range(len(AIMS))]),
         )
 

@@ -82,9 +82,16 @@ def test_no_part_is_empty_or_all():
 def test_halves_share_no_sample_with_each_other_or_with_the_part():
     made, rng = parts(draws(32)), np.random.default_rng(2)
     part = made.draw(np.arange(40), 16, 30, rng)
-    first, second = made.halves(part, rng)
+    first, second = made.halves(part, rng).means
     assert (first + second) / 2 == pytest.approx(part.target, rel=1e-5)
     assert np.abs(first - second).min() > 0
+
+
+def test_uneven_halves_tell_the_variance_of_the_target_without_bias():
+    """Three buckets of eight samples are left: 3 x 5000 pixels, within five deviations."""
+    made, rng = parts(draws(64, pixels=5000), unit=1.0), np.random.default_rng(2)
+    noise = made.halves(made.draw(np.arange(5000), 40, 5000, rng), rng).noise
+    assert abs(noise.mean() - 1 / 24) < 5 * noise.std() / np.sqrt(noise.size)
 
 
 @pytest.mark.parametrize("spp", [61, 64])

@@ -36,9 +36,18 @@ def test_halves_share_no_sample_with_each_other_or_with_the_part():
     made = splits()
     rng = np.random.default_rng(2)
     part = made.draw(np.arange(50), 6, 40, rng)
-    first, second = made.halves(part, rng)
+    first, second = made.halves(part, rng).means
     assert (first + second) / 2 == pytest.approx(part.target, rel=1e-5)
     assert np.abs(first - second).min() > 0
+
+
+def test_uneven_halves_tell_the_variance_of_the_target_without_bias():
+    """Three samples are left, in halves of two and one: 40,000 pixels, within five deviations."""
+    rng = np.random.default_rng(0)
+    x = rng.normal(8, 1, size=(40_000, 1, 7)).astype(np.float32)
+    made = Splits(x, unit=1.0)
+    noise = made.halves(made.draw(np.arange(40_000), 4, 40_000, rng), rng).noise
+    assert abs(noise.mean() - 1 / 3) < 5 * noise.std() / np.sqrt(noise.size)
 
 
 def test_mean_and_variance_are_those_of_the_samples():

@@ -25,7 +25,7 @@ def test_halves_of_what_was_not_seen_tell_squared_errors_without_bias():
     part = splits.draw(np.arange(40_000), 8, 4096, rng)
     rows = np.arange(40_000)
     whole = replace(part, rows=rows)
-    first, second = splits.halves(whole, rng)
+    first, second = splits.halves(whole, rng).means
     assert first.shape == (40_000, 1)
     assert ((p - first) * (p - second)).mean() == pytest.approx((p - y) ** 2, abs=0.01)
     assert ((p - first) ** 2).mean() > (p - y) ** 2 + 0.05
@@ -55,6 +55,19 @@ def test_causes_get_the_weights_that_they_have():
     expected = np.array([0, 0.02, 0, 0.05, 0, 0])
     assert weights == pytest.approx(expected, abs=0.012)
     assert (weights >= 0).all()
+
+
+def test_levels_beyond_the_calibrated_ones_are_wider_still():
+    rng = np.random.default_rng(0)
+    weights = np.full((2, CAUSES), 0.05)
+    normal = _calibrate(weights, [trial(rng)])[np.newaxis]
+    spread = Spread(weights, np.array([16.0]), normal)
+    estimate, count = np.ones((1, 1)), np.array([16])
+    high = [
+        spread.quantile(estimate, 0.1 * estimate, count, balance=0.5, level=level).item()
+        for level in (0.99, 0.995, 0.9995, 0.99995)
+    ]
+    assert (np.diff(high) > 0.01).all()
 
 
 def test_calibrated_quantiles_hold_as_often_as_stated():

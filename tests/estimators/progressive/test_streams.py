@@ -26,6 +26,21 @@ def test_a_stream_gives_the_estimate_of_all_samples(trained, picture):
     assert (stream.count == 64).all()
 
 
+@pytest.mark.parametrize("ends", [(1, 9), ()])
+def test_lamps_keep_their_light(trained, picture, ends):
+    x = picture(12, 32, seed=4).x.copy()
+    x[0, 0], x[1, 1, 0], x[2, 2] = 7.0, 7.0, 3.0
+    x[2, 2, 1, 20] = 3.5
+    stream = Stream(trained, unit=0.3)
+    for part in parts(x, *ends):
+        stream.update(part)
+    found, expected = stream.estimate(), trained.estimate(x, unit=0.3)
+    assert (found.radiance[0, 0] == 7).all()
+    assert found.certainty[0, 0] == 0
+    assert (found.radiance[2, 2] != 3).all()
+    assert found.radiance == pytest.approx(expected.radiance, rel=1e-3, abs=1e-5)
+
+
 def test_features_are_looked_at(picture):
     source = picture(12, 32, seed=4)
     features = source.samples.features
@@ -43,7 +58,7 @@ def test_memory_does_not_grow(trained):
     for seed in range(4):
         stream.update(np.random.default_rng(seed).exponential(size=(4, 5, 3, 64)))
         sizes.add(stream.nbytes)
-    assert sizes == {20 * (24 * 4 + 1) * 8}
+    assert sizes == {20 * (24 * 4 + 1) * 8 + 20 * (3 * 8 + 1)}
 
 
 def test_the_unit_is_that_of_the_first_samples(trained):
