@@ -10,6 +10,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
 
 __all__ = ["averages", "training"]
@@ -54,7 +55,8 @@ def averages(
         left, right = figure.subplots(1, 2)
         for i, (name, share) in enumerate(rejected.items()):
             color, marker = CHANNELS.get(name, PALETTE[4 + i % 4]), "os^D"[i % 4]
-            left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=name)
+            label = verbatim(name)
+            left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=label)
         left.axhline(alpha, color="#888888", linewidth=0.8, linestyle=":")
         left.set(ylim=(0, 1.02), ylabel="share told from Gaussian")
         left.legend(loc="best")

@@ -19,6 +19,7 @@ from chdstat._arrays import luminance
 from chdstat.comparison import Comparison, PixelEstimates
 from chdstat.errors import InputError
 from chdstat.metrics import Interval
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import PALETTE, WIDTH, qualitative, style
 
 __all__ = ["GREY", "TITLES", "Names", "called", "estimator_measures", "pixel_estimates"]
@@ -213,7 +214,7 @@ def _pixel_axes(axes: Axes, values: Array, found: PixelEstimates, channel: str |
         FuncFormatter(lambda value, _: "" if 0 < abs(value) < knee else f"{value:g}")
     )
     axes.yaxis.set_minor_locator(NullLocator())
-    shown = channel or ("luminance" if len(found.channels) == 3 else found.channels[0])
+    shown = verbatim(channel or ("luminance" if len(found.channels) == 3 else found.channels[0]))
     axes.set(xlim=(0.3, len(found.pixels) + 0.7), ylabel=f"{shown}, W sr$^{{-1}}$ m$^{{-2}}$")
     axes.set_xlabel(f"{len(found.pixels)} random pixels, from dark to bright")
     axes.set_xticks([])

@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 
 from chdstat._exposure import auto_exposure
 from chdstat.errors import InputError
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import PALETTE, WIDTH, style
 
 __all__ = ["Mark", "pictures", "tonemap", "with_marks"]
@@ -152,7 +153,7 @@ def _inset(axes: Axes, shown: Array, mark: Mark, color: str, number: int) -> Non
     )
     axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=color, linewidth=1.2))
     axes.spines[:].set(visible=True, color=color, linewidth=2)
-    axes.set_title(f"{number} {mark.name}", fontsize=7.5, pad=4)
+    axes.set_title(f"{number} {verbatim(mark.name)}", fontsize=7.5, pad=4)
 
 
 def pictures(

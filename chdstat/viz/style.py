@@ -10,6 +10,8 @@ import matplotlib as mpl
 from matplotlib import colormaps
 from matplotlib.colors import Colormap, to_hex, to_rgb
 
+from chdstat.viz.lettering import families
+
 __all__ = ["CHANNELS", "MISSING", "PALETTE", "WIDTH", "qualitative", "sequential", "style"]
 
 WIDTH = 6.7
@@ -42,7 +44,6 @@ _SETTINGS: dict[Any, Any] = {
     "axes.titlesize": 8.5,
     "figure.dpi": 110,
     "figure.facecolor": "white",
-    "font.family": ["STIXGeneral", "DejaVu Serif"],
     "font.size": 8,
     "legend.fontsize": 7.5,
     "legend.frameon": False,
@@ -77,7 +78,7 @@ def style() -> Iterator[None]:
     >>> mpl.rcParams["font.size"] == before
     True
     """
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(_SETTINGS | {"font.family": list(families())}):
         yield
 
 
