@@ -12,10 +12,22 @@ from matplotlib.colors import Colormap, to_hex, to_rgb
 
 from chdstat.viz.lettering import families
 
-__all__ = ["CHANNELS", "MISSING", "PALETTE", "WIDTH", "qualitative", "sequential", "style"]
+__all__ = [
+    "CHANNELS",
+    "HEIGHT",
+    "MISSING",
+    "PALETTE",
+    "WIDTH",
+    "qualitative",
+    "sequential",
+    "style",
+]
 
 WIDTH = 6.7
 """Width of a figure that fills the text of an A4 page, in inches."""
+
+HEIGHT = 8.0
+"""What leaves room on that page for a heading and a caption."""
 
 PALETTE = (
     "#E69F00",
