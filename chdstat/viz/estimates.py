@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from chdstat._arrays import luminance
 from chdstat.comparison import Comparison, PixelEstimates
@@ -209,6 +209,9 @@ def _pixel_axes(axes: Axes, values: Array, found: PixelEstimates, channel: str |
     positive = values[np.isfinite(values) & (values > 0)]
     knee = float(np.quantile(positive, 0.05)) / 2 if positive.size else 1.0
     axes.set_yscale("asinh", linear_width=knee)
+    if (values > 0).all() and positive.max() < 10 * positive.min():
+        # Without two powers of ten among them, the scale has ticks of six digits.
+        axes.yaxis.set_major_locator(MaxNLocator(6))
     # Numbers between 0 and the knee would be written over each other.
     axes.yaxis.set_major_formatter(
         FuncFormatter(lambda value, _: "" if 0 < abs(value) < knee else f"{value:g}")
