@@ -19,6 +19,7 @@ from chdstat.explorer.view import View
 from chdstat.fit import Fit
 from chdstat.reporting.text import NAMES, percent
 from chdstat.reporting.typeset import Document, typeset
+from chdstat.viz.lettering import spelt
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -133,7 +134,7 @@ def _csv(shown: Shown) -> bytes:
 
 def _image(figure: Figure, kind: str) -> bytes:
     stream = io.BytesIO()
-    with viz.style():
+    with viz.style(), spelt():
         figure.savefig(stream, format=kind, metadata={"Date": None} if kind == "svg" else None)
     return stream.getvalue()
 

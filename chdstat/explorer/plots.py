@@ -8,9 +8,11 @@ from typing import Any
 from bokeh.models import (
     BoxSelectTool,
     ColumnDataSource,
+    CustomJSTicker,
     CustomJSTickFormatter,
     ImageRGBA,
     LinearColorMapper,
+    LogAxis,
     PanTool,
     Range1d,
     WheelZoomTool,
@@ -42,6 +44,38 @@ const size = Math.abs(rounded), plain = size === 0 || (size >= 1e-3 && size < 1e
 const text = plain ? String(rounded) : rounded.toExponential().replace("+", "");
 return text.replaceAll("-", "\\u2212").padStart(width, "\\u00a0");
 """
+# Bokeh's own ticks of less than two decades are evenly spaced: all of them at the upper end.
+_LOG_TICKS = """
+const low = Math.min(cb_data.start, cb_data.end), high = Math.max(cb_data.start, cb_data.end);
+if (!(low > 0 && high < Infinity)) return [];
+const span = Math.log10(high / low);
+const size = (tick) => across ? 1 + Math.min(String(tick).length, longest) : 1;
+const apart = (ticks) => ticks.slice(1).every((tick, i) =>
+  Math.log10(tick / ticks[i]) / span * room >= Math.max(size(tick), size(ticks[i])));
+const decades = (mantissas, every) => {
+  const ticks = [];
+  for (let k = Math.floor(Math.log10(low)); k <= Math.log10(high); k++)
+    if (k % every === 0) ticks.push(...mantissas.map((m) => Number(`${m}e${k}`)));
+  return ticks.filter((tick) => low <= tick && tick <= high);
+};
+let ticks = decades([1, 2, 5], 1);
+if (ticks.length < few) {
+  const widest = (high - low) / few, unit = 10 ** Math.floor(Math.log10(widest));
+  const step = unit * [5, 2, 1].find((m) => m * unit <= widest);
+  ticks = [];
+  for (let i = Math.ceil(low / step); i * step <= high; i++) ticks.push(i * step);
+  return apart(ticks) ? ticks : ticks.filter((_, i) => i % 2 === 0);
+}
+if (!apart(ticks)) ticks = decades([1, 3], 1);
+for (let every = 1; !apart(ticks); every++) ticks = decades([1], every);
+return ticks;
+"""
+_FEW = 3
+"""Labels that a logarithmic axis has at least."""
+_LONGEST = 6
+"""Characters of a label of a logarithmic axis, such as 0.0015; longer ones become 1e-4."""
+_LETTERS, _ROWS = 42, 10
+"""What there is room for along a horizontal and a vertical axis."""
 _LABEL_WIDTH = 7
 """Characters of the labels of a vertical axis."""
 
@@ -204,6 +238,12 @@ class PanelPlot:
         for axis in self.figure.yaxis:
             axis.ticker.desired_num_ticks = 4
             axis.formatter.args = {"width": _LABEL_WIDTH, "most": 8}
+        for axis in self.figure.select(LogAxis):
+            across = axis in self.figure.xaxis
+            args = {"across": across, "room": _LETTERS if across else _ROWS}
+            args |= {"few": _FEW, "longest": _LONGEST}
+            axis.ticker = CustomJSTicker(major_code=_LOG_TICKS, args=args)
+            axis.formatter.args |= {"most": _LETTERS}
 
     @property
     def filled(self) -> list[ColumnDataSource | Range1d]:

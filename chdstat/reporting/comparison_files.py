@@ -13,6 +13,7 @@ from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.errors import StoreError
 from chdstat.estimators import MLP, Progressive
 from chdstat.reporting import figures
+from chdstat.viz.lettering import spelt
 
 __all__ = ["save_comparison", "unused_folder"]
 
@@ -72,8 +73,9 @@ def unused_folder(folder: str | Path) -> Path:
 
 def _save_figures(drawn: Mapping[str, Figure], target: Path) -> list[Path]:
     paths = {target / f"{name}.pdf": figure for name, figure in drawn.items()}
-    for path, figure in paths.items():
-        figure.savefig(path, metadata={"CreationDate": None})
+    with spelt():
+        for path, figure in paths.items():
+            figure.savefig(path, metadata={"CreationDate": None})
     return list(paths)
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from chdstat._targets import replacing
 from chdstat.errors import ChdstatError
 from chdstat.viz import style
+from chdstat.viz.lettering import spelt
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,7 +63,7 @@ def typeset(document: Document, folder: Path, target: Path) -> Path:
     (folder / "content.json").write_text(
         json.dumps({**document.content, "figures": sorted(document.figures)}), encoding="utf-8"
     )
-    with style():
+    with style(), spelt():
         for name, figure in document.figures.items():
             figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
     try:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from chdstat import viz
 from chdstat.studies.results import ACROSS, Study
+from chdstat.viz.lettering import verbatim
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,5 +44,5 @@ def overview(study: Study) -> Figure:
             cell.imshow(picture, interpolation="nearest")
             cell.set(xticks=[], yticks=[])
             cell.spines[:].set_visible(False)
-            cell.set_title(name, fontsize=8)
+            cell.set_title(verbatim(name), fontsize=8)
     return figure

@@ -16,6 +16,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 
 from chdstat.errors import InputError
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import WIDTH, qualitative, style
 
 __all__ = ["BatchPanel", "batch_histograms"]
@@ -97,7 +98,7 @@ def batch_histograms(panels: Sequence[BatchPanel], *, number: int, size: int) ->
                 cell.spines["left"].set_visible(False)
             top = float(np.max(panel.counts[:, 1:], initial=0))
             upper.set_ylim(0, 1.15 * top or 1.0)
-            upper.set_title(panel.name, fontsize=8)
+            upper.set_title(verbatim(panel.name), fontsize=8)
         axes[0, 0].set_ylabel(f"{number} batches\nof {size} samples")
         axes[1, 0].set_ylabel(f"their {number}\nmeans")
         figure.supxlabel("radiance in W sr$^{-1}$ m$^{-2}$", fontsize=8)

@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 
 from chdstat.errors import InputError
 from chdstat.histograms import Histogram
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, qualitative, style
 
 __all__ = ["Curve", "Panel", "chd_axes", "chd_grid", "fits"]
@@ -87,7 +88,9 @@ def chd_axes(axes: Axes, curves: Mapping[str, Curve], *, scale: Scale) -> None:
         color = _color(channel, i)
         if np.isfinite(curve.edges).all() and np.isfinite(curve.density).all():
             axes.stairs(curve.density, curve.edges, color=color, fill=True, alpha=0.22)
-            axes.stairs(curve.density, curve.edges, color=color, linewidth=0.7, label=channel)
+            axes.stairs(
+                curve.density, curve.edges, color=color, linewidth=0.7, label=verbatim(channel)
+            )
             if curve.fit is not None:
                 axes.plot(_centers(curve.edges, scale), curve.fit, color=color, linewidth=1.3)
     if not axes.patches:
@@ -161,7 +164,8 @@ def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
                 pair[1].set_xlabel(f"radiance ({_UNIT}), log scale")
             pair[0].set_ylabel("density", fontsize=7)
         channels = [
-            Line2D([], [], color=_color(c, i), label=c) for i, c in enumerate(panels[0].log)
+            Line2D([], [], color=_color(c, i), label=verbatim(c))
+            for i, c in enumerate(panels[0].log)
         ]
         axes[0, 0].legend(handles=channels, loc="upper right", handlelength=1, borderaxespad=0)
     return figure
@@ -256,7 +260,9 @@ def _pair(linear: Axes, log: Axes, panel: Panel, *, number: int) -> None:
     for axes in (linear, log):
         axes.spines["bottom"].set(color=color, linewidth=2.2)
         _mean_ticks(axes, panel.mean)
-    linear.set_title(f"{number} {panel.name}", loc="left", fontsize=8, fontweight="bold", pad=3)
+    linear.set_title(
+        f"{number} {verbatim(panel.name)}", loc="left", fontsize=8, fontweight="bold", pad=3
+    )
     log.set_title(panel.note, loc="right", fontsize=7, pad=3, color="#444444")
 
 

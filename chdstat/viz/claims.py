@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from chdstat.errors import InputError
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import PALETTE, WIDTH, style
 
 __all__ = ["VERDICTS", "Measured", "claim_intervals", "verdict_matrix"]
@@ -82,7 +83,9 @@ def verdict_matrix(verdicts: Mapping[str, Mapping[str, str]]) -> Figure:
             for x, scene in enumerate(scenes):
                 _verdict(axes, x, y, row.get(scene, ""))
         axes.set(xlim=(-0.5, len(scenes) - 0.5), ylim=(len(verdicts) - 0.5, -0.5))
-        axes.set_xticks(range(len(scenes)), scenes, rotation=28, ha="left", fontsize=8)
+        axes.set_xticks(
+            range(len(scenes)), map(verbatim, scenes), rotation=28, ha="left", fontsize=8
+        )
         axes.set_yticks(range(len(verdicts)), list(verdicts), fontsize=8.5, ha="left")
         axes.tick_params(length=0, labeltop=True, labelbottom=False)
         axes.tick_params(axis="y", pad=95)
@@ -152,7 +155,7 @@ def claim_intervals(
         for cell, part in zip(axes.flat, parts, strict=False):
             _intervals(cell, part)
         for row in axes:
-            row[0].set_yticks(range(len(scenes)), scenes)
+            row[0].set_yticks(range(len(scenes)), map(verbatim, scenes))
             row[0].set_ylim(len(scenes) - 0.4, -0.6)
             for cell in row[1:]:
                 cell.tick_params(labelleft=False)

@@ -15,6 +15,7 @@ from chdstat._exposure import auto_exposure
 from chdstat.errors import InputError
 from chdstat.viz.chd import Curve
 from chdstat.viz.image import tonemap
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import PALETTE, WIDTH, style
 
 __all__ = ["firefly_pair", "view_pair"]
@@ -115,12 +116,12 @@ def view_pair(
             cell.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
             cell.set(xticks=[], yticks=[])
             cell.spines[:].set_visible(False)
-            cell.set_title(name, fontsize=8, color=_COLORS[i], fontweight="bold")
+            cell.set_title(verbatim(name), fontsize=8, color=_COLORS[i], fontweight="bold")
         cells = right.subplots(2, 2, squeeze=False).ravel()
         shown = list(log.items())[:4]
         for cell, (region, curves) in zip(cells, shown, strict=False):
             _overlay(cell, {n: curves[n] for n in images if n in curves}, log=True)
-            cell.set_title(region, fontsize=7, loc="left", pad=2)
+            cell.set_title(verbatim(region), fontsize=7, loc="left", pad=2)
             cell.tick_params(labelsize=6, pad=1.5)
         for cell in cells[len(shown) :]:
             cell.set_axis_off()

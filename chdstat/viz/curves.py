@@ -10,6 +10,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator
 
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import CHANNELS, PALETTE, WIDTH, style
 
 __all__ = ["averages", "training"]
@@ -54,7 +55,8 @@ def averages(
         left, right = figure.subplots(1, 2)
         for i, (name, share) in enumerate(rejected.items()):
             color, marker = CHANNELS.get(name, PALETTE[4 + i % 4]), "os^D"[i % 4]
-            left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=name)
+            label = verbatim(name)
+            left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=label)
         left.axhline(alpha, color="#888888", linewidth=0.8, linestyle=":")
         left.set(ylim=(0, 1.02), ylabel="share told from Gaussian")
         left.legend(loc="best")
@@ -94,25 +96,17 @@ def training(
         Squared error of the sample mean on the same batches, by the same names.
     """
     with style():
-        figure = Figure(figsize=(WIDTH * 0.62, 2.2), layout="constrained")
+        figure = Figure(figsize=(WIDTH * 0.49, 2.3), layout="constrained")
         axes = figure.subplots()
         for i, (name, values) in enumerate(losses.items()):
             color = (PALETTE[1], PALETTE[4])[i % 2]
             axes.plot(np.asarray(iterations), np.asarray(values), color=color, label=name)
             if name in baseline:
-                axes.axhline(baseline[name], color=color, linewidth=0.9, linestyle="--")
-                axes.annotate(
-                    f"sample mean, {name}",
-                    (1.0, baseline[name]),
-                    xycoords=("axes fraction", "data"),
-                    ha="right",
-                    va="bottom" if i else "top",
-                    fontsize=6.5,
-                    color=color,
-                )
+                label = f"sample mean, {name}"
+                axes.axhline(baseline[name], color=color, linewidth=0.9, ls="--", label=label)
         axes.set(xlabel="iteration", ylabel="squared error", yscale="log")
         axes.set_xlim(left=0)
         if baseline:  # a few spikes of the optimiser must not squeeze the rest
             axes.set_ylim(top=3 * max(baseline.values()))
-        axes.legend(loc="upper right")
+        figure.legend(loc="outside upper center", ncols=2)
     return figure

@@ -13,12 +13,13 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from chdstat._arrays import luminance
 from chdstat.comparison import Comparison, PixelEstimates
 from chdstat.errors import InputError
 from chdstat.metrics import Interval
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import PALETTE, WIDTH, qualitative, style
 
 __all__ = ["GREY", "TITLES", "Names", "called", "estimator_measures", "pixel_estimates"]
@@ -208,12 +209,15 @@ def _pixel_axes(axes: Axes, values: Array, found: PixelEstimates, channel: str |
     positive = values[np.isfinite(values) & (values > 0)]
     knee = float(np.quantile(positive, 0.05)) / 2 if positive.size else 1.0
     axes.set_yscale("asinh", linear_width=knee)
+    if (values > 0).all() and positive.max() < 10 * positive.min():
+        # Without two powers of ten among them, the scale has ticks of six digits.
+        axes.yaxis.set_major_locator(MaxNLocator(6))
     # Numbers between 0 and the knee would be written over each other.
     axes.yaxis.set_major_formatter(
         FuncFormatter(lambda value, _: "" if 0 < abs(value) < knee else f"{value:g}")
     )
     axes.yaxis.set_minor_locator(NullLocator())
-    shown = channel or ("luminance" if len(found.channels) == 3 else found.channels[0])
+    shown = verbatim(channel or ("luminance" if len(found.channels) == 3 else found.channels[0]))
     axes.set(xlim=(0.3, len(found.pixels) + 0.7), ylabel=f"{shown}, W sr$^{{-1}}$ m$^{{-2}}$")
     axes.set_xlabel(f"{len(found.pixels)} random pixels, from dark to bright")
     axes.set_xticks([])

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from chdstat.errors import InputError
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import PALETTE, WIDTH, qualitative, sequential, style
 
 __all__ = ["Display", "displays"]
@@ -89,7 +90,7 @@ def displays(shown: Sequence[Display], *, columns: int = 4, height: float = 1.45
             cell.set_axis_off()
         for cell, display in zip(axes.flat, shown, strict=False):
             _DRAW[display.kind](cell, display)
-            cell.set_title(display.title, loc="left", fontsize=8)
+            cell.set_title(verbatim(display.title), loc="left", fontsize=8)
             if not shared and _has_legend(display, len(shown)):
                 cell.legend(fontsize=5.5, handlelength=1.3, labelspacing=0.2, borderaxespad=0.1)
         _labels(figure, shown)
@@ -120,7 +121,8 @@ def _shared_series(shown: Sequence[Display]) -> list[str]:
 
 def _handles(names: Sequence[str], kind: str) -> list[Line2D]:
     return [
-        Line2D([], [], label=name, **_look(i, len(names), kind)) for i, name in enumerate(names)
+        Line2D([], [], label=verbatim(name), **_look(i, len(names), kind))
+        for i, name in enumerate(names)
     ]
 
 
@@ -151,7 +153,9 @@ def _look(place: int, number: int, kind: str) -> dict[str, Any]:
 
 def _curves(axes: Axes, display: Display) -> None:
     for i, (name, (x, y)) in enumerate(display.series.items()):
-        axes.plot(x, y, label=name, linewidth=1.1, **_look(i, len(display.series), "curves"))
+        axes.plot(
+            x, y, label=verbatim(name), linewidth=1.1, **_look(i, len(display.series), "curves")
+        )
     _crop(axes, display)
     _lower(axes, display)
 
@@ -187,7 +191,7 @@ def _points(axes: Axes, display: Display) -> None:
         axes.plot(
             a[::step],
             b[::step],
-            label=name,
+            label=verbatim(name),
             markersize=4.5 if few else 1.3,
             alpha=1.0 if few else 0.45,
             markeredgewidth=0,
@@ -201,7 +205,7 @@ def _bars(axes: Axes, display: Display) -> None:
     values = [float(np.asarray(y, dtype=float)[0]) for _, y in display.series.values()]
     axes.barh(range(len(names)), values, color=PALETTE[1], height=0.7)
     axes.axvline(0, color="#444444", linewidth=0.6)
-    axes.set_yticks(range(len(names)), [_short(n) for n in names], fontsize=6)
+    axes.set_yticks(range(len(names)), [verbatim(_short(n)) for n in names], fontsize=6)
     axes.invert_yaxis()
     axes.tick_params(axis="y", length=0)
 

@@ -14,7 +14,8 @@ from matplotlib.patches import Rectangle
 
 from chdstat._exposure import auto_exposure
 from chdstat.errors import InputError
-from chdstat.viz.style import PALETTE, WIDTH, style
+from chdstat.viz.lettering import verbatim
+from chdstat.viz.style import HEIGHT, PALETTE, WIDTH, style
 
 __all__ = ["Mark", "pictures", "tonemap", "with_marks"]
 
@@ -101,7 +102,7 @@ def with_marks(
     aspect = shown.shape[0] / shown.shape[1]
     with style():
         height = max(WIDTH * share * aspect, 1.05 * rows)
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        figure = Figure(figsize=(WIDTH, min(height, HEIGHT)), layout="constrained")
         grid = figure.add_gridspec(rows, 1 + columns, width_ratios=[4.2, *[1] * columns])
         main = figure.add_subplot(grid[:, 0])
         _picture(main, shown)
@@ -152,7 +153,7 @@ def _inset(axes: Axes, shown: Array, mark: Mark, color: str, number: int) -> Non
     )
     axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=color, linewidth=1.2))
     axes.spines[:].set(visible=True, color=color, linewidth=2)
-    axes.set_title(f"{number} {mark.name}", fontsize=7.5, pad=4)
+    axes.set_title(f"{number} {verbatim(mark.name)}", fontsize=7.5, pad=4)
 
 
 def pictures(
@@ -191,7 +192,7 @@ def pictures(
     with style():
         height, width = np.shape(exposed)[:2]
         each = 0.92 * WIDTH / len(images) * height / width
-        figure = Figure(figsize=(WIDTH, rows * each + 0.35), layout="constrained")
+        figure = Figure(figsize=(WIDTH, min(rows * each + 0.35, HEIGHT)), layout="constrained")
         axes = figure.subplots(rows, len(images), squeeze=False)
         for column, (title, image) in zip(axes.T, images.items(), strict=True):
             _picture(column[0], tonemap(np.asarray(image)[window], exposure=exposure))

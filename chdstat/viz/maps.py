@@ -12,7 +12,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from chdstat.viz.style import MISSING, WIDTH, qualitative, sequential, style
+from chdstat.viz.style import HEIGHT, MISSING, WIDTH, qualitative, sequential, style
 
 __all__ = ["categorical_map", "map_grid", "n_needed", "value_map"]
 
@@ -142,7 +142,7 @@ def map_grid(maps: Sequence[Draw], *, columns: int = 3, aspect: float = 1.0) -> 
     rows = -(-len(maps) // columns)
     with style():
         height = WIDTH / columns * (0.86 * aspect + 0.2) * rows
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        figure = Figure(figsize=(WIDTH, min(height, HEIGHT)), layout="constrained")
         axes = figure.subplots(rows, columns, squeeze=False)
         for cell in axes.flat[len(maps) :]:
             cell.set_axis_off()

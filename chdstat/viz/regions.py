@@ -20,6 +20,7 @@ from matplotlib.patches import Rectangle
 from chdstat.errors import InputError
 from chdstat.viz.chd import Curve, Panel
 from chdstat.viz.image import Mark, tonemap
+from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import WIDTH, qualitative, style
 
 __all__ = ["region_study"]
@@ -81,7 +82,7 @@ def region_study(
         for i, (mark, panel) in enumerate(zip(marks, panels, strict=True)):
             row, column = i % rows, i // rows
             cells = axes[row, 3 * column : 3 * column + 3]
-            _inset(cells[0], shown, mark, colors[i], f"{i + 1} {mark.name}")
+            _inset(cells[0], shown, mark, colors[i], f"{i + 1} {verbatim(mark.name)}")
             _chds(cells[1], cells[2], panel, colors[i])
         for i in range(len(marks), rows * _COLUMNS):
             for cell in axes[i % rows, 3 * (i // rows) : 3 * (i // rows) + 3]:
@@ -107,7 +108,7 @@ def _overview(
             0.01, y, str(i + 1), fontsize=7.5, fontweight="bold", ha="center", va="center",
             bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
         )  # fmt: skip
-        right.text(0.06, y, mark.name, fontsize=8, fontweight="bold", va="center")
+        right.text(0.06, y, verbatim(mark.name), fontsize=8, fontweight="bold", va="center")
         if i < len(notes):
             right.text(0.40, y, notes[i], fontsize=7.5, va="center", color="#333333")
     right.set(xlim=(0, 1), ylim=(0, 1))
@@ -193,7 +194,9 @@ def _legend(figure: Any, panel: Panel) -> None:
     if len(panel.log) < 2:
         return
     handles = [
-        Line2D([], [], color="#333333", linewidth=0.9, linestyle=_DASHES[i % 3], label=name)
+        Line2D(
+            [], [], color="#333333", linewidth=0.9, linestyle=_DASHES[i % 3], label=verbatim(name)
+        )
         for i, name in enumerate(panel.log)
     ]
     title = "densities of radiance in W sr$^{-1}$ m$^{-2}$, linear and logarithmic; channels:"

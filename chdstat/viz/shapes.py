@@ -10,7 +10,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from chdstat.atlases import Atlas
-from chdstat.viz.style import MISSING, WIDTH, qualitative, style
+from chdstat.viz.style import HEIGHT, MISSING, WIDTH, qualitative, style
 
 __all__ = ["atlas"]
 
@@ -35,7 +35,7 @@ def atlas(found: Atlas) -> Figure:
     aspect = found.labels.shape[0] / found.labels.shape[1]
     with style():
         height = max(0.5 * WIDTH * aspect + 0.2, 0.85 * rows + 0.3)
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        figure = Figure(figsize=(WIDTH, min(height, HEIGHT)), layout="constrained")
         left, right = figure.subfigures(1, 2, squeeze=False)[0]
         _map(left.subplots(), found)
         panels = right.subplots(rows, columns, squeeze=False).ravel()

@@ -10,10 +10,24 @@ import matplotlib as mpl
 from matplotlib import colormaps
 from matplotlib.colors import Colormap, to_hex, to_rgb
 
-__all__ = ["CHANNELS", "MISSING", "PALETTE", "WIDTH", "qualitative", "sequential", "style"]
+from chdstat.viz.lettering import families
+
+__all__ = [
+    "CHANNELS",
+    "HEIGHT",
+    "MISSING",
+    "PALETTE",
+    "WIDTH",
+    "qualitative",
+    "sequential",
+    "style",
+]
 
 WIDTH = 6.7
 """Width of a figure that fills the text of an A4 page, in inches."""
+
+HEIGHT = 8.0
+"""What leaves room on that page for a heading and a caption."""
 
 PALETTE = (
     "#E69F00",
@@ -42,7 +56,6 @@ _SETTINGS: dict[Any, Any] = {
     "axes.titlesize": 8.5,
     "figure.dpi": 110,
     "figure.facecolor": "white",
-    "font.family": ["STIXGeneral", "DejaVu Serif"],
     "font.size": 8,
     "legend.fontsize": 7.5,
     "legend.frameon": False,
@@ -77,7 +90,7 @@ def style() -> Iterator[None]:
     >>> mpl.rcParams["font.size"] == before
     True
     """
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(_SETTINGS | {"font.family": list(families())}):
         yield
 
 

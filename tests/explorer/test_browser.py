@@ -274,6 +274,28 @@ def test_options_change_what_is_drawn(person, store_path):
     one.page.wait_for_function("!location.search.includes('ev=')")
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "ticks"),
+    [
+        (0.03, 1.5, [0.05, 0.1, 0.2, 0.5, 1]),
+        (1, 128, [1, 2, 5, 10, 20, 50, 100]),
+        (1e-3, 0.9, [0.001, 0.003, 0.01, 0.03, 0.1, 0.3]),
+        (1e-5, 1e5, [1e-4, 1e-2, 1, 1e2, 1e4]),
+        (1e-30, 1e30, [1e-30, 1e-20, 1e-10, 1, 1e10, 1e20, 1e30]),
+        (0.29, 0.95, [0.4, 0.6, 0.8]),
+        (0, 1, []),
+    ],
+)
+def test_a_logarithmic_axis_has_round_labels_from_end_to_end(person, store_path, low, high, ticks):
+    one = person(store_path).open("?p=20,10")
+    found = one.page.evaluate(
+        "([low, high]) => Bokeh.documents[0].get_model_by_name('log').below[0].ticker"
+        ".get_ticks(low, high, null, 0).major",
+        [low, high],
+    )
+    assert found == pytest.approx(ticks)
+
+
 def test_an_address_brings_the_view_back(person, store_path):
     one = person(store_path).open("?p=20,10&p=5,6&a=0&map=null_share&f=gamma&n=16")
     chips, query = one.chips, one.query

@@ -62,6 +62,20 @@ def test_hopeless_samples_give_a_report_that_says_so(radiance, tmp_path, name, c
     assert said in text_of(chd.report(samples, tmp_path / "hopeless.pdf", estimators=FIXED))
 
 
+def test_a_region_may_have_any_name(radiance, tmp_path, caplog):
+    recipe = tmp_path / "recipe.toml"
+    recipe.write_text(
+        'schema = 1\nscene = "noise"\nsize = [8, 8]\nspp = 128\nseed = 0\n'
+        '[[regions]]\nname = "a $x^$ b \U0010fffd"\n'
+        'phenomenon = "diffuse"\nrectangle = [0, 0, 1, 1]\n',
+        encoding="utf-8",
+    )
+    samples = chd.Samples.from_array(radiance[:8, :8], scene="noise")
+    path = chd.report(samples, tmp_path / "named.pdf", recipe=recipe, estimators=FIXED)
+    assert "1 a $x^$ b" in text_of(path)
+    assert [r.getMessage()[:24] for r in caplog.records] == ["no font has the letters "]
+
+
 def test_bad_samples_are_counted_in_words(radiance, tmp_path):
     x = radiance[:8, :8].copy()
     x[1, 2, 0, 3], x[4, 4, 1, 5], x[6, 7, 2, 8] = np.nan, np.inf, -1

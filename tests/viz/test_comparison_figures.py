@@ -139,6 +139,16 @@ def test_one_channel_and_black_pixels_can_be_drawn():
     assert "channel0" in pixel_estimates(gray.draw_pixels()).axes[0].get_ylabel()
 
 
+def test_pixels_that_are_alike_have_short_labels():
+    x = np.random.default_rng(0).gamma(1.0, size=(5, 5, 1, 256)) + 0.3
+    drawn = chd.compare(chd.Samples.from_array(x), ["mean"], cost=False).draw_pixels()
+    figure = pixel_estimates(drawn)
+    figure.draw_without_rendering()
+    labels = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert len(labels) >= 3
+    assert max(map(len, labels)) <= 4
+
+
 def test_no_pixel_is_nothing_to_draw(found):
     none = found.draw_pixels(1)
     empty = type(none)(**{**vars(none), "pixels": none.pixels[:0]})

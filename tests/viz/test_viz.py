@@ -109,6 +109,26 @@ def test_curves_draw_what_they_are_given():
     assert "sample mean, training" in texts(figure)
 
 
+def test_the_legend_of_a_training_is_beside_its_curves():
+    losses = {"training": [3, 2, 1], "validation": [3, 2.5, 2.2]}
+    figure = viz.training([1, 2, 3], losses, {"training": 2.9, "validation": 3.0})
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert len(legend.get_texts()) == 4
+    assert legend.get_window_extent().y0 >= figure.axes[0].get_window_extent().y1
+
+
+@pytest.mark.parametrize("marks", [(), [viz.Mark("m", slice(0, 9), slice(0, 3), (4, 1))]])
+def test_a_high_image_fits_the_page(marks):
+    high = np.ones((90, 30, 3))
+    for figure in (
+        viz.with_marks(high, marks),
+        viz.pictures({"a": high, "b": high}, errors={"a": high[..., 0]}),
+        viz.map_grid(9 * [viz.value_map(high[..., 0], title="flat")], aspect=3),
+    ):
+        assert figure.get_figheight() <= 8
+
+
 def test_the_central_limit_theorem_is_a_straight_line_on_a_log_scale():
     n = np.array([1, 4, 16])
     skewness = np.array([[-0.1, 1, 3]]).T / np.sqrt(n)

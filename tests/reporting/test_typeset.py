@@ -1,0 +1,35 @@
+"""Typesetting: figures keep the size in which they were drawn, and templates every letter."""
+
+from __future__ import annotations
+
+import re
+from importlib import resources
+
+import pypdfium2
+import pytest
+from matplotlib.figure import Figure
+
+from chdstat.reporting.typeset import Document, typeset
+
+TEMPLATES = resources.files("chdstat.reporting") / "templates"
+
+
+@pytest.mark.parametrize("width", [1.5, 6.5])
+def test_a_figure_has_the_size_in_which_it_was_drawn(tmp_path, width):
+    (tmp_path / "size.typ").write_text(
+        '#import "parts.typ": *\n#context [#measure(drawing("drawn")[]).width]'
+    )
+    drawn = {"drawn": Figure(figsize=(width, 1))}
+    path = typeset(Document("size.typ", {}, drawn), tmp_path, tmp_path / "size.pdf")
+    pdf = pypdfium2.PdfDocument(path)
+    try:
+        assert pdf[0].get_textpage().get_text_range().split()[0] == f"{72 * width:g}pt"
+    finally:
+        pdf.close()
+
+
+@pytest.mark.parametrize("name", ["parts.typ", "report.typ", "study.typ"])
+def test_no_semicolon_of_a_sentence_ends_an_expression(name):
+    # Typst takes the one after "#data.number" for the end of code; "\\;" is a letter.
+    text = (TEMPLATES / name).read_text(encoding="utf-8")
+    assert re.findall(r"#[\w.-]+(?:\([^()]*\))?;", text) == []

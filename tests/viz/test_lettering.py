@@ -1,0 +1,82 @@
+"""Lettering: names are drawn as they are written, in fonts that have their letters."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from chdstat import viz
+from chdstat.viz import lettering
+from chdstat.viz.lettering import families, spelt, verbatim
+
+NAME = "a $x^$ b"
+"""No formula: Matplotlib cannot parse it as one."""
+IN_NO_FONT = "\U0010fffd"
+
+IMAGE = np.random.default_rng(0).random((12, 16, 3))
+MARK = viz.Mark(NAME, slice(2, 6), slice(2, 6), (4, 4))
+EDGES = np.linspace(0.1, 1, 5)
+CURVE = viz.Curve(EDGES, np.ones(4))
+PANEL = viz.Panel(NAME, {NAME: CURVE, "G": CURVE}, {NAME: CURVE, "G": CURVE})
+SERIES = {NAME: (np.arange(3), np.arange(3)), "other": (np.arange(3), np.arange(3))}
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda: viz.with_marks(IMAGE, [MARK]),
+        lambda: viz.chd_grid([PANEL]),
+        lambda: viz.region_study(IMAGE, [MARK], [PANEL]),
+        lambda: viz.batch_histograms(
+            [viz.BatchPanel(NAME, EDGES, np.ones((2, 4)), EDGES, np.ones(4), 0.5)],
+            number=2,
+            size=4,
+        ),
+        lambda: viz.view_pair({"short": IMAGE, NAME: IMAGE}, {NAME: {NAME: CURVE}}),
+        lambda: viz.averages([1, 2], {NAME: [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05),
+        lambda: viz.verdict_matrix({"nulls": {NAME: "supported"}}),
+        lambda: viz.claim_intervals([viz.Measured("share", [0.5], [0.4], [0.6])], [NAME]),
+        lambda: viz.displays([viz.Display("curves", SERIES, title=NAME)]),
+        lambda: viz.displays([viz.Display("points", SERIES)]),
+        lambda: viz.displays([viz.Display("bars", SERIES)]),
+        lambda: viz.displays([viz.Display("curves", SERIES), viz.Display("points", {})]),
+    ],
+)
+def test_dollar_signs_in_a_name_begin_no_formula(draw):
+    figure = draw()
+    figure.draw_without_rendering()
+    written = [text.get_text() for text in figure.findobj(mpl.text.Text)]
+    assert any(verbatim(NAME) in text for text in written)
+    assert not any(NAME in text for text in written)
+
+
+def test_letters_that_no_font_has_are_told_once(tmp_path, caplog):
+    with viz.style(), spelt():
+        for name in ("first.svg", "second.png"):
+            figure = Figure()
+            figure.text(0.5, 0.5, f"wall {IN_NO_FONT}")
+            figure.savefig(tmp_path / name)
+    (record,) = caplog.records
+    assert (record.name, record.levelno) == ("chdstat", logging.WARNING)
+    assert f"no font has the letters {IN_NO_FONT}: boxes" in record.getMessage()
+
+
+def test_other_warnings_are_still_given(caplog):
+    with pytest.warns(UserWarning, match="of something else"), spelt():
+        warnings.warn("of something else", stacklevel=1)
+    assert not caplog.records
+
+
+def test_fonts_are_those_that_the_machine_has(monkeypatch):
+    with viz.style():
+        assert mpl.rcParams["font.family"] == [*families()]
+    known = ["DejaVu Serif", "SimSun", "STIXGeneral", "Noto Serif CJK JP", "Comic Sans MS"]
+    monkeypatch.setattr(lettering.font_manager, "get_font_names", lambda: known)
+    families.cache_clear()
+    assert families() == ("STIXGeneral", "DejaVu Serif", "Noto Serif CJK JP", "SimSun")
+    families.cache_clear()
