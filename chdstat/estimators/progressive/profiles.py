@@ -114,6 +114,11 @@ class Profile:
         return cls(*found, unit)
 
     @property
+    def nbytes(self) -> int:
+        """Bytes that are kept."""
+        return self.bins.nbytes + self.count.nbytes
+
+    @property
     def parts(self) -> int:
         """How many parts of the samples are counted apart."""
         return int(self.bins.shape[-2]) // OCTAVES
