@@ -38,8 +38,8 @@ class Overall:
         Mean radiance of the good samples, shape (y, x, channel), float32; NaN without any.
     null_share
         Share of nulls among the good samples, shape (y, x).
-    bad_count
-        Bad samples, shape (y, x).
+    good_count, bad_count
+        Good and bad samples, shape (y, x): while a picture is drawn, some pixels have more.
     variance
         Unbiased variance of luminance, squared radiance, shape (y, x).
     variation
@@ -50,6 +50,7 @@ class Overall:
 
     mean: Image
     null_share: Image
+    good_count: Image
     bad_count: Image
     variance: Image
     variation: Image
@@ -58,9 +59,8 @@ class Overall:
     @property
     def relative_error(self) -> Image:
         """Standard error of the mean luminance over that mean, shape (y, x)."""
-        good = self.spp - self.bad_count
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self.variation / np.sqrt(np.where(good > 0, good, np.nan)))
+        good = np.where(self.good_count > 0, self.good_count, np.nan)
+        return np.asarray(self.variation / np.sqrt(good))
 
     @cached_property
     def exposure(self) -> float:
@@ -71,8 +71,8 @@ class Overall:
     def empty(cls, height: int, width: int, channels: int) -> Overall:
         """Return the picture of no samples."""
         mean = np.full((height, width, channels), np.nan, np.float32)
-        null, bad, variance, variation = np.full((4, height, width), np.nan, np.float32)
-        return cls(mean, null, bad, variance, variation, 0)
+        null, good, bad, variance, variation = np.full((5, height, width), np.nan, np.float32)
+        return cls(mean, null, good, bad, variance, variation, 0)
 
     def put(self, ys: slice, xs: slice, part: Overall) -> None:
         """Write a part of the image."""
@@ -146,9 +146,11 @@ class Tally:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             share = self._nulls / moments.count[..., 0]
             variation = np.where(mean[..., -1] > 0, np.sqrt(variance) / mean[..., -1], np.nan)
-            maps = np.stack([share, np.broadcast_to(self._bads, share.shape), variance, variation])
-            null, bad, *spreads = maps.astype(np.float32)
-            return Overall(mean[..., :-1].astype(np.float32), null, bad, spreads[0], spreads[1], 0)
+            bads = np.broadcast_to(self._bads, share.shape)
+            maps = np.stack([share, moments.count[..., 0], bads, variance, variation])
+            null, good, bad, variances, variations = maps.astype(np.float32)
+        picture = mean[..., :-1].astype(np.float32)
+        return Overall(picture, null, good, bad, variances, variations, 0)
 
 
 def _of_blocks(blocks: Iterator[Image]) -> Overall:

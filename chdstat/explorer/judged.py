@@ -28,6 +28,8 @@ __all__ = [
 
 _MOST_BATCHES = 32
 """Batches that estimators are judged on."""
+_SAME = 1e-6
+"""Relative difference below which an estimate is the mean, as in `chdstat.compare`."""
 BATCHES_AROUND = 4
 """Batches of those that look at the pixels around."""
 
@@ -237,7 +239,9 @@ def compared(name: str, estimates: Floats, batches: Batches) -> Estimate:
         ratio = float(error.sum() / of_mean.sum())
     if name == "mean":
         return Estimate(name, _average(estimates), 1.0, float(difference.mean()), nan)
-    improved = float((error < of_mean).mean())
+    # Of estimates that are the mean but for rounding, none is an improvement.
+    same = np.abs((estimates - mean)[known]) <= _SAME * np.abs(mean[known])
+    improved = float(((error < of_mean) & ~same).mean())
     return Estimate(name, _average(estimates), ratio, float(difference.mean()), improved)
 
 

@@ -258,7 +258,7 @@ def _error_ratio(name: str, block: Image) -> npt.NDArray[Any]:
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             truth = (total - np.nansum(batch, axis=-1, dtype=np.float64)) / (good - own)
             for k, judge in enumerate((estimator, mean)):
-                difference = (np.asarray(judge(batch), np.float64) - truth) / (total / good)
+                difference = np.asarray(judge(batch), np.float64) - truth
                 errors[k] += np.nansum(difference**2, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.log10(errors[0] / errors[1])

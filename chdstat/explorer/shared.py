@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from chdstat.errors import ChdstatError
+from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.explorer.cache import kept
 from chdstat.explorer.images import Overall, preview, stream
 from chdstat.explorer.judged import quick_names
@@ -90,9 +91,9 @@ class Shared:
 
     @property
     def unit(self) -> float | None:
-        """Mean radiance of the picture so far, None before there is any."""
-        finite = None if self.overall is None else self.overall.mean[np.isfinite(self.overall.mean)]
-        return float(finite.mean(dtype=np.float64)) if finite is not None and finite.size else None
+        """Radiance that trained estimators count from, None before there is a picture."""
+        mean = None if self.overall is None else self.overall.mean
+        return None if mean is None or not np.isfinite(mean).any() else picture_unit(mean)
 
     def start(self) -> None:
         """Show the first picture, then begin to improve it."""

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat._arrays import luminance
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import cache
-from chdstat.explorer.images import Overall, preview, rgba, stream
+from chdstat.explorer.images import Overall, Tally, preview, rgba, stream
 from chdstat.explorer.live import FIRST_SPP, SceneSource
-from chdstat.explorer.maps import MAPS, Map, map_kind, of_overall, walk
+from chdstat.explorer.maps import MAPS, Map, _error_ratio, map_kind, of_overall, walk
 from chdstat.explorer.sources import StoreSource, pooled
 from chdstat.fit.tail import tail_of_part
 from chdstat.patterns import classify, luminance_part
@@ -274,3 +275,29 @@ def test_a_scene_without_emitters_says_so():
     source = SceneSource(chd.load_scene(dark), size=(8, 8))
     with pytest.raises(SceneError, match="emitter"):
         list(source.passes())
+
+
+def test_errors_of_a_map_are_those_of_compare():
+    """Channels are pooled as radiance: a dark one does not decide."""
+    x = np.random.default_rng(0).gamma(0.3, size=(3, 512)).astype(np.float32)
+    x *= np.array([1, 0.1, 0.01], np.float32)[:, np.newaxis]
+    squared = np.zeros(2)
+    for batch in np.split(x, 16, axis=-1):
+        truth = (x.sum(axis=-1, dtype=float) - batch.sum(axis=-1)) / 480
+        for k, estimate in enumerate((chd.estimators.median_of_means, chd.estimators.mean)):
+            squared[k] += ((estimate(batch) - truth) ** 2).sum()
+    found = _error_ratio("median_of_means", x[np.newaxis, np.newaxis]).item()
+    assert found == pytest.approx(np.log10(squared[0] / squared[1]), rel=1e-4)
+
+
+def test_pixels_of_a_half_drawn_picture_have_the_errors_of_their_own_samples():
+    x = np.random.default_rng(0).gamma(2.0, size=(1, 2, 3, 64)).astype(np.float32)
+    whole = Overall.empty(1, 2, 3)
+    for i, n in enumerate((64, 16)):
+        tally = Tally()
+        tally.add(x[:, i : i + 1, :, :n])
+        whole.put(slice(0, 1), slice(i, i + 1), tally.overall())
+    light = luminance(x.astype(float))[0]
+    own = light[0], light[1, :16]
+    expected = [y.std(ddof=1) / y.mean() / np.sqrt(len(y)) for y in own]
+    assert replace(whole, spp=64).relative_error[0] == pytest.approx(expected, rel=1e-5)
