@@ -212,6 +212,17 @@ def test_what_cannot_be_estimated_ends_with_a_message_and_no_file(
     assert {path.suffix for path in tmp_path.iterdir()} == {".safetensors"}
 
 
+def test_a_scene_is_rendered_as_its_model_looks_at_it(run, tmp_path):
+    model, picture = tmp_path / "m.safetensors", tmp_path / "a.exr"
+    size = ("--size", "8x8", "-q")
+    asked = ("--direct", "--no-reference", "--spp", "16", "--iterations", "2", "-o", model)
+    assert run("train", "cornell-box", *asked, *size)[0] == 0
+    assert (
+        run("estimate", "cornell-box", "--spp", "4", "--model", model, "-o", picture, *size)[0] == 0
+    )
+    assert picture.is_file()
+
+
 def test_report_writes_a_pdf(run, store, tmp_path):
     target = tmp_path / "box.pdf"
     code, out, _ = run("report", store, "-o", target, "-q")

@@ -155,6 +155,7 @@ def estimate(
     target = checked_target(out, ".exr")  # refused before the work, not after
     trained = None if model is None else load_model(model)
     drawn = batches_of if while_rendering else samples_of
+    apart = {"direct": True} if not while_rendering and getattr(trained, "direct", False) else {}
     samples = drawn(
         source,
         define=define,
@@ -165,6 +166,7 @@ def estimate(
         seed=seed,
         max_depth=max_depth,
         backend=backend,
+        **apart,  # what such a model looks at is rendered with the rest
     )
     path = write_estimates(
         target,
