@@ -84,6 +84,15 @@ class Course:
         self._history = np.empty((0, 5)) if start is None else start.history
 
     @property
+    def unit(self) -> float:
+        """Radiance that all is measured in; it may be set while no sample had light."""
+        return self._buckets.unit
+
+    @unit.setter
+    def unit(self, unit: float) -> None:
+        self._buckets.unit = unit
+
+    @property
     def nbytes(self) -> int:
         """Bytes that are kept of the samples."""
         return self._buckets.nbytes

@@ -160,6 +160,11 @@ class Stream:
                 self._course = self._new_course(shape, channels, unit)
             self._profile = Profile.empty(shape, channels, unit=unit, parts=self._parts)
         kept = self._profile
+        if self._unit is None and not kept.bins.any():
+            # Black so far: the unit is that of the first batch with light.
+            kept.unit = picture_unit(mean_of_good(samples))
+            if self._course is not None:
+                self._course.unit = kept.unit
         if (kept.count.shape, kept.channels) != (shape, channels):
             message = (
                 f"the stream holds pixels {kept.count.shape} with {kept.channels} channels, got "

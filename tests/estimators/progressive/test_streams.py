@@ -6,6 +6,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Profile, Progressive, Stream
+from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.simulation import CHD, Component, truth_of
 
 
@@ -68,6 +69,21 @@ def test_the_unit_is_that_of_the_first_samples(trained):
         stream.update(part)
         bright.update(part * 256)
     assert (bright.estimate().radiance == 256 * stream.estimate().radiance).all()
+
+
+def test_black_batches_say_nothing_of_the_unit(trained):
+    x = 1e-4 * np.random.default_rng(0).exponential(size=(8, 8, 3, 32)).astype(np.float32)
+    dark = np.zeros((8, 8, 3, 4), np.float32)
+    stream, expected = Stream(trained), Stream(trained, unit=picture_unit(x.mean(axis=-1)))
+    for part in (dark, dark, x):
+        stream.update(part)
+        expected.update(part)
+    assert stream.estimate().radiance == pytest.approx(expected.estimate().radiance, rel=1e-6)
+    pupil = Stream(Progressive(), learns=True)
+    for part in (dark, x):
+        pupil.update(part)
+    pupil.learn(iterations=4)
+    assert pupil.model.provenance["scenes"][0]["unit"] == pytest.approx(1e-4, rel=0.2)
 
 
 def test_certainty_rests_less_on_experience_with_every_sample(trained):
