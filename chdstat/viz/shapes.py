@@ -16,6 +16,8 @@ __all__ = ["atlas"]
 
 _VISIBLE = 0.01
 """Density, relative to the highest, below which no panel needs to reach."""
+_OF_MAP = 0.4
+"""Share of the width that the map takes: the figure then fits below others on a page."""
 
 
 def atlas(found: Atlas) -> Figure:
@@ -34,9 +36,10 @@ def atlas(found: Atlas) -> Figure:
     rows = max(2, -(-number // columns))
     aspect = found.labels.shape[0] / found.labels.shape[1]
     with style():
-        height = max(0.5 * WIDTH * aspect + 0.2, 0.85 * rows + 0.3)
+        height = max(_OF_MAP * WIDTH * aspect + 0.2, 0.8 * rows + 0.3)
         figure = Figure(figsize=(WIDTH, min(height, HEIGHT)), layout="constrained")
-        left, right = figure.subfigures(1, 2, squeeze=False)[0]
+        ratios = [_OF_MAP, 1 - _OF_MAP]
+        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=ratios)[0]
         _map(left.subplots(), found)
         panels = right.subplots(rows, columns, squeeze=False).ravel()
         for k, axes in enumerate(panels):
