@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-__all__ = ["q_values", "wilson"]
+__all__ = ["holm", "q_values", "wilson"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -43,6 +43,23 @@ def q_values(p: npt.NDArray[np.floating[Any]]) -> Floats:
             adjusted[tested] = stats.false_discovery_control(p[here][tested])
             q[here] = adjusted
     return q
+
+
+def holm(p: npt.NDArray[np.floating[Any]]) -> Floats:
+    """Return p-values of a family of tests, adjusted; those that are NaN count for none.
+
+    Holm, "A simple sequentially rejective multiple test procedure", 1979.
+
+    Examples
+    --------
+    >>> holm(np.array([0.04, np.nan, 0.01, 0.03]))
+    array([0.06,  nan, 0.03, 0.06])
+    """
+    found = np.asarray(p, dtype=np.float64).copy()
+    order = np.argsort(found)[: np.count_nonzero(np.isfinite(found))]  # NaN is sorted last
+    left = np.arange(len(order), 0, -1)
+    found[order] = np.minimum(np.maximum.accumulate(left * found[order]), 1)
+    return found
 
 
 def wilson(

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
+from chdstat._multiplicity import holm
 from chdstat.findings.resampling import Blocks
 
 __all__ = ["uniformity"]
@@ -33,25 +34,14 @@ def uniformity(batches: Floats, blocks: Blocks) -> dict[str, float]:
         ``breusch_pagan``: variance does not depend on log mean (Breusch and Pagan 1979,
         doi:10.2307/1911963, without normality: Koenker 1981, doi:10.1016/0304-4076(81)90062-2).
         ``levene``: variance is the same in all blocks, around medians (Brown and Forsythe 1974,
-        doi:10.1080/01621459.1974.10482955). NaN where there is nothing to test. Holm 1979, "A
-        simple sequentially rejective multiple test procedure".
+        doi:10.1080/01621459.1974.10482955). NaN where there is nothing to test.
     """
     rest = batches[:, :-1].mean(axis=1)
     noise = batches[:, -1] - rest
     known = np.isfinite(noise) & (rest > 0)
     noise, level, block = noise[known], np.log(rest[known]), blocks.of_pixel[known]
     p = {"breusch_pagan": _breusch_pagan(noise, level), "levene": _levene(noise, block)}
-    return dict(zip(p, _holm(np.array(list(p.values()))).tolist(), strict=True))
-
-
-def _holm(p: Floats) -> Floats:
-    """Return adjusted p-values; what was not tested counts for none."""
-    from statsmodels.stats.multitest import multipletests
-
-    adjusted, known = p.copy(), np.flatnonzero(np.isfinite(p))
-    if known.size:
-        adjusted[known] = multipletests(p[known], method="holm")[1]
-    return adjusted
+    return dict(zip(p, holm(np.array(list(p.values()))).tolist(), strict=True))
 
 
 def _breusch_pagan(noise: Floats, level: Floats) -> float:

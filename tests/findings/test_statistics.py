@@ -11,8 +11,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy import stats
+from statsmodels.stats.multitest import multipletests
 
 import chdstat as chd
+from chdstat._multiplicity import holm
 from chdstat.findings import Evidence, Part, Statistic
 from chdstat.findings._explained import explained_by_features
 from chdstat.findings._growth import growing, with_room
@@ -194,6 +196,14 @@ def test_noise_that_grows_with_radiance_is_told():
     found = uniformity(uniform_noise(rng, lambda mean: mean), blocks)
     assert 0 < found["breusch_pagan"] < 1e-6
     assert 0 < found["levene"] < 1e-6
+
+
+def test_adjusted_p_values_are_those_of_statsmodels():
+    p = np.random.default_rng(0).random(9) ** 3
+    np.testing.assert_allclose(holm(p), multipletests(p, method="holm")[1])
+    with_nan = holm(np.insert(p, 4, np.nan))
+    assert np.isnan(with_nan[4])
+    np.testing.assert_array_equal(np.delete(with_nan, 4), holm(p))
 
 
 def test_what_cannot_be_tested_has_no_p_value_and_adjusts_none():
