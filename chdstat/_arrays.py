@@ -17,6 +17,7 @@ from chdstat.errors import InputError
 __all__ = [
     "LUMINANCE",
     "as_samples",
+    "block_numbers",
     "generator",
     "is_bad",
     "is_null",
@@ -65,6 +66,24 @@ def whole(name: str, value: object, *, least: int) -> int:
         message = f"{name} must be at least {least}, got {number}"
         raise InputError(message)
     return number
+
+
+def block_numbers(height: int, width: int, *, across: int) -> npt.NDArray[np.int64]:
+    """Return the block that each pixel lies in, shape (y, x): `across` of them along each side.
+
+    They are numbered in reading order and of nearly equal size; a side with fewer pixels has as
+    many blocks as pixels.
+
+    Examples
+    --------
+    >>> block_numbers(2, 4, across=2)
+    array([[0, 0, 1, 1],
+           [2, 2, 3, 3]])
+    """
+    rows, columns = min(height, across), min(width, across)
+    y = np.arange(height) * rows // height
+    x = np.arange(width) * columns // width
+    return np.asarray(y[:, np.newaxis] * columns + x, dtype=np.int64)
 
 
 def as_samples(

@@ -14,6 +14,7 @@ __all__ = [
     "Entry",
     "learned_of",
     "least_taken",
+    "looked_up",
     "looks_around",
     "own_of",
     "resolve",

@@ -16,7 +16,7 @@ from scipy import stats
 
 from chdstat.metrics import Interval, bootstrap, relative_squared_error
 
-__all__ = ["MEASURES", "SUMS", "ErrorSums", "errors_of", "stack_intervals"]
+__all__ = ["MEASURES", "SUMS", "ErrorSums", "errors_of", "is_mean", "stack_intervals"]
 
 Array = npt.NDArray[Any]
 
@@ -141,10 +141,15 @@ def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Arr
     p = np.where(np.isfinite(estimate), estimate, np.nan).astype(np.float64)
     error = p - reference
     relative = relative_squared_error(p, reference, scene_mean=scene_mean)
-    unchanged = np.abs(p - mean) <= _SAME * np.abs(mean)
+    unchanged = is_mean(p, mean)
     improved = (np.abs(error) < np.abs(mean - reference)) & ~unchanged
     firefly = (error > 0) & (relative > _FIREFLY**2)
     return np.stack([error**2, relative, improved, unchanged, firefly, error], axis=1)
+
+
+def is_mean(estimate: Array, mean: Array) -> npt.NDArray[np.bool_]:
+    """Say where an estimate is the sample mean, be it summed in another order."""
+    return np.asarray(np.abs(estimate - mean) <= _SAME * np.abs(mean))
 
 
 def stack_intervals(intervals: Sequence[Interval]) -> Interval:

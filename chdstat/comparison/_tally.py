@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._arrays import block_numbers
 from chdstat.comparison._sums import ErrorSums, errors_of
 from chdstat.errors import InputError
 from chdstat.estimators import mean
@@ -71,11 +72,9 @@ class Units:
     @classmethod
     def of(cls, test: npt.NDArray[np.bool_], labels: npt.NDArray[np.int64] | None = None) -> Units:
         """Gather the pixels of `test`, in 8 x 8 blocks of the picture."""
-        height, width = test.shape
         ys, xs = np.nonzero(test)
         label = np.zeros(len(ys), np.int64) if labels is None else labels[ys, xs]
-        rows, columns = min(height, _ACROSS), min(width, _ACROSS)
-        block = (ys * rows // height) * columns + xs * columns // width
+        block = block_numbers(*test.shape, across=_ACROSS)[ys, xs]
         order = np.lexsort((block, label))
         label, block = label[order], block[order]
         new = (np.diff(label, prepend=-1) != 0) | (np.diff(block, prepend=-1) != 0)

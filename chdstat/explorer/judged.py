@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import is_bad
+from chdstat.comparison._sums import is_mean
 from chdstat.estimators import mean as _mean
 from chdstat.estimators import registry
 
@@ -28,8 +29,6 @@ __all__ = [
 
 _MOST_BATCHES = 32
 """Batches that estimators are judged on."""
-_SAME = 1e-6
-"""Relative difference below which an estimate is the mean, as in `chdstat.compare`."""
 BATCHES_AROUND = 4
 """Batches of those that look at the pixels around."""
 
@@ -239,9 +238,7 @@ def compared(name: str, estimates: Floats, batches: Batches) -> Estimate:
         ratio = float(error.sum() / of_mean.sum())
     if name == "mean":
         return Estimate(name, _average(estimates), 1.0, float(difference.mean()), nan)
-    # Of estimates that are the mean but for rounding, none is an improvement.
-    same = np.abs((estimates - mean)[known]) <= _SAME * np.abs(mean[known])
-    improved = float(((error < of_mean) & ~same).mean())
+    improved = float(((error < of_mean) & ~is_mean(estimates[known], mean[known])).mean())
     return Estimate(name, _average(estimates), ratio, float(difference.mean()), improved)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._arrays import generator, spans
+from chdstat._arrays import block_numbers, generator, spans
 
 __all__ = ["LEVEL", "Blocks", "Spread", "interval_of", "mean_of", "median_of"]
 
@@ -88,11 +88,8 @@ class Blocks:
         >>> Blocks.grid(2, 4, across=2).of_pixel
         array([0, 0, 1, 1, 2, 2, 3, 3])
         """
-        rows, columns = min(height, across), min(width, across)
-        y = np.arange(height) * rows // height
-        x = np.arange(width) * columns // width
-        blocks = y[:, np.newaxis] * columns + x
-        return cls(blocks.ravel(), np.zeros(rows * columns, dtype=np.int64))
+        of_pixel = block_numbers(height, width, across=across).ravel()
+        return cls(of_pixel, np.zeros(min(height, across) * min(width, across), dtype=np.int64))
 
     @classmethod
     def join(cls, parts: list[Blocks]) -> Blocks:

@@ -13,6 +13,7 @@ from chdstat.atlases import Atlas, atlas
 from chdstat.backend import Backend
 from chdstat.capture import refuse_render, render, scene_size
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
+from chdstat.comparison._entries import DEFAULT
 from chdstat.errors import InputError
 from chdstat.estimators import LearnedEstimator, Progressive, lookup
 from chdstat.estimators.heldout import draw_pixels
@@ -60,7 +61,7 @@ def report(
     max_depth: int | None = None,
     recipe: str | Path | None = None,
     store: str | Path | None = None,
-    estimators: Sequence[str] = ("mean", "median_of_means", "elek2019", "progressive"),
+    estimators: Sequence[str] = DEFAULT,
     iterations: int | None = 1200,
     backend: Backend = "auto",
     progress: bool | None = None,
