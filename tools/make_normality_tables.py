@@ -34,8 +34,6 @@ PLAN = {
     # In between, the published formulas hold.
     "shapiro_wilk": ((*SIZES[:10], *LARGE), 6),
     "dagostino": (SIZES[6:], 7),
-    "jarque_bera": (SIZES, 7),
-    "lilliefors": (SIZES, 5),
 }
 """By statistic: for which sizes, and the degree of the polynomial."""
 
@@ -108,7 +106,7 @@ def smooth(
 
 def limits(name: str) -> list[tuple[int, int, np.ndarray]]:
     """Return what is known of ever larger samples, as good as the best of the simulations."""
-    if name not in ("dagostino", "jarque_bera"):
+    if name != "dagostino":
         return []
     return [(LIMIT, CAP, SCALES[name](-2 * np.log(LEVELS), float(LIMIT)))]
 

@@ -6,13 +6,12 @@ up, `tail_index` looks at the largest samples only. All take one pixel, a batch 
 the last axis, or a whole `Samples`; families and mixtures can be fitted to log histograms, too.
 """
 
-from chdstat.fit.by_name import burr, gamma, lognormal, pareto, weibull
 from chdstat.fit.families import FAMILIES, Family
 from chdstat.fit.goodness_of_fit import goodness
 from chdstat.fit.goodness_results import Goodness
 from chdstat.fit.mixture_results import Mixture
 from chdstat.fit.mixtures import mixture
-from chdstat.fit.mle import fit
+from chdstat.fit.mle import burr, fit, gamma, lognormal, pareto, weibull
 from chdstat.fit.results import Fit
 from chdstat.fit.selection import HeldOut, Selection, select
 from chdstat.fit.shares import family_shares

@@ -2,8 +2,8 @@
 
 They are interpolated between simulated quantiles (`chdstat.normality._tables`), since the published
 approximations are not uniform under the null: of 100 samples, p = 0.001 by chi-square happens in
-0.008 of the cases for Jarque and Bera, in 0.004 for D'Agostino and Pearson; Stephens' formulas for
-Anderson-Darling are off by 0.03 near p = 0.6. Those of Royston for Shapiro-Wilk are within 0.013 of
+0.004 of the cases for D'Agostino and Pearson; Stephens' formulas for Anderson-Darling are off by
+0.03 near p = 0.6. Those of Royston for Shapiro-Wilk are within 0.013 of
 p, and 7 % of it down to 0.01, for 30 to 2000 samples, and used there.
 """
 
@@ -20,8 +20,6 @@ from chdstat.normality._tables import LEVELS, QUANTILES
 __all__ = [
     "anderson_darling_p",
     "dagostino_p",
-    "jarque_bera_p",
-    "lilliefors_p",
     "shapiro_wilk_p",
 ]
 
@@ -36,19 +34,9 @@ def anderson_darling_p(statistic: Floats, n: Counts) -> Floats:
     return _simulated("anderson_darling", statistic, n)
 
 
-def jarque_bera_p(statistic: Floats, n: Counts) -> Floats:
-    """Return p-values by simulation."""
-    return _simulated("jarque_bera", statistic, n)
-
-
 def dagostino_p(statistic: Floats, n: Counts) -> Floats:
     """Return p-values by simulation: the two normal scores are uncorrelated, not independent."""
     return _simulated("dagostino", statistic, n)
-
-
-def lilliefors_p(statistic: Floats, n: Counts) -> Floats:
-    """Return p-values of the scaled distance (Stephens 1974), by simulation."""
-    return _simulated("lilliefors", statistic, n)
 
 
 def shapiro_wilk_p(statistic: Floats, n: Counts) -> Floats:

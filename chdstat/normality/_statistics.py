@@ -20,22 +20,17 @@ __all__ = [
     "Rows",
     "anderson_darling",
     "dagostino",
-    "jarque_bera",
-    "lilliefors",
     "shapiro_wilk",
     "standardise",
 ]
 
 
 SCALES: Mapping[str, Callable[[Floats, Floats], Floats]] = {
-    # Stephens 1974, doi:10.1080/01621459.1974.10480196: these two hardly depend on n.
+    # Stephens 1974, doi:10.1080/01621459.1974.10480196: it hardly depends on n.
     "anderson_darling": lambda a, n: a * (1 + 0.75 / n + 2.25 / n**2),
-    "lilliefors": lambda d, n: d * (np.sqrt(n) - 0.01 + 0.85 / np.sqrt(n)),
     # The smaller W, the less Gaussian; n (1 - W) grows but slowly.
     "shapiro_wilk": lambda w, n: np.log(n * (1 - w)),
     "dagostino": lambda k2, _n: np.sqrt(k2),
-    # Kurtosis has a tail exp(-k^(1/2)), so that log p is straight in the fourth root.
-    "jarque_bera": lambda jb, _n: np.sqrt(np.sqrt(jb)),
 }
 """By statistic, what its simulated quantiles are of: the larger, the less Gaussian."""
 
@@ -106,21 +101,6 @@ def anderson_darling(rows: Rows) -> Floats:
     if rows.left_out is not None:
         np.copyto(near, 0, where=rows.left_out)
     return np.asarray(-rows.n - near.sum(axis=-1) / rows.n)
-
-
-def lilliefors(rows: Rows) -> Floats:
-    """Return the distance D of the two distribution functions (Lilliefors 1967)."""
-    n = rows.n[:, np.newaxis]
-    beyond = rows.rank / n - np.abs(rows.above - rows.tail)
-    if rows.left_out is not None:
-        # D is at least 1 / (2 n): this changes neither maximum.
-        np.copyto(beyond, 0.5 / n, where=rows.left_out)
-    return np.asarray(np.maximum(beyond.max(axis=-1), 1 / rows.n - beyond.min(axis=-1)))
-
-
-def jarque_bera(rows: Rows) -> Floats:
-    """Return n/6 (skewness^2 + kurtosis^2/4) (Jarque and Bera 1987)."""
-    return np.asarray(rows.n / 6 * (rows.skewness**2 + rows.kurtosis**2 / 4))
 
 
 def dagostino(rows: Rows) -> Floats:
