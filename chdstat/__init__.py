@@ -14,7 +14,6 @@ __version__ = "0.1.0"
 _FUNCTIONS = {
     "Samples": "samples",
     "Scene": "scenes",
-    "across": "comparison",
     "analyze": "analysis",
     "atlas": "atlases",
     "classify": "patterns",

@@ -12,21 +12,18 @@ from chdstat.comparison._cost import Cost
 from chdstat.comparison._sums import MEASURES
 from chdstat.comparison.curves import ErrorCurve, curve_sizes, error_curve
 from chdstat.comparison.denoising import Denoised, denoised
-from chdstat.comparison.matrix import Across, across
 from chdstat.comparison.parts import Breakdown, PixelEstimates
 from chdstat.comparison.results import Comparison
 from chdstat.comparison.side_by_side import compare
 
 __all__ = [
     "MEASURES",
-    "Across",
     "Breakdown",
     "Comparison",
     "Cost",
     "Denoised",
     "ErrorCurve",
     "PixelEstimates",
-    "across",
     "compare",
     "curve_sizes",
     "denoised",

@@ -58,7 +58,7 @@ def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
     StoreError
         If a file cannot be read, or holds something else.
     InputError
-        If one looks at direct light or at the whole picture, which the page does not read.
+        If one looks at direct light, which the page does not read.
     """
     found = [
         Learner(Path(model).stem, load_model(model))
@@ -71,12 +71,6 @@ def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
             message = (
                 f"{learner.name} looks at direct light, which the page does not read; give a model "
                 "that was trained with direct=False"
-            )
-            raise InputError(message)
-        if not isinstance(learner.model, MLP) and learner.model.conditioned:
-            message = (
-                f"{learner.name} looks at the whole picture, of which the page asks one pixel at a "
-                "time; give a model that was trained with conditioned=False"
             )
             raise InputError(message)
     return found

@@ -7,7 +7,6 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators import Progressive
 from chdstat.explorer import explore
 from chdstat.explorer.judged import batches_of
 from chdstat.explorer.learned import judged_learners, learners
@@ -76,11 +75,3 @@ def test_a_file_that_is_no_model_is_refused(samples, tmp_path):
 def test_one_that_looks_at_direct_light_is_refused():
     with pytest.raises(InputError, match="trained with direct=False"):
         learners([chd.estimators.Progressive(direct=True)])
-
-
-def test_a_model_that_looks_at_the_whole_picture_is_refused():
-    rng = np.random.default_rng(0)
-    scenes = [chd.Samples.from_array(rng.exponential(size=(8, 8, 3, 32))) for _ in range(2)]
-    model = Progressive(conditioned=True).train(scenes, iterations=2, progress=False)
-    with pytest.raises(InputError, match="looks at the whole picture"):
-        learners([model])

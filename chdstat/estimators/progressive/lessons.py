@@ -124,8 +124,6 @@ def with_reference(
     *,
     sizes: Sequence[int] | None,
     iterations: int | None,
-    conditioned: bool,
-    rng: np.random.Generator,
 ) -> Material:
     """Return pixels with all their samples: the means of those not learned from are references.
 
@@ -147,7 +145,7 @@ def with_reference(
     _check_alike("channels", [scene.samples.shape[2] for scene in scenes])
     spp = min(_MOST_SPP, *(scene.samples.spp for scene in scenes))
     # One scene at a time: the samples of all pixels of one are much larger than what is kept.
-    lots = [Lot.of(scene, spp, rng if conditioned else None) for scene in scenes]
+    lots = [Lot.of(scene, spp) for scene in scenes]
     _check_alike("numbers of the first hit", [lot.described.shape[1] for lot in lots])
     lesson = Lesson(
         sizes=[n for n in wanted if n <= spp // 2],

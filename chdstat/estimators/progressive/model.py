@@ -28,7 +28,7 @@ from chdstat.estimators.progressive.lessons import (
 from chdstat.estimators.progressive.pictures import Scene, chosen_pixels
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.provenance import Origin, provenance_of
-from chdstat.estimators.progressive.questions import Question, check_asked, conditions_of_rows
+from chdstat.estimators.progressive.questions import Question, check_asked
 from chdstat.estimators.progressive.results import Estimates, Learned
 from chdstat.estimators.progressive.sights import Sights
 from chdstat.estimators.progressive.storage import read_learned, write_learned
@@ -67,10 +67,6 @@ class Progressive:
     neighbours
         Whether it looks at the pixels around, too: at their profiles, and at what `shared_patches`
         makes of those that are alike. Only without a reference.
-    conditioned
-        Whether it looks at ten numbers that say what the samples of the whole picture are like
-        (nulls, quantiles and spread of the luminance, firefly-like samples), to tell which of
-        several scenes it resembles. Only with a reference.
     direct
         Whether it looks at direct and indirect light apart, as `chdstat.render` tells them with
         ``direct=True``: light that comes seldom is then known to be indirect.
@@ -101,12 +97,10 @@ class Progressive:
         *,
         features: bool = False,
         neighbours: bool = False,
-        conditioned: bool = False,
         direct: bool = False,
     ) -> None:
         self.features = features
         self.neighbours = neighbours
-        self.conditioned = conditioned
         self.direct = direct
         self._learned: Learned | None = None
 
@@ -117,7 +111,7 @@ class Progressive:
     @property
     def sights(self) -> Sights:
         """What it looks at beside the samples of a pixel."""
-        return Sights(self.features, self.neighbours, self.conditioned, self.direct)
+        return Sights(self.features, self.neighbours, self.direct)
 
     @property
     def unit(self) -> float:
@@ -234,8 +228,6 @@ class Progressive:
                 scenes,
                 sizes=sizes,
                 iterations=iterations,
-                conditioned=self.conditioned,
-                rng=generator(seed).spawn(2)[1],
             )
             units = [scene.unit for scene in scenes]
         else:
@@ -382,13 +374,10 @@ class Progressive:
         self.sights.check_profile(profile, shape.parts)
         pixels = profile.count.shape
         rows = profile.reshape(-1)
-        conditions = None
-        if self.conditioned:
-            conditions = conditions_of_rows(len(rows.count), lambda some: rows[some])
         return apply(
             self._state,
             lambda part: rows[part],
-            self.sights.scenery(features, pixels, None, conditions, described=shape.described),
+            self.sights.scenery(features, pixels, None, described=shape.described),
             None,
             shape=pixels,
             balance=balance,

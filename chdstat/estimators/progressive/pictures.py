@@ -12,9 +12,7 @@ import numpy.typing as npt
 from chdstat._arrays import is_bad
 from chdstat.errors import InputError
 from chdstat.estimators.heldout import checked_pixels, draw_pixels
-from chdstat.estimators.progressive.conditions import local_conditions
 from chdstat.estimators.progressive.first_hit import Features, describe
-from chdstat.estimators.progressive.profiles import Profile
 from chdstat.samples import Samples
 
 __all__ = ["Lot", "Scene", "chosen_pixels"]
@@ -23,8 +21,6 @@ _PIXELS = 8192
 """Of a scene, at most."""
 _MOST_PIXELS = 4 * _PIXELS
 """Of all scenes together: more take memory, and tell little."""
-_SAMPLES = 64
-"""Of each pixel that tell conditions: all pixels together are many."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +57,7 @@ class Lot:
     rows
         Samples in units of the scene's mean radiance, shape (pixel, channel, sample).
     described
-        Of the first hit, and conditions of the scene where these are wanted, shape (pixel, number).
+        Of the first hit, shape (pixel, number).
     pixels
         Where they are, rows (y, x).
     excluded
@@ -78,8 +74,8 @@ class Lot:
     direct: npt.NDArray[np.float32] | None
 
     @classmethod
-    def of(cls, scene: Scene, spp: int, rng: np.random.Generator | None) -> Lot:
-        """Read that many samples of each pixel; a generator draws where conditions are told."""
+    def of(cls, scene: Scene, spp: int) -> Lot:
+        """Read that many samples of each pixel."""
         shape = scene.samples.shape[:2]
         every, good = _rows(scene.samples, scene.pixels, spp)
         first = None
@@ -89,10 +85,6 @@ class Lot:
         rows, pixels = _in_unit(every, good, scene.unit), scene.pixels[good]
         direct = None if first is None else _in_unit(first, good, scene.unit)
         described = describe(scene.features, shape)[tuple(pixels.T)]
-        if rng is not None and len(rows):
-            seen = Profile.of(rows[..., :_SAMPLES], unit=1.0)
-            found = local_conditions(seen, pixels, shape, rng)
-            described = np.concatenate([described, found], axis=1)
         return cls(rows, described, pixels, int((~good).sum()), direct)
 
 

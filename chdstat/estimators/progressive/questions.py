@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Self
 
@@ -13,20 +13,16 @@ from chdstat._arrays import as_samples
 from chdstat.errors import InputError
 from chdstat.estimators._rows import check_pixels
 from chdstat.estimators.classical import mean_of_good
-from chdstat.estimators.progressive.conditions import conditions_of
 from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.lessons import Scenery, ask
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.shapes import Shape
 from chdstat.estimators.progressive.sights import Sights
 
-__all__ = ["Question", "check_asked", "conditions_of_rows"]
+__all__ = ["Question", "check_asked"]
 
 Array = npt.NDArray[Any]
 Features = Mapping[str, Array]
-
-_PIXELS_OF_CONDITIONS = 4096
-"""Of a picture, evenly spaced: their samples tell what it is like."""
 
 
 @dataclass(frozen=True)
@@ -107,18 +103,12 @@ class Question:
         InputError
             If the samples are no picture where they must be, or features are not as in training.
         """
-        profile, alike, conditions = None, None, None
+        profile, alike = None, None
         if sights.neighbours:
             check_pixels(self.samples, picture=True)
             profile = Profile.of(self.samples, unit=self.unit)
             alike = ask(self.samples) / np.float32(self.unit)
-        if sights.conditioned:
-            conditions = conditions_of_rows(
-                len(self._rows), lambda some: Profile.of(self._rows[some], unit=self.unit)
-            )
-        scenery = sights.scenery(
-            self.features, self.shape, profile, conditions, described=shape.described
-        )
+        scenery = sights.scenery(self.features, self.shape, profile, described=shape.described)
         return scenery, alike
 
     @property
@@ -127,11 +117,6 @@ class Question:
 
     def _flat(self, x: Array) -> Array:
         return x.reshape(-1, *x.shape[-2:])
-
-
-def conditions_of_rows(count: int, profile: Callable[[slice], Profile]) -> npt.NDArray[np.float32]:
-    """Return what a picture of so many pixels is like, from the profiles of some of them."""
-    return conditions_of(profile(slice(None, None, max(1, count // _PIXELS_OF_CONDITIONS))))
 
 
 def check_asked(channels: int, asked: int, balance: float) -> None:

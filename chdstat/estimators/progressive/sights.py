@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from chdstat._arrays import as_samples
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.conditions import CONDITIONS
 from chdstat.estimators.progressive.lessons import Scenery, scenery_of
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.samples import Samples
@@ -28,7 +27,6 @@ class Sights:
 
     features: bool = False
     neighbours: bool = False
-    conditioned: bool = False
     direct: bool = False
 
     def names(self) -> list[str]:
@@ -56,10 +54,10 @@ class Sights:
         if split_options != (None, None):
             message = "pixels and sizes are for training with a reference; without one, all train"
             raise InputError(message)
-        if len(pictures) > 1 or self.conditioned:
+        if len(pictures) > 1:
             message = (
-                "several pictures, and conditioned=True, are for training with a reference; "
-                "without one, give the one picture that is to be improved"
+                "several pictures are for training with a reference; without one, give the one "
+                "picture that is to be improved"
             )
             raise InputError(message)
 
@@ -106,7 +104,7 @@ class Sights:
         Raises
         ------
         InputError
-            If it looks at neighbours, or profiles have other parts or cannot tell conditions.
+            If it looks at neighbours, or profiles have other parts.
         """
         if self.neighbours:
             message = "an estimator that looks at neighbours needs the samples, not their profiles"
@@ -114,16 +112,12 @@ class Sights:
         if profile.parts != parts:
             message = f"the model looks at {parts} part(s) of a sample, got {profile.parts}"
             raise InputError(message)
-        if self.direct and self.conditioned:
-            message = "conditions need the samples, not profiles of direct and indirect light"
-            raise InputError(message)
 
     def scenery(
         self,
         features: Features | None,
         shape: tuple[int, ...],
         profile: Profile | None,
-        conditions: npt.NDArray[np.float32] | None,
         *,
         described: int,
     ) -> Scenery:
@@ -137,8 +131,6 @@ class Sights:
             Of the pixels.
         profile
             Of the picture, where it looks at neighbours.
-        conditions
-            What the whole picture is like, where it looks at that.
         described
             Numbers that it expects to describe a pixel.
 
@@ -156,16 +148,10 @@ class Sights:
                 )
                 raise InputError(message)
             found = scenery_of(features if self.features else None, (shape[0], shape[1]), profile)
-        if conditions is not None:
-            whole = np.tile(conditions, (count, 1))
-            joined = np.concatenate([found.described, whole], axis=1) if self.features else whole
-            found = replace(found, described=joined)
         if found.described.shape[1] != described:
-            own = CONDITIONS * self.conditioned
             message = (
-                f"the model looks at {described - own} numbers of the first hit, but these "
-                f"features give {found.described.shape[1] - own}; pass features= as it was "
-                "trained with"
+                f"the model looks at {described} numbers of the first hit, but these features give "
+                f"{found.described.shape[1]}; pass features= as it was trained with"
             )
             raise InputError(message)
         return found

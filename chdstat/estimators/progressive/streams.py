@@ -54,8 +54,7 @@ class Stream:
     Raises
     ------
     InputError
-        If a model that learns looks at neighbours or conditions, or wants features and gets none;
-        or if one looks at direct light and at conditions.
+        If a model that learns looks at neighbours, or wants features and gets none.
 
     References
     ----------
@@ -97,9 +96,6 @@ class Stream:
     ) -> None:
         if learns:
             _check_pupil(model, features)
-        if model.direct and model.conditioned:
-            message = f"conditions need the samples, not direct and indirect light; got {model!r}"
-            raise InputError(message)
         self._model = model
         self.features = features
         self._unit = unit
@@ -252,10 +248,10 @@ class Stream:
 
 
 def _check_pupil(model: Progressive, features: Features | None) -> None:
-    if model.neighbours or model.conditioned:
+    if model.neighbours:
         message = (
-            "learning from a stream takes a model without neighbours, which need the samples, and "
-            f"without conditions, which need a reference; got {model!r}"
+            "learning from a stream takes a model without neighbours, which need the samples; got "
+            f"{model!r}"
         )
         raise InputError(message)
     if model.features and not features:

@@ -325,11 +325,6 @@ def test_what_is_no_direct_part_is_refused(model, ask, match):
         ask(model, lit(8, 8).samples.read())
 
 
-def test_a_stream_keeps_parts_or_conditions():
-    with pytest.raises(InputError, match="conditions need the samples"):
-        Stream(Progressive(direct=True, conditioned=True))
-
-
 def test_that_of_fewer_samples_is_refused():
     samples = lit(4, 8).samples
     samples._direct = samples.direct.first(6)

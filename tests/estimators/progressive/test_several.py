@@ -1,4 +1,4 @@
-"""Several scenes: training on all, telling what a scene is like, and trust in a foreign model."""
+"""Several scenes: training on all, and trust in a foreign model."""
 
 import numpy as np
 import pytest
@@ -7,14 +7,7 @@ import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import Progressive
 from chdstat.estimators._modelfile import read_model, write_model
-from chdstat.estimators.progressive import Profile, Stream
-from chdstat.estimators.progressive.conditions import (
-    CONDITIONS,
-    conditions_of,
-    local_conditions,
-)
 from chdstat.estimators.progressive.doubt import paying_share
-from chdstat.estimators.progressive.exposure import picture_unit
 
 
 def flat(height=24, width=24, spp=64, seed=0):
@@ -32,14 +25,14 @@ def varied(height=24, width=20, spp=64, seed=1, scale=1.0):
 
 
 def trained(samples, **options):
-    sees = {key: options.pop(key) for key in ("features", "conditioned") if key in options}
+    sees = {key: options.pop(key) for key in ("features",) if key in options}
     options = {"iterations": 8, "sizes": [8], "progress": False} | options
     return Progressive(**sees).train(samples, **options)
 
 
 @pytest.fixture(scope="module")
 def both():
-    return trained([flat(), varied()], conditioned=True)
+    return trained([flat(), varied()])
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +52,8 @@ def test_one_scene_in_a_list_is_that_scene():
 def test_each_scene_counts_in_its_own_unit():
     """A scene that is 1024 times as bright as before teaches the same to the last bit."""
     x = varied(seed=5).read(ss=slice(0, 8))
-    plain = trained([flat(), varied()], conditioned=True)
-    bright = trained([flat(), varied(scale=1024.0)], conditioned=True)
+    plain = trained([flat(), varied()])
+    bright = trained([flat(), varied(scale=1024.0)])
     np.testing.assert_array_equal(plain.predict(x), bright.predict(x))
 
 
@@ -97,7 +90,7 @@ def test_provenance_lists_the_scenes(both):
     assert [scene["scene"] for scene in scenes] == ["flat", "varied"]
     assert [scene["samples_shape"] for scene in scenes] == [[24, 24, 1, 64], [24, 20, 1, 64]]
     assert sum(scene["pixels_used"] for scene in scenes) == both.provenance["pixels_used"]
-    assert repr(both) == "<Progressive conditioned, scene 'flat, varied'>"
+    assert repr(both) == "<Progressive scene 'flat, varied'>"
 
 
 def test_pixels_with_a_bad_sample_are_left_out_of_their_own_scene():
@@ -137,95 +130,7 @@ def test_scenes_with_different_features_are_refused():
         trained([one, two], features=True)
 
 
-# --- conditions ---------------------------------------------------------------------------------
-
-
-def conditions(x):
-    return conditions_of(Profile.of(x, unit=picture_unit(x.mean(axis=-1))))
-
-
-def test_conditions_do_not_depend_on_the_unit_or_the_order():
-    x = varied().read()
-    found = conditions(x)
-    np.testing.assert_array_equal(found, conditions(x * np.float32(2**-20)))
-    np.testing.assert_allclose(found, conditions(x[..., ::-1]), atol=1e-5)
-
-
-def test_conditions_hardly_depend_on_the_number_of_samples():
-    """Standard errors over 9216 pixels are below 0.01; unlike pictures differ by far more."""
-    x = varied(height=96, width=96, spp=256).read()
-    unit = 3.0
-    few, many = (conditions_of(Profile.of(x[..., :n], unit=unit)) for n in (16, 256))
-    assert np.abs(few - many).max() < 0.06
-    assert np.abs(many - conditions(flat(spp=256).read())).max() > 0.3
-
-
-def test_a_black_picture_has_but_its_nulls():
-    assert conditions(np.zeros((4, 4, 3, 8))).tolist() == [1, *np.zeros(CONDITIONS - 1)]
-    nothing = conditions_of(Profile.of(np.full((4, 3, 8), np.nan), unit=1.0))
-    assert nothing.tolist() == [0] * CONDITIONS
-
-
-@pytest.mark.parametrize("value", [1e30, 1e-40, np.inf, np.nan, -1.0])
-def test_conditions_are_finite_whatever_the_samples(value):
-    x = varied().read()
-    x[0, 0, 0, 0] = value
-    assert np.isfinite(conditions_of(Profile.of(x, unit=3.0))).all()
-
-
-def test_fireflies_show():
-    x = np.ones((32, 32, 1, 32))
-    calm = conditions(x)
-    x[::2, ::2, 0, 0] = 1000
-    wild = conditions(x)
-    assert (calm[-2:] == 0).all()
-    # Two of their octaves share each of them; one in 128 samples is one.
-    assert wild[-2] == pytest.approx(np.sqrt(1 / 128), rel=1e-3)
-    assert wild[-1] == pytest.approx(1000 / (1000 + 127), rel=1e-3)
-
-
-def test_parts_of_a_picture_have_conditions_of_their_own():
-    """The left half of the picture is black: some pixels there see only nulls, none at the right.
-
-    A quarter or a sixteenth is drawn by two pixels in three.
-    """
-    x = np.concatenate([np.zeros((32, 16, 1, 8)), np.ones((32, 16, 1, 8))], axis=1)
-    pixels = np.argwhere(np.ones((32, 32), bool))
-    rng = np.random.default_rng(0)
-    found = local_conditions(Profile.of(x.reshape(-1, 1, 8), unit=1.0), pixels, (32, 32), rng)
-    nulls = found[:, 0].reshape(32, 32)
-    assert np.unique(nulls[:, :16]).tolist() == [0.5, 1]
-    assert np.unique(nulls[:, 16:]).tolist() == [0, 0.5]
-    assert 0.6 < (nulls != 0.5).mean() < 0.73
-
-
-def test_a_conditioned_model_looks_at_the_whole_picture(both):
-    """The same pixels beside other ones are other pixels to it, but not to one without."""
-    dark, lit = np.zeros((24, 20, 1, 8), np.float32), varied().read(ss=slice(0, 8))
-    near = [np.concatenate([lit[:4], rest[4:]]) for rest in (lit, dark)]
-    plain = trained([flat(), varied()])
-    found, other = (both.predict(x, unit=3.0)[:4] for x in near)
-    assert not np.array_equal(found, other)
-    np.testing.assert_array_equal(*(plain.predict(x, unit=3.0)[:4] for x in near))
-
-
-def test_a_conditioned_model_scales_with_the_unit(both):
-    x = varied(seed=7).read(ss=slice(0, 8))
-    np.testing.assert_array_equal(both.predict(x * np.float32(8)), 8 * both.predict(x))
-
-
-def test_a_conditioned_stream_ends_where_all_samples_do(both):
-    x = varied(seed=7).read()
-    stream = Stream(both, unit=3.0)
-    for first in range(0, 64, 16):
-        stream.update(x[..., first : first + 16])
-    found = both.estimate(x, unit=3.0)
-    np.testing.assert_allclose(stream.estimate().radiance, found.radiance, rtol=1e-4)
-
-
-def test_conditions_need_a_reference():
-    with pytest.raises(InputError, match="conditioned=True, are for training with a reference"):
-        Progressive(conditioned=True).train(flat(), reference=False, iterations=5)
+# --- files ---------------------------------------------------------------------------------------
 
 
 def test_a_saved_model_is_the_same(both, tmp_path):

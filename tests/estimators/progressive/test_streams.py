@@ -302,7 +302,6 @@ def test_bad_samples_are_left_out_where_it_learns(source):
     ("options", "match"),
     [
         ({"model": Progressive(neighbours=True)}, "neighbours, which need the samples"),
-        ({"model": Progressive(conditioned=True)}, "conditions, which need a reference"),
         ({"model": Progressive(features=True)}, "looks at first-hit features"),
     ],
 )
