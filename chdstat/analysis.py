@@ -21,7 +21,7 @@ from chdstat.fit.goodness_results import Goodness, finish_goodness, goodness_var
 from chdstat.fit.mixture_results import finish_mixture, mixture_variables
 from chdstat.fit.selection import SELECTED, finish_selection, selection_variables
 from chdstat.fit.tail_results import finish_tail, tail_variables
-from chdstat.modes import bandwidths_of_part, finish_modality, modality_variables
+from chdstat.modes import finish_modality, modality_variables
 from chdstat.normality import (
     N_MEANS,
     finish_gaussianity,
@@ -83,10 +83,9 @@ def analyze(
         those of `modality` (``modality_``), of `gaussianity` (``normality_``), of
         `gaussianity_of_means` (``averages_``), of `fit.mixture` with log-normal components,
         searched as for modes (``lognormal_mixture_``), and of `fit.goodness` for the family that is
-        best at each pixel (``best_goodness_``); and, of luminance, ``luminance_mean``,
-        ``coefficient_of_variation`` (y, x) and ``critical_bandwidth`` (y, x, modes_left). Where
-        there are too few samples for averages, their variables are absent. `atlas`, which looks at
-        the image as a whole, is apart.
+        best at each pixel (``best_goodness_``); and, of luminance, ``luminance_mean`` and
+        ``coefficient_of_variation`` (y, x). Where there are too few samples for averages, their
+        variables are absent. `atlas`, which looks at the image as a whole, is apart.
 
     Examples
     --------
@@ -183,15 +182,6 @@ def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list
     stages = [
         _Stage(_luminance, _label_luminance),
         _Stage(
-            lambda t: {
-                "critical_bandwidth": (
-                    ("modes_left",),
-                    bandwidths_of_part(t.of_luminance(t.part)),
-                )
-            },
-            _label_bandwidth,
-        ),
-        _Stage(
             lambda t: selection_variables(t.of_channels(t.selection)),
             lambda d: finish_selection(d, list(SELECTED), "bic"),
         ),
@@ -244,12 +234,5 @@ def _label_luminance(dataset: xr.Dataset) -> xr.Dataset:
     dataset["luminance_mean"].attrs.update(long_name="mean luminance", units="W sr-1 m-2")
     dataset["coefficient_of_variation"].attrs.update(
         long_name="standard deviation over mean of luminance", units="1"
-    )
-    return dataset
-
-
-def _label_bandwidth(dataset: xr.Dataset) -> xr.Dataset:
-    dataset["critical_bandwidth"].attrs.update(
-        long_name="bandwidth in log10 luminance that leaves one mode, or two", units="1"
     )
     return dataset

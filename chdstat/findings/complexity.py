@@ -126,6 +126,6 @@ def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Spre
 
 def _modes(evidence: Evidence, n: int) -> Spread:
     x, blocks = drawn(evidence, n, pixels=_PIXELS)
-    modes = modality(x, silverman=False).modes.astype(np.float64)
+    modes = modality(x).modes.astype(np.float64)
     known = modes > 0
     return mean_of(modes[known], blocks[known])

@@ -34,7 +34,7 @@ def measure(evidence: Evidence) -> Conclusion:
     if patch is None:
         return Conclusion(missing=("needs a region in a penumbra",))
     x, level = evidence.light(patch), level_of(_PARTS)
-    modes = modality(x, silverman=False).modes
+    modes = modality(x).modes
     several = np.where(modes > 0, modes > 1, np.nan)
     places, weights = _across(patch, x)
     ranks = (_ranks(patch, places), _ranks(patch, weights))

@@ -1,15 +1,13 @@
 """Modes: whether the samples of a pixel come from one kind of light path, or from several.
 
-`modality` looks at the positive samples in the log domain, in three ways: Hartigan's dip test,
-which assumes nothing but continuity and has calibrated p-values but little power; mixtures of
-log-normal or gamma components, which say how many modes there are, where, and how far apart; and
-Silverman's critical bandwidths, which say how much smoothing leaves one mode, or two.
+`modality` looks at the positive samples in the log domain, in two ways: Hartigan's dip test,
+which assumes nothing but continuity and has calibrated p-values but little power; and mixtures of
+log-normal or gamma components, which say how many modes there are, where, and how far apart.
 """
 
 from chdstat.modes.of_samples import (
     MODES,
     Modality,
-    bandwidths_of_part,
     finish_modality,
     mixture_and_modes_of_part,
     modality,
@@ -20,7 +18,6 @@ from chdstat.modes.of_samples import (
 __all__ = [
     "MODES",
     "Modality",
-    "bandwidths_of_part",
     "finish_modality",
     "mixture_and_modes_of_part",
     "modality",

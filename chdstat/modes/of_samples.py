@@ -1,9 +1,8 @@
 """Modes: whether the samples of a pixel come from one kind of light path, or from several.
 
-`modality` looks at the positive samples in the log domain, in three ways: Hartigan's dip test,
-which assumes nothing but continuity and has calibrated p-values but little power; mixtures of
-log-normal or gamma components, which say how many modes there are, where, and how far apart; and
-Silverman's critical bandwidths, which say how much smoothing leaves one mode, or two.
+`modality` looks at the positive samples in the log domain, in two ways: Hartigan's dip test,
+which assumes nothing but continuity and has calibrated p-values but little power; and mixtures of
+log-normal or gamma components, which say how many modes there are, where, and how far apart.
 """
 
 from __future__ import annotations
@@ -15,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator
-from chdstat._positive import Floats, Mask, PositivePart
+from chdstat._positive import Floats, PositivePart
 from chdstat._reasons import Reason
-from chdstat.errors import InputError
 from chdstat.fit._best_peaks import best_peaks
 from chdstat.fit._chosen_mixtures import ChosenMixtures
 from chdstat.fit._rivals import rival_scores
@@ -25,7 +23,6 @@ from chdstat.fit._search import Found
 from chdstat.fit.mixture_results import Mixture
 from chdstat.fit.results import Fit
 from chdstat.modes._dip import dips_of_part
-from chdstat.modes._silverman import critical_bandwidth, silverman_p
 from chdstat.modes.results import MODES, Modality, finish_modality, modality_variables
 from chdstat.samples import Mapped, Samples
 
@@ -35,7 +32,6 @@ if TYPE_CHECKING:
 __all__ = [
     "MODES",
     "Modality",
-    "bandwidths_of_part",
     "finish_modality",
     "mixture_and_modes_of_part",
     "modality",
@@ -52,8 +48,6 @@ _LEVEL = 0.05
 def modality(
     x: Samples,
     *,
-    silverman: bool = ...,
-    resamples: int = ...,
     seed: int | np.random.Generator | None = ...,
     progress: bool | None = None,
 ) -> xr.Dataset: ...
@@ -61,16 +55,12 @@ def modality(
 def modality(
     x: npt.ArrayLike,
     *,
-    silverman: bool = ...,
-    resamples: int = ...,
     null: npt.ArrayLike | None = None,
     seed: int | np.random.Generator | None = ...,
 ) -> Modality: ...
 def modality(
     x: Samples | npt.ArrayLike,
     *,
-    silverman: bool = True,
-    resamples: int = 0,
     null: npt.ArrayLike | None = None,
     seed: int | np.random.Generator | None = 0,
     progress: bool | None = None,
@@ -79,39 +69,26 @@ def modality(
 
     The dip is the largest distance between the distribution function of the samples and the closest
     unimodal one. The modes are those of a fitted mixture: see `Modality` for what counts as one.
-    They do not depend on the critical bandwidths, which are a second opinion.
 
     Parameters
     ----------
     x, null, progress
         As for `chdstat.fit.fit`.
-    silverman
-        Compute critical bandwidths, which takes half as long as all the rest.
-    resamples
-        Bootstrap replicates of Silverman's test, 0 for none: its p-values are not calibrated ones,
-        and 99 replicates take thirty times as long as all the rest.
     seed
-        Of what moves ties apart, and of the bootstrap.
+        Of what moves ties apart.
 
     Returns
     -------
     Modality or xarray.Dataset
         `Modality` for an array. For `Samples`, its fields over (y, x, channel), (y, x, channel,
-        mode), (y, x, channel, pair) and (y, x, channel, modes_left), and ``dip_q_value``, by
-        Benjamini and Hochberg over the image.
-
-    Raises
-    ------
-    InputError
-        If `resamples` is negative.
+        mode) and (y, x, channel, pair), and ``dip_q_value``, by Benjamini and Hochberg over the
+        image.
 
     References
     ----------
     Hartigan and Hartigan, "The dip test of unimodality", 1985, doi:10.1214/aos/1176346577. Ashman,
     Bird and Zepf, "Detecting bimodality in astronomical datasets", 1994, doi:10.1086/117248.
-    Schwarz, "Estimating the dimension of a model", 1978, doi:10.1214/aos/1176344136. Silverman,
-    "Using kernel density estimates to investigate multimodality", 1981,
-    doi:10.1111/j.2517-6161.1981.tb01155.x.
+    Schwarz, "Estimating the dimension of a model", 1978, doi:10.1214/aos/1176344136.
 
     Examples
     --------
@@ -121,19 +98,16 @@ def modality(
     >>> int(result.modes), float(result.dip_p_value), result.weights.round(2)
     (2, 1e-05, array([0.5, 0.5, nan]))
     """
-    if resamples < 0:
-        message = f"resamples must be 0 or more, got {resamples}"
-        raise InputError(message)
     if not isinstance(x, Samples):
         part = PositivePart.of(x, null=null)
-        return modality_of_part(part, silverman=silverman, resamples=resamples, seed=seed)
+        return modality_of_part(part, seed=seed)
     # Tiles are worked on in any order: each begins with the same generator.
     root = int(generator(seed).integers(2**62))
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         part = PositivePart.of_pixels(block)
-        result = modality_of_part(part, silverman=silverman, resamples=resamples, seed=root)
-        return modality_variables(result, silverman=silverman or resamples > 0)
+        result = modality_of_part(part, seed=root)
+        return modality_variables(result)
 
     return finish_modality(x.map(of_block, description="counting modes", progress=progress))
 
@@ -143,8 +117,6 @@ def modality_of_part(
     *,
     fits: Iterable[Fit] | None = None,
     single_bic: Floats | None = None,
-    silverman: bool = False,
-    resamples: int = 0,
     seed: int | np.random.Generator | None = 0,
 ) -> Modality:
     """Look for modes in samples that are already split.
@@ -152,7 +124,7 @@ def modality_of_part(
     `fits` are the families of one mode to beat, for whoever has them, or `single_bic`, shape (...),
     the smallest BIC of some families.
     """
-    return _modality(part, fits, single_bic, silverman, resamples, seed, lambda _: None)
+    return _modality(part, fits, single_bic, seed, lambda _: None)
 
 
 def mixture_and_modes_of_part(
@@ -160,8 +132,6 @@ def mixture_and_modes_of_part(
     *,
     fits: Iterable[Fit] | None = None,
     single_bic: Floats | None = None,
-    silverman: bool = False,
-    resamples: int = 0,
     seed: int | np.random.Generator | None = 0,
 ) -> tuple[Mixture, Modality]:
     """Look for modes, and return the best log-normal mixtures, too, at hardly any further cost.
@@ -171,38 +141,25 @@ def mixture_and_modes_of_part(
     where two are worse than one or than the best distribution of one mode.
     """
     chosen = ChosenMixtures.of(part, part.reason(_MINIMUM), MODES)
-    modality = _modality(part, fits, single_bic, silverman, resamples, seed, chosen.enter)
+    modality = _modality(part, fits, single_bic, seed, chosen.enter)
     return chosen.result("lognormal"), modality
-
-
-def bandwidths_of_part(part: PositivePart) -> Floats:
-    """Return the critical bandwidths of one mode and of two in decades, shape (..., 2)."""
-    ok = part.reason(_MINIMUM) == Reason.OK
-    bandwidth, _ = _smoothing(part, ok, silverman=True, resamples=0, rng=generator(0))
-    return np.asarray(bandwidth / np.log(10))
 
 
 def _modality(
     part: PositivePart,
     fits: Iterable[Fit] | None,
     single_bic: Floats | None,
-    silverman: bool,
-    resamples: int,
     seed: int | np.random.Generator | None,
     also: Callable[[Found], None],
 ) -> Modality:
     reason = part.reason(_MINIMUM)
     ok = reason == Reason.OK
-    rng = generator(seed)
-    dip, p_value, tied_share = dips_of_part(part, ok, rng)
+    dip, p_value, tied_share = dips_of_part(part, ok, seed)
     # Uniform samples are what the dip test takes for granted: where it speaks against them, a few
     # modes side by side are not to be mistaken for them.
     bounded = p_value >= _LEVEL
     rival = rival_scores(part, ok, bounded, fits=fits, single_bic=single_bic)
     peaks = best_peaks(part, ok, rival, MODES, also=also)
-    bandwidth, silverman_p_value = _smoothing(
-        part, ok, silverman=silverman, resamples=resamples, rng=rng
-    )
     return Modality(
         dip=dip,
         dip_p_value=p_value,
@@ -213,27 +170,6 @@ def _modality(
         ashman_d=peaks.ashman_d[..., : MODES - 1],
         ashman_d_se=peaks.ashman_d_se[..., : MODES - 1],
         delta_bic=peaks.delta_bic,
-        critical_bandwidth=bandwidth / np.log(10),
-        silverman_p_value=silverman_p_value,
         n=part.n,
         reason=reason,
     )
-
-
-def _smoothing(
-    part: PositivePart, ok: Mask, *, silverman: bool, resamples: int, rng: np.random.Generator
-) -> tuple[Floats, Floats]:
-    """Return critical bandwidths of log radiance, and their p-values if there are resamples."""
-    bandwidth, p_value = np.full((2, *ok.shape, MODES - 1), np.nan)
-    if not (silverman or resamples):
-        return bandwidth, p_value
-    n = part.n[ok]
-    log_sorted = part.log_sorted[ok]
-    for i in range(MODES - 1):
-        h = critical_bandwidth(log_sorted, n, i + 1)
-        bandwidth[ok, i] = h
-        if resamples:
-            p_value[ok, i] = silverman_p(
-                log_sorted, n, i + 1, resamples=resamples, seed=rng, bandwidth=h
-            )
-    return bandwidth, p_value

@@ -32,18 +32,13 @@ _LABELS = {
     "ashman_d": "separation of neighbouring modes, Ashman's D",
     "ashman_d_se": "standard error of the separation",
     "delta_bic": "BIC of the best distribution of one mode minus that of the best mixture",
-    "critical_bandwidth": "bandwidth in log10 radiance that leaves one mode, or two",
-    "silverman_p_value": "p-value of one mode, or two, by Silverman's test",
 }
 _DIMS = {
     "places": "mode",
     "weights": "mode",
     "ashman_d": "pair",
     "ashman_d_se": "pair",
-    "critical_bandwidth": "modes_left",
-    "silverman_p_value": "modes_left",
 }
-_OF_SILVERMAN = ("critical_bandwidth", "silverman_p_value")
 
 
 @dataclass(frozen=True)
@@ -77,12 +72,6 @@ class Modality:
         components: positive where a mixture is better, for tails and skewed shapes, too, which are
         no modes. The n of its log n are the positive samples, on both sides: nulls say nothing of
         modes. Each end of a uniform distribution counts as two parameters.
-    critical_bandwidth
-        Least standard deviation, in log10 of radiance, of a Gaussian kernel whose density estimate
-        has at most one mode, and at most two, shape (..., 2); NaN unless it was asked for.
-    silverman_p_value
-        p-value of at most one mode, and at most two, by the smoothed bootstrap, shape (..., 2); NaN
-        unless resamples were asked for.
     n
         Positive samples.
     reason
@@ -98,20 +87,14 @@ class Modality:
     ashman_d: Floats
     ashman_d_se: Floats
     delta_bic: Floats
-    critical_bandwidth: Floats
-    silverman_p_value: Floats
     n: Counts
     reason: npt.NDArray[np.int8]
 
 
-def modality_variables(result: Modality, *, silverman: bool = False) -> Mapped:
-    """Return modes over (y, x, channel), or over (y, x), as variables for `Samples.map`.
-
-    The fields of Silverman's test are left out unless asked for.
-    """
+def modality_variables(result: Modality) -> Mapped:
+    """Return modes over (y, x, channel), or over (y, x), as variables for `Samples.map`."""
     first = ("channel",) if result.n.ndim == 3 else ()
-    left_out = ("n",) if silverman else ("n", *_OF_SILVERMAN)
-    names = [field.name for field in fields(result) if field.name not in left_out]
+    names = [field.name for field in fields(result) if field.name != "n"]
     return {
         name: ((*first, _DIMS[name]) if name in _DIMS else first, getattr(result, name))
         for name in names
@@ -125,8 +108,6 @@ def finish_modality(dataset: xr.Dataset) -> xr.Dataset:
     for name, long_name in _LABELS.items():
         if name in dataset:
             dataset[name].attrs.update(long_name=long_name, units="1")
-    if "modes_left" in dataset.dims:
-        dataset = dataset.assign_coords(modes_left=np.arange(1, MODES))
     dataset["reason"].attrs.update(
         long_name="why no modes were counted", units="1", **flag_attributes()
     )

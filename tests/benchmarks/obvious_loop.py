@@ -21,8 +21,8 @@ COMPONENTS = (1, 2, 3)
 AVERAGES = 32
 
 
-def characterize(x: np.ndarray, *, bandwidths: bool) -> None:
-    """Ask everything of the samples of one pixel and channel; of luminance, bandwidths, too."""
+def characterize(x: np.ndarray) -> None:
+    """Ask everything of the samples of one pixel and channel."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         positive = x[x > 0].astype(np.float64)
@@ -36,9 +36,6 @@ def characterize(x: np.ndarray, *, bandwidths: bool) -> None:
         averages(x)
         tail(positive)
         diptest.diptest(np.log(positive))
-        if bandwidths:
-            for count in (1, 2):
-                critical_bandwidth(np.log(positive), count)
 
 
 def families(positive: np.ndarray) -> None:
@@ -86,18 +83,6 @@ def tail(positive: np.ndarray) -> None:
     if len(excess) > 1 and np.ptp(excess) > 0:
         stats.genpareto.fit(excess, floc=0)
         np.log1p(excess / threshold).mean()
-
-
-def critical_bandwidth(log: np.ndarray, modes: int) -> float:
-    """Bisect for the smallest bandwidth with at most so many modes (Silverman 1981)."""
-    grid = np.linspace(log.min(), log.max(), 256)
-    low, high = 1e-3, 2.0
-    for _ in range(12):
-        middle = np.sqrt(low * high)
-        density = stats.gaussian_kde(log, bw_method=middle)(grid)
-        peaks = np.count_nonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:]))
-        low, high = (middle, high) if peaks > modes else (low, middle)
-    return float(high)
 
 
 TESTS: tuple[Callable[[np.ndarray], object], ...] = (

@@ -97,7 +97,7 @@ def test_p_values_are_those_of_diptest(spp):
     rng = np.random.default_rng(20)
     apart = rng.uniform(0, 3, (100, 1))
     x = np.exp(rng.random((100, spp)) + apart * (rng.random((100, spp)) < 0.5))
-    result = chd.modality(x, silverman=False)
+    result = chd.modality(x)
     expected = [diptest.diptest(np.log(row)) for row in x]
     np.testing.assert_allclose(result.dip, [dip for dip, _ in expected], rtol=1e-9)
     np.testing.assert_allclose(result.dip_p_value, [p for _, p in expected], atol=0.012)
@@ -116,7 +116,7 @@ def test_dip_of_more_samples_than_any_table_has():
     rng = np.random.default_rng(22)
     x = np.exp(rng.random((2, 100_000)))
     x[1, ::3] *= 30
-    result = chd.modality(x, silverman=False)
+    result = chd.modality(x)
     assert result.dip_p_value[0] > 0.01
     assert result.dip_p_value[1] == 1e-5
 
@@ -141,7 +141,7 @@ def test_flat_distributions_have_one_mode(name, spp):
     Without the uniform distributions among the rivals, it was 0 to 16 %. 21 or more of 200 fail by
     chance with 0.2 %.
     """
-    result = chd.modality(FLAT[name](np.random.default_rng(14), (200, spp)), silverman=False)
+    result = chd.modality(FLAT[name](np.random.default_rng(14), (200, spp)))
     assert (result.modes == 1).mean() >= 0.9
 
 
@@ -236,38 +236,6 @@ def test_mixtures_need_what_modes_need():
     assert np.isnan(mixture.bics).all()
 
 
-# --- critical bandwidths ------------------------------------------------------------------------
-
-
-def test_two_modes_need_less_smoothing_than_one():
-    x = two_lights(np.random.default_rng(16), (20, 300))
-    result = chd.modality(x)
-    assert (result.critical_bandwidth[:, 0] > 2 * result.critical_bandwidth[:, 1]).all()
-    one = chd.modality(np.random.default_rng(16).lognormal(size=(20, 300)))
-    assert np.median(one.critical_bandwidth[:, 0]) < np.median(result.critical_bandwidth[:, 0]) / 2
-    brighter = chd.modality(100 * x).critical_bandwidth
-    np.testing.assert_allclose(brighter, result.critical_bandwidth, rtol=0.01)
-
-
-def test_two_spikes_need_half_their_distance():
-    # Two equal Gaussians have one mode from a standard deviation of half their distance on.
-    result = chd.modality(np.repeat([1.0, 100.0], 50))
-    assert float(result.critical_bandwidth[0]) == pytest.approx(1, rel=0.01)
-
-
-def test_silverman_is_left_out_or_tested_on_request():
-    x = two_lights(np.random.default_rng(17), (4, 200))
-    without, tested = chd.modality(x, silverman=False), chd.modality(x, resamples=39)
-    assert np.isnan(without.critical_bandwidth).all()
-    assert np.isnan(chd.modality(x).silverman_p_value).all()
-    assert (tested.silverman_p_value[:, 0] == 1 / 40).all()
-    assert (tested.silverman_p_value[:, 1] > 0.05).all()
-    again = chd.modality(x, resamples=39)
-    np.testing.assert_array_equal(again.silverman_p_value, tested.silverman_p_value)
-    with pytest.raises(chd.errors.InputError, match="resamples must be 0 or more, got -1"):
-        chd.modality(x, resamples=-1)
-
-
 # --- laws ---------------------------------------------------------------------------------------
 
 
@@ -304,8 +272,8 @@ def test_nulls_and_bad_samples_take_no_part():
 
 def test_nulls_do_not_make_modes_harder_to_find():
     x = lights(np.random.default_rng(18), 40, 128, modes=2)
-    alone = chd.modality(x, silverman=False)
-    beside = chd.modality(np.concatenate([x, np.zeros((40, 900))], axis=-1), silverman=False)
+    alone = chd.modality(x)
+    beside = chd.modality(np.concatenate([x, np.zeros((40, 900))], axis=-1))
     np.testing.assert_array_equal(beside.modes, alone.modes)
     np.testing.assert_allclose(beside.delta_bic, alone.delta_bic, rtol=1e-6)
 
@@ -347,8 +315,6 @@ def test_image():
     dataset = chd.modality(samples, progress=False)
     assert dataset["places"].dims == ("y", "x", "channel", "mode")
     assert dataset["ashman_d"].dims == ("y", "x", "channel", "pair")
-    assert dataset["critical_bandwidth"].dims == ("y", "x", "channel", "modes_left")
-    assert "critical_bandwidth" not in chd.modality(samples, silverman=False, progress=False)
     assert (dataset["modes"][:2] == 2).all()
     assert (dataset["modes"][2:] == 1).mean() > 0.9
     assert (dataset["dip_q_value"][:2] < 0.05).all()
