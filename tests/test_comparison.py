@@ -2,7 +2,6 @@
 
 import inspect
 import json
-import time
 import tracemalloc
 
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 import chdstat as chd
 from chdstat import metrics
 from chdstat.comparison import MEASURES
-from chdstat.comparison._cost import measure_cost
 from chdstat.comparison._sums import SUMS, ErrorSums, errors_of
 from chdstat.comparison._tally import Units
 from chdstat.errors import InputError
@@ -126,9 +124,7 @@ def test_the_result_is_ready_for_json_and_netcdf(found):
 
 
 def test_the_same_seed_compares_the_same():
-    first, again = (
-        chd.compare(picture(), ["median_of_means"], seed=3, cost=False).to_dict() for _ in range(2)
-    )
+    first, again = (chd.compare(picture(), ["median_of_means"], seed=3).to_dict() for _ in range(2))
     assert first == again
 
 
@@ -346,7 +342,7 @@ def test_intervals_know_that_neighbours_gain_and_lose_together():
         tailed = np.repeat(np.repeat(rng.random((8, 8)) < 0.5, 4, axis=0), 4, axis=1)
         sigma = np.where(tailed, 2.0, 0.3)[..., np.newaxis, np.newaxis]
         samples = chd.Samples.from_array(rng.lognormal(sigma=sigma, size=(32, 32, 1, 64)))
-        rows.append(chd.compare(samples, ["median_of_means"], n=32, cost=False).table()[0])
+        rows.append(chd.compare(samples, ["median_of_means"], n=32).table()[0])
     spread = np.std([row["improved"] for row in rows], ddof=1)
     claimed = np.mean([row["improved_se"] for row in rows])
     assert 1 / 1.5 < claimed / spread < 1.5
@@ -373,7 +369,7 @@ def test_intervals_over_batches_say_how_other_random_numbers_would_do():
     rows = []
     for _ in range(40):
         samples = chd.Samples.from_array(rates * rng.exponential(size=(12, 12, 1, 256)))
-        rows.append(chd.compare(samples, ["median_of_means"], n=16, cost=False).table()[0])
+        rows.append(chd.compare(samples, ["median_of_means"], n=16).table()[0])
     for measure in ("relmse", "improved", "bias"):
         spread = np.std([row[measure] for row in rows], ddof=1)
         claimed = np.mean([row[f"{measure}_se_over_batches"] for row in rows])
@@ -382,49 +378,35 @@ def test_intervals_over_batches_say_how_other_random_numbers_would_do():
 
 
 def test_a_single_batch_has_no_interval_over_batches():
-    row = chd.compare(picture(), ["median_of_means"], max_batches=1, cost=False).table()[0]
+    row = chd.compare(picture(), ["median_of_means"], max_batches=1).table()[0]
     assert np.isnan([row["mse_low_over_batches"], row["mse_se_over_batches"]]).all()
     assert np.isfinite([row["mse_low"], row["mse_se"]]).all()
 
 
-# --- cost ---------------------------------------------------------------------------------------
+class Half:
+    """A model whose estimate is half of the mean."""
+
+    def __init__(self, pixels, shape):
+        self.name, self.train_pixels, self.train_shape = "half", pixels, shape
+
+    def predict(self, x):
+        return np.asarray(x).mean(axis=-1) / 2
 
 
-def test_time_and_memory_are_of_one_estimate():
-    x = np.ones((50, 40, 3, 8), np.float32)
-
-    def slow(samples):
-        time.sleep(0.03)
-        return samples.mean(axis=-1)
-
-    def hungry(samples):
-        return (np.ones(2**21) * samples.mean()).max() + samples[..., 0]
-
-    for function, seconds, memory in ((slow, 0.03, 0), (hungry, 0, 2**24)):
-        cost = measure_cost(function, x)
-        assert cost.estimates == 6000
-        assert cost.time >= seconds / 6000
-        assert cost.peak_memory >= memory
-    assert measure_cost(lambda s: s[..., 0], x).peak_memory < 2**23
-    assert not tracemalloc.is_tracing()
+def test_models_come_by_the_name_of_the_estimator_that_they_are(monkeypatch):
+    entry = registry.LearnedEstimator(
+        "half", lambda *_, **__: 1 / 0, "this test", inputs=None, pixels=20
+    )
+    monkeypatch.setitem(registry._ENTRIES, "half", entry)
+    model = Half(np.array([[0, 0]]), (20, 16))
+    found = chd.compare(picture(), ["half"], n=16, model={"half": model})
+    assert found.models == {"half": model}
+    assert found.reusable_models == {}
+    with pytest.raises(InputError, match="'elek2019', which is not among"):
+        chd.compare(picture(), ["half"], n=16, model={"elek2019": model})
 
 
-def test_whoever_traces_memory_goes_on_doing_so():
-    tracemalloc.start()
-    try:
-        assert measure_cost(lambda s: s.copy(), np.ones(2**17)).peak_memory >= 2**20
-        assert tracemalloc.is_tracing()
-    finally:
-        tracemalloc.stop()
-
-
-def test_cost_is_there_unless_nobody_asks():
-    row = chd.compare(picture(), ["median"]).table()[0]
-    assert 0 < row["time"] < 1e-3
-    assert row["peak_memory"] > 0
-    without = chd.compare(picture(), ["median"], cost=False)
-    assert np.isnan([without.table()[0]["time"], without.table()[0]["peak_memory"]]).all()
-    assert without.to_dict()["table"][0]["time"] is None
+# --- memory -------------------------------------------------------------------------------------
 
 
 def test_memory_grows_neither_with_batches_nor_with_estimators():
@@ -433,7 +415,7 @@ def test_memory_grows_neither_with_batches_nor_with_estimators():
     def peak(names, batches):
         tracemalloc.start()
         try:
-            chd.compare(samples, names, n=16, max_batches=batches, cost=False)
+            chd.compare(samples, names, n=16, max_batches=batches)
             return tracemalloc.get_traced_memory()[1]
         finally:
             tracemalloc.stop()
@@ -478,8 +460,8 @@ def test_one_label_is_a_comparison_of_its_pixels(labelled):
 
 
 def test_labels_do_not_change_the_measures_of_all(labelled):
-    plain = chd.compare(picture(), ["median_of_means"], cost=False)
-    split = chd.compare(picture(), ["median_of_means"], labels=labelled, cost=False)
+    plain = chd.compare(picture(), ["median_of_means"])
+    split = chd.compare(picture(), ["median_of_means"], labels=labelled)
     for measure, interval in plain.measures.items():
         assert split.measures[measure].value == pytest.approx(interval.value, nan_ok=True)
         assert split.measures[measure].low == pytest.approx(interval.low, nan_ok=True)
@@ -491,7 +473,7 @@ def test_the_best_of_a_label_has_the_smallest_error(labelled):
     # The truth is best, be it of neighbours or not; the mean is best where nothing else is.
     truth = picture().read().mean(axis=-1)
     oracle = Estimator("oracle", lambda _: truth, source="this test", uses_neighbours=True)
-    found = chd.compare(picture(), ["mean", "median", oracle], labels=labelled, cost=False)
+    found = chd.compare(picture(), ["mean", "median", oracle], labels=labelled)
     assert found.breakdown.best() == ("mean",) * 3
     assert found.breakdown.best("mse", neighbours=True) == ("oracle",) * 3
     with pytest.raises(InputError, match="'mse' or 'relmse', got 'bias'"):
@@ -502,10 +484,7 @@ def test_labels_come_as_codes_as_a_map_or_as_the_order_to_classify():
     samples = picture(height=6, width=5, spp=128)
     classified = chd.classify(samples)
     ways = [classified, classified["label"], classified["label"].values, "classify"]
-    rows = [
-        chd.compare(samples, ["mean"], labels=labels, cost=False).to_dict()["per_label"]
-        for labels in ways
-    ]
+    rows = [chd.compare(samples, ["mean"], labels=labels).to_dict()["per_label"] for labels in ways]
     assert rows[0]
     assert all(row == rows[0] for row in rows)
 
@@ -515,7 +494,7 @@ def test_a_map_of_other_codes_brings_its_names():
 
     attrs = {"flag_values": [0, 7], "flag_meanings": "wall lamp"}
     where = xr.DataArray(np.where(np.eye(6, 6, dtype=bool), 7, 0), dims=("y", "x"), attrs=attrs)
-    found = chd.compare(picture(height=6, width=6), ["mean"], labels=where, cost=False)
+    found = chd.compare(picture(height=6, width=6), ["mean"], labels=where)
     assert found.breakdown.labels == ("wall", "lamp")
     assert found.breakdown.pixels.tolist() == [30, 6]
 
@@ -567,7 +546,7 @@ def test_pixels_are_drawn_from_those_that_judge(found, model):
 def test_no_more_pixels_are_drawn_than_have_a_reference():
     x = np.ones((2, 3, 1, 64), np.float32)
     x[0, 0, 0, 3] = np.nan
-    found = chd.compare(chd.Samples.from_array(x), ["mean"], cost=False)
+    found = chd.compare(chd.Samples.from_array(x), ["mean"])
     assert len(found.draw_pixels().pixels) == 5
     with pytest.raises(InputError, match="at least 1, got 0"):
         found.draw_pixels(0)

@@ -73,7 +73,7 @@ def test_a_point_of_the_curve_is_a_comparison():
     curve = error_curve(samples, names, sizes=[32, 8])
     assert curve.estimators == ("mean", "trimmed_mean", "zirr2018")
     for row, n in enumerate((8, 32)):
-        alone = chd.compare(samples, names, n=n, cost=False)
+        alone = chd.compare(samples, names, n=n)
         for measure, interval in alone.measures.items():
             whole = curve.measures[measure]
             assert whole.value[row] == pytest.approx(interval.value[:, -1], nan_ok=True)

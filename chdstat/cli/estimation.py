@@ -39,10 +39,6 @@ _COMPARED = {
     "unchanged": "unchanged",
     "bias": "bias",
     "fireflies_left": "fireflies left",
-    "mse_ratio_sd_over_trainings": "MSE sd",
-    "relmse_ratio_sd_over_trainings": "relMSE sd",
-    "time": "time, s",
-    "peak_memory": "memory, bytes",
 }
 """Columns of the tables of estimators."""
 
@@ -198,10 +194,6 @@ def compare(
     denoise: Annotated[
         bool, typer.Option("--denoise", help="Judge each with Open Image Denoise after it, too.")
     ] = False,
-    training_seeds: Annotated[
-        int | None,
-        typer.Option(help="Train so often, and say how much it varies.", show_default=False),
-    ] = None,
     curve: Annotated[
         bool, typer.Option("--curve", help="Measure errors against the number of samples, too.")
     ] = False,
@@ -212,7 +204,7 @@ def compare(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Compare estimators on held-out pixels: errors, bias, fireflies, time and memory."""
+    """Compare estimators on held-out pixels: errors, bias and fireflies."""
     import chdstat
     from chdstat.reporting.comparison_files import save_comparison, unused_folder
 
@@ -224,7 +216,7 @@ def compare(
     found = chdstat.compare(
         samples,
         **settings,
-        **given(n=n, labels="classify" if patterns else None, training_seeds=training_seeds),
+        **given(n=n, labels="classify" if patterns else None),
         denoise=denoise,
         progress=progress_of(quiet),
     )

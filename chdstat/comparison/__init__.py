@@ -8,7 +8,6 @@ same for many n, and returns an `ErrorCurve`. `denoised` puts a denoiser after a
 
 from __future__ import annotations
 
-from chdstat.comparison._cost import Cost
 from chdstat.comparison._sums import MEASURES
 from chdstat.comparison.curves import ErrorCurve, curve_sizes, error_curve
 from chdstat.comparison.denoising import Denoised, denoised
@@ -20,7 +19,6 @@ __all__ = [
     "MEASURES",
     "Breakdown",
     "Comparison",
-    "Cost",
     "Denoised",
     "ErrorCurve",
     "PixelEstimates",

@@ -77,17 +77,6 @@ class Contestants:
         known = direct is not None and direct.spp >= samples.spp
         return cls(entries, models, samples.features, pixels, known)
 
-    def trained_anew(
-        self, samples: Samples, *, sizes: Sequence[int], seed: int, progress: bool | None
-    ) -> Contestants:
-        """Train again on the same pixels with other random numbers; what learns nothing is out."""
-        learned = learned_of(self.entries)
-        models = _train(
-            learned, samples, self.pixels, {}, sizes=sizes, seed=seed, progress=progress
-        )
-        entries = {name: e for name, e in self.entries.items() if own_of(e).name in learned}
-        return replace(self, entries=entries, models=models)
-
     def with_denoised(self) -> Contestants:
         """Enter all of them once more, followed by the denoiser, at the end."""
         added = [
@@ -118,39 +107,34 @@ class Contestants:
         """What the trained ones say of their training."""
         return {name: getattr(model, "provenance", {}) for name, model in self.models.items()}
 
-    def taking(self, n: int, *, ys: slice = slice(None)) -> dict[str, Function]:
-        """Return those that take n samples, as functions of the samples of some rows."""
-        features = {name: field[ys] for name, field in self.features.items()}
+    def taking(self, n: int) -> dict[str, Function]:
+        """Return those that take n samples, as functions of the samples of the image."""
         return {
-            name: self._function(entry, features)
-            for name, entry in self.entries.items()
-            if takes(entry, n)
+            name: self._function(entry) for name, entry in self.entries.items() if takes(entry, n)
         }
 
-    def _function(self, entry: Entry, features: Mapping[str, Array]) -> Function:
-        function = self._called(entry, features)
+    def _function(self, entry: Entry) -> Function:
+        function = self._called(entry)
         return Directed(function) if self.direct and own_of(entry).uses_direct else function
 
-    def _called(self, entry: Entry, features: Mapping[str, Array]) -> Callable[..., Array]:
+    def _called(self, entry: Entry) -> Callable[..., Array]:
         """Return a function from samples, and options of one estimate, to estimates."""
         if isinstance(entry, Denoised):
             estimate = (
-                self._certain(entry.entry, features)
+                self._certain(entry.entry)
                 if entry.certainty
-                else _uncertain(self._called(entry.entry, features))
+                else _uncertain(self._called(entry.entry))
             )
-            return partial(entry, estimate, features)
-        options = _options(entry, features)
+            return partial(entry, estimate, self.features)
+        options = _options(entry, self.features)
         if isinstance(entry, LearnedEstimator):
             return partial(self.models[entry.name].predict, **options)
         return partial(entry, **options)
 
-    def _certain(
-        self, entry: Estimator | LearnedEstimator, features: Mapping[str, Array]
-    ) -> Callable[..., tuple[Array, Array]]:
+    def _certain(self, entry: Estimator | LearnedEstimator) -> Callable[..., tuple[Array, Array]]:
         """Return a function from samples to estimates and their certainty."""
         model: Any = self.models[entry.name]
-        options = _options(entry, features)
+        options = _options(entry, self.features)
 
         def estimate(x: npt.ArrayLike, **more: Any) -> tuple[Array, Array]:
             found = model.estimate(x, **options, **more)

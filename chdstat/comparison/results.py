@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator
-from chdstat.comparison._cost import Cost
-from chdstat.comparison._sums import MEASURES
 from chdstat.comparison._tables import (
     ALL_CHANNELS,
     OVER_BATCHES,
@@ -31,9 +29,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["Comparison"]
-
-_OVER_TRAININGS = "_sd_over_trainings"
-"""What follows a measure's name for its standard deviation over trainings."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +52,6 @@ class Comparison:
         The same measures with intervals over batches: how they would vary with other random
         numbers, in the same pixels. The batches of a pixel share most of their reference.
         NaN for a single batch.
-    cost
-        Time and memory by estimator; none where they were not asked for.
     estimates
         One estimate of the whole picture from its first n samples, radiance, float32, shape
         (estimator, y, x, channel).
@@ -83,9 +76,6 @@ class Comparison:
         Trained estimators by name.
     provenance
         Scene, samples, seed and settings, ready for JSON.
-    over_trainings
-        Standard deviation of the same measures over trainings with other random numbers, shape
-        (estimator, channel + 1), NaN for what learns nothing; empty where each was trained once.
     """
 
     estimators: tuple[str, ...]
@@ -93,7 +83,6 @@ class Comparison:
     channels: tuple[str, ...]
     measures: Mapping[str, Interval]
     over_batches: Mapping[str, Interval]
-    cost: Mapping[str, Cost]
     estimates: npt.NDArray[np.float32]
     squared_error: npt.NDArray[np.float32]
     first_mean: npt.NDArray[np.float32]
@@ -106,7 +95,6 @@ class Comparison:
     breakdown: Breakdown | None
     models: Mapping[str, Model]
     provenance: Mapping[str, Any]
-    over_trainings: Mapping[str, npt.NDArray[np.float64]] = field(default_factory=dict)
 
     @property
     def reusable_models(self) -> dict[str, Model]:
@@ -120,9 +108,7 @@ class Comparison:
         """Return one row per estimator: its name and every measure, averaged over channels.
 
         Each measure also has ``_se``, ``_low`` and ``_high``, the standard error and the interval
-        over blocks, and the same with ``_over_batches``; where there were several trainings, also
-        ``_sd_over_trainings``. ``time`` is in seconds for each estimate, ``peak_memory`` in bytes;
-        both are NaN where they were not measured.
+        over blocks, and the same with ``_over_batches``.
         """
         return [
             {
@@ -130,12 +116,6 @@ class Comparison:
                 "uses_neighbours": bool(self.uses_neighbours[index]),
                 **row_of(self.measures, (index, ALL_CHANNELS)),
                 **row_of(self.over_batches, (index, ALL_CHANNELS), infix=OVER_BATCHES),
-                **{
-                    measure + _OVER_TRAININGS: float(spread[index, ALL_CHANNELS])
-                    for measure, spread in self.over_trainings.items()
-                },
-                "time": self._cost(name, "time"),
-                "peak_memory": self._cost(name, "peak_memory"),
             }
             for index, name in enumerate(self.estimators)
         ]
@@ -205,19 +185,14 @@ class Comparison:
         """Return measures and pictures with named dims.
 
         Measures have dims (estimator, part), a part being a channel or "mean"; beside each stand
-        ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``, and
-        ``_sd_over_trainings`` where there were several. Those by label have dims (label, estimator)
-        and the prefix ``label_``.
+        ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``. Those by label
+        have dims (label, estimator) and the prefix ``label_``.
         """
         dims = ("estimator", "part")
         variables = interval_variables(self.measures, dims)
         variables |= interval_variables(
             self.over_batches, dims, infix=OVER_BATCHES, about=" over batches", skip_value=True
         )
-        for measure, spread in self.over_trainings.items():
-            long_name, units = MEASURES[measure]
-            about = about_of(f"{long_name}, standard deviation over trainings", units)
-            variables[measure + _OVER_TRAININGS] = (dims, spread, about)
         height, width = self.test_pixels.shape
         coordinates: dict[str, Any] = {
             "estimator": names_array(self.estimators),
@@ -226,7 +201,9 @@ class Comparison:
             "y": np.arange(height),
             "x": np.arange(width),
         }
-        variables |= self._pictures() | self._of_estimators()
+        variables |= self._pictures()
+        looks = about_of("whether it looks at the pixels around", "1")
+        variables["uses_neighbours"] = (("estimator",), self.uses_neighbours, looks)
         if self.breakdown is not None:
             coordinates["label"] = names_array(self.breakdown.labels)
             variables |= _breakdown_variables(self.breakdown)
@@ -247,21 +224,6 @@ class Comparison:
             ),
             "test_pixel": (dims[1:3], self.test_pixels, about_of("pixel counts", "1")),
         }
-
-    def _of_estimators(self) -> dict[str, Any]:
-        about = {
-            "time": about_of("time for each estimate", "s"),
-            "peak_memory": about_of("peak memory beyond the samples", "byte"),
-        }
-        found = {
-            key: (("estimator",), [self._cost(name, key) for name in self.estimators], attrs)
-            for key, attrs in about.items()
-        }
-        looks = about_of("whether it looks at the pixels around", "1")
-        return {"uses_neighbours": (("estimator",), self.uses_neighbours, looks), **found}
-
-    def _cost(self, name: str, key: str) -> float:
-        return float(getattr(self.cost[name], key)) if name in self.cost else float("nan")
 
 
 def _breakdown_variables(found: Breakdown) -> dict[str, Any]:

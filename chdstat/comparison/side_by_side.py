@@ -9,7 +9,6 @@ trained first; the pixels that they saw do not count, for none of the estimators
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,26 +16,21 @@ import numpy.typing as npt
 
 from chdstat._arrays import whole
 from chdstat.comparison._contestants import Contestants, Given, totals_of
-from chdstat.comparison._cost import Cost, measure_cost
 from chdstat.comparison._entries import DEFAULT, Entry, resolve
 from chdstat.comparison._labels import Labels, labels_of
 from chdstat.comparison._sums import MEASURES, stack_intervals
-from chdstat.comparison._tally import Directed, Tally, Units, asked, judge
-from chdstat.comparison._trainings import spread_over_trainings
+from chdstat.comparison._tally import Tally, Units, judge
 from chdstat.comparison.denoising import check_denoiser
 from chdstat.comparison.parts import Breakdown
 from chdstat.comparison.results import Comparison
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import Totals, check_spp, direct_of
+from chdstat.estimators.heldout import Totals, check_spp
 from chdstat.samples import Samples, checked
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = ["compare"]
-
-_COST_PIXELS = 64 * 64
-"""Pixels that time and memory are measured on, about: enough to fill every chunk."""
 
 
 def compare(
@@ -47,10 +41,8 @@ def compare(
     seed: int = 0,
     max_batches: int | None = 16,
     model: Given = None,
-    training_seeds: int = 1,
     denoise: bool = False,
     labels: npt.ArrayLike | xr.DataArray | xr.Dataset | str | None = None,
-    cost: bool = True,
     progress: bool | None = None,
 ) -> Comparison:
     r"""Measure estimators on the same batches of n samples, against held-out references.
@@ -64,8 +56,7 @@ def compare(
       :math:`p = \bar x` to six digits; what remains got worse;
     - ``bias``: :math:`\overline{p - y} / \bar y`;
     - ``fireflies``: the share with :math:`p - y > 3 \sqrt{y^2 + 0.01\, m^2}`, at least two stops
-      too bright (a threshold of our own), and ``fireflies_left``, over that of the sample mean;
-    - ``time`` and ``peak_memory`` of an estimate.
+      too bright (a threshold of our own), and ``fireflies_left``, over that of the sample mean.
 
     The reference of a batch is the mean of the other samples of its pixel. It is itself noisy: its
     variance, about n/(spp - n) times that of a batch's mean, is part of every squared error, a
@@ -90,10 +81,6 @@ def compare(
         A trained estimator to take in place of training the one of its name, or several by the
         name of the estimator that they are. Where one was trained on a picture of the same size,
         its pixels do not count.
-    training_seeds
-        How often those that learn are trained: with the seeds `seed`, ``seed + 1``, ..., on the
-        same pixels. The measures are those of the first training; with more than one, their
-        standard deviation over the trainings stands beside them. Only the first models are kept.
     denoise
         Judge every estimator with Open Image Denoise after it, too: with the picture alone, with
         first-hit features where there are any, and mixed with the estimate as far as it says how
@@ -104,8 +91,6 @@ def compare(
         ``flag_values`` and ``flag_meanings``. "classify" labels these samples. A label that rests
         on the samples that are judged selects among them: a pixel may be firefly-dominated because
         of one batch, and is easy to improve there. Labels of an independent render do not.
-    cost
-        Measure time and memory, by three more calls of every estimator on a part of the picture.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -118,8 +103,7 @@ def compare(
     InputError
         If an estimator is unknown, named twice, or does not take n samples; if there are too few
         samples; if labels do not fit the picture; if Open Image Denoise is wanted and missing; if
-        a model is given that nobody asked for, or to be trained with several seeds; or if no pixel
-        is left to judge by.
+        a model is given that nobody asked for; or if no pixel is left to judge by.
 
     Examples
     --------
@@ -134,12 +118,9 @@ def compare(
     median_of_means 1.5 True
     """
     checked(samples)
-    n, training_seeds = whole("n", n, least=1), whole("training_seeds", training_seeds, least=1)
+    n = whole("n", n, least=1)
     if max_batches is not None:
         max_batches = whole("max_batches", max_batches, least=1)
-    if model is not None and training_seeds > 1:
-        message = f"training_seeds={training_seeds} trains anew; give no model with it"
-        raise InputError(message)
     entries = resolve(estimators, [n])
     check_spp(samples, n)
     if denoise:
@@ -159,28 +140,15 @@ def compare(
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
         )
         raise InputError(message)
-    over_trainings = spread_over_trainings(
-        contestants,
-        tally,
-        samples,
-        totals,
-        units,
-        n=n,
-        seeds=range(seed + 1, seed + training_seeds),
-        limit=max_batches,
-        progress=progress,
-    )
     return _comparison(
         samples,
         contestants,
         totals=totals,
         test=test,
         tally=tally,
-        over_trainings=over_trainings,
         breakdown=None if named is None else _breakdown(named, units, tally, contestants, seed),
-        cost=_costs(contestants, samples, n) if cost else {},
         n=n,
-        settings={"seed": seed, "max_batches": max_batches, "training_seeds": training_seeds},
+        settings={"seed": seed, "max_batches": max_batches},
     )
 
 
@@ -191,9 +159,7 @@ def _comparison(
     totals: Totals,
     test: npt.NDArray[np.bool_],
     tally: Tally,
-    over_trainings: Mapping[str, npt.NDArray[np.float64]],
     breakdown: Breakdown | None,
-    cost: Mapping[str, Cost],
     n: int,
     settings: Mapping[str, Any],
 ) -> Comparison:
@@ -207,8 +173,6 @@ def _comparison(
         channels=samples.channels,
         measures=tally.by_block.measures(seed=settings["seed"]),
         over_batches=tally.by_batch.measures(seed=settings["seed"]),
-        over_trainings=over_trainings,
-        cost=cost,
         estimates=pictures.estimates,
         squared_error=pictures.squared_error,
         first_mean=pictures.mean,
@@ -246,18 +210,3 @@ def _breakdown(
             name: stack_intervals([part[name][:, -1] for part in parts]) for name in MEASURES
         },
     )
-
-
-def _costs(contestants: Contestants, samples: Samples, n: int) -> dict[str, Cost]:
-    """Measure time and memory on the first rows of the picture."""
-    width: Any = samples.shape[1]
-    ys = slice(0, -(-_COST_PIXELS // width))
-    rows = samples.read(ys, ss=slice(0, n))
-    functions = contestants.taking(n, ys=ys)
-    direct = None
-    if any(isinstance(function, Directed) for function in functions.values()):
-        direct = direct_of(samples).read(ys, ss=slice(0, n))
-    return {
-        name: measure_cost(partial(asked, function, direct), rows)
-        for name, function in functions.items()
-    }

@@ -2,8 +2,7 @@
 
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
 is the baseline. `MLP` is the network of the paper, `Progressive` ours: from any number of samples,
-with a certainty and an interval, and without a reference as `self_trained`. `EmpiricalPrior` tells
-how far any of them is from what one pixel's samples tell. The others are
+with a certainty and an interval, and without a reference as `self_trained`. The others are
 
 - order statistics: `median`, `trimmed_mean`, `winsorized_mean`;
 - M-estimators: `huber`, `tukey`, `catoni`;
@@ -39,7 +38,6 @@ from chdstat.estimators.density import decoro2010
 from chdstat.estimators.shared import delbracio2014, sakai2024
 from chdstat.estimators.alike import Fireflies, shared_patches, shared_shape
 from chdstat.estimators.mlp import MLP
-from chdstat.estimators.empirical_prior import EmpiricalPrior, Posterior
 from chdstat.estimators.presets import PRESETS, Preset
 from chdstat.estimators.progressive import (
     Estimates,
@@ -64,14 +62,12 @@ __all__ = [
     "MLP",
     "PRESETS",
     "Cascade",
-    "EmpiricalPrior",
     "Estimates",
     "Estimator",
     "Fireflies",
     "History",
     "LearnedEstimator",
     "Model",
-    "Posterior",
     "Preset",
     "Profile",
     "Progressive",

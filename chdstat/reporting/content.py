@@ -19,9 +19,8 @@ from chdstat.reporting import figures
 from chdstat.reporting.claims import chips, exhibits, finding_content
 from chdstat.reporting.findings import findings
 from chdstat.reporting.scene_figures import panels_of, scene_figures
+from chdstat.reporting.self_training import SelfTraining
 from chdstat.reporting.text import NAMES, between, number, percent
-from chdstat.reporting.trial_pages import trial_content, trial_figures
-from chdstat.reporting.trials import Trials
 from chdstat.reporting.typeset import Document
 from chdstat.samples import Samples
 
@@ -51,8 +50,8 @@ class Study:
         Shapes that recur; None where no pixel has one.
     curve
         Errors against the number of samples; None where there are too few.
-    trials
-        What was asked of our estimator; None where it did not take part.
+    self_training
+        An estimate without a reference; None where ours did not take part, or of few samples.
     why_not
         Why no estimators were compared.
     """
@@ -63,7 +62,7 @@ class Study:
     chosen: bool
     atlas: Atlas | None
     curve: ErrorCurve | None
-    trials: Trials | None
+    self_training: SelfTraining | None
     why_not: str = ""
 
     @property
@@ -92,7 +91,9 @@ def document(study: Study) -> Document:
         "provenance": _provenance(study.samples),
         "findings": [
             vars(finding)
-            for finding in findings(study.overview, study.atlas, study.comparison, study.trials)
+            for finding in findings(
+                study.overview, study.atlas, study.comparison, study.self_training
+            )
         ],
         "alpha": percent(float(study.dataset.attrs["false_discovery_rate"])),
         "thresholds": _thresholds(study.dataset),
@@ -123,9 +124,9 @@ def document(study: Study) -> Document:
     if study.comparison is not None:
         content["estimators"] = _estimators(study.comparison)
         drawn |= figures.of_comparison(study.comparison, study.curve)
-        if study.trials is not None:
-            content["trials"] = trial_content(study.trials)
-            drawn |= trial_figures(study.trials, study.comparison)
+        if study.self_training is not None:
+            content["self_training"] = study.self_training.content()
+            drawn["self_training"] = study.self_training.figure()
     return Document("report.typ", content, drawn)
 
 
@@ -248,7 +249,6 @@ def _estimators(comparison: Comparison) -> dict[str, Any]:
             "improved": "" if row["estimator"] == "mean" else percent(row["improved"]),
             "bias": percent(row["bias"], sign=True),
             "fireflies": number(row["fireflies_left"]),
-            "time": number(1e9 * row["time"]),
         }
         for row in comparison.table()
     ]

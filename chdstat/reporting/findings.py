@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison
 from chdstat.overviews import Overview
+from chdstat.reporting.self_training import SelfTraining
 from chdstat.reporting.text import NAMES, number, percent
-from chdstat.reporting.trials import Alone, Trials
 
 __all__ = ["Finding", "findings"]
 
@@ -38,7 +38,7 @@ def findings(
     scene: Overview,
     atlas: Atlas | None,
     comparison: Comparison | None,
-    trials: Trials | None = None,
+    self_training: SelfTraining | None = None,
 ) -> list[Finding]:
     """Return the findings on a scene, in the order of the report."""
     rows = [_nulls(scene), _spread(scene), _family(scene), _fit(scene), _log_shape(scene)]
@@ -54,8 +54,8 @@ def findings(
         rows.insert(-1, _shapes(atlas))
     if comparison is not None:
         rows += _estimators(comparison)
-    if trials is not None:
-        rows += _trials(trials)
+    if self_training is not None:
+        rows.append(_without_reference(self_training))
     return rows
 
 
@@ -237,39 +237,15 @@ def _estimators(comparison: Comparison) -> Iterator[Finding]:
         )
 
 
-def _trials(trials: Trials) -> Iterator[Finding]:
-    mse, relmse = (
-        float(trials.along(f"{e}_ratio").value[i]) for e, i in (("mse", 0), ("relmse", -1))
-    )
-    limits = trials.limit("mse"), trials.limit("relmse")
-    if all(math.isfinite(limit) for limit in limits):
-        yield Finding(
-            "How far is that from what one pixel's samples tell?",
-            f"At the ends of its knob ours has {number(mse)} times the squared and "
-            f"{number(relmse)} times the relative squared error of the mean; the posterior mean "
-            f"under other pixels of this scene has {number(limits[0])} and {number(limits[1])}, "
-            "and the limit lies there or below.",
-            f"{number(mse)} of {number(limits[0])}",
-        )
-    yield Finding(
-        "Does our estimator know how sure it is?",
-        f"{percent(trials.coverage.at_90)} of its intervals of 90\N{NO-BREAK SPACE}% hold the "
-        "reference, on pixels that it has not seen.",
-        f"{percent(trials.coverage.at_90)}",
-    )
-    if trials.alone is not None:
-        yield _without_reference(trials.alone)
-
-
-def _without_reference(alone: Alone) -> Finding:
-    (row,) = (r for r in alone.comparison.table() if r["estimator"] == "self_trained")
+def _without_reference(trained: SelfTraining) -> Finding:
+    found = trained.content()
     return Finding(
-        f"What becomes of {alone.comparison.n} samples without a reference?",
-        f"Trained on them alone, ours has {number(row['mse_ratio'])} times the squared and "
-        f"{number(row['relmse_ratio'])} times the relative squared error of their mean, and "
-        f"improves {percent(row['improved'])} of the pixels, with a bias of "
-        f"{percent(row['bias'], sign=True)}.",
-        f"MSE × {number(row['mse_ratio'])}",
+        f"What becomes of {found['n']} samples without a reference?",
+        f"Trained on them alone, ours has {found['mse_ratio']} times the squared and "
+        f"{found['relmse_ratio']} times the relative squared error of their mean, and improves "
+        f"{found['improved']} of the pixels, with a bias of {found['bias']}; {found['at_90']} of "
+        "its intervals of 90\N{NO-BREAK SPACE}% hold the reference.",
+        f"MSE × {found['mse_ratio']}",
     )
 
 

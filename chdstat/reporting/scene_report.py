@@ -29,7 +29,7 @@ from chdstat.recipes import (
     regions_of,
 )
 from chdstat.reporting.content import Study, document
-from chdstat.reporting.trials import Trials
+from chdstat.reporting.self_training import SelfTraining
 from chdstat.reporting.typeset import typeset
 from chdstat.samples import Samples
 from chdstat.samples import open as open_samples
@@ -86,8 +86,8 @@ def report(
         them in memory.
     estimators
         Names of the estimators to compare; those that learn are trained on these samples. With
-        "progressive" among them, its knob, its intervals and what it learns without a reference
-        are shown, too.
+        "progressive" among them, what it learns without a reference is shown, too, with its
+        certainty and its intervals.
     iterations
         Minibatches that "progressive" learns from; None takes its own number, which takes longer
         and ends a few per cent lower.
@@ -167,9 +167,9 @@ def _studied(
         chosen=not regions,
         atlas=_atlas(samples, progress),
         curve=_curve(samples, comparison, progress),
-        trials=None
+        self_training=None
         if comparison is None
-        else Trials.of(samples, comparison, iterations=iterations, progress=progress),
+        else SelfTraining.of(samples, comparison, iterations=iterations, progress=progress),
         why_not=why_not,
     )
 

@@ -37,7 +37,6 @@ NAMES = {
     "progressive_features": "progressive, with features",
     "progressive_direct": "progressive, with direct light apart",
     "self_trained": "self-trained (ours)",
-    "empirical_prior": "empirical prior",
     "oidn": "OIDN, colour",
     "oidn_features": "OIDN, features",
     "gamma": "gamma",

@@ -16,8 +16,7 @@ from chdstat.viz.errors import error_curves, pattern_breakdown
 from chdstat.viz.estimates import estimator_measures, pixel_estimates
 from chdstat.viz.exhibits import Display, displays
 from chdstat.viz.image import Mark, pictures, tonemap, with_marks
-from chdstat.viz.knobs import coverage, tradeoff
-from chdstat.viz.maps import categorical_map, map_grid, n_needed, value_map
+from chdstat.viz.maps import categorical_map, coverage, image_map, map_grid, n_needed, value_map
 from chdstat.viz.regions import region_study
 from chdstat.viz.shapes import atlas
 from chdstat.viz.style import CHANNELS, PALETTE, style
@@ -45,6 +44,7 @@ __all__ = [
     "estimator_measures",
     "firefly_pair",
     "fits",
+    "image_map",
     "map_grid",
     "n_needed",
     "pattern_breakdown",
@@ -53,7 +53,6 @@ __all__ = [
     "region_study",
     "style",
     "tonemap",
-    "tradeoff",
     "training",
     "value_map",
     "verdict_matrix",

@@ -42,8 +42,7 @@ TITLES = {
 def estimator_measures(found: Comparison, *, names: Names = None) -> Figure:
     """Draw all measures of all estimators, those that use neighbours apart, below a line.
 
-    Ratios are those to the sample mean, on a logarithmic scale; intervals are over blocks. Time is
-    for each estimate.
+    Ratios are those to the sample mean, on a logarithmic scale; intervals are over blocks.
 
     Parameters
     ----------
@@ -57,15 +56,13 @@ def estimator_measures(found: Comparison, *, names: Names = None) -> Figure:
     with style():
         height = 0.75 + 0.165 * (rows.max() + 1)
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
-        panels = figure.subplots(1, len(titles) + bool(found.cost), sharey=True, squeeze=False)[0]
-        for axes, measure in zip(panels, titles, strict=False):
+        panels = figure.subplots(1, len(titles), sharey=True, squeeze=False)[0]
+        for axes, measure in zip(panels, titles, strict=True):
             axes.set_title(TITLES[measure])
             if measure == "improved":
                 _shares(axes, rows, found)
             else:
                 _points(axes, rows, found.measures[measure][:, -1], measure)
-        if found.cost:
-            _times(panels[-1], rows, found)
         for axes in panels:
             axes.set_axisbelow(True)
             axes.grid(axis="x", linewidth=0.4, color="#DDDDDD")
@@ -102,14 +99,6 @@ def _shares(axes: Axes, rows: Array, found: Comparison) -> None:
     axes.set_xlim(0, 1)
     _percent_axis(axes)
     axes.set_xticks([0, 0.5, 1])
-    axes.tick_params(axis="x", labelsize=6)
-
-
-def _times(axes: Axes, rows: Array, found: Comparison) -> None:
-    nanoseconds = np.array([1e9 * found.cost[name].time for name in found.estimators])
-    axes.plot(nanoseconds, rows, "D", color=PALETTE[3], markersize=3)
-    axes.set_title("time, ns")
-    _log_axis(axes, nanoseconds)
     axes.tick_params(axis="x", labelsize=6)
 
 

@@ -1,4 +1,4 @@
-"""Maps: one value or one label per pixel, with the scale that reads them."""
+"""Maps: one value, label or colour per pixel, with the scale that reads them."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.ticker import FuncFormatter
 
-from chdstat.viz.style import HEIGHT, MISSING, WIDTH, qualitative, sequential, style
+from chdstat.viz.image import tonemap
+from chdstat.viz.style import HEIGHT, MISSING, PALETTE, WIDTH, qualitative, sequential, style
 
-__all__ = ["categorical_map", "map_grid", "n_needed", "value_map"]
+__all__ = ["categorical_map", "coverage", "image_map", "map_grid", "n_needed", "value_map"]
 
 _TOO_MANY = "#D55E00"
 """Apart from all colours of `sequential`: vermillion of Okabe and Ito."""
@@ -127,13 +129,67 @@ def n_needed(
     return categorical_map(needed, names, title=title, colors=colors, columns=3)
 
 
+def image_map(image: npt.ArrayLike, *, title: str, exposure: float | None = None) -> Draw:
+    """Return a drawing of an image, for `map_grid`.
+
+    Parameters
+    ----------
+    image, exposure
+        As in `tonemap`.
+    title
+        What is shown.
+    """
+    shown = tonemap(image, exposure=exposure)
+
+    def draw(axes: Axes) -> None:
+        axes.imshow(shown, interpolation="nearest")
+        _bare(axes, title)
+
+    return draw
+
+
+def coverage(levels: npt.ArrayLike, measured: Mapping[str, Sequence[float]], *, title: str) -> Draw:
+    """Return a drawing of how often intervals hold the truth, for `map_grid`.
+
+    Parameters
+    ----------
+    levels
+        Probabilities that the intervals state, shape (level,).
+    measured
+        By name, the shares that were measured, shape (level,).
+    title
+        What is shown.
+    """
+    stated = np.asarray(levels, float)
+
+    def draw(axes: Axes) -> None:
+        low = min(float(np.nanmin([stated, *measured.values()])), 0.5) - 0.04
+        axes.plot([low, 1], [low, 1], color="#888888", linewidth=0.9, linestyle="--")
+        for k, (name, shares) in enumerate(measured.items()):
+            axes.plot(
+                stated,
+                shares,
+                marker="os^D"[k % 4],
+                markersize=3.5,
+                color=(PALETTE[4], PALETTE[5], PALETTE[2])[k % 3],
+                label=name,
+            )
+        axes.set(xlim=(low, 1), ylim=(low, 1), xlabel="stated", ylabel="measured", title=title)
+        axes.set_aspect("equal")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:.0f} %"))
+        axes.legend(loc="upper left", fontsize=6.5)
+
+    return draw
+
+
 def map_grid(maps: Sequence[Draw], *, columns: int = 3, aspect: float = 1.0) -> Figure:
     """Arrange maps in a grid that fills the width of a page.
 
     Parameters
     ----------
     maps
-        Drawings made by `value_map` and `categorical_map`.
+        Drawings made by `value_map`, `categorical_map` and the others here.
     columns
         Maps in a row.
     aspect

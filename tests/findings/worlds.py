@@ -247,7 +247,7 @@ def learned(good: bool, who: str = "elek2019") -> World:
     def world(rng, spp):
         x = rng.gamma(2, size=(32, 32, spp)) * np.where(rng.random((32, 32, spp)) < 2e-3, 300, 1)
         scene = evidence(image(x))
-        found = chd.compare(scene.samples, ["mean", "median_of_means"], cost=False, progress=False)
+        found = chd.compare(scene.samples, ["mean", "median_of_means"], progress=False)
         means = {"improved": (0.7, 0.3), "fireflies_left": (0.2, 1.1)}
         measures = dict(found.measures)
         for name, values in means.items():

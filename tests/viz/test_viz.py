@@ -89,6 +89,20 @@ def test_maps_have_scales_and_legends(image):
     assert not any("never" in t for t in found)
 
 
+@pytest.mark.parametrize("measured", [(0.5, 0.9), (0.02, 0.3), (np.nan, np.nan)])
+def test_images_and_coverage_stand_beside_maps(image, measured):
+    draw = [
+        viz.image_map(image, title="seen", exposure=0),
+        viz.coverage([0.5, 0.9], {"ours": measured}, title="hold"),
+    ]
+    figure = viz.map_grid(draw, columns=2)
+    assert {"seen", "hold", "ours", "stated", "measured"} <= texts(figure)
+    shown, shares = figure.axes
+    np.testing.assert_allclose(shown.images[0].get_array(), viz.tonemap(image, exposure=0))
+    assert shares.lines[1].get_ydata() == pytest.approx(measured, nan_ok=True)
+    assert shares.get_xlim()[0] == shares.get_ylim()[0] < 0.5
+
+
 @pytest.mark.parametrize("value", [np.nan, 3.0])
 def test_a_map_without_spread_is_drawn(value):
     viz.map_grid([viz.value_map(np.full((4, 4), value), title="flat")]).canvas.draw()

@@ -372,7 +372,7 @@ def test_before_a_denoiser_it_is_told_too(quick, monkeypatch):
     )
     for certainty in (False, True):
         names = ["progressive_direct", denoised("progressive_direct", certainty=certainty)]
-        found = chd.compare(samples, names, n=8, cost=False)
+        found = chd.compare(samples, names, n=8)
         assert found.estimates[1] == pytest.approx(found.estimates[0])
     curve = chd.error_curve(samples, ["mean", "progressive_direct"], sizes=[4, 8])
     assert np.isfinite(curve.measures["mse"].value).all()

@@ -26,7 +26,7 @@ def quick(monkeypatch):
 
 
 def test_operating_points_share_one_model(quick, picture):
-    found = chd.compare(picture(12, 32, seed=0).samples, ["mean", *NAMES], n=8, cost=False)
+    found = chd.compare(picture(12, 32, seed=0).samples, ["mean", *NAMES], n=8)
     assert len(quick) == 1
     assert len({id(found.models[name]) for name in NAMES}) == 1
     mixed, first, last = (found.estimates[1 + i].astype(float) for i in range(3))
@@ -35,7 +35,7 @@ def test_operating_points_share_one_model(quick, picture):
 
 def test_a_model_at_hand_is_not_trained_again(quick, trained, picture):
     samples = picture(16, 32, seed=9).samples
-    found = chd.compare(samples, ["mean", *NAMES], n=8, model=trained, cost=False)
+    found = chd.compare(samples, ["mean", *NAMES], n=8, model=trained)
     assert quick == []
     expected = trained.predict(samples.read(ss=slice(0, 8)), balance=1.0)
     assert found.estimates[3] == pytest.approx(expected, rel=0.05, abs=1e-3)
@@ -43,7 +43,7 @@ def test_a_model_at_hand_is_not_trained_again(quick, trained, picture):
 
 def test_features_reach_those_who_look_at_them(quick, picture):
     samples = picture(12, 32, seed=0).samples
-    found = chd.compare(samples, ["mean", "progressive_features"], n=8, cost=False)
+    found = chd.compare(samples, ["mean", "progressive_features"], n=8)
     assert quick[0].features
     assert np.isfinite(found.estimates).all()
 

@@ -81,7 +81,7 @@ def test_seen_pixels_are_told_by_the_shape_of_the_picture():
 
 def test_a_comparison_leaves_out_what_was_seen_in_any_scene_of_that_shape():
     model = trained([flat(), flat(seed=3)], pixels=[[[0, 0], [1, 2]], [[1, 2], [9, 9]]])
-    found = chd.compare(flat(seed=4), ["progressive"], n=8, model=model, cost=False)
+    found = chd.compare(flat(seed=4), ["progressive"], n=8, model=model)
     assert np.argwhere(~found.test_pixels).tolist() == [[0, 0], [1, 2], [9, 9]]
 
 
