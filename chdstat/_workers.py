@@ -1,4 +1,4 @@
-"""Workers: the same function on many pieces at once, one thread for each core.
+"""Workers: the same function on many pieces at once, one thread for each core of the machine.
 
 NumPy lets go of Python's lock while it computes, so that threads, which share memory, are enough.
 """
@@ -9,9 +9,10 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import TypeVar
 
-__all__ = ["cores", "in_order"]
+__all__ = ["cores", "in_order", "memory"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -23,6 +24,16 @@ def cores() -> int:
         return len(os.sched_getaffinity(0))
     except AttributeError:  # not on every system
         return os.cpu_count() or 1
+
+
+def memory() -> int | None:
+    """Return the memory of the machine, or of the container, in bytes; None where none tells."""
+    try:
+        total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (ValueError, OSError, AttributeError):
+        return None
+    limit = _container_limit()
+    return total if limit is None else min(limit, total)
 
 
 def in_order(
@@ -50,3 +61,11 @@ def in_order(
             yield waiting.popleft().result()
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _container_limit() -> int | None:
+    try:
+        text = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+    except OSError:
+        return None
+    return int(text) if text.isdecimal() else None

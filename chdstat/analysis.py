@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import is_bad
+from chdstat._core.files import replacing
 from chdstat._fitted import Fitted
 from chdstat._moments import Moments
 from chdstat._positive import PositivePart
@@ -122,7 +123,7 @@ def analyze(
 
 
 def save(found: xr.Dataset, path: str | Path) -> Path:
-    """Write a dataset of maps to a new zarr store.
+    """Write a dataset of maps to a new zarr store, which is there when it is complete.
 
     Raises
     ------
@@ -131,7 +132,8 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
     """
     target = unused(path)
     try:
-        found.to_zarr(target, mode="w-", consolidated=False)
+        with replacing(target, folder=True) as partial:
+            found.to_zarr(partial, mode="w-", consolidated=False)
     except OSError as error:
         message = f"cannot write {target}: {error.strerror or error}"
         raise StoreError(message) from error

@@ -20,7 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from chdstat._targets import replacing
+from chdstat._core.files import replacing
 from chdstat.errors import InputError, RenderError
 
 __all__ = ["BACKENDS", "Backend", "Verdict", "activate", "probe", "resolve"]

@@ -18,12 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import whole
+from chdstat._core.files import free_disk
 from chdstat._crew import rendered
-from chdstat._machine import free_disk, memory
 from chdstat._renderer import Job, Renderer, film_size, integrator_type
 from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
 from chdstat._store import DIRECT
 from chdstat._streams import max_spp
+from chdstat._workers import memory
 from chdstat.backend import Backend, activate, resolve
 from chdstat.errors import InputError, RenderError
 from chdstat.progress import track

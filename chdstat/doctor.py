@@ -6,8 +6,7 @@ import importlib.metadata
 import platform
 from typing import Any
 
-from chdstat._machine import memory
-from chdstat._workers import cores
+from chdstat._workers import cores, memory
 from chdstat.backend import BACKENDS, llvm_libraries, probe
 
 __all__ = ["examine"]

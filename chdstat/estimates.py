@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 import chdstat
-from chdstat._targets import checked_target
+from chdstat._core.files import checked_target
 from chdstat.comparison.denoising import check_denoiser, through_denoiser
 from chdstat.errors import InputError
 from chdstat.estimators import Estimates, Progressive, Stream

@@ -19,10 +19,10 @@ ROOT = Path(chd.__file__).parent
 
 ORDER = (
     "errors",
-    "_targets",
-    "_arrays _code _exposure _interrupts _machine _reasons _records _workers progress",
+    "_core",
+    "_arrays _code _exposure _interrupts _reasons _workers progress",
     "scenes",
-    "_store _shards _streams",
+    "_store _streams",
     "backend",
     "samples",
     "_renderer",

@@ -71,7 +71,7 @@ def train(
     quiet: Quiet = False,
 ) -> None:
     """Train an estimator on a scene and keep it; of a store, --spp takes the first samples."""
-    from chdstat._targets import checked_target
+    from chdstat._core.files import checked_target
     from chdstat.models import check_choice, train_model
 
     target = checked_target(out, ".safetensors")  # refused before the work, not after
@@ -144,7 +144,7 @@ def estimate(
     of a render, in memory that does not grow with --spp. The file holds the estimate, and as layers
     its certainty, the ends of its interval, and the mean of the samples.
     """
-    from chdstat._targets import checked_target
+    from chdstat._core.files import checked_target
     from chdstat.estimates import write_estimates
     from chdstat.models import load_model
 

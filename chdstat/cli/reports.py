@@ -94,7 +94,7 @@ def study(
 ) -> None:
     """Ask scenes for the claims of the paper: verdicts, figures, a PDF."""
     import chdstat
-    from chdstat._targets import checked_target
+    from chdstat._core.files import checked_target
 
     for path, suffix in ((out, ".pdf"), (json_out, ".json")):
         if path:

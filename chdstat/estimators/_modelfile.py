@@ -12,7 +12,7 @@ import numpy.typing as npt
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from chdstat._targets import replacing
+from chdstat._core.files import replacing
 from chdstat.errors import StoreError
 
 __all__ = ["read_model", "write_model"]

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._code import code_digest
-from chdstat._targets import replacing
+from chdstat._core.files import replacing
 from chdstat.samples import Samples
 
 __all__ = ["kept"]

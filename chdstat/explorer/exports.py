@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import io
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from chdstat import viz
+from chdstat._core.files import scratch
 from chdstat.explorer import tables
 from chdstat.explorer.images import Overall
 from chdstat.explorer.measured import Measured
@@ -204,8 +203,7 @@ def _pdf(shown: Shown, view: View, overall: Overall, exposure: float) -> bytes:
         "rows": -(-len(shown.places) // (1 if len(shown.places) == 1 else 2)),
         "tables": [tables.statistics(place), tables.patterns(place)],
     }
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with scratch() as folder:
         (folder / _TEMPLATE).write_text(_SELECTION, encoding="utf-8")
         target = folder / "selection.pdf"
         typeset(Document(_TEMPLATE, content, figures), folder, target)

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator, spans
-from chdstat._shards import Block, Shards
 from chdstat._store import BLOCK
 from chdstat.errors import ChdstatError, StoreError
 from chdstat.explorer.view import check_pixel
@@ -70,11 +69,9 @@ class StoreSource:
 
     def __init__(self, samples: Samples) -> None:
         self.samples = samples
-        self._blocks: OrderedDict[tuple[int, int], Block] = OrderedDict()
-        self._reading: dict[tuple[int, int], Future[Block]] = {}
+        self._blocks: OrderedDict[tuple[int, int], Image] = OrderedDict()
+        self._reading: dict[tuple[int, int], Future[Image]] = {}
         self._lock = threading.Lock()
-        path = samples.path
-        self._shards = None if path is None else Shards(Path(path), samples.shape)
 
     @property
     def name(self) -> str:
@@ -140,9 +137,9 @@ class StoreSource:
         if BLOCK**2 * channels * spp * 4 > _BLOCK_BYTES:
             found: Image = self.read(slice(y, y + 1), slice(x, x + 1))[0, 0]
             return found
-        parts = self._block(y // BLOCK, x // BLOCK)
+        block = self._block(y // BLOCK, x // BLOCK)
         self._check()
-        return np.concatenate([part[y % BLOCK, x % BLOCK] for part in parts], axis=-1)
+        return np.asarray(block[y % BLOCK, x % BLOCK])
 
     def around(
         self, y: int, x: int, spp: int, *, radius: int = _AROUND
@@ -189,7 +186,7 @@ class StoreSource:
             for xs in spans(width, edge):
                 yield ys, xs
 
-    def _block(self, row: int, column: int) -> Block:
+    def _block(self, row: int, column: int) -> Image:
         """Return the block of 16 x 16 pixels, read once even if two threads ask for it."""
         key = (row, column)
         with self._lock:
@@ -202,9 +199,7 @@ class StoreSource:
         if mine:
             top, left = row * BLOCK, column * BLOCK
             try:
-                block = None if self._shards is None else self._shards.block(row, column)
-                if block is None:
-                    block = [self.read(slice(top, top + BLOCK), slice(left, left + BLOCK))]
+                block = self.read(slice(top, top + BLOCK), slice(left, left + BLOCK))
                 self._keep(key, block)
                 coming.set_result(block)
             except StoreError as error:
@@ -214,10 +209,10 @@ class StoreSource:
                     del self._reading[key]
         return coming.result()
 
-    def _keep(self, key: tuple[int, int], block: Block) -> None:
+    def _keep(self, key: tuple[int, int], block: Image) -> None:
         with self._lock:
             self._blocks[key] = block
-            while sum(part.nbytes for b in self._blocks.values() for part in b) > _KEPT_BYTES:
+            while sum(b.nbytes for b in self._blocks.values()) > _KEPT_BYTES:
                 self._blocks.popitem(last=False)
 
     def _check(self) -> None:

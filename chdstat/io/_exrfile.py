@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._targets import replacing
+from chdstat._core.files import replacing
 from chdstat.errors import StoreError
 
 __all__ = ["OF_THE_FORMAT", "read_planes", "write_planes"]

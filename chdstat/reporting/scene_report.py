@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from chdstat._targets import checked_target
+from chdstat._core.files import checked_target, scratch
 from chdstat.analysis import analyze
 from chdstat.atlases import Atlas, atlas
 from chdstat.backend import Backend
@@ -130,8 +129,8 @@ def report(
         samples = samples.load()
     regions = named.regions if named else regions_of(samples)
     study = _studied(samples, regions, estimators, iterations, progress)
-    with tempfile.TemporaryDirectory(prefix="chdstat-") as folder:
-        return typeset(document(study), Path(folder), target)
+    with scratch() as folder:
+        return typeset(document(study), folder, target)
 
 
 def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples | None:

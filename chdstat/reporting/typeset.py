@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from chdstat._targets import replacing
+from chdstat._core.files import replacing
 from chdstat.errors import ChdstatError
 from chdstat.viz import style
 from chdstat.viz.lettering import spelt

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from chdstat._code import code_digest
-from chdstat._records import read_record, write_record
+from chdstat._core.files import read_record, write_record
 from chdstat.analysis import analyze, save
 from chdstat.comparison import Comparison, compare
 from chdstat.errors import StoreError
@@ -156,10 +156,7 @@ def _dataset(
     found = work()
     if place is not None:
         _forget_others(place)
-        # Complete or absent: a cache that was interrupted is never read.
-        partial = place.with_name(f".{place.name}.partial")
-        shutil.rmtree(partial, ignore_errors=True)
-        save(found, partial).replace(place)
+        save(found, place)
     return found
 
 

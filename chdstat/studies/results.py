@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from chdstat._targets import checked_target, replacing
+from chdstat._core.files import checked_target, replacing
 from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from chdstat._core.files import scratch
 from chdstat.findings import FINDINGS, Claim, Finding
 from chdstat.reporting.claims import chips, claim_content, claim_figures
 from chdstat.reporting.scene_figures import panels_of, scene_figures
@@ -26,8 +26,8 @@ __all__ = ["document", "save_pdf"]
 
 def save_pdf(study: Study, target: Path) -> Path:
     """Typeset a study; see `Study.save_pdf`."""
-    with tempfile.TemporaryDirectory(prefix="chdstat-") as folder:
-        return typeset(document(study), Path(folder), target)
+    with scratch() as folder:
+        return typeset(document(study), folder, target)
 
 
 def document(study: Study) -> Document:

@@ -1,0 +1,383 @@
+"""Files: written whole or not at all, by one process at a time, and known by their checksums.
+
+A file or folder is written beside its place, under a name that ends in ``.partial`` but for its
+suffix, and moved there when it is complete. Its writer holds a lock on it (``flock``), which the
+system releases when a process ends in whatever way. So what is locked is alive, what is not is left
+over from a process that was killed, and the next one that writes to the same place removes it.
+
+Records are results, dataclasses of numbers, words and arrays, in an ``.npz`` file: arrays by
+number, and a tree in JSON that says where they belong. Unlike in a pickle nothing in it runs when
+it is read: a folder of renders can be passed on.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib
+import json
+import os
+import shutil
+import socket
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar, get_origin
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.errors import InputError, StoreError
+
+if TYPE_CHECKING:
+    from cattrs import Converter
+
+__all__ = [
+    "Lock",
+    "checked_target",
+    "checksum",
+    "free_disk",
+    "read_record",
+    "replacing",
+    "scratch",
+    "sweep",
+    "write_record",
+]
+
+T = TypeVar("T")
+
+_fcntl: Any = importlib.import_module("fcntl") if os.name == "posix" else None
+"""Windows has no flock: nothing is locked there, and nothing swept."""
+_ARRAY = "array number"
+_TRIES = 8
+"""How often a file that vanishes while it is being locked is made again."""
+
+
+def checksum(data: bytes) -> int:
+    """Return the CRC-32C of bytes: it tells of accidents, not of forgery.
+
+    Examples
+    --------
+    >>> hex(checksum(b"123456789"))  # the check value of RFC 3720, appendix B.4
+    '0xe3069283'
+    """
+    import google_crc32c
+
+    return int(google_crc32c.value(data))
+
+
+# --- outputs ------------------------------------------------------------------------------------
+
+
+def checked_target(path: str | Path, suffix: str) -> Path:
+    """Return a path that a file can be written to.
+
+    Raises
+    ------
+    InputError
+        If it does not end in `suffix`, is a folder, or lies in none that can be written to.
+
+    Examples
+    --------
+    >>> checked_target("picture.png", ".exr")
+    Traceback (most recent call last):
+        ...
+    chdstat.errors.InputError: the path to write must end in .exr, got 'picture.png'
+    """
+    target = Path(path)
+    if target.suffix.lower() != suffix:
+        message = f"the path to write must end in {suffix}, got {str(target)!r}"
+        raise InputError(message)
+    if not target.parent.is_dir():
+        message = f"the folder {str(target.parent)!r} does not exist; create it first"
+        raise InputError(message)
+    if target.is_dir() or not os.access(target.parent, os.W_OK):
+        message = f"{str(target)!r} cannot be written; give another path"
+        raise InputError(message)
+    return target
+
+
+@contextlib.contextmanager
+def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
+    """Yield a path beside another, which it replaces when it is written, or not at all.
+
+    It keeps the suffix, by which some writers tell what to write. With ``folder=True`` it is an
+    empty folder, else an empty file. What killed processes left beside `path` is removed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with replacing(Path(folder, "found.json")) as partial:
+    ...         written = partial.write_text("[]")
+    ...     [path.name for path in Path(folder).iterdir()]
+    ['found.json']
+    """
+    sweep(path.parent, path)
+    with _partial(path, folder=folder) as partial:
+        yield partial
+        partial.replace(path)
+
+
+@contextlib.contextmanager
+def scratch() -> Iterator[Path]:
+    """Yield a temporary folder, removed at the end, or by the next one if this process is killed.
+
+    Examples
+    --------
+    >>> with scratch() as folder:
+    ...     size = (folder / "page.typ").write_text("= Report")
+    >>> folder.exists()
+    False
+    """
+    place = Path(tempfile.gettempdir(), "chdstat")
+    sweep(place.parent, place)
+    with _partial(place, folder=True) as folder:
+        yield folder
+
+
+def sweep(folder: Path, path: Path | None = None) -> None:
+    """Remove what killed processes left in a folder: of one output, or of all, also further down.
+
+    What is locked belongs to a process that is alive, and stays.
+    """
+    if _fcntl is None:
+        return
+    if path is None:
+        found = folder.rglob(".*.partial*")
+    else:
+        found = (
+            folder / name
+            for name in (os.listdir(folder) if folder.is_dir() else ())  # noqa: PTH208 - no glob
+            if name.startswith(f".{path.stem}.") and name.endswith(f".partial{path.suffix}")
+        )
+    for leftover in list(found):
+        held = _locked(leftover)
+        if held is not None:
+            _remove(leftover)
+            os.close(held)
+
+
+@contextlib.contextmanager
+def _partial(path: Path, *, folder: bool) -> Iterator[Path]:
+    partial = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:12]}.partial{path.suffix}")
+    held = _made(partial, folder=folder)
+    try:
+        yield partial
+    finally:
+        _remove(partial)
+        if held is not None:
+            os.close(held)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        with contextlib.suppress(OSError):
+            path.unlink(missing_ok=True)
+
+
+# --- locks --------------------------------------------------------------------------------------
+
+
+class Lock:
+    """Exclusive use of a place, told by a file that the process holds locked while it is there.
+
+    A process that is killed leaves the file but not the lock, and the next one takes it.
+
+    Parameters
+    ----------
+    path
+        The file; it is removed when the lock is released.
+    what
+        What it keeps, for the message.
+
+    Raises
+    ------
+    StoreError
+        If another holds it.
+    OSError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> with scratch() as folder:
+    ...     first = Lock(folder / ".lock", "this folder")
+    ...     try:
+    ...         Lock(folder / ".lock", "this folder")
+    ...     except StoreError as error:
+    ...         print(str(error).split(" by ")[0])
+    ...     first.release()
+    this folder is being written
+    """
+
+    def __init__(self, path: Path, what: object) -> None:
+        self._path = path
+        self._held = _made(path)
+        if self._held is None and _fcntl is not None:
+            with contextlib.suppress(OSError):
+                holder = path.read_text(encoding="utf-8", errors="replace")
+                message = (
+                    f"{what} is being written by {holder or 'another process'}; "
+                    "wait until that has ended, or give another path"
+                )
+                raise StoreError(message)
+            message = f"{what} is being written by another process; run the command again"
+            raise StoreError(message)
+        path.write_text(f"process {os.getpid()} on {socket.gethostname()}", encoding="utf-8")
+
+    def release(self) -> None:
+        """Let others have it."""
+        if self._held is not None:
+            self._path.unlink(missing_ok=True)
+            os.close(self._held)
+            self._held = None
+
+    def __del__(self) -> None:
+        # One that was forgotten, by an exception on its way up.
+        with contextlib.suppress(OSError, AttributeError):
+            self.release()
+
+
+def _made(path: Path, *, folder: bool = False) -> int | None:
+    """Make a file or folder, and return what holds its lock; None where another process has it."""
+    for _ in range(_TRIES):  # who sweeps may have removed it between the two
+        if folder:
+            path.mkdir(exist_ok=True)
+        else:
+            path.touch()
+        held = _locked(path)
+        if held is not None or _fcntl is None:
+            return held
+    return None
+
+
+def _locked(path: Path) -> int | None:
+    """Return what holds the lock of a file that is there; None where another process has it."""
+    if _fcntl is None:
+        return None
+    try:
+        held = os.open(path, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        _fcntl.flock(held, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(held), path.stat()):  # and not of a file removed since
+            return held
+    except OSError:
+        pass
+    os.close(held)
+    return None
+
+
+# --- the disk -----------------------------------------------------------------------------------
+
+
+def free_disk(path: Path) -> int | None:
+    """Return the free bytes of the disk that a path, which need not exist yet, would be on.
+
+    None where there is no disk, as in /proc: whoever writes there learns what is wrong.
+    """
+    existing = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+    usage = shutil.disk_usage(existing)
+    return usage.free if usage.total else None
+
+
+# --- records ------------------------------------------------------------------------------------
+
+
+def write_record(path: Path, value: Any) -> Path:
+    """Write results; what was there is replaced when the new file is complete.
+
+    Parameters
+    ----------
+    path
+        An ``.npz`` file.
+    value
+        A dataclass, or tuples and mappings of such. Numbers of NumPy that stand alone become
+        Python's.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from chdstat.metrics import Interval
+    >>> found = Interval(*np.arange(8.0).reshape(4, 2))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_record(Path(folder, "found.npz"), {"mse": found})
+    ...     read_record(path, dict[str, Interval])["mse"].high
+    array([6., 7.])
+    """
+    arrays: list[npt.NDArray[Any]] = []
+
+    def written(item: Any) -> Any:
+        if isinstance(item, np.ndarray) and not item.dtype.hasobject:
+            arrays.append(item)
+            return {_ARRAY: len(arrays) - 1}
+        if isinstance(item, np.generic):
+            return item.item()
+        message = f"a record holds numbers, words and arrays, not {type(item).__name__}"
+        raise TypeError(message)
+
+    tree = json.dumps(_converter().unstructure(value), default=written)
+    try:
+        with replacing(path) as partial, partial.open("wb") as file:
+            np.savez(file, *arrays, tree=np.array(tree))
+    except OSError as error:
+        message = f"cannot write {path}: {error.strerror or error}"
+        raise StoreError(message) from error
+    return path
+
+
+def read_record(path: Path, kind: type[T]) -> T:
+    """Read results of a kind, such as ``tuple[Finding, ...]``.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing or damaged, or holds something else.
+    """
+    from cattrs.errors import BaseValidationError
+
+    try:
+        with np.load(path, allow_pickle=False) as file:
+
+            def found(item: dict[str, Any]) -> Any:
+                return file[f"arr_{item[_ARRAY]}"] if item.keys() == {_ARRAY} else item
+
+            tree = json.loads(str(file["tree"]), object_hook=found)
+        return _converter().structure(tree, kind)
+    except (OSError, KeyError, ValueError, zipfile.BadZipFile, BaseValidationError) as error:
+        message = f"{path} is no record of {kind}: {error}"
+        raise StoreError(message) from error
+
+
+@functools.cache
+def _converter() -> Converter:
+    from cattrs import Converter
+
+    # What cannot be in a record can still be a type of what an empty mapping would hold.
+    converter = Converter(structure_fallback_factory=lambda _: _refused)
+    # Arrays are found while the tree is read.
+    converter.register_structure_hook_func(_is_array, _checked)
+    return converter
+
+
+def _is_array(kind: Any) -> bool:
+    return get_origin(kind) is np.ndarray
+
+
+def _checked(item: Any, kind: Any) -> Any:
+    return item if isinstance(item, np.ndarray) else _refused(item, kind)
+
+
+def _refused(item: Any, kind: Any) -> Any:
+    message = f"expected {kind}, got {type(item).__name__}"
+    raise ValueError(message)

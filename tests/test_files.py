@@ -1,0 +1,160 @@
+"""Files are whole or not there, and records come back the same; what is no record is refused."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat._core.files import Lock, read_record, replacing, scratch, sweep, write_record
+from chdstat.atlases import Atlas
+from chdstat.comparison import Comparison
+from chdstat.errors import StoreError
+from chdstat.findings import Evidence, Finding
+from chdstat.findings.registry import find
+from chdstat.recipes import Region
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return chd.simulate("gamma", size=(8, 8), spp=128)
+
+
+def same(one, other):
+    """Whether two results are alike in type, value and shape, NaN included."""
+    np.testing.assert_equal(vars(other), vars(one))
+
+
+def test_findings_come_back_with_all_that_they_show(samples, tmp_path):
+    found = tuple(find(Evidence("box", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),))))
+    back = read_record(write_record(tmp_path / "f.npz", found), tuple[Finding, ...])
+    assert [f.to_dict() for f in back] == [f.to_dict() for f in found]
+    for one, other in zip(found, back, strict=True):
+        same(one.exhibit, other.exhibit)
+        assert [part.verdict for part in one.parts] == [part.verdict for part in other.parts]
+        assert math.isinf(one.parts[0].most) == math.isinf(other.parts[0].most) if one.parts else 1
+
+
+def test_atlases_and_comparisons_come_back(samples, tmp_path):
+    shapes = chd.atlas(samples, clusters=2)
+    same(shapes, read_record(write_record(tmp_path / "a.npz", shapes), Atlas))
+    compared = replace(chd.compare(samples, ["mean", "median_of_means"], n=32), models={})
+    back = read_record(write_record(tmp_path / "c.npz", compared), Comparison)
+    np.testing.assert_equal(back.table(), compared.table())
+    assert back.estimates.dtype == np.float32
+
+
+def test_what_is_no_record_is_refused_by_name(samples, tmp_path):
+    path = tmp_path / "a.npz"
+    with pytest.raises(StoreError, match=r"a\.npz is no record"):
+        read_record(path, Atlas)
+    path.write_bytes(b"PK nothing")
+    with pytest.raises(StoreError, match=r"a\.npz is no record"):
+        read_record(path, Atlas)
+    write_record(path, {"one": 1})
+    with pytest.raises(StoreError, match=r"a\.npz is no record"):
+        read_record(path, tuple[Finding, ...])
+
+
+@dataclass
+class Holder:
+    """Something with a field."""
+
+    what: Any
+
+
+@pytest.mark.parametrize("what", [np.array([print]), {1, 2}, print], ids=["objects", "set", "code"])
+def test_what_would_need_a_pickle_is_not_written(what, tmp_path):
+    path = write_record(tmp_path / "a.npz", Holder(3))
+    with pytest.raises(TypeError, match="a record holds numbers, words and arrays"):
+        write_record(path, Holder(what))
+    assert read_record(path, Holder).what == 3
+    assert list(tmp_path.iterdir()) == [path]
+
+
+# --- files that are written ---------------------------------------------------------------------
+
+
+KILLED = """
+import os, pathlib, signal, sys
+from chdstat._core.files import Lock, replacing, scratch
+place = pathlib.Path(sys.argv[1])
+lock = Lock(place / ".lock", "the folder")
+b = replacing(place / "b", folder=True)
+with scratch() as folder, replacing(place / "a.json") as file, b as b:
+    for part in (folder / "x", file, b / "x"):
+        part.write_text("half")
+    if sys.argv[2] == "killed":
+        os.kill(os.getpid(), signal.SIGKILL)
+    print("ready", flush=True)
+    sys.stdin.read()
+"""
+
+
+def started(place: Path, how: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", KILLED, str(place), how]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+
+
+def written(place: Path) -> None:
+    """Write what `KILLED` began."""
+    lock = Lock(place / ".lock", "the folder")
+    with scratch(), replacing(place / "a.json") as file, replacing(place / "b", folder=True) as b:
+        for part in (file, b / "x"):
+            part.write_text("whole")
+    lock.release()
+
+
+@pytest.fixture
+def temporary(tmp_path, monkeypatch):
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    return folder
+
+
+def test_what_a_killed_process_leaves_is_removed_by_the_next(tmp_path, temporary):
+    place = tmp_path / "place"
+    place.mkdir()
+    (place / "a.json").write_text("before")
+    started(place, "killed").communicate()
+    assert len(list(place.iterdir())) == 4
+    assert len(list(temporary.iterdir())) == 1
+    assert (place / "a.json").read_text() == "before"
+    written(place)
+    assert sorted(p.name for p in place.iterdir()) == ["a.json", "b"]
+    assert (place / "b/x").read_text() == (place / "a.json").read_text() == "whole"
+    assert list(temporary.iterdir()) == []
+
+
+def test_what_a_living_process_writes_stays(tmp_path, temporary):
+    place = tmp_path / "place"
+    place.mkdir()
+    other = started(place, "alive")
+    assert other.stdout.readline() == "ready\n"
+    before = {p.name for p in (*place.iterdir(), *temporary.iterdir())}
+    with pytest.raises(StoreError, match=f"the folder is being written by process {other.pid} on"):
+        Lock(place / ".lock", "the folder")
+    sweep(place)
+    with scratch(), replacing(place / "a.json"):
+        pass
+    assert {p.name for p in (*place.iterdir(), *temporary.iterdir())} == before | {"a.json"}
+    other.communicate("")
+    assert sorted(p.name for p in place.iterdir()) == ["a.json", "b"]
+    Lock(place / ".lock", "the folder").release()
+
+
+def test_what_is_not_written_whole_is_not_there(tmp_path):
+    for folder in (False, True):
+        with pytest.raises(KeyError), replacing(tmp_path / "a", folder=folder):
+            raise KeyError
+    assert list(tmp_path.iterdir()) == []
