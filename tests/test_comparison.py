@@ -3,6 +3,8 @@
 import inspect
 import json
 import tracemalloc
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -141,6 +143,24 @@ def test_a_missing_model_is_trained_on_pixels_of_the_seed(monkeypatch):
     found = chd.compare(picture(), ["elek2019"], seed=4)
     assert calls == [(4, 160)]
     assert not found.test_pixels[tuple(found.models["elek2019"].train_pixels.T)].any()
+
+
+def test_no_row_depends_on_who_else_is_compared(monkeypatch):
+    """Who wants more pixels trains nobody else on more, and takes none from those that judge."""
+    for name in ("elek2019", "progressive"):
+        entry = registry.lookup(name)
+        few = 40 if name == "elek2019" else 100
+        quick = replace(entry, train=partial(entry.train, iterations=20), pixels=few)
+        monkeypatch.setitem(registry._ENTRIES, name, quick)
+    alone = chd.compare(picture(), ["mean", "elek2019"], seed=4)
+    beside = chd.compare(picture(), ["mean", "elek2019", "progressive"], seed=4)
+    assert [len(m.train_pixels) for m in beside.models.values()] == [40, 100]
+    again = chd.compare(picture(), ["mean", "elek2019"], seed=4, model=alone.models)
+    for other in (beside, again):
+        for row, same in zip(alone.table(), other.table(), strict=False):
+            assert same.pop("estimator") == row["estimator"]
+            expected = {key: value for key, value in row.items() if key != "estimator"}
+            assert same == pytest.approx(expected, rel=1e-12, nan_ok=True)
 
 
 def test_a_model_of_another_picture_holds_no_pixel_back(model):

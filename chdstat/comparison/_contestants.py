@@ -14,7 +14,7 @@ from chdstat.comparison._entries import Entry, learned_of, looks_around, own_of,
 from chdstat.comparison._tally import Directed, Function
 from chdstat.comparison.denoising import Denoised, variants
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import Totals, direct_of, draw_pixels
+from chdstat.estimators.heldout import Totals, direct_of, draw_pixels, judging_pixels
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup
 from chdstat.samples import Samples
 
@@ -38,8 +38,8 @@ class Contestants:
         Those that were trained, by name; entries that share a training share a model.
     features
         First-hit features of the picture, for those who look at them.
-    pixels
-        What they were trained on, rows (y, x), but for those that came trained.
+    judging
+        Pixels that no training draws, shape (y, x), whoever takes part.
     direct
         Whether the direct part of the samples is known.
     """
@@ -47,7 +47,7 @@ class Contestants:
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
     features: Mapping[str, Array]
-    pixels: npt.NDArray[np.int64]
+    judging: npt.NDArray[np.bool_]
     direct: bool
 
     @classmethod
@@ -61,7 +61,7 @@ class Contestants:
         model: Given,
         progress: bool | None,
     ) -> Contestants:
-        """Train what learns, all on the same pixels, except for the models that are at hand."""
+        """Train what learns, each on as many pixels as it wants, except for the models at hand."""
         for entry in entries.values():
             if isinstance(entry, Denoised):
                 entry.check(samples)
@@ -69,13 +69,12 @@ class Contestants:
         if any(entry.uses_direct for entry in learned.values()):
             direct_of(samples)  # refused before the training, not after
         given = _given(model, learned)
-        wanted = max((e.pixels for e in learned.values()), default=0)
-        pixels = draw_pixels(samples.shape[:2], wanted, seed=seed)
-        models = _train(learned, samples, pixels, given, sizes=sizes, seed=seed, progress=progress)
+        models = _train(learned, samples, given, sizes=sizes, seed=seed, progress=progress)
         _check_certainty(entries, models)
         direct = samples.direct
         known = direct is not None and direct.spp >= samples.spp
-        return cls(entries, models, samples.features, pixels, known)
+        judging = judging_pixels(samples.shape[:2], seed=seed)
+        return cls(entries, models, samples.features, judging, known)
 
     def with_denoised(self) -> Contestants:
         """Enter all of them once more, followed by the denoiser, at the end."""
@@ -143,19 +142,17 @@ class Contestants:
         return estimate
 
     def test_pixels(self, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
-        """Return the pixels that trained nothing.
+        """Return the pixels that judge: all where no model was trained on an image of this shape.
 
         Raises
         ------
         InputError
             If there are none.
         """
-        test = np.ones(shape, bool)
-        for model in self.models.values():
-            if hasattr(model, "seen"):  # it may have been trained on several pictures
-                test[tuple(model.seen(shape).T)] = False
-            elif model.train_shape == shape:
-                test[tuple(model.train_pixels.T)] = False
+        seen = [_seen(model, shape) for model in self.models.values()]
+        test = self.judging.copy() if any(map(len, seen)) else np.ones(shape, bool)
+        for pixels in seen:
+            test[tuple(pixels.T)] = False
         if not test.any():
             message = (
                 "the models were trained on every pixel of this picture; none is left to judge by"
@@ -201,7 +198,6 @@ def _given(model: Given, learned: Mapping[str, LearnedEstimator]) -> dict[Any, M
 def _train(
     learned: Mapping[str, LearnedEstimator],
     samples: Samples,
-    pixels: npt.NDArray[np.int64],
     given: Mapping[Any, Model],
     *,
     sizes: Sequence[int],
@@ -213,10 +209,18 @@ def _train(
         if entry.train not in trained:
             # Whoever takes any number of samples learns those that it is judged at.
             options = {} if entry.inputs else {"sizes": tuple(sizes)}
+            pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=seed)
             trained[entry.train] = entry.train(
                 samples, seed=seed, pixels=pixels, progress=progress, **options
             )
     return {name: trained[entry.train] for name, entry in learned.items()}
+
+
+def _seen(model: Model, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """Return the pixels of an image of this shape that trained a model, rows (y, x)."""
+    if hasattr(model, "seen"):  # it may have been trained on several images
+        return np.asarray(model.seen(shape))
+    return model.train_pixels if model.train_shape == shape else np.zeros((0, 2), np.int64)
 
 
 def _options(entry: Estimator | LearnedEstimator, features: Mapping[str, Array]) -> dict[str, Any]:

@@ -2,7 +2,9 @@
 
 `compare` cuts the samples of every pixel into batches of n, lets each estimator estimate from each
 batch, and measures against the mean of all *other* samples of the pixel. Estimators that learn are
-trained first; the pixels that they saw do not count, for none of the estimators. `error_curve` in
+trained first, each on as many pixels as it wants of those that do not judge. Which pixels judge
+depends on the image and the seed alone, so that no row of the table depends on who else is in it;
+only where nobody was trained on an image of this size, all pixels judge. `error_curve` in
 `chdstat.comparison.curves` does the same for many n.
 """
 
@@ -79,8 +81,8 @@ def compare(
         the reference.
     model
         A trained estimator to take in place of training the one of its name, or several by the
-        name of the estimator that they are. Where one was trained on a picture of the same size,
-        its pixels do not count.
+        name of the estimator that they are. Where one was trained on an image of the same size,
+        its pixels do not judge.
     denoise
         Judge every estimator with Open Image Denoise after it, too: with the picture alone, with
         first-hit features where there are any, and mixed with the estimate as far as it says how

@@ -21,14 +21,19 @@ from chdstat.errors import InputError
 from chdstat.samples import Samples
 
 __all__ = [
+    "PUBLISHED_PIXELS",
     "Totals",
     "batches",
     "check_spp",
     "checked_pixels",
     "direct_of",
     "draw_pixels",
+    "judging_pixels",
     "training_batches",
 ]
+
+PUBLISHED_PIXELS = 6400
+"""Pixels that Elek, Thomas and Forbes 2019 train on."""
 
 
 @dataclass(frozen=True)
@@ -136,12 +141,15 @@ def direct_of(samples: Samples) -> Samples:
 def draw_pixels(
     shape: tuple[int, int], count: int, *, seed: int | np.random.Generator | None
 ) -> npt.NDArray[np.int64]:
-    """Draw the pixels that train: `count` of them, at most half of the picture, none twice.
+    """Draw the pixels that train: `count` of them, or all that do not judge, none twice.
+
+    Fewer pixels of the same seed are among more: who wants 6400 gets the same 6400 whoever else
+    trains.
 
     Parameters
     ----------
     shape
-        Height and width of the picture.
+        Height and width of the image.
     count
         How many are wanted.
     seed
@@ -150,16 +158,34 @@ def draw_pixels(
     Returns
     -------
     ndarray
-        Rows (y, x) in the order of the picture.
+        Rows (y, x) in the order of the image.
 
     Examples
     --------
-    >>> draw_pixels((2, 2), 6400, seed=0).shape
-    (2, 2)
+    >>> [len(draw_pixels(shape, 6400, seed=0)) for shape in [(2, 2), (90, 90), (100, 100)]]
+    [2, 4050, 6400]
     """
-    height, width = shape
-    drawn = generator(seed).permutation(height * width)[: min(count, height * width // 2)]
-    return np.stack(np.unravel_index(np.sort(drawn), shape), axis=-1).astype(np.int64)
+    order = generator(seed).permutation(shape[0] * shape[1])
+    drawn = np.sort(order[: min(count, _trainable(shape))])
+    return np.stack(np.unravel_index(drawn, shape), axis=-1).astype(np.int64)
+
+
+def judging_pixels(
+    shape: tuple[int, int], *, seed: int | np.random.Generator | None
+) -> npt.NDArray[np.bool_]:
+    """Return which pixels judge: those that `draw_pixels` of this seed never draws, shape (y, x).
+
+    They are half of the image, and the same whoever trains. In images that hold the 6400 training
+    pixels of Elek et al. 2019, but not in one half, they are all but 6400, at least a quarter.
+    """
+    judging = np.ones(shape, bool)
+    judging[tuple(draw_pixels(shape, judging.size, seed=seed).T)] = False
+    return judging
+
+
+def _trainable(shape: tuple[int, int]) -> int:
+    size = shape[0] * shape[1]
+    return PUBLISHED_PIXELS if size // 2 < PUBLISHED_PIXELS <= 3 * size // 4 else size // 2
 
 
 def checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray[np.int64]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from chdstat.estimators.heldout import PUBLISHED_PIXELS
+
 __all__ = ["PRESETS", "Preset"]
 
 
@@ -20,7 +22,8 @@ class Preset:
     hidden
         Neurons of each dense layer (ReLU, chosen here); one linear output follows.
     pixels
-        Pixels drawn for training, at most half of the picture.
+        Pixels drawn for training: 6400 where the image has them and at least a quarter of it
+        remains to judge, 93 x 93 pixels or more; half of a smaller image.
     validation_share
         Part of the batches that only watch.
     iterations
@@ -42,7 +45,7 @@ class Preset:
     source: str
     inputs: int = 32
     hidden: tuple[int, ...] = (32, 32, 32)
-    pixels: int = 6400
+    pixels: int = PUBLISHED_PIXELS
     validation_share: float = 0.1
     iterations: int = 30_000
     learning_rate: float = 0.005

@@ -260,7 +260,8 @@ def _estimators(comparison: Comparison) -> dict[str, Any]:
         "excluded": comparison.excluded,
         "test_pixels": int(comparison.test_pixels.sum()),
         "iterations": int(trained[0].history.iteration[-1]) if trained else 0,
-        "train_pixels": int((~comparison.test_pixels).sum()),
+        "train_pixels": len(trained[0].train_pixels) if trained else 0,
+        "fewer_pixels": bool(trained) and len(trained[0].train_pixels) < trained[0].config.pixels,
     }
 
 

@@ -10,6 +10,7 @@ from chdstat.estimators.heldout import (
     batches,
     check_spp,
     draw_pixels,
+    judging_pixels,
     training_batches,
 )
 
@@ -100,6 +101,20 @@ def test_pixels_are_drawn_once_each_and_leave_half_of_the_picture():
     assert len(draw_pixels((9, 7), 4, seed=0)) == 4
     assert (draw_pixels((9, 7), 31, seed=0) == drawn).all()
     assert (draw_pixels((9, 7), 31, seed=1) != drawn).any()
+
+
+@pytest.mark.parametrize(
+    ("side", "trained"), [(64, 2048), (92, 4232), (93, 6400), (113, 6400), (114, 6400), (128, 6400)]
+)
+def test_the_published_number_of_pixels_trains_where_a_quarter_can_still_judge(side, trained):
+    drawn = draw_pixels((side, side), 6400, seed=2)
+    judging = judging_pixels((side, side), seed=2)
+    assert len(drawn) == trained
+    assert not judging[tuple(drawn.T)].any()
+    assert judging.sum() == max(side * side - max(trained, side * side // 2), 0)
+    more = draw_pixels((side, side), 8192, seed=2)
+    assert not judging[tuple(more.T)].any()
+    assert set(map(tuple, drawn.tolist())) <= set(map(tuple, more.tolist()))
 
 
 def test_too_few_samples_are_refused_with_what_is_needed(samples):
