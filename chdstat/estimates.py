@@ -24,6 +24,7 @@ from chdstat.errors import InputError
 from chdstat.estimators import Estimates, Progressive, Stream
 from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.heldout import direct_of
+from chdstat.estimators.progressive.inputs import Input
 from chdstat.estimators.progressive.timetables import follow
 from chdstat.io import write_exr
 from chdstat.models import AnyModel, first_samples, load_model, train_model
@@ -276,9 +277,12 @@ def _of_samples(
 ) -> _Start:
     own = model
     if own is None:
-        own = train_model(samples, features=bool(samples.features), reference=False, **training)
+        seen: tuple[Input, ...] = ("features",) if samples.features else ()
+        own = train_model(samples, inputs=seen, reference=False, **training)
     picture = samples.read()
-    direct = direct_of(samples).read() if isinstance(own, Progressive) and own.direct else None
+    direct = (
+        direct_of(samples).read() if isinstance(own, Progressive) and own.inputs.direct else None
+    )
     found = _ask(own, picture, samples.features, direct, **asked)
     where = "on these samples, without a reference"
     return _Start(own, own.provenance, where, found, mean_of_good(picture))
@@ -290,10 +294,10 @@ def _of_rendering(
     asked: Mapping[str, float],
     training: Mapping[str, Any],
 ) -> _Start:
-    own = Progressive(features=True) if model is None else model
+    own = Progressive(inputs=["features"]) if model is None else model
     stream = Stream(
         own,
-        features=rendering.features if own.features else None,
+        features=rendering.features if own.inputs.features else None,
         learns=model is None,
         seed=training["seed"],
         attrs=rendering.attrs,
@@ -321,7 +325,7 @@ def _checked_model(
         check_denoiser(Samples.from_array(np.zeros((1, 1, channels, 1))))
     if model is None:
         return None
-    if not isinstance(model, Progressive) or model.neighbours or model.direct:
+    if not isinstance(model, Progressive) or model.inputs.neighbours or model.inputs.direct:
         message = (
             "while rendering, a model must be 'progressive' and look at no neighbours, since no "
             f"samples are kept, nor at direct light, which is rendered apart; got {model!r}"
@@ -352,7 +356,7 @@ def _ask(
     level: float,
 ) -> Estimates:
     if isinstance(model, Progressive):
-        given = features if model.features else None
+        given = features if model.inputs.features else None
         return model.estimate(picture, features=given, direct=direct, balance=balance, level=level)
     radiance = model.predict(picture)
     unknown = np.full_like(radiance, np.nan)

@@ -6,12 +6,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeGuard
 
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, Estimator, LearnedEstimator, Progressive, lookup, names
 from chdstat.estimators._modelfile import read_model
+from chdstat.estimators.progressive.inputs import Input
 from chdstat.samples import Samples, checked
 
 __all__ = ["AnyModel", "check_choice", "first_samples", "load_model", "train_model"]
@@ -26,8 +28,7 @@ def train_model(
     samples: Samples,
     name: str = "progressive",
     *,
-    features: bool = False,
-    direct: bool = False,
+    inputs: Collection[Input] = (),
     reference: bool = True,
     spp: int | None = None,
     seed: int = 0,
@@ -42,15 +43,12 @@ def train_model(
         The picture.
     name
         A registered estimator that learns, as `chdstat.estimators.names` lists them.
-    features
-        Let it look at what the camera rays hit; only "progressive".
-    direct
-        Let it look at direct and indirect light apart; only "progressive", of samples that were
-        rendered with ``direct=True``.
+    inputs
+        What it sees beside the samples of a pixel, as for `Progressive`; only "progressive".
     reference
         True learns from the other samples of each pixel, which must be many more than will be
-        estimated from. False learns from splits of the samples, and looks at the pixels around,
-        too; only "progressive".
+        estimated from. False learns from splits of the samples, and adds neighbours to the inputs;
+        only "progressive".
     spp
         Use the first so many samples; None uses all.
     seed
@@ -76,14 +74,15 @@ def train_model(
     >>> import numpy as np
     >>> rng = np.random.default_rng(0)
     >>> picture = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
-    >>> train_model(picture, reference=False, iterations=5, progress=False).neighbours
-    True
+    >>> train_model(picture, reference=False, iterations=5, progress=False).inputs.names
+    ('neighbours',)
     """
-    entry = check_choice(name, features=features, direct=direct, reference=reference)
+    entry = check_choice(name, inputs=inputs, reference=reference)
     used = first_samples(samples, spp)
     options: dict[str, Any] = {"seed": seed, "iterations": iterations, "progress": progress}
     if name == Progressive.name:
-        model = Progressive(features=features, neighbours=not reference, direct=direct)
+        around: tuple[Input, ...] = () if reference else ("neighbours",)
+        model = Progressive(inputs=[*inputs, *around])
         return model.train(used, reference=reference, **options)
     found = entry.train(used, **options)
     if not isinstance(found, AnyModel):
@@ -93,24 +92,23 @@ def train_model(
 
 
 def check_choice(
-    name: str, *, features: bool, direct: bool = False, reference: bool = True
+    name: str, *, inputs: Collection[Input] = (), reference: bool = True
 ) -> LearnedEstimator:
     """Return the entry of an estimator that learns, if it can learn so.
 
     Raises
     ------
     InputError
-        If it learns nothing, or looks at no features or direct light, or needs a reference.
+        If it learns nothing, or sees no such inputs, or needs a reference.
     """
     entry = lookup(name)
     if not _can_be_kept(entry):
         kept = [other for other in names("learned") if _can_be_kept(lookup(other))]
         message = f"{name} trains no network that could be kept; give one of {', '.join(kept)}"
         raise InputError(message)
-    if name != Progressive.name and (features or direct or not reference):
+    if name != Progressive.name and (inputs or not reference):
         message = (
-            "features, direct light, and training without a reference, are for "
-            f"{Progressive.name!r}, not {name!r}"
+            f"inputs, and training without a reference, are for {Progressive.name!r}, not {name!r}"
         )
         raise InputError(message)
     return entry

@@ -35,16 +35,18 @@ def test_the_file_holds_what_that_of_samples_holds(tmp_path, box):
     said, model = found.attributes, json.loads(found.attributes["model"])
     assert (said["scene"], said["spp"]) == ("cornell-box", "16")
     assert said["training"] == "while rendering, without a reference"
-    assert (model["iterations"], model["features"], model["on_the_fly"]) == (4, True, True)
+    assert (model["iterations"], model["inputs"], model["on_the_fly"]) == (4, ["features"], True)
     assert model["samples"]["scene"] == "cornell-box"
 
 
 def test_a_model_is_taken_as_it_is(box):
     model = train_model(box, reference=False, iterations=2, progress=False)
-    assert model.neighbours
+    assert model.inputs.neighbours
     with pytest.raises(InputError, match="look at no neighbours"):
         estimate(rendering(), model)
-    alone = Progressive(features=True).train(box, reference=False, iterations=2, progress=False)
+    alone = Progressive(inputs=["features"]).train(
+        box, reference=False, iterations=2, progress=False
+    )
     expected = alone.estimate(box.read(), features=box.features, unit=1.0)
     found = estimate(rendering(), alone)
     # The unit is that of the first batch.

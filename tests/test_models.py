@@ -39,10 +39,10 @@ def test_what_is_saved_is_read_as_what_it_is(tmp_path, name, options, kind):
 
 def test_options_reach_the_training():
     model = train_model(
-        picture(features=True), features=True, reference=False, iterations=5, seed=3, spp=16
+        picture(features=True), inputs=["features"], reference=False, iterations=5, seed=3, spp=16
     )
-    assert model.features
-    assert model.neighbours
+    assert model.inputs.features
+    assert model.inputs.neighbours
     provenance = model.provenance
     assert (provenance["seed"], provenance["iterations"]) == (3, 5)
     assert provenance["samples_shape"] == [16, 16, 3, 16]
@@ -68,9 +68,9 @@ def test_the_first_samples_are_the_first():
             "mean trains no network .* give one of elek2019, .*progressive, progressive_mse",
         ),
         ("nobody", {}, "no estimator is called 'nobody'"),
-        ("elek2019", {"features": True}, "are for 'progressive', not 'elek2019'"),
+        ("elek2019", {"inputs": ["features"]}, "are for 'progressive', not 'elek2019'"),
         ("elek2019", {"reference": False}, "are for 'progressive', not 'elek2019'"),
-        ("progressive", {"features": True}, "no first-hit features"),
+        ("progressive", {"inputs": ["features"]}, "no first-hit features"),
     ],
 )
 def test_what_cannot_be_trained_is_refused(name, options, match):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +27,9 @@ from chdstat.cli._options import (
     samples_of,
 )
 from chdstat.cli._output import print_json, print_rows
+
+if TYPE_CHECKING:
+    from chdstat.estimators.progressive.inputs import Input
 
 __all__ = ["compare", "estimate", "train"]
 
@@ -75,7 +78,9 @@ def train(
     from chdstat.models import check_choice, train_model
 
     target = checked_target(out, ".safetensors")  # refused before the work, not after
-    check_choice(model, features=features, direct=direct, reference=not no_reference)
+    wanted: dict[Input, bool] = {"features": features, "direct": direct}
+    inputs = [name for name, given in wanted.items() if given]
+    check_choice(model, inputs=inputs, reference=not no_reference)
     samples = samples_of(
         source,
         define=define,
@@ -91,8 +96,7 @@ def train(
     trained = train_model(
         samples,
         model,
-        features=features,
-        direct=direct,
+        inputs=inputs,
         reference=not no_reference,
         spp=spp,
         **given(seed=seed, iterations=iterations),
@@ -146,12 +150,14 @@ def estimate(
     """
     from chdstat._core.files import checked_target
     from chdstat.estimates import write_estimates
+    from chdstat.estimators import Progressive
     from chdstat.models import load_model
 
     target = checked_target(out, ".exr")  # refused before the work, not after
     trained = None if model is None else load_model(model)
     drawn = batches_of if while_rendering else samples_of
-    apart = {"direct": True} if not while_rendering and getattr(trained, "direct", False) else {}
+    seen = isinstance(trained, Progressive) and trained.inputs.direct
+    apart = {"direct": True} if seen and not while_rendering else {}
     samples = drawn(
         source,
         define=define,

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat.errors import InputError
-from chdstat.estimators import MLP, Estimates
+from chdstat.estimators import MLP, Estimates, Progressive
 from chdstat.explorer.judged import Batches, Estimate, Floats, compared
 from chdstat.explorer.sources import StoreSource
 from chdstat.models import AnyModel, load_model
@@ -47,7 +47,9 @@ class Learner:
     @property
     def looks_around(self) -> bool:
         """Whether it wants a picture, for first-hit features or for neighbours."""
-        return not isinstance(self.model, MLP) and (self.model.features or self.model.neighbours)
+        return isinstance(self.model, Progressive) and (
+            self.model.inputs.features or self.model.inputs.neighbours
+        )
 
 
 def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
@@ -67,10 +69,10 @@ def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
         for model in models
     ]
     for learner in found:
-        if not isinstance(learner.model, MLP) and learner.model.direct:
+        if isinstance(learner.model, Progressive) and learner.model.inputs.direct:
             message = (
-                f"{learner.name} looks at direct light, which the page does not read; give a model "
-                "that was trained with direct=False"
+                f"{learner.name} sees direct light, which the page does not read; give a model "
+                "without that input"
             )
             raise InputError(message)
     return found
@@ -139,7 +141,7 @@ def _around(
     known = set(source.samples.features)
     if isinstance(model, MLP) or some.x.shape[-2] != model.channels:
         return None
-    if model.features and not known:
+    if model.inputs.features and not known:
         return None
     count, _, n = some.x.shape
     window, (y, x), (ys, xs) = source.around(*place, count * n, radius=_RADIUS)
@@ -147,7 +149,7 @@ def _around(
     found = [
         model.estimate(
             np.ascontiguousarray(window[..., i * n : (i + 1) * n]),
-            features=features if model.features else None,
+            features=features if model.inputs.features else None,
             unit=unit,
         )
         for i in range(count)

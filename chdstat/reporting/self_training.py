@@ -77,7 +77,7 @@ class SelfTraining:
             return None
         features = samples.features
         few = samples.read(ss=slice(0, _SPP))
-        model = Progressive(features=bool(features), neighbours=True)
+        model = Progressive(inputs=["features", "neighbours"] if features else ["neighbours"])
         model.train(
             Samples.from_array(few, features=features),
             reference=False,

@@ -33,7 +33,7 @@ reference = samples.read(ss=slice(64, 512)).mean(axis=-1)
 # error. `chdstat.estimators.self_trained` does all of this in one call; here the model is kept, to
 # ask it more. Few minibatches keep the example short: 2000 are the default.
 
-model = Progressive(features=True, neighbours=True)
+model = Progressive(inputs=["features", "neighbours"])
 model.train(
     chd.Samples.from_array(few, features=samples.features),
     reference=False,

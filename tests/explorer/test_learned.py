@@ -45,7 +45,7 @@ def test_one_that_looks_at_a_pixel_says_what_it_says_elsewhere(samples, model):
 def test_one_that_looks_around_is_asked_about_a_picture(samples):
     model = chd.train_model(samples, reference=False, iterations=5, progress=False)
     (found,) = judged(model, samples)
-    assert model.neighbours
+    assert model.inputs.neighbours
     assert found.value.shape == (3,)
     assert np.isfinite(found.value).all()
     assert judged(model, samples, place=(0, 0, 4, 4)) == []  # a region is no picture
@@ -73,5 +73,5 @@ def test_a_file_that_is_no_model_is_refused(samples, tmp_path):
 
 
 def test_one_that_looks_at_direct_light_is_refused():
-    with pytest.raises(InputError, match="trained with direct=False"):
-        learners([chd.estimators.Progressive(direct=True)])
+    with pytest.raises(InputError, match="without that input"):
+        learners([chd.estimators.Progressive(inputs=["direct"])])

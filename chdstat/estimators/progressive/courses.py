@@ -19,11 +19,11 @@ import numpy.typing as npt
 from chdstat._arrays import generator
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.buckets import BUCKETS, BucketParts, Buckets
+from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.lessons import Lesson, Material, Scenery
 from chdstat.estimators.progressive.provenance import Origin, provenance_of
 from chdstat.estimators.progressive.results import Learned
 from chdstat.estimators.progressive.shapes import Shape
-from chdstat.estimators.progressive.sights import Sights
 from chdstat.estimators.progressive.spread import Spread
 from chdstat.estimators.progressive.teaching import doubted
 
@@ -218,7 +218,7 @@ class Course:
             **provenance_of(
                 [Origin(scene, attrs, shape, self._buckets.unit)],
                 material,
-                sights=Sights(features=features, direct=self._parts > 1),
+                inputs=InputConfig(features=features, direct=self._parts > 1),
                 seed=self._seed,
                 trust=trust,
             ),

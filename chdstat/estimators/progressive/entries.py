@@ -25,11 +25,11 @@ def _train(samples: Samples, **options: Any) -> Progressive:
 
 
 def _train_with_features(samples: Samples, **options: Any) -> Progressive:
-    return Progressive(features=True).train(samples, **options)
+    return Progressive(inputs=["features"]).train(samples, **options)
 
 
 def _train_with_direct(samples: Samples, **options: Any) -> Progressive:
-    return Progressive(direct=True).train(samples, **options)
+    return Progressive(inputs=["direct"]).train(samples, **options)
 
 
 for _name, _function, _balance in (
@@ -110,6 +110,6 @@ def self_trained(
     samples = as_samples(x, minimum=2)
     check_pixels(samples, picture=True)
     picture = Samples.from_array(samples, features=features)
-    model = Progressive(features=bool(features), neighbours=True)
-    model.train(picture, reference=False, seed=seed, iterations=iterations, progress=progress)
+    model = Progressive(inputs=["features", "neighbours"] if features else ["neighbours"])
+    model.train(picture, seed=seed, iterations=iterations, progress=progress)
     return model.predict(picture.read(), features=features)

@@ -18,7 +18,6 @@ from chdstat.estimators.progressive.pictures import Lot, Scene
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.splits import Parts, Splits
 from chdstat.estimators.progressive.surroundings import BANDS, RADII, surround
-from chdstat.samples import Samples
 
 __all__ = [
     "Lesson",
@@ -37,9 +36,13 @@ _ITERATIONS = 6000
 _ITERATIONS_ALONE = 2000
 """Without a reference: more of them learn the noise of the targets."""
 _FEWEST = 4
+_HALVES = 2
+"""Samples of each part of a split, at least: the targets are cut in two."""
 _SPLITS = ((0.5, 2), (0.75, 8))
 """Shares of the samples to learn from, and how many splits of each are made where alike pixels are
 asked: the larger share is the nearer to all samples, which are what the estimate is for."""
+_SPLITS_OF_SIZE = 5
+"""Splits of each size that is asked for, instead."""
 _WINDOW = 256
 """Side of the part of a large picture that trains: more would take long and tell little."""
 
@@ -179,72 +182,75 @@ def _check_alike(what: str, found: Sequence[int]) -> None:
 
 
 def without_reference(
-    picture: Samples,
+    scene: Scene,
     *,
-    features: Features | None,
     neighbours: bool,
-    unit: float,
+    sizes: Sequence[int] | None,
     iterations: int | None,
     rng: np.random.Generator,
-    direct: Samples | None = None,
 ) -> Material:
-    """Return a picture's pixels, each with splits of its own samples.
+    """Return pixels of a scene, each with splits of its own samples.
 
     Parameters
     ----------
-    picture
+    scene
         Of which a part is read, if it is large.
-    features
-        First-hit features of the picture, or none.
     neighbours
         Whether alike pixels around are asked; their answers are computed for every split.
-    unit, iterations, rng
+    sizes, iterations, rng
         As for the others.
-    direct
-        The direct part of the samples, where it is looked at. Surroundings are of the whole.
 
     Raises
     ------
     InputError
-        If there are fewer than 4 samples per pixel, or too few pixels without a bad sample.
+        If there are fewer than 4 samples per pixel, or not at least 2 to learn from and 2 others.
     """
-    spp = picture.shape[-1]
+    spp = scene.samples.spp
     if spp < _FEWEST:
         message = f"learning from halves of the samples needs at least {_FEWEST} spp, got {spp}"
         raise InputError(message)
-    ys, xs = _window(picture.shape[:2], rng)
-    part = picture.read(ys, xs)
+    splits = [(_share_of(spp, share), times) for share, times in _SPLITS]
+    if sizes is not None:
+        splits = [(n, _SPLITS_OF_SIZE) for n in sizes]
+    if not splits or not all(_HALVES <= n <= spp - _HALVES for n, _ in splits):
+        message = (
+            f"without a reference, sizes must be numbers of samples from {_HALVES} to "
+            f"{spp - _HALVES}, got {sizes}"
+        )
+        raise InputError(message)
+    ys, xs = _window(scene, rng)
+    part = scene.samples.read(ys, xs)
     shape = part.shape[:2]
-    features = None if features is None else {k: v[ys, xs] for k, v in features.items()}
-    prepared = _prepared(part, rng) if neighbours else []
-    sizes = [len(places) for places, _ in prepared] or [
-        _share_of(spp, share) for share, _ in _SPLITS
-    ]
+    prepared = _prepared(part, splits, rng) if neighbours else []
     lesson = Lesson(
-        sizes=sizes,
+        sizes=[len(places) for places, _ in prepared] or [n for n, _ in splits],
         reference=False,
         iterations=_ITERATIONS_ALONE if iterations is None else iterations,
     )
-    profile = Profile.of(part, unit=unit) if neighbours else None
+    features = scene.features and {k: v[ys, xs] for k, v in scene.features.items()}
+    profile = Profile.of(part, unit=scene.unit) if neighbours else None
     rows = part.reshape(-1, *part.shape[2:])
-    first = None if direct is None else direct.read(ys, xs).reshape(rows.shape)
+    direct = None if scene.direct is None else scene.direct.read(ys, xs).reshape(rows.shape)
+    chosen = np.full(scene.samples.shape[:2], scene.pixels is None)
+    if scene.pixels is not None:
+        chosen[tuple(scene.pixels.T)] = True
+    wanted = chosen[ys, xs].ravel()
     bad = is_bad(rows).any(axis=(1, 2))
-    if first is not None:
-        bad |= is_bad(first).any(axis=(1, 2))
-    good = np.flatnonzero(~bad)
-    splits = Splits(
-        rows[good],
-        unit=unit,
-        prepared=[(places, shared[good]) for places, shared in prepared],
-        direct=None if first is None else first[good],
-    )
+    if direct is not None:
+        bad |= is_bad(direct).any(axis=(1, 2))
+    good = np.flatnonzero(wanted & ~bad)
     corner = np.array([ys.start, xs.start])
     return Material(
-        splits=splits,
+        splits=Splits(
+            rows[good],
+            unit=scene.unit,
+            prepared=[(places, shared[good]) for places, shared in prepared],
+            direct=None if direct is None else direct[good],
+        ),
         scenery=scenery_of(features, shape, profile)[good],
         lesson=lesson,
         pixels=np.stack(np.unravel_index(good, shape), axis=-1) + corner,
-        excluded=len(rows) - len(good),
+        excluded=int((wanted & bad).sum()),
         parts=[len(good)],
     )
 
@@ -266,19 +272,18 @@ def scenery_of(
 
 def _share_of(spp: int, share: float) -> int:
     """Return a share of the samples, at least 2, with at least 2 to spare: they are cut in two."""
-    return min(max(round(share * spp), 2), spp - 2)
+    return min(max(round(share * spp), _HALVES), spp - _HALVES)
 
 
 def _prepared(
-    picture: Picture, rng: np.random.Generator
+    picture: Picture, splits: Sequence[tuple[int, int]], rng: np.random.Generator
 ) -> list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]]:
-    """Return splits with what alike pixels say in each, shape (pixel, channel)."""
+    """Return so many splits of each size with what alike pixels say, shape (pixel, channel)."""
     spp, found = picture.shape[-1], []
-    for share, times in _SPLITS:
+    for n, times in splits:
         # Of many samples, fewer splits differ enough, and each takes longer.
         for _ in range(times if spp <= 128 else max(1, times // 3)):
             places = rng.permutation(spp)
-            n = _share_of(spp, share)
             found += [places[:n], places[n:]] if 2 * n == spp else [places[:n]]
     return [(places, ask(picture[..., places])) for places in found]
 
@@ -289,9 +294,15 @@ def ask(picture: Picture) -> npt.NDArray[np.float32]:
     return np.asarray(answers.reshape(-1, answers.shape[-1]), np.float32)
 
 
-def _window(shape: tuple[int, ...], rng: np.random.Generator) -> tuple[slice, slice]:
-    """Return the part of a picture that trains."""
-    starts = [int(rng.integers(max(length - _WINDOW, 0) + 1)) for length in shape[:2]]
-    ends = (min(start + _WINDOW, length) for start, length in zip(starts, shape, strict=False))
+def _window(scene: Scene, rng: np.random.Generator) -> tuple[slice, slice]:
+    """Return the part of a picture that trains, around one of the chosen pixels."""
+    shape = scene.samples.shape[:2]
+    most = [max(length - _WINDOW, 0) for length in shape]
+    if scene.pixels is None or not len(scene.pixels):
+        starts = [int(rng.integers(last + 1)) for last in most]
+    else:
+        middle = scene.pixels[rng.integers(len(scene.pixels))]
+        starts = [int(start) for start in np.clip(middle - _WINDOW // 2, 0, most)]
+    ends = (min(start + _WINDOW, length) for start, length in zip(starts, shape, strict=True))
     ys, xs = (slice(start, end) for start, end in zip(starts, ends, strict=True))
     return ys, xs

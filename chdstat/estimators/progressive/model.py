@@ -2,13 +2,13 @@
 
 >>> from chdstat.estimators import Progressive
 >>> model = Progressive()  # then model.train(samples), where there is a reference
->>> alone = Progressive(neighbours=True)  # then alone.train(samples, reference=False)
+>>> alone = Progressive(inputs=["neighbours"])  # alone.train(samples): it needs no reference
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, Self
 
@@ -20,6 +20,7 @@ from chdstat.errors import InputError
 from chdstat.estimators.heldout import Totals, direct_of
 from chdstat.estimators.progressive.application import Alike, apply, with_constants, with_means
 from chdstat.estimators.progressive.exposure import picture_unit
+from chdstat.estimators.progressive.inputs import Input, InputConfig
 from chdstat.estimators.progressive.lessons import (
     Material,
     with_reference,
@@ -30,7 +31,6 @@ from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.provenance import Origin, provenance_of
 from chdstat.estimators.progressive.questions import Question, check_asked
 from chdstat.estimators.progressive.results import Estimates, Learned
-from chdstat.estimators.progressive.sights import Sights
 from chdstat.estimators.progressive.storage import read_learned, write_learned
 from chdstat.estimators.progressive.teaching import teach
 from chdstat.estimators.training import History
@@ -62,14 +62,12 @@ class Progressive:
 
     Parameters
     ----------
-    features
-        Whether it looks at what the camera rays hit: albedo, normal, depth and position.
-    neighbours
-        Whether it looks at the pixels around, too: at their profiles, and at what `shared_patches`
-        makes of those that are alike. Only without a reference.
-    direct
-        Whether it looks at direct and indirect light apart, as `chdstat.render` tells them with
-        ``direct=True``: light that comes seldom is then known to be indirect.
+    inputs
+        What it sees beside the samples of a pixel, any of: "features", what the camera rays hit
+        (albedo, normal, depth and position); "neighbours", the profiles of the pixels around and
+        what `shared_patches` makes of those that are similar, which is learned without a
+        reference; "direct", direct and indirect light separately, as `chdstat.render` tells them
+        with ``direct=True``: light that comes seldom is then known to be indirect.
 
     References
     ----------
@@ -92,26 +90,13 @@ class Progressive:
 
     name = "progressive"
 
-    def __init__(
-        self,
-        *,
-        features: bool = False,
-        neighbours: bool = False,
-        direct: bool = False,
-    ) -> None:
-        self.features = features
-        self.neighbours = neighbours
-        self.direct = direct
+    def __init__(self, *, inputs: Iterable[Input] = ()) -> None:
+        self.inputs = InputConfig.of(inputs)
         self._learned: Learned | None = None
 
     def __repr__(self) -> str:
         known = "untrained" if self._learned is None else f"scene {self.provenance['scene']!r}"
-        return f"<Progressive {', '.join([*self.sights.names(), known])}>"
-
-    @property
-    def sights(self) -> Sights:
-        """What it looks at beside the samples of a pixel."""
-        return Sights(self.features, self.neighbours, self.direct)
+        return f"<Progressive {', '.join([*self.inputs.names, known])}>"
 
     @property
     def unit(self) -> float:
@@ -163,7 +148,7 @@ class Progressive:
         self,
         samples: Samples | Sequence[Samples],
         *,
-        reference: bool = True,
+        reference: bool | None = None,
         seed: int = 0,
         sizes: Sequence[int] | None = None,
         iterations: int | None = None,
@@ -180,16 +165,18 @@ class Progressive:
         reference
             True takes the other samples of a pixel for the truth, which needs many more than the
             numbers of samples that will be estimated from. False learns from splits of the samples.
+            None is True unless neighbours are an input, which are learned without a reference.
         seed
             Draws the pixels, the first weights and the minibatches.
         sizes
-            With a reference, the numbers of samples to learn from; None for 4 to 512. Fewer of them
-            are learned a little better; others can be estimated from all the same.
+            Numbers of samples to learn from; None for 4 to 512 with a reference, and for a half
+            and three quarters of the samples without. Fewer of them are learned a little better;
+            others can be estimated from all the same.
         iterations
             Minibatches; None for 6000 with a reference and 2000 without.
         pixels
-            With a reference, train on these, rows (y, x), and draw none; of several pictures, one
-            array each.
+            Train on these, rows (y, x); of several pictures, one array each. None draws some with a
+            reference, and takes all without; then those in a part of 256 x 256 pixels train.
         progress
             Show a progress bar; None shows it on a terminal.
 
@@ -201,46 +188,39 @@ class Progressive:
         Raises
         ------
         InputError
-            If there are too few samples or good pixels, an option does not fit the others, the
-            pictures differ in channels, or one has no features, or no direct part of all samples,
-            where they are wanted.
+            If there are too few samples or good pixels, neighbours are to be learned from with a
+            reference, there are several pictures without one, or they differ in channels, or one
+            has no features, or no direct part of all samples, where these are inputs.
         """
         if iterations is not None and iterations < 1:
             message = f"iterations must be at least 1, got {iterations}"
             raise InputError(message)
         pictures = [samples] if isinstance(samples, Samples) else list(samples)
-        sights = self.sights
-        sights.check_lesson(pictures, reference=reference, split_options=(pixels, sizes))
-        if reference:
-            given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
-            drawn = chosen_pixels(pictures, given, seed=seed)
-            scenes = [
-                Scene(
-                    picture,
-                    sights.features_of(picture),
-                    picture_unit(_means(picture)),
-                    own,
-                    direct_of(picture) if self.direct else None,
-                )
-                for picture, own in zip(pictures, drawn, strict=True)
-            ]
-            material = with_reference(
-                scenes,
+        supervised = not self.inputs.neighbours if reference is None else reference
+        self.inputs.check_training(pictures, reference=supervised)
+        given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
+        chosen = chosen_pixels(pictures, given, reference=supervised, seed=seed)
+        scenes = [
+            Scene(
+                picture,
+                self.inputs.features_of(picture),
+                picture_unit(_means(picture)),
+                own,
+                direct_of(picture) if self.inputs.direct else None,
+            )
+            for picture, own in zip(pictures, chosen, strict=True)
+        ]
+        if supervised:
+            material = with_reference(scenes, sizes=sizes, iterations=iterations)
+        else:
+            material = without_reference(
+                scenes[0],
+                neighbours=self.inputs.neighbours,
                 sizes=sizes,
                 iterations=iterations,
-            )
-            units = [scene.unit for scene in scenes]
-        else:
-            units = [picture_unit(_means(pictures[0]))]
-            material = without_reference(
-                pictures[0],
-                features=sights.features_of(pictures[0]),
-                neighbours=self.neighbours,
-                unit=units[0],
-                iterations=iterations,
                 rng=generator(seed),
-                direct=direct_of(pictures[0]) if self.direct else None,
             )
+        units = [scene.unit for scene in scenes]
         self._learned = self._learn(pictures, material, units, seed=seed, progress=progress)
         return self
 
@@ -367,17 +347,17 @@ class Progressive:
         Raises
         ------
         InputError
-            As for `estimate`; or if it looks at neighbours, which need samples.
+            As for `estimate`; or if neighbours are an input, which need samples.
         """
         shape = self._state.network.shape
         check_asked(shape.channels, profile.channels, balance)
-        self.sights.check_profile(profile, shape.parts)
+        self.inputs.check_profile(profile, shape.parts)
         pixels = profile.count.shape
         rows = profile.reshape(-1)
         return apply(
             self._state,
             lambda part: rows[part],
-            self.sights.scenery(features, pixels, None, described=shape.described),
+            self.inputs.scenery(features, pixels, None, described=shape.described),
             None,
             shape=pixels,
             balance=balance,
@@ -394,7 +374,7 @@ class Progressive:
         StoreError
             If the file cannot be written.
         """
-        write_learned(path, self._state, asdict(self.sights))
+        write_learned(path, self._state, self.inputs.names)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -405,9 +385,8 @@ class Progressive:
         StoreError
             If there is no such file, it is damaged, or it holds something else.
         """
-        learned, sights = read_learned(path)
-        model = cls(**sights)
-        model._learned = learned
+        model = cls()
+        model._learned, model.inputs = read_learned(path)
         return model
 
     @property
@@ -430,7 +409,7 @@ class Progressive:
             material, channels=pictures[0].shape[2], seed=seed, progress=progress
         )
         origins = [Origin.of(one, unit) for one, unit in zip(pictures, units, strict=True)]
-        provenance = provenance_of(origins, material, sights=self.sights, seed=seed, trust=trust)
+        provenance = provenance_of(origins, material, inputs=self.inputs, seed=seed, trust=trust)
         return Learned(
             network,
             spread,
@@ -443,7 +422,7 @@ class Progressive:
         )
 
     def _asked(self, x: npt.ArrayLike, **given: Any) -> Question:
-        return Question.of(x, self.sights, self.channels, **given)
+        return Question.of(x, self.inputs, self.channels, **given)
 
     def _answer(
         self, asked: Question, trust: float | Literal["halves"], *, level: float | None
@@ -453,7 +432,7 @@ class Progressive:
             message = f"trust must lie between 0 and 1, or be 'halves', got {share}"
             raise InputError(message)
         state = self._state
-        scenery, alike = asked.seen(self.sights, state.network.shape)
+        scenery, alike = asked.seen(self.inputs, state.network.shape)
         found = apply(
             replace(state, trust=state.trust * share),
             asked.profile,

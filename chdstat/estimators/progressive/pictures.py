@@ -36,7 +36,7 @@ class Scene:
     unit
         Its mean radiance.
     pixels
-        Which of its pixels train, rows (y, x).
+        Which of its pixels train, rows (y, x); None for all.
     direct
         The direct part of the samples, where it is looked at.
     """
@@ -44,7 +44,7 @@ class Scene:
     samples: Samples
     features: Features | None
     unit: float
-    pixels: npt.NDArray[np.int64]
+    pixels: npt.NDArray[np.int64] | None
     direct: Samples | None = None
 
 
@@ -77,21 +77,22 @@ class Lot:
     def of(cls, scene: Scene, spp: int) -> Lot:
         """Read that many samples of each pixel."""
         shape = scene.samples.shape[:2]
-        every, good = _rows(scene.samples, scene.pixels, spp)
+        pixels = np.argwhere(np.ones(shape, bool)) if scene.pixels is None else scene.pixels
+        every, good = _rows(scene.samples, pixels, spp)
         first = None
         if scene.direct is not None:
-            first, also = _rows(scene.direct, scene.pixels, spp)
+            first, also = _rows(scene.direct, pixels, spp)
             good &= also
-        rows, pixels = _in_unit(every, good, scene.unit), scene.pixels[good]
+        rows, pixels = _in_unit(every, good, scene.unit), pixels[good]
         direct = None if first is None else _in_unit(first, good, scene.unit)
         described = describe(scene.features, shape)[tuple(pixels.T)]
         return cls(rows, described, pixels, int((~good).sum()), direct)
 
 
 def chosen_pixels(
-    pictures: Sequence[Samples], given: Any, *, seed: int
-) -> list[npt.NDArray[np.int64]]:
-    """Return the pixels of each picture that train, rows (y, x): those given, or drawn.
+    pictures: Sequence[Samples], given: Any, *, reference: bool, seed: int
+) -> list[npt.NDArray[np.int64] | None]:
+    """Return the pixels of each picture that train, rows (y, x): those given, or drawn, or all.
 
     A picture draws fewer beside many others, from those that it draws alone.
 
@@ -101,6 +102,8 @@ def chosen_pixels(
         All that train together.
     given
         An array for each, or None.
+    reference
+        Whether there is one: then pixels are drawn where none are given.
     seed
         Where the draw starts.
 
@@ -109,6 +112,8 @@ def chosen_pixels(
     InputError
         If there are not as many arrays as pictures, or one is not of pixels of its picture.
     """
+    if given is None and not reference:
+        return [None] * len(pictures)
     if given is None:
         count = min(_PIXELS, _MOST_PIXELS // len(pictures))
         return [draw_pixels(picture.shape[:2], count, seed=seed) for picture in pictures]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Self
 
 import chdstat
+from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.lessons import Material
-from chdstat.estimators.progressive.sights import Sights
 from chdstat.samples import Samples
 
 __all__ = ["Origin", "provenance_of"]
@@ -55,7 +55,7 @@ def provenance_of(
     origins: Sequence[Origin],
     material: Material,
     *,
-    sights: Sights,
+    inputs: InputConfig,
     seed: int,
     trust: float,
 ) -> dict[str, Any]:
@@ -67,8 +67,8 @@ def provenance_of(
         What trained.
     material
         What was made of it.
-    sights
-        What the estimator looks at.
+    inputs
+        Of the estimator.
     seed
         Of the training.
     trust
@@ -81,7 +81,7 @@ def provenance_of(
         "samples": scenes[0]["samples"],
         "samples_shape": scenes[0]["samples_shape"],
         "reference": material.lesson.reference,
-        **asdict(sights),
+        "inputs": list(inputs.names),
         "seed": seed,
         "pixels_used": len(material.pixels),
         "pixels_excluded": material.excluded,

@@ -14,10 +14,10 @@ from chdstat.errors import InputError
 from chdstat.estimators._rows import check_pixels
 from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.progressive.exposure import picture_unit
+from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.lessons import Scenery, ask
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.shapes import Shape
-from chdstat.estimators.progressive.sights import Sights
 
 __all__ = ["Question", "check_asked"]
 
@@ -36,7 +36,7 @@ class Question:
     features
         First-hit features of the picture.
     direct
-        Direct part of the samples, of their shape; None where nobody looks at it.
+        Direct part of the samples, of their shape; None where it is no input.
     balance
         From 0, the least MSE, to 1, the least relMSE.
     unit
@@ -53,7 +53,7 @@ class Question:
     def of(
         cls,
         x: npt.ArrayLike,
-        sights: Sights,
+        inputs: InputConfig,
         channels: int,
         *,
         features: Features | None,
@@ -61,7 +61,7 @@ class Question:
         balance: float,
         unit: float | None,
     ) -> Self:
-        """Check what a user asks of an estimator with sights, for samples of so many channels.
+        """Check what a user asks of an estimator with inputs, for samples of so many channels.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class Question:
             message = f"x must have shape (..., channel, sample), got {samples.shape}"
             raise InputError(message)
         check_asked(channels, samples.shape[-2], balance)
-        part = sights.direct_of(direct, samples.shape)
+        part = inputs.direct_of(direct, samples.shape)
         measured = picture_unit(mean_of_good(samples)) if unit is None else unit
         return cls(samples, features, part, balance, measured)
 
@@ -95,7 +95,9 @@ class Question:
             direct=None if self.direct is None else self._flat(self.direct)[part],
         )
 
-    def seen(self, sights: Sights, shape: Shape) -> tuple[Scenery, npt.NDArray[np.float32] | None]:
+    def seen(
+        self, inputs: InputConfig, shape: Shape
+    ) -> tuple[Scenery, npt.NDArray[np.float32] | None]:
         """Return what a network sees beside the samples, and what alike pixels say.
 
         Raises
@@ -104,11 +106,11 @@ class Question:
             If the samples are no picture where they must be, or features are not as in training.
         """
         profile, alike = None, None
-        if sights.neighbours:
+        if inputs.neighbours:
             check_pixels(self.samples, picture=True)
             profile = Profile.of(self.samples, unit=self.unit)
             alike = ask(self.samples) / np.float32(self.unit)
-        scenery = sights.scenery(self.features, self.shape, profile, described=shape.described)
+        scenery = inputs.scenery(self.features, self.shape, profile, described=shape.described)
         return scenery, alike
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from chdstat.errors import StoreError
 from chdstat.estimators._modelfile import read_model, write_model
+from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.results import Learned
 from chdstat.estimators.progressive.shapes import Shape
 from chdstat.estimators.progressive.spread import Spread
@@ -22,8 +23,8 @@ _KIND = "progressive"
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
-def write_learned(path: str | Path, learned: Learned, sights: Mapping[str, bool]) -> None:
-    """Write what was learned, and what the estimator looks at.
+def write_learned(path: str | Path, learned: Learned, inputs: Sequence[str]) -> None:
+    """Write what was learned, and from which inputs.
 
     Raises
     ------
@@ -33,7 +34,7 @@ def write_learned(path: str | Path, learned: Learned, sights: Mapping[str, bool]
     about = {
         "kind": _KIND,
         "shape": learned.network.shape.to_dict(),
-        "sights": dict(sights),
+        "inputs": list(inputs),
         "unit": learned.unit,
         "train_shape": learned.train_shape,
         "trust": learned.trust,
@@ -47,8 +48,8 @@ def write_learned(path: str | Path, learned: Learned, sights: Mapping[str, bool]
     write_model(Path(path), arrays, about)
 
 
-def read_learned(path: str | Path) -> tuple[Learned, dict[str, bool]]:
-    """Read what was learned, and what the estimator looks at.
+def read_learned(path: str | Path) -> tuple[Learned, InputConfig]:
+    """Read what was learned, and from which inputs.
 
     Raises
     ------
@@ -59,8 +60,14 @@ def read_learned(path: str | Path) -> tuple[Learned, dict[str, bool]]:
     if about.get("kind") != _KIND:
         message = f"{path} holds a model of kind {about.get('kind')!r}, not {_KIND!r}"
         raise StoreError(message)
+    if "inputs" not in about:
+        message = (
+            f"{path} was trained by an earlier version, which measured images in another unit; "
+            "train it again"
+        )
+        raise StoreError(message)
     try:
-        return _learned(arrays, about), {k: bool(v) for k, v in about["sights"].items()}
+        return _learned(arrays, about), InputConfig.of(about["inputs"])
     except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
         message = f"{path} does not hold a whole network ({error!r}); train or copy it again"
         raise StoreError(message) from error

@@ -148,7 +148,7 @@ class Stream:
         if samples.ndim < 2:
             message = f"x must have shape (..., channel, sample), got {samples.shape}"
             raise InputError(message)
-        part = self._model.sights.direct_of(direct, samples.shape)
+        part = self._model.inputs.direct_of(direct, samples.shape)
         shape, channels = samples.shape[:-2], samples.shape[-2]
         if self._profile is None:
             unit = picture_unit(mean_of_good(samples)) if self._unit is None else self._unit
@@ -218,7 +218,7 @@ class Stream:
 
     @property
     def _parts(self) -> int:
-        return 2 if self._model.direct else 1
+        return 2 if self._model.inputs.direct else 1
 
     @property
     def _state(self) -> Profile:
@@ -235,7 +235,7 @@ class Stream:
             message = f"the model takes {self._model.channels} channels, got {channels}"
             raise InputError(message)
         size = shape[0], shape[1]
-        described = describe(self.features if self._model.features else None, size)
+        described = describe(self.features if self._model.inputs.features else None, size)
         return Course(
             size,
             channels,
@@ -248,13 +248,13 @@ class Stream:
 
 
 def _check_pupil(model: Progressive, features: Features | None) -> None:
-    if model.neighbours:
+    if model.inputs.neighbours:
         message = (
             "learning from a stream takes a model without neighbours, which need the samples; got "
             f"{model!r}"
         )
         raise InputError(message)
-    if model.features and not features:
+    if model.inputs.features and not features:
         message = "the model looks at first-hit features, but the stream got none; pass features="
         raise InputError(message)
 

@@ -79,6 +79,6 @@ def trained() -> Progressive:
 @pytest.fixture(scope="session")
 def alone() -> Progressive:
     """Return one that had none, and looks at features and neighbours."""
-    model = Progressive(features=True, neighbours=True)
+    model = Progressive(inputs=["features", "neighbours"])
     samples = _make(24, 32, seed=1, smooth=True).samples
     return model.train(samples, reference=False, iterations=20, progress=False)

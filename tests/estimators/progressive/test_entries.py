@@ -44,7 +44,7 @@ def test_a_model_at_hand_is_not_trained_again(quick, trained, picture):
 def test_features_reach_those_who_look_at_them(quick, picture):
     samples = picture(12, 32, seed=0).samples
     found = chd.compare(samples, ["mean", "progressive_features"], n=8)
-    assert quick[0].features
+    assert quick[0].inputs.features
     assert np.isfinite(found.estimates).all()
 
 

@@ -190,7 +190,7 @@ def test_an_estimator_that_looks_around_refuses_what_is_no_picture(alone, smooth
         alone.predict(smooth.x[0], features=features)
     with pytest.raises(InputError, match=r"must have shape \(24, 24\)"):
         alone.predict(smooth.x, features={"albedo": features["albedo"][:5]})
-    with pytest.raises(InputError, match="looks at 6 numbers .* give 0; pass features="):
+    with pytest.raises(InputError, match="sees 6 numbers .* give 0; pass features="):
         alone.predict(smooth.x)
 
 
@@ -225,7 +225,7 @@ def test_a_saved_one_comes_back_to_the_bit(trained, fresh, tmp_path):
 def test_one_that_looks_around_comes_back_too(alone, smooth, tmp_path):
     alone.save(tmp_path / "model")
     loaded = Progressive.load(tmp_path / "model")
-    assert (loaded.features, loaded.neighbours) == (True, True)
+    assert loaded.inputs == alone.inputs
     features = smooth.samples.features
     expected = alone.predict(smooth.x, features=features)
     assert (loaded.predict(smooth.x, features=features) == expected).all()

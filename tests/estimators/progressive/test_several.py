@@ -26,9 +26,9 @@ def varied(height=24, width=20, spp=64, seed=1, scale=1.0):
 
 
 def trained(samples, **options):
-    sees = {key: options.pop(key) for key in ("features",) if key in options}
+    inputs = options.pop("inputs", [])
     options = {"iterations": 8, "sizes": [8], "progress": False} | options
-    return Progressive(**sees).train(samples, **options)
+    return Progressive(inputs=inputs).train(samples, **options)
 
 
 @pytest.fixture(scope="module")
@@ -109,15 +109,15 @@ def test_pixels_with_a_bad_sample_are_left_out_of_their_own_scene():
 @pytest.mark.parametrize(
     ("pictures", "options", "words"),
     [
-        ([], {}, "at least one picture"),
-        ([flat(), varied()], {"reference": False, "sizes": None}, "without one, give the one"),
+        ([], {}, "at least one image"),
+        ([flat(), varied()], {"reference": False, "sizes": None}, "give the one image"),
         ([flat(), varied()], {"pixels": [[[0, 0], [1, 1]]]}, "each of 2 pictures, got 1"),
         (
             [flat(), chd.Samples.from_array(np.ones((8, 8, 3, 64)))],
             {},
             r"same channels, got \[1, 3\]",
         ),
-        ([flat(), varied()], {"features": True}, "no first-hit features"),
+        ([flat(), varied()], {"inputs": ["features"]}, "no first-hit features"),
     ],
 )
 def test_scenes_that_do_not_fit_are_refused(pictures, options, words):
@@ -131,7 +131,7 @@ def test_scenes_with_different_features_are_refused():
     one = chd.Samples.from_array(x, features={"depth": depth})
     two = chd.Samples.from_array(x, features={"depth": depth, "albedo": np.ones((8, 8, 3))})
     with pytest.raises(InputError, match="same numbers of the first hit"):
-        trained([one, two], features=True)
+        trained([one, two], inputs=["features"])
 
 
 # --- files ---------------------------------------------------------------------------------------

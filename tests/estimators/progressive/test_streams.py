@@ -45,7 +45,7 @@ def test_lamps_keep_their_light(trained, picture, ends):
 def test_features_are_looked_at(picture):
     source = picture(12, 32, seed=4)
     features = source.samples.features
-    model = Progressive(features=True).train(source.samples, iterations=3, progress=False)
+    model = Progressive(inputs=["features"]).train(source.samples, iterations=3, progress=False)
     stream = Stream(model, features=features, unit=1.0)
     stream.update(source.x)
     expected = model.predict(source.x, features=features, unit=1.0)
@@ -149,7 +149,7 @@ def test_one_that_looks_at_neighbours_needs_the_samples(alone):
 def learner(source, *, batch=16, iterations=(), **options):
     """Return a stream that was fed batch by batch, and learned after the last ones."""
     features = source.samples.features
-    stream = Stream(Progressive(features=True), features=features, learns=True, **options)
+    stream = Stream(Progressive(inputs=["features"]), features=features, learns=True, **options)
     batches = np.split(source.x, range(batch, source.x.shape[-1], batch), axis=-1)
     times = [0] * (len(batches) - len(iterations)) + list(iterations)
     for x, count in zip(batches, times, strict=True):
@@ -301,8 +301,8 @@ def test_bad_samples_are_left_out_where_it_learns(source):
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"model": Progressive(neighbours=True)}, "neighbours, which need the samples"),
-        ({"model": Progressive(features=True)}, "looks at first-hit features"),
+        ({"model": Progressive(inputs=["neighbours"])}, "neighbours, which need the samples"),
+        ({"model": Progressive(inputs=["features"])}, "looks at first-hit features"),
     ],
 )
 def test_models_that_cannot_learn_from_a_stream_are_refused(options, match):

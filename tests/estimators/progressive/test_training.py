@@ -1,5 +1,7 @@
 """Training: it repeats, learns what it claims to, and its loss has the minimiser that it states."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 import torch
@@ -62,7 +64,7 @@ def test_without_a_reference_seeds_repeat_too(picture):
     source = picture(12, 8, seed=2, smooth=True)
     features = source.samples.features
     first, again = (
-        Progressive(features=True, neighbours=True)
+        Progressive(inputs=["features", "neighbours"])
         .train(source.samples, reference=False, iterations=3, progress=False)
         .predict(source.x, features=features)
         for _ in range(2)
@@ -137,7 +139,7 @@ def test_without_a_reference_it_beats_the_mean_and_is_little_biased(picture):
     pictures are judged by the benchmarks.
     """
     source = picture(32, 32, seed=1, smooth=True)
-    model = Progressive(features=True)
+    model = Progressive(inputs=["features"])
     model.train(source.samples, reference=False, iterations=300, progress=False)
     found = model.predict(source.x, features=source.samples.features)
     assert source.error(found) < 0.6
@@ -195,20 +197,22 @@ def test_fireflies_beyond_all_bounds_leave_a_finite_network(picture):
 @pytest.mark.parametrize(
     ("made", "options", "match"),
     [
-        ({}, {"iterations": 0}, "iterations must be at least 1, got 0"),
-        ({"neighbours": True}, {}, "neighbours=True learns without a reference"),
-        ({}, {"reference": False, "pixels": [[0, 0]]}, "for training with a reference"),
-        ({}, {"reference": False, "sizes": [4]}, "for training with a reference"),
-        ({}, {"sizes": []}, "sizes must be one or more"),
-        ({}, {"sizes": [0]}, "sizes must be one or more"),
-        ({}, {"sizes": [64]}, "at least 128 spp, got 16"),
-        ({"features": True}, {}, "no first-hit features"),
+        ([], {"iterations": 0}, "iterations must be at least 1, got 0"),
+        (["neighbours"], {"reference": True}, "learned from without a reference"),
+        ([], {"reference": False, "sizes": [15]}, "from 2 to 14, got"),
+        ([], {"reference": False, "sizes": []}, "from 2 to 14, got"),
+        ([], {"reference": False, "pixels": [[0, 8]]}, "lie in the picture of 8 x 8"),
+        ([], {"sizes": []}, "sizes must be one or more"),
+        ([], {"sizes": [0]}, "sizes must be one or more"),
+        ([], {"sizes": [64]}, "at least 128 spp, got 16"),
+        (["features"], {}, "no first-hit features"),
+        (["neighbors"], {}, "inputs must be among .*got .*neighbors"),
     ],
 )
 def test_it_refuses_what_it_cannot_use(picture, made, options, match):
     samples = chd.Samples.from_array(picture(8, 16, seed=0).x)
     with pytest.raises(InputError, match=match):
-        Progressive(**made).train(samples, progress=False, **options)
+        Progressive(inputs=made).train(samples, progress=False, **options)
 
 
 @pytest.mark.parametrize("reference", [True, False])
@@ -223,3 +227,37 @@ def test_it_says_how_many_samples_it_needs(reference):
 def test_it_says_that_too_few_pixels_are_good(x, reference):
     with pytest.raises(InputError, match="at least 2 pixels|pixels"):
         Progressive().train(chd.Samples.from_array(x), reference=reference, progress=False)
+
+
+EVERY = ("features", "neighbours", "direct")
+
+
+@pytest.mark.parametrize("inputs", [c for n in range(4) for c in combinations(EVERY, n)])
+def test_inputs_and_options_go_together(inputs):
+    """Of all combinations only one is refused: neighbours with a reference."""
+    x = np.random.default_rng(0).exponential(size=(6, 6, 1, 12)).astype(np.float32)
+    samples = chd.Samples.from_array(x, features={"depth": np.ones((6, 6))}, direct=x / 2)
+    given = {"pixels": [[0, 1], [2, 3], [4, 4], [5, 5]], "sizes": [3, 6], "iterations": 1}
+    for reference in (None, True, False):
+        model = Progressive(inputs=inputs)
+        if reference and "neighbours" in inputs:
+            with pytest.raises(InputError, match="learned from without a reference"):
+                model.train(samples, reference=reference, **given)
+            continue
+        model.train(samples, reference=reference, progress=False, **given)
+        told = model.provenance
+        expected = "neighbours" not in inputs if reference is None else reference
+        assert (told["reference"], told["sizes"]) == (expected, [3, 6])
+        assert set(told["inputs"]) == set(inputs)
+        assert model.train_pixels.tolist() == given["pixels"]
+
+
+def test_without_a_reference_a_part_of_a_large_picture_around_given_pixels_trains():
+    x = np.random.default_rng(0).exponential(size=(4, 600, 1, 4)).astype(np.float32)
+    given = [[y, x] for y in range(4) for x in (300, 301, 599)]
+    for seed in (0, 1):
+        model = Progressive().train(
+            chd.Samples.from_array(x), reference=False, pixels=given, seed=seed, iterations=1
+        )
+        found = model.train_pixels.tolist()
+        assert found in ([p for p in given if p[1] < 599], [p for p in given if p[1] == 599])

@@ -60,7 +60,7 @@ def unrelated():
 @pytest.fixture(scope="module")
 def doubted(unrelated):
     samples = chd.Samples.from_array(unrelated[0])
-    return Progressive(neighbours=True).train(
+    return Progressive(inputs=["neighbours"]).train(
         samples, reference=False, iterations=150, progress=False
     )
 
@@ -105,7 +105,7 @@ def test_a_pixel_of_one_light_keeps_it(alone, picture):
 
 def test_the_fewest_samples_that_can_train(picture):
     source = picture(12, 4, seed=3)
-    model = Progressive(neighbours=True)
+    model = Progressive(inputs=["neighbours"])
     model.train(chd.Samples.from_array(source.x), reference=False, iterations=2, progress=False)
     found = model.estimate(source.x)
     assert np.isfinite(found.radiance).all()

@@ -1,0 +1,182 @@
+"""Inputs: what the estimator sees beside the samples of a pixel, and whether it is all there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._arrays import as_samples
+from chdstat.errors import InputError
+from chdstat.estimators.progressive.lessons import Scenery, scenery_of
+from chdstat.estimators.progressive.profiles import Profile
+from chdstat.samples import Samples
+
+__all__ = ["Input", "InputConfig"]
+
+Array = npt.NDArray[Any]
+Features = Mapping[str, Array]
+Input = Literal["features", "neighbours", "direct"]
+
+
+@dataclass(frozen=True)
+class InputConfig:
+    """What the estimator sees beside the samples of a pixel.
+
+    Attributes
+    ----------
+    features
+        Whether it sees what the camera rays hit: albedo, normal, depth and position.
+    neighbours
+        Whether it sees the pixels around: their profiles, and what `shared_patches` makes of those
+        that are similar.
+    direct
+        Whether it sees direct and indirect light separately.
+    """
+
+    features: bool = False
+    neighbours: bool = False
+    direct: bool = False
+
+    @classmethod
+    def of(cls, names: Iterable[str]) -> Self:
+        """Return the configuration with the inputs of these names.
+
+        Raises
+        ------
+        InputError
+            If there is no such input.
+
+        Examples
+        --------
+        >>> InputConfig.of(["direct", "features"]).names
+        ('features', 'direct')
+        """
+        given = {names} if isinstance(names, str) else set(names)
+        known = {field.name for field in fields(cls)}
+        if not given <= known:
+            message = f"inputs must be among {sorted(known)}, got {sorted(map(str, given))}"
+            raise InputError(message)
+        return cls(**dict.fromkeys(given, True))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the inputs, in the order of the attributes."""
+        return tuple(field.name for field in fields(self) if getattr(self, field.name))
+
+    def check_training(self, images: Sequence[Samples], *, reference: bool) -> None:
+        """Refuse what cannot be learned from.
+
+        Raises
+        ------
+        InputError
+            If there is no image, several without a reference, or neighbours with one.
+        """
+        if not images:
+            message = "training needs at least one image, got none"
+            raise InputError(message)
+        if reference and self.neighbours:
+            message = "neighbours are learned from without a reference; pass reference=False"
+            raise InputError(message)
+        if not reference and len(images) > 1:
+            message = (
+                f"without a reference, give the one image that is to be improved, got {len(images)}"
+            )
+            raise InputError(message)
+
+    def features_of(self, samples: Samples) -> Features | None:
+        """Return the first-hit features of an image, None where they are no input.
+
+        Raises
+        ------
+        InputError
+            If they are wanted and missing.
+        """
+        if not self.features:
+            return None
+        if not samples.features:
+            message = (
+                "this image has no first-hit features; render it, or leave 'features' out of inputs"
+            )
+            raise InputError(message)
+        return samples.features
+
+    def direct_of(self, direct: npt.ArrayLike | None, shape: tuple[int, ...]) -> Array | None:
+        """Return the direct part of samples of a shape, None where it is no input.
+
+        Raises
+        ------
+        InputError
+            If it is wanted, and missing or of another shape.
+        """
+        if not self.direct:
+            return None
+        if direct is None:
+            message = (
+                "the model sees direct light; pass direct=, the direct part of the samples, as "
+                "Samples.direct of an image that was rendered with direct=True"
+            )
+            raise InputError(message)
+        part = as_samples(direct, name="direct")
+        if part.shape != shape:
+            message = f"direct must have the shape of the samples, {shape}, got {part.shape}"
+            raise InputError(message)
+        return part
+
+    def check_profile(self, profile: Profile, parts: int) -> None:
+        """Refuse profiles that do not hold the inputs, `parts` parts of each sample.
+
+        Raises
+        ------
+        InputError
+            If neighbours are an input, or profiles have other parts.
+        """
+        if self.neighbours:
+            message = "an estimator that sees neighbours needs the samples, not their profiles"
+            raise InputError(message)
+        if profile.parts != parts:
+            message = f"the model sees {parts} part(s) of a sample, got {profile.parts}"
+            raise InputError(message)
+
+    def scenery(
+        self,
+        features: Features | None,
+        shape: tuple[int, ...],
+        profile: Profile | None,
+        *,
+        described: int,
+    ) -> Scenery:
+        """Return what is seen of pixels beside their samples.
+
+        Parameters
+        ----------
+        features
+            Of the image.
+        shape
+            Of the pixels.
+        profile
+            Of the image, where neighbours are an input.
+        described
+            Numbers that describe a pixel's first hit.
+
+        Raises
+        ------
+        InputError
+            If the pixels are no image where they must be, or features are not as in training.
+        """
+        found = Scenery.nothing(int(np.prod(shape)))
+        if self.features or self.neighbours:
+            if len(shape) != 2:
+                message = f"features belong to an image (y, x, channel, sample), got pixels {shape}"
+                raise InputError(message)
+            found = scenery_of(features if self.features else None, (shape[0], shape[1]), profile)
+        if found.described.shape[1] != described:
+            message = (
+                f"the model sees {described} numbers of the first hit, but these features give "
+                f"{found.described.shape[1]}; pass features= as it was trained with"
+            )
+            raise InputError(message)
+        return found
