@@ -6,16 +6,19 @@ Samples lie on the last axis; leading axes are a batch (pixels, channels).
 from __future__ import annotations
 
 import operator
+import sys
+import warnings
 from collections.abc import Iterator, Sequence
 from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.errors import InputError
+from chdstat.errors import InputError, LeftOutWarning
 
 __all__ = [
     "LUMINANCE",
+    "all_good",
     "as_samples",
     "block_numbers",
     "generator",
@@ -23,11 +26,16 @@ __all__ = [
     "is_null",
     "luminance",
     "spans",
+    "warn_left_out",
+    "warn_of_bad",
     "whole",
 ]
 
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
 """Weights of linear sRGB in luminance (ITU-R BT.709)."""
+
+_TOLERATED = 0.01
+"""Share of the samples that may be left out without a warning."""
 
 
 def generator(seed: int | Sequence[int] | np.random.Generator | None) -> np.random.Generator:
@@ -91,16 +99,26 @@ def as_samples(
 ) -> npt.NDArray[np.floating[Any]]:
     """Return `x` as a floating-point array with at least `minimum` samples on its last axis.
 
-    float32 and float64 pass through uncopied; integers become float64.
+    float32 and float64 pass through uncopied; signed integers become float64. Masked samples become
+    NaN, which is bad. The named dims of an `xarray.DataArray` are put in the order (..., y, x,
+    channel, sample).
 
     Raises
     ------
     InputError
-        If `x` has no axis, is not real, or holds fewer than `minimum` samples.
+        If `x` has no axis, is not real, or holds fewer than `minimum` samples; if its dims have
+        names and none is "sample"; or if it holds unsigned integers, as encoded images do.
     """
-    array = np.asarray(x)
-    if array.dtype.kind not in "fiu":
-        message = f"{name} must hold real numbers, got dtype {array.dtype}"
+    array = _unmasked(_in_order(x, name), name)
+    if array.dtype.kind == "u":
+        message = (
+            f"{name} holds unsigned integers, {array.dtype}, as images for a display do: samples "
+            "are linear radiance. Decode them (sRGB to linear); numbers that are linear already "
+            "pass as floating point, x.astype(float)"
+        )
+        raise InputError(message)
+    if array.dtype.kind not in "fi":
+        message = f"{name} must hold real numbers, got {_kind(x, array)}"
         raise InputError(message)
     if array.ndim == 0:
         message = f"{name} must have its samples on the last axis, got a single number"
@@ -115,8 +133,37 @@ def as_samples(
 
 
 def is_bad(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
-    """Mark samples that no radiance can be: NaN, infinite or negative."""
-    return np.asarray(~(np.isfinite(x) & (x >= 0)))
+    """Mark samples that are no number: NaN or infinite.
+
+    Negative samples are good: control variates, spectral conversion and ratio estimators are
+    unbiased because of them.
+    """
+    return np.asarray(~np.isfinite(x))
+
+
+def all_good(x: npt.NDArray[np.floating[Any]]) -> bool:
+    """Tell whether no sample is bad, several times faster than marking the bad ones."""
+    # A NaN is both the smallest and the largest sample, and fails both comparisons.
+    return x.size == 0 or bool(x.min() > -np.inf and x.max() < np.inf)
+
+
+def warn_left_out(count: float, total: float, what: str) -> None:
+    """Warn the caller of the library where more than 1 % of something was left out.
+
+    Parameters
+    ----------
+    count, total
+        How many were left out, of how many.
+    what
+        The rest of a sentence that begins with "3.2 % of the ".
+    """
+    if not count > _TOLERATED * total:
+        return
+    frame, level = sys._getframe(1), 2
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] == "chdstat":
+        frame, level = frame.f_back, level + 1
+    message = f"{100 * count / total:.1f} % of the {what}"
+    warnings.warn(message, LeftOutWarning, stacklevel=level)
 
 
 def is_null(x: npt.NDArray[np.floating[Any]], *, channel_axis: int = -2) -> npt.NDArray[np.bool_]:
@@ -178,3 +225,42 @@ def spans(length: int, step: int) -> Iterator[slice]:
     """
     for start in range(0, length, step):
         yield slice(start, min(start + step, length))
+
+
+def warn_of_bad(count: float, total: float) -> None:
+    """Warn the caller of the library where more than 1 % of the samples are bad."""
+    warn_left_out(count, total, "samples are bad (NaN, infinite or masked) and were left out")
+
+
+def _in_order(x: Any, name: str) -> Any:
+    """Return a DataArray with its dims in the order that arrays have here; others pass through."""
+    dims = getattr(x, "dims", None)
+    if not isinstance(dims, tuple) or not hasattr(x, "transpose"):
+        return x
+    if "sample" not in dims:
+        message = (
+            f"{name} has the dims {dims}, and none is called 'sample': rename them to y, x, "
+            "channel and sample, or give the bare array, x.to_numpy()"
+        )
+        raise InputError(message)
+    last = [dim for dim in ("y", "x", "channel", "sample") if dim in dims]
+    return x.transpose(..., *last)
+
+
+def _unmasked(x: Any, name: str) -> npt.NDArray[Any]:
+    """Return an array, with NaN for the samples that a masked array hides."""
+    try:
+        array = np.asarray(x)
+    except ValueError as error:
+        message = f"{name} must be an array, with as many samples in every row: {error}"
+        raise InputError(message) from error
+    if isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x) and array.dtype.kind in "fi":
+        array = array.astype(array.dtype if array.dtype.kind == "f" else np.float64)
+        array[np.ma.getmaskarray(x)] = np.nan
+    return array
+
+
+def _kind(x: object, array: npt.NDArray[Any]) -> str:
+    if hasattr(x, "read") and hasattr(x, "blocks"):
+        return f"{type(x).__name__}; give samples[y, x] of a pixel, or samples.read() of all"
+    return f"dtype {array.dtype}"

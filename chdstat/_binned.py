@@ -40,9 +40,9 @@ class BinnedPart:
         Natural logarithm of radiance at the centre of each bin, shape (..., bin) or (1, ..., bin).
     width
         Width of a bin in natural logarithm, shape (...) or (1, ...).
-    n, n_null, n_zero, n_bad
-        Samples in the bins; null ones; those too dark for the bins, or 0 in this channel alone; bad
-        ones. Shape (...).
+    n, n_null, n_zero, n_negative, n_bad
+        Samples in the bins; null ones; those too dark for the bins, or 0 in this channel alone;
+        negative ones; bad ones. Shape (...).
     """
 
     counts: Floats
@@ -51,6 +51,7 @@ class BinnedPart:
     n: Counts
     n_null: Counts
     n_zero: Counts
+    n_negative: Counts
     n_bad: Counts
 
     @classmethod
@@ -69,7 +70,7 @@ class BinnedPart:
             histogram.counts,
             histogram.low,
             histogram.high,
-            outside=(histogram.underflow, histogram.overflow),
+            outside=(histogram.underflow, histogram.overflow, histogram.negative),
             apart=(histogram.null_count, histogram.bad_count),
         )
 
@@ -90,11 +91,13 @@ class BinnedPart:
             )
             raise InputError(message)
         values = {name: dataset[name].to_numpy() for name in (*_NEEDED, "log_low", "log_high")}
+        # Older datasets counted negative samples as bad.
+        negative = dataset.get("log_negative", 0 * dataset["log_underflow"]).to_numpy()
         return cls._build(
             values["log_counts"],
             values["log_low"],
             values["log_high"],
-            outside=(values["log_underflow"], values["log_overflow"]),
+            outside=(values["log_underflow"], values["log_overflow"], negative),
             apart=(values["null_count"][..., np.newaxis], values["bad_count"][..., np.newaxis]),
         )
 
@@ -105,7 +108,7 @@ class BinnedPart:
         low: Floats,
         high: Floats,
         *,
-        outside: tuple[npt.NDArray[Any], npt.NDArray[Any]],
+        outside: tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]],
         apart: tuple[npt.NDArray[Any], npt.NDArray[Any]],
     ) -> BinnedPart:
         bins = counts.shape[-1]
@@ -122,14 +125,15 @@ class BinnedPart:
             width=width,
             n=n,
             n_null=null,
-            n_zero=outside[0].astype(np.int64),
+            n_zero=(outside[0] - outside[2]).astype(np.int64),
+            n_negative=outside[2].astype(np.int64),
             n_bad=bad,
         )
 
     @property
     def n_good(self) -> Counts:
-        """Good samples, null ones included."""
-        return np.asarray(self.n + self.n_null + self.n_zero)
+        """Good samples, null and negative ones included."""
+        return np.asarray(self.n + self.n_null + self.n_zero + self.n_negative)
 
     @cached_property
     def log_statistics(self) -> LogStatistics:
@@ -154,7 +158,7 @@ class BinnedPart:
 
     def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
         """Say which rows have no usable positive part, as `reason_of` does."""
-        return reason_of(self.n_good, self.log_statistics, minimum)
+        return reason_of(self.n_good, self.n_negative, self.log_statistics, minimum)
 
 
 def _shared(values: Floats) -> Floats:

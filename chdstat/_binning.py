@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad, is_null, spans
+from chdstat._arrays import all_good, as_samples, is_bad, is_null, spans
 from chdstat._reasons import Reason
 from chdstat.errors import InputError
 from chdstat.samples import Samples
@@ -104,9 +104,10 @@ def linear_support(
     high = np.where(used, first, -np.inf).max(axis=-1).astype(np.float64)
     low, high = np.where(empty, 0, low), np.where(empty, 0, high)
     # A span of fewer than 128 floats would only show how floats are spaced.
-    point = high - low <= 128 * np.finfo(first.dtype).eps * high
-    padding = _PADDING * np.where(point, high, high - low)
-    nothing = empty | (high == 0)
+    size = np.maximum(np.abs(low), np.abs(high))
+    point = high - low <= 128 * np.finfo(first.dtype).eps * size
+    padding = _PADDING * np.where(point, size, high - low)
+    nothing = empty | (size == 0)
     reason = np.select(
         [~empty & nothing, empty & bad.all(axis=-1), empty],
         [Reason.CONSTANT, Reason.ALL_BAD, Reason.ALL_NULL],
@@ -156,12 +157,6 @@ def axis_ends(scale: Scale, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     return (np.log(low), np.log(high)) if scale == "log" else (low, high)
 
 
-def all_good(x: npt.NDArray[Any]) -> bool:
-    """Tell whether no sample is bad, at the cost of two fast reductions."""
-    with np.errstate(invalid="ignore"):
-        return bool(x.min() >= 0 and x.max() < np.inf)
-
-
 def sample_masks(block: npt.NDArray[Any]) -> tuple[Mask, Mask | None]:
     """Return which whole samples are null and bad, shape (..., 1, sample); None for none bad."""
     null = is_null(block)[..., np.newaxis, :]
@@ -181,8 +176,10 @@ class Table:
         rows = support.low.size
         self._counts = np.zeros((rows, bins + 3), dtype=np.int64)
         self.null_count = np.zeros(support.low.shape, dtype=np.int64)
+        self.negative = np.zeros(support.low.shape, dtype=np.int64)
         low, high = axis_ends(scale, support.low.reshape(-1, 1), support.high.reshape(-1, 1))
-        self._origin = np.where(np.isnan(low), -1, low)
+        # Without a support, every sample lies above it, but for the zeros of a log scale.
+        self._origin = np.where(np.isnan(low), -np.inf if scale == "linear" else -1e30, low)
         with np.errstate(divide="ignore"):
             self._steps = np.where(np.isnan(low), np.inf, bins / (high - low))
 
@@ -208,6 +205,9 @@ class Table:
         zeros = np.zeros((len(rows), 1), block.dtype)
         self._counts[np.arange(len(rows)), self._slots(zeros, slice(None))[:, 0]] -= nulls.ravel()
         self.null_count += nulls
+        if not block.min() >= 0:
+            negative = block < 0 if bad is None else (block < 0) & ~bad
+            self.negative += np.count_nonzero(negative, axis=-1)
         self.n += n
 
     def merge(self, other: Table) -> None:
@@ -224,6 +224,7 @@ class Table:
             raise InputError(message)
         self._counts += other._counts
         self.null_count += other.null_count
+        self.negative += other.negative
         self.n += other.n
 
     def counts(self) -> Counts:
@@ -242,7 +243,8 @@ class Table:
         origin = self._origin[part].astype(x.dtype)
         steps = np.minimum(self._steps[part], largest).astype(x.dtype)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
-            position = (np.log(x) if self.scale == "log" else x) - origin
+            # The logarithm of 0 is minus infinity: below every bin, as negative samples are.
+            position = (np.log(np.maximum(x, 0)) if self.scale == "log" else x) - origin
             position *= steps
             position += 1
         np.clip(position, 0, self.bins + 1, out=position)

@@ -1,8 +1,9 @@
 """Positive part: the samples that a distribution of radiance is fitted to, and what is left out.
 
-Nulls are a point mass at 0 and bad samples are no radiance; everything about the shape of a CHD
-(fits, tests, modes, tails) looks at the rest. Build a `PositivePart` once and share it: its sorted
-samples and its sums are computed when first used, and kept.
+Nulls are a point mass at 0, bad samples are no number, and negative ones have no logarithm;
+everything about the shape of a CHD (fits, tests, modes, tails) looks at the rest. Build a
+`PositivePart` once and share it: its sorted samples and its sums are computed when first used, and
+kept.
 """
 
 from __future__ import annotations
@@ -85,9 +86,9 @@ class PositivePart:
         All samples, shape (..., sample).
     positive
         Which of them count, same shape.
-    n, n_null, n_zero, n_bad
-        Positive samples; null ones; zeros of one channel of a sample that is not null; bad ones.
-        Shape (...). They add up to the samples that there are.
+    n, n_null, n_zero, n_negative, n_bad
+        Positive samples; null ones; zeros of one channel of a sample that is not null; negative
+        ones; bad ones. Shape (...). They add up to the samples that there are.
     """
 
     x: npt.NDArray[np.floating[Any]]
@@ -95,6 +96,7 @@ class PositivePart:
     n: Counts
     n_null: Counts
     n_zero: Counts
+    n_negative: Counts
     n_bad: Counts
 
     @classmethod
@@ -108,17 +110,18 @@ class PositivePart:
         """Split samples, shape (..., sample).
 
         `null` and `bad`, broadcastable to `x`, mark whole samples; without them, every exact 0 is
-        a null and every NaN, infinite or negative number is bad.
+        a null and every NaN or infinite number is bad.
         """
         x = as_samples(x)
         bad = is_bad(x) if bad is None else _mask(bad, x.shape) | is_bad(x)
         good = ~bad
         zero = (x == 0) & good
         null = zero if null is None else _mask(null, x.shape) & good
-        positive = good & ~zero & ~null
+        positive = (x > 0) & good & ~null
         n, n_null, n_bad = (_count(mask) for mask in (positive, null, bad))
-        n_zero = np.asarray(x.shape[-1] - n - n_null - n_bad, dtype=np.int64)
-        return cls(x=x, positive=positive, n=n, n_null=n_null, n_zero=n_zero, n_bad=n_bad)
+        n_negative = _count((x < 0) & good & ~null) if not (x.size == 0 or x.min() >= 0) else 0 * n
+        n_zero = np.asarray(x.shape[-1] - n - n_null - n_negative - n_bad, dtype=np.int64)
+        return cls(x, positive, n, n_null, n_zero, n_negative, n_bad)
 
     @classmethod
     def of_pixels(
@@ -148,8 +151,8 @@ class PositivePart:
 
     @property
     def n_good(self) -> Counts:
-        """Good samples, null ones included."""
-        return np.asarray(self.n + self.n_null + self.n_zero)
+        """Good samples, null and negative ones included."""
+        return np.asarray(self.n + self.n_null + self.n_zero + self.n_negative)
 
     @cached_property
     def log_statistics(self) -> LogStatistics:
@@ -182,16 +185,19 @@ class PositivePart:
 
     def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
         """Say which rows have no usable positive part, as `reason_of` does."""
-        return reason_of(self.n_good, self.log_statistics, minimum)
+        return reason_of(self.n_good, self.n_negative, self.log_statistics, minimum)
 
 
-def reason_of(n_good: Counts, statistics: LogStatistics, minimum: int) -> npt.NDArray[np.int8]:
+def reason_of(
+    n_good: Counts, n_negative: Counts, statistics: LogStatistics, minimum: int
+) -> npt.NDArray[np.int8]:
     """Say which rows have no usable positive part, as `Reason` codes, shape (...).
 
     A channel that is 0 in every good sample is as good as null, whatever the other channels.
     """
     cases = {
         Reason.ALL_BAD: n_good == 0,
+        Reason.NONE_POSITIVE: (statistics.n == 0) & (n_negative > 0),
         Reason.ALL_NULL: statistics.n == 0,
         Reason.TOO_FEW: statistics.n < minimum,
         Reason.CONSTANT: statistics.constant,

@@ -24,9 +24,11 @@ class Reason(enum.IntEnum):
     NOT_CONVERGED = 4
     """An iteration ended before its tolerance was met."""
     ALL_BAD = 5
-    """Every sample is NaN, infinite or negative."""
+    """Every sample is NaN or infinite."""
     AT_LIMIT = 6
     """The likelihood has no maximum: it rises towards a limit of the family."""
+    NONE_POSITIVE = 7
+    """No sample is positive, and some are negative: they have no logarithm."""
 
 
 def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:

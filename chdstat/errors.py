@@ -6,7 +6,14 @@ expected, what came, and what to do. The command line prints it without a traceb
 
 from __future__ import annotations
 
-__all__ = ["ChdstatError", "InputError", "RenderError", "SceneError", "StoreError"]
+__all__ = [
+    "ChdstatError",
+    "InputError",
+    "LeftOutWarning",
+    "RenderError",
+    "SceneError",
+    "StoreError",
+]
 
 
 class ChdstatError(Exception):
@@ -15,6 +22,10 @@ class ChdstatError(Exception):
 
 class InputError(ChdstatError, ValueError):
     """An argument has the wrong shape, type or range."""
+
+
+class LeftOutWarning(UserWarning):
+    """More than 1 % of the samples, or of the batches, were left out of a result."""
 
 
 class SceneError(ChdstatError):

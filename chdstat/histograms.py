@@ -3,7 +3,8 @@
 Use `histogram` on an array or a whole image, `StreamingHistogram` on samples that come in blocks.
 The defaults are the instrumentation of Elek, Thomas and Forbes (2019): 100 bins; a linear support
 that fits the first 50 samples of each pixel; a log support of [1e-5, 1e5]. Neither null nor bad
-samples enter the bins.
+samples enter the bins. Negative samples enter linear bins as others do; they have no logarithm, and
+are underflow on the log scale.
 """
 
 from __future__ import annotations
@@ -53,6 +54,7 @@ _LABELS = {
     "counts": ("samples per bin", "1"),
     "underflow": ("samples below the support", "1"),
     "overflow": ("samples above the support", "1"),
+    "negative": ("negative samples, wherever they were counted", "1"),
     "low": ("lower end of the support", _RADIANCE),
     "high": ("upper end of the support", _RADIANCE),
     "reason": ("why there is no support", "1"),
@@ -75,6 +77,9 @@ class Histogram:
         Support in radiance, shape (...); NaN where there is none.
     underflow, overflow
         Good, non-null samples below and above the support, shape (...).
+    negative
+        How many of the good samples are negative, shape (...): on the log scale, a part of the
+        underflow.
     null_count, bad_count
         Samples apart from the histogram, shape (...).
     reason
@@ -89,6 +94,7 @@ class Histogram:
     high: Floats
     underflow: Counts
     overflow: Counts
+    negative: Counts
     null_count: Counts
     bad_count: Counts
     reason: npt.NDArray[np.int8]
@@ -125,6 +131,7 @@ class Histogram:
             "counts": (("channel", f"{self.scale}_bin"), self.counts.astype(np.int32)),
             "underflow": (("channel",), self.underflow.astype(np.int32)),
             "overflow": (("channel",), self.overflow.astype(np.int32)),
+            "negative": (("channel",), self.negative.astype(np.int32)),
             "low": (("channel",), self.low),
             "high": (("channel",), self.high),
             "reason": (("channel",), self.reason),
@@ -185,17 +192,19 @@ def histogram(
     null
         Which of the zeros are null samples, broadcastable to `x`: a sample is null if all its
         channels are 0, which only the caller can know of an array. By default every zero is null.
-        A zero in a sample that is not null has no logarithm: it is underflow on the log scale.
+        A zero in a sample that is not null has no logarithm: it is underflow on the log scale, and
+        so are negative samples.
     bad
-        Samples to leave out because one of their channels is bad, broadcastable to `x`. NaN,
-        infinite and negative numbers are bad in any case.
+        Samples to leave out because one of their channels is bad, broadcastable to `x`. NaN and
+        infinite numbers are bad in any case.
 
     Returns
     -------
     Histogram or xarray.Dataset
         For an image, a dataset with the variables ``{scale}_counts`` (y, x, channel, bin),
-        ``{scale}_underflow``, ``{scale}_overflow``, ``{scale}_low``, ``{scale}_high``,
-        ``{scale}_reason`` (y, x, channel), and ``null_count``, ``bad_count`` (y, x).
+        ``{scale}_underflow``, ``{scale}_overflow``, ``{scale}_negative``, ``{scale}_low``,
+        ``{scale}_high``, ``{scale}_reason`` (y, x, channel), and ``null_count``, ``bad_count``
+        (y, x).
 
     Raises
     ------
@@ -317,6 +326,7 @@ class StreamingHistogram:
             high=table.support.high,
             underflow=counts[..., 0],
             overflow=counts[..., -2],
+            negative=table.negative.copy(),
             null_count=table.null_count.copy(),
             bad_count=counts[..., -1],
             reason=table.support.reason,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._arrays import as_samples, warn_of_bad
 from chdstat._batches import Batches
 from chdstat._binning import SCALES, Counts, Floats, GivenSupport, Mask, sample_masks, tile_support
 from chdstat._moments import Moments
@@ -32,10 +32,10 @@ _PER_PIXEL = {
     "count": ("good samples, null ones included", "1"),
     "null_count": ("null samples: all channels are 0", "1"),
     "null_share": ("share of null samples among the good ones", "1"),
-    "bad_count": ("samples left out: a channel is NaN, infinite or negative", "1"),
+    "bad_count": ("samples left out: a channel is NaN or infinite", "1"),
     "nan_count": ("samples with a NaN channel", "1"),
     "inf_count": ("samples with an infinite channel", "1"),
-    "negative_count": ("samples with a negative finite channel", "1"),
+    "negative_count": ("good samples with a negative channel", "1"),
 }
 _PER_CHANNEL = {
     "mean": ("sample mean", _RADIANCE),
@@ -60,8 +60,8 @@ class Statistics:
     draws
         Samples per pixel, good or bad.
     count, null_count, bad_count, nan_count, inf_count, negative_count
-        Good samples (null ones included), null ones, bad ones and why, shape (...). The last three
-        may overlap: one sample may have channels of each kind.
+        Good samples (null ones included), null ones, bad ones and why, shape (...): one sample may
+        have NaN and infinite channels. And good samples with a negative channel, which count.
     null_share
         ``null_count / count``, shape (...).
     mean, variance, skewness, kurtosis, minimum, maximum, standard_error
@@ -306,11 +306,12 @@ def summarize(
             summary.update(block)
         return _variables(summary.read())
 
-    checked(samples)
+    height, width, _, spp = checked(samples).shape
     # A run of the batches alone says how they will end, and refuses wrong options at once.
     batches = Batches((), size=batch_size, limit=max_batches)
-    batches.update(np.zeros(samples.spp))
+    batches.update(np.zeros(spp))
     dataset = reduce_tiles(samples, of_tile, description="summarising", progress=progress)
+    warn_of_bad(int(dataset["bad_count"].sum()), height * width * spp)
     return _label(dataset, batches)
 
 
@@ -324,7 +325,8 @@ def _count_flags(x: npt.NDArray[Any], null: Mask, bad: Mask | None) -> dict[str,
         flags["bad_count"] = count(bad)
         flags["nan_count"] = count(np.isnan(x))
         flags["inf_count"] = count(np.isinf(x))
-        flags["negative_count"] = count((x < 0) & np.isfinite(x))
+    if not x.min() >= 0:
+        flags["negative_count"] = count(x < 0 if bad is None else (x < 0) & ~bad)
     return flags
 
 

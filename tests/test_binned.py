@@ -24,7 +24,8 @@ def test_log_statistics_agree_with_those_of_the_samples():
 def test_the_counts_are_those_of_the_samples():
     x = np.array([0, 0, 1e-7, 0.5, 2, 3e6, np.nan, -1])
     part = BinnedPart.of(histogram(x))
-    assert (part.n, part.n_null, part.n_zero, part.n_bad, part.n_good) == (3, 2, 1, 2, 6)
+    assert (part.n, part.n_null, part.n_zero, part.n_negative, part.n_bad) == (3, 2, 1, 1, 1)
+    assert part.n_good == 7
     assert part.counts[-1] == 1
 
 
@@ -33,6 +34,7 @@ def test_the_counts_are_those_of_the_samples():
     [
         ([0.0, 0.0, 0.0], Reason.ALL_NULL),
         ([np.nan, np.nan], Reason.ALL_BAD),
+        ([-2.0, 0.0], Reason.NONE_POSITIVE),
         ([0.0, 2.0], Reason.TOO_FEW),
         ([2.0, 2.0, 2.01], Reason.CONSTANT),
         ([1.0, 2.0, 5.0], Reason.OK),

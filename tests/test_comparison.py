@@ -171,7 +171,7 @@ def test_a_model_of_another_picture_holds_no_pixel_back(model):
 def test_batches_with_bad_samples_are_left_out_and_counted():
     x = picture(spp=96).read().copy()
     x[3, 4, 1, 40] = np.nan
-    x[5, 5, 2, 80] = -1
+    x[5, 5, 2, 80] = -np.inf
     found = chd.compare(chd.Samples.from_array(x), ["mean", "median_of_means"])
     assert found.excluded == 2
     assert found.batches == 20 * 16 * 3 - 2

@@ -34,7 +34,8 @@ def test_every_draw_is_counted_exactly_once(radiance, scale):
     assert h.n == 400
     assert (total(h) == 400).all()
     assert (h.counts >= 0).all()
-    assert h.bad_count.tolist() == [[0] * 3, [0] * 3, [0, 1, 1], [1, 0, 0], [0] * 3]
+    assert h.bad_count.tolist() == [[0] * 3, [0] * 3, [0, 1, 1], [0] * 3, [0] * 3]
+    assert h.negative.tolist() == [[0] * 3, [0] * 3, [0] * 3, [1, 0, 0], [0] * 3]
     np.testing.assert_array_equal(h.null_count, (radiance == 0).sum(axis=-1))
 
 
@@ -210,10 +211,10 @@ def test_image_equals_its_pixels(radiance, scale):
     x = np.concatenate([radiance, radiance[:3]]).reshape(2, 4, 3, 400)
     dataset = histogram(Samples.from_array(x), scale=scale)
     null = (x == 0).all(axis=-2, keepdims=True)
-    bad = ~((x >= 0) & np.isfinite(x)).all(axis=-2, keepdims=True)
+    bad = ~np.isfinite(x).all(axis=-2, keepdims=True)
     h = histogram(x, scale=scale, null=null, bad=bad)
     assert dataset[f"{scale}_counts"].dims == ("y", "x", "channel", f"{scale}_bin")
-    for name in ("counts", "underflow", "overflow", "low", "high", "reason"):
+    for name in ("counts", "underflow", "overflow", "negative", "low", "high", "reason"):
         np.testing.assert_array_equal(dataset[f"{scale}_{name}"], getattr(h, name), err_msg=name)
     np.testing.assert_array_equal(dataset["null_count"], null.sum(axis=(-2, -1)))
     np.testing.assert_array_equal(dataset["bad_count"], bad.sum(axis=(-2, -1)))

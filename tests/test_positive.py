@@ -13,17 +13,20 @@ X = np.array(
         [0.0, 2.0, 1.0, np.nan, 4.0, 0.0],
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [3.0, 3.0, 3.0, 3.0, 3.0, 3.0],
-        [np.inf, -1.0, np.nan, np.nan, np.nan, np.nan],
+        [np.inf, -np.inf, np.nan, np.nan, np.nan, np.nan],
+        [-1.0, 0.0, np.nan, -2.0, -1e-9, 0.0],
+        [-1.0, 0.5, 2.0, -2.0, 1.0, 0.0],
     ]
 )
 
 
 def test_samples_add_up():
     part = PositivePart.of(X)
-    total = part.n + part.n_null + part.n_zero + part.n_bad
+    total = part.n + part.n_null + part.n_zero + part.n_negative + part.n_bad
     np.testing.assert_array_equal(total, X.shape[-1])
-    np.testing.assert_array_equal(part.n, [3, 0, 6, 0])
-    np.testing.assert_array_equal(part.n_good, [5, 6, 6, 0])
+    np.testing.assert_array_equal(part.n, [3, 0, 6, 0, 0, 3])
+    np.testing.assert_array_equal(part.n_negative, [0, 0, 0, 0, 3, 2])
+    np.testing.assert_array_equal(part.n_good, [5, 6, 6, 0, 5, 6])
 
 
 def test_sorted_samples_and_their_logarithms():
@@ -64,6 +67,7 @@ def test_samples_of_all_magnitudes_have_finite_sums():
 
 def test_reasons():
     expected = [Reason.OK, Reason.ALL_NULL, Reason.CONSTANT, Reason.ALL_BAD]
+    expected += [Reason.NONE_POSITIVE, Reason.OK]
     np.testing.assert_array_equal(PositivePart.of(X).reason(), expected)
     np.testing.assert_array_equal(PositivePart.of(X[:1]).reason(4), [Reason.TOO_FEW])
 
@@ -77,7 +81,7 @@ def test_the_rows_of_a_pixel_are_its_channels_its_luminance_or_both():
     np.testing.assert_array_equal(channels.x, block)
     assert light.x == pytest.approx(luminance(block), rel=1e-12, nan_ok=True)
     np.testing.assert_array_equal(both.x, np.concatenate([block, light.x[:, None]], axis=1))
-    for name in ("positive", "n", "n_null", "n_zero", "n_bad"):
+    for name in ("positive", "n", "n_null", "n_zero", "n_negative", "n_bad"):
         parts = [getattr(channels, name), getattr(light, name)[:, None]]
         np.testing.assert_array_equal(getattr(both, name), np.concatenate(parts, axis=1))
     # Of the zeros of one channel alone, the luminance knows nothing.

@@ -103,13 +103,13 @@ def of_samples(
     """Return the shapes of the luminance of an image."""
 
     def of_tile(ys: slice, xs: slice, blocks: Blocks) -> Mapped:
-        log, n_good = _log_moments(blocks)
+        log, n_good, n_null = _log_moments(blocks)
         center = np.where(log.count > 0, log.mean, np.nan)
         again = (samples.read(ys, xs, ss) for ss in spans(samples.spp, _BATCH))
         counts = _count(again, center)
-        reason = _reason(log.count, n_good, log.m2 / np.maximum(log.count, 1) * np.log(10) ** 2)
+        log_variance = log.m2 / np.maximum(log.count, 1) * np.log(10) ** 2
+        reason = _reason(log.count, n_good, n_null, log_variance)
         grid = _Grid(*(np.full(center.shape, v) for v in (-WIDTH * BINS / 2, WIDTH / _FINE)))
-        n_null = (n_good - log.count).astype(np.int64)
         parts = _moved(counts, n_null, grid, np.zeros(center.shape), reason == Reason.OK, rng)
         return {**_variables(parts), "log_scale": ((), center), "reason": ((), reason)}
 
@@ -137,7 +137,8 @@ def of_histograms(dataset: xr.Dataset, rng: np.random.Generator) -> Shapes:
     counts, n, n_null = part.counts[:, :, 0], part.n[:, :, 0], part.n_null[:, :, 0]
     width, first = part.width[:, :, 0] / np.log(10), part.log_centers[:, :, 0, 0] / np.log(10)
     grid = _Grid(*(np.broadcast_to(v, n.shape) for v in (first - width / 2, width)))
-    reason = _reason(n, part.n_good[:, :, 0], part.log_statistics.log_variance[:, :, 0])
+    n_dark = part.n_null[:, :, 0] + part.n_zero[:, :, 0]
+    reason = _reason(n, part.n_good[:, :, 0], n_dark, part.log_statistics.log_variance[:, :, 0])
     center = grid.mean(counts)
     whole, one, two = _moved(counts, n_null, grid, center, reason == Reason.OK, rng)
     return Shapes(whole, (one, two), center, reason)
@@ -169,20 +170,21 @@ class _Grid:
         return np.asarray(start + (place - left) * (stop - start), dtype=np.float32)
 
 
-def _log_moments(blocks: Blocks) -> tuple[Moments, Counts]:
-    """Return the moments of log10 of positive luminance, and the number of good samples."""
+def _log_moments(blocks: Blocks) -> tuple[Moments, Counts, Counts]:
+    """Return the moments of log10 of positive luminance, and how many are good, and how many 0."""
     parts = (_of_block(block) for block in blocks)
-    log, n_good = next(parts)
-    for more, good in parts:
-        log, n_good = log.merge(more), n_good + good
-    return log, n_good
+    log, n_good, n_null = next(parts)
+    for more, good, null in parts:
+        log, n_good, n_null = log.merge(more), n_good + good, n_null + null
+    return log, n_good, n_null
 
 
-def _of_block(block: npt.NDArray[np.float32]) -> tuple[Moments, Counts]:
+def _of_block(block: npt.NDArray[np.float32]) -> tuple[Moments, Counts, Counts]:
     light, good = _luminance(block)
-    positive = good & (light > 0)
+    positive, null = good & (light > 0), good & (light == 0)
     log = np.log10(np.where(positive, light, 1))
-    return Moments.of(log, positive), np.count_nonzero(good, axis=-1)
+    n_good, n_null = np.count_nonzero(good, axis=-1), np.count_nonzero(null, axis=-1)
+    return Moments.of(log, positive), n_good, n_null
 
 
 def _luminance(block: npt.NDArray[np.float32]) -> tuple[Floats, Mask]:
@@ -200,7 +202,7 @@ def _count(blocks: Blocks, center: Floats) -> Counts:
     for block in blocks:
         stream.update(_luminance(block)[0])
     read = stream.read()
-    read.counts[..., 0] += read.underflow
+    read.counts[..., 0] += read.underflow - read.negative
     read.counts[..., -1] += read.overflow
     return read.counts
 
@@ -243,9 +245,12 @@ def _variables(parts: tuple[Aligned, ...]) -> Mapped:
     return {**cumulative, **nulls}
 
 
-def _reason(n: Counts | Floats, n_good: Counts, log_variance: Floats) -> npt.NDArray[np.int8]:
+def _reason(
+    n: Counts | Floats, n_good: Counts, n_null: Counts, log_variance: Floats
+) -> npt.NDArray[np.int8]:
     cases = {
         Reason.ALL_BAD: n_good == 0,
+        Reason.NONE_POSITIVE: (n == 0) & (n_null < n_good),
         Reason.ALL_NULL: n == 0,
         Reason.TOO_FEW: n < MINIMUM,
         Reason.CONSTANT: log_variance <= CONSTANT_SPREAD**2,

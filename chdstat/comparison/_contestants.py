@@ -171,7 +171,7 @@ def totals_of(samples: Samples) -> Totals:
     """
     totals = Totals.of(samples)
     if not totals.count.any():
-        message = "every sample of the picture is bad (NaN, infinite or negative); none can judge"
+        message = "every sample of the picture is bad (NaN or infinite); none can judge"
         raise InputError(message)
     return totals
 

@@ -141,7 +141,8 @@ def through_denoiser(
 ) -> Array:
     """Return estimates denoised, with albedo and normal where `features` have an albedo.
 
-    No radiance is negative, though a network or a difference of sums may say so: that counts as 0.
+    Estimates of signed samples, and those of a network, may be negative. The denoiser takes no
+    negative radiance: it counts as 0.
     """
     known = _GUIDES if "albedo" in features else ()
     guides: dict[str, Any] = {name: features[name] for name in known if name in features}

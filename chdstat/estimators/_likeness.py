@@ -15,10 +15,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtrit
 
-from chdstat._arrays import is_bad, spans
+from chdstat._arrays import all_good, is_bad, spans
 from chdstat.estimators._exposure import exposure_unit
 from chdstat.estimators._rows import Floats
-from chdstat.estimators.classical import all_good, mean_of_good
+from chdstat.estimators.classical import mean_of_good
 
 __all__ = [
     "BINS",
@@ -28,6 +28,7 @@ __all__ = [
     "corrected_means",
     "histograms",
     "not_different",
+    "root",
     "shape_means",
     "significance",
     "without_largest",
@@ -104,6 +105,13 @@ class Picture:
             total = self.samples.sum(axis=-1, dtype=np.float64) / self.unit
             return np.asarray(total / self.count[..., np.newaxis])
 
+    def mean_below_zero(self) -> Floats:
+        """Return what negative samples contribute to `mean`, same shape."""
+        if self.samples.min() >= 0:
+            return np.zeros(self.samples.shape[:-1])
+        below = np.minimum(self.samples, 0).sum(axis=-1, dtype=np.float64) / self.unit
+        return np.asarray(below / np.maximum(self.count, 1)[..., np.newaxis])
+
     def walk(self, work: Callable[..., tuple[Floats, ...]]) -> tuple[Floats, ...]:
         """Apply ``work(rows, mask, count)`` to pixels that stay in the cache together.
 
@@ -155,8 +163,15 @@ def corrected_means(picture: Picture, transform: Transform) -> Means:
     return Means(*picture.walk(work))
 
 
+def root(x: Floats) -> Floats:
+    """Return the root of samples; of negative ones, minus the root of their size."""
+    return np.sqrt(x) if x.min() >= 0 else np.copysign(np.sqrt(np.abs(x)), x)
+
+
 def shape_means(picture: Picture) -> Means:
     """Return ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)`` of every channel, and its standard error.
+
+    Negative samples count as 0.
 
     The largest sample is left out, so that a firefly does not set a pixel apart.
 
@@ -165,7 +180,7 @@ def shape_means(picture: Picture) -> Means:
     """
 
     def work(rows: Floats, _: object, n: npt.NDArray[np.int64]) -> tuple[Floats, Floats]:
-        kept, m = without_largest(rows), np.maximum(n - 1, 0)
+        kept, m = np.maximum(without_largest(rows), 0), np.maximum(n - 1, 0)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             v = np.sqrt(np.sqrt(kept))
             w = v * v
@@ -188,14 +203,15 @@ def histograms(picture: Picture, unit: float) -> Floats:
     """Return the histograms of all channels, one after the other, shape (y, x, channel x bin).
 
     A sample is split between the two bins that it lies between, ``v = (x / unit)^(1/2.2) / 2.5``:
-    bins 0 to 18 are even in v up to 1, and the last begins to count there. As in the code of
+    bins 0 to 18 are even in v up to 1, and the last begins to count there; negative samples fall
+    into the first. As in the code of
     Bayesian collaborative denoising, Boughida and Boubekeur 2017, doi:10.1111/cgf.13231.
     """
     channels = picture.samples.shape[2]
 
     def work(rows: Floats, good: npt.NDArray[np.bool_] | None, _: object) -> tuple[Floats]:
         with np.errstate(over="ignore"):
-            v = (rows * (picture.unit / unit)) ** (1 / _GAMMA) / _HIGHEST
+            v = (np.maximum(rows, 0) * (picture.unit / unit)) ** (1 / _GAMMA) / _HIGHEST
         v = np.minimum(v, _SATURATION)
         place = v * (BINS - 2)
         low = np.minimum(place.astype(np.intp), BINS - 2)

@@ -115,7 +115,8 @@ def evaluate(weights: Weights, x: npt.NDArray[np.float32]) -> npt.NDArray[np.flo
     result = np.empty(len(x), np.float32)
     with torch.inference_mode():
         for part in spans(len(x), _ROWS_AT_ONCE):
-            rows = torch.tensor(x[part], device=device)
+            # Torch has no negative strides, such as those of a reversed view.
+            rows = torch.tensor(np.ascontiguousarray(x[part]), device=device)
             result[part] = _forward(parameters, rows).cpu().numpy()
     return result
 

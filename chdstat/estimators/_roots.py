@@ -17,7 +17,7 @@ __all__ = ["balance"]
 Balance = Callable[..., tuple[Floats, Floats]]
 
 _TOLERANCE = 1e-12
-"""Of a step, relative to the largest sample of the row."""
+"""Of a step, relative to the sample of the row that is farthest from 0."""
 _STEPS = 100
 """Bisection alone arrives in half as many."""
 
@@ -39,7 +39,7 @@ def balance(influence: Balance, rows: Floats, start: Floats, *beside: Floats) ->
     """
     theta = start.copy()
     low, high = rows.min(axis=-1), rows.max(axis=-1)
-    near = _TOLERANCE * high
+    near = _TOLERANCE * np.maximum(high, -low)
     left = np.flatnonzero(low < high)
     rows, near, low, high = rows[left], near[left], low[left], high[left]
     beside = tuple(other[left] for other in beside)

@@ -1,8 +1,8 @@
 """Rows: the walk that estimators of one row of samples share.
 
 An estimator is written as a kernel on rows of good samples. `estimate_rows` hands them over in
-float64, with their mean brought to about 1 by a power of two, which changes no digit: squares and
-cubes of a radiance of 1e30 or of subnormal radiance neither overflow nor vanish. Rows that miss
+float64, with their mean size brought to about 1 by a power of two, which changes no digit: squares
+and cubes of a radiance of 1e30 or of subnormal radiance neither overflow nor vanish. Rows that miss
 samples are gathered by how many they have, so that a kernel never sees a mask.
 """
 
@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import is_bad, spans
+from chdstat._arrays import all_good, is_bad, spans
 from chdstat.errors import InputError
-from chdstat.estimators.classical import all_good
 
 __all__ = [
     "Floats",
@@ -126,10 +125,10 @@ def _with_gaps(
 def _scaled(
     kernel: Kernel, rows: npt.NDArray[Any], beside: list[npt.NDArray[Any]]
 ) -> npt.NDArray[Any]:
-    """Run the kernel in a unit for each row, a power of two near its mean."""
+    """Run the kernel in a unit for each row, a power of two near its mean size."""
     relative = rows.astype(np.float64)
     m = rows.shape[-1]
-    _, exponent = np.frexp(relative @ np.full(m, 1 / m))
+    _, exponent = np.frexp(np.abs(relative) @ np.full(m, 1 / m))
     # The unit and its inverse are finite for every mean, 0 included.
     unit = np.ldexp(1.0, exponent - 1)
     relative /= unit[:, np.newaxis]

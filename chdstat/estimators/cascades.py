@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad, luminance, spans
+from chdstat._arrays import all_good, as_samples, is_bad, luminance, spans
 from chdstat.errors import InputError
 from chdstat.estimators._exposure import exposure_unit
 from chdstat.estimators._rows import Floats, check_pixels
-from chdstat.estimators.classical import all_good, mean_of_good
+from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.registry import register
 
 __all__ = ["BASE", "LAYERS", "Cascade", "layer_weights", "zirr2018", "zirr2018_pixel"]
@@ -54,7 +54,7 @@ def zirr2018(
     ----------
     x
         Samples, shape (y, x, channel, sample), 1 or 3 channels. A sample of which any channel is
-        NaN, infinite or negative is left out.
+        NaN or infinite is left out.
     kappa
         Samples that confirm a brightness, larger than 0: the larger, the darker and smoother. The
         paper leaves it to the user; the authors' viewer starts at 32 for 1024 samples per pixel,
@@ -100,7 +100,7 @@ def zirr2018_pixel(
     ----------
     x
         Samples, shape (..., channel, sample), 1 or 3 channels. A sample of which any channel is
-        NaN, infinite or negative is left out.
+        NaN or infinite is left out.
     kappa
         Samples that confirm a brightness, larger than 0.
     unit
@@ -233,13 +233,13 @@ def layer_weights(brightness: npt.ArrayLike) -> Floats:
     """Split samples between the layers, by their luminance L in units of the lowest layer.
 
     Between B_i and B_(i+1), ``w_i = (B_i / L - 1 / b) / (1 - 1 / b)`` and ``w_(i+1) = 1 - w_i``, so
-    that ``sum_i w_i L / B_i = 1``: every sample counts as one. Below B_0 all of it falls into the
-    lowest layer, above the top one ``B_top / L`` into that.
+    that ``sum_i w_i L / B_i = 1``: every sample counts as one. Below B_0, negative samples too, all
+    of it falls into the lowest layer, above the top one ``B_top / L`` into that.
 
     Parameters
     ----------
     brightness
-        Luminances, not negative, shape (...).
+        Luminances, shape (...).
 
     Returns
     -------

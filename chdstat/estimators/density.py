@@ -50,13 +50,14 @@ def decoro2010(
     Reconstructed from the paper's abstract, which characterises outliers by their density among
     nearby paths in joint image and colour space; metric, bounds and defaults are ours. Colours are
     those of a picture exposed as usual, and what is darker than 0.01 of that is black: dim samples
-    are not outliers. Bias is to the dark, more where a bright event is rare but real.
+    and negative ones are not outliers. Bias is to the dark, more where a bright event is rare but
+    real.
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN, infinite or
-        negative is left out.
+        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
     neighbours
         k, at least 1.
     bandwidth
@@ -153,9 +154,10 @@ def _window(strip: Floats, part: slice, radius: int) -> Floats:
 def _log_colours(
     x: npt.NDArray[Any], bad: npt.NDArray[np.bool_], unit: float | None
 ) -> npt.NDArray[np.float64]:
-    """Return log(x / unit + black), shape (y, x, sample, channel)."""
+    """Return log(max(x / unit, 0) + black), shape (y, x, sample, channel)."""
     good = np.where(bad[..., np.newaxis, :], 0, x) if bad.any() else x
     found = exposure_unit(good.mean(axis=(-1, -2), dtype=np.float64), unit)
     relative = np.ascontiguousarray(good.swapaxes(-1, -2)) / np.float64(found)
+    np.maximum(relative, 0, out=relative)
     relative += _BLACK
     return np.asarray(np.log(relative, out=relative))

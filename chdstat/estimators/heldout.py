@@ -30,10 +30,14 @@ __all__ = [
     "draw_pixels",
     "judging_pixels",
     "training_batches",
+    "without",
 ]
 
 PUBLISHED_PIXELS = 6400
 """Pixels that Elek, Thomas and Forbes 2019 train on."""
+
+_ROUNDING = 1e-13
+"""Share of a sum that is as good as nothing: what rounding leaves of all of it less all of it."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +90,22 @@ class Totals:
         """
         bad = np.asarray(is_bad(batch).any(axis=-2))
         rest = np.asarray(self.count - (~bad).sum(axis=-1))
-        reference = _divide(self.total - _sum_of_good(batch, bad), rest)
-        # The difference of two sums may fall below zero by rounding; a mean of radiance does not.
-        return np.where(bad.any(axis=-1, keepdims=True), np.nan, np.maximum(reference, 0))
+        reference = _divide(without(self.total, _sum_of_good(batch, bad)), rest)
+        return np.where(bad.any(axis=-1, keepdims=True), np.nan, reference)
+
+
+def without(
+    total: npt.NDArray[np.float64], part: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Return a sum less a part of it: exactly 0 where nothing but rounding is left.
+
+    Examples
+    --------
+    >>> without(np.array([0.3]), np.array([0.1 + 0.2])).tolist()
+    [0.0]
+    """
+    rest = total - part
+    return np.where(np.abs(rest) <= _ROUNDING * np.abs(total), 0, rest)
 
 
 def batches(

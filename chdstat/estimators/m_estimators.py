@@ -40,7 +40,7 @@ def huber(x: npt.ArrayLike, *, c: float = 1.345) -> npt.NDArray[np.floating[Any]
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out.
+        Samples, shape (..., sample). NaN and infinite samples are left out.
     c
         Scales up to which a sample counts in full, larger than 0; the default costs 5 % efficiency
         on normal samples. The mean for c to infinity, the median for c to 0.
@@ -97,7 +97,7 @@ def tukey(x: npt.ArrayLike, *, c: float = 4.685) -> npt.NDArray[np.floating[Any]
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out.
+        Samples, shape (..., sample). NaN and infinite samples are left out.
     c
         Scales at which a sample stops counting, larger than 0; the default costs 5 % efficiency on
         normal samples.
@@ -144,7 +144,7 @@ def catoni(x: npt.ArrayLike, *, delta: float = 0.01) -> npt.NDArray[np.floating[
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out. A row that
+        Samples, shape (..., sample). NaN and infinite samples are left out. A row that
         has no more than 2 l others gets their mean.
     delta
         Probability of a large error, between 0 and 1. N must exceed 2 l, 9.2 for the default.

@@ -19,10 +19,10 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad
+from chdstat._arrays import all_good, as_samples, is_bad
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators._modelfile import read_model, write_model
-from chdstat.estimators.classical import all_good, mean_of_good
+from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.presets import PRESETS, Preset
 from chdstat.estimators.registry import LearnedEstimator, register_learned
 from chdstat.estimators.training import History, Trained, train

@@ -35,7 +35,7 @@ def median(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out.
+        Samples, shape (..., sample). NaN and infinite samples are left out.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def trimmed_mean(x: npt.ArrayLike, *, share: float = 0.1) -> npt.NDArray[np.floa
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out; N counts the
+        Samples, shape (..., sample). NaN and infinite samples are left out; N counts the
         others.
     share
         Share of the samples to leave out at each end, 0 (the mean) to less than 0.5.
@@ -112,7 +112,7 @@ def winsorized_mean(x: npt.ArrayLike, *, share: float = 0.1) -> npt.NDArray[np.f
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out; N counts the
+        Samples, shape (..., sample). NaN and infinite samples are left out; N counts the
         others.
     share
         Share of the samples to pull in at each end, 0 (the mean) to less than 0.5.

@@ -2,20 +2,28 @@
 
 `gamma_shrinkage` shows that the family that most CHDs look like has nothing to offer,
 `lognormal_shrinkage` and `mixture_shrinkage` what longer tails and several kinds of light paths do.
-All are combinations by `chdstat.estimators.james_stein`.
+All are combinations by `chdstat.estimators.james_stein`. Negative samples count as
+zeros in the fits, and what they contribute to the mean is added.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat import fit
+from chdstat._positive import PositivePart
 from chdstat.estimators._rows import Floats, estimate_rows
+from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.registry import register
 from chdstat.estimators.shrinkage import SOURCE, shrink_mean, whole_samples
+from chdstat.fit.families import FAMILIES
+from chdstat.fit.mixture_results import Mixture
+from chdstat.fit.mixtures import mixture
+from chdstat.fit.mle import fit_part
+from chdstat.fit.results import Fit
 
 __all__ = ["gamma_shrinkage", "lognormal_shrinkage", "mixture_shrinkage"]
 
@@ -31,8 +39,8 @@ def gamma_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN, infinite or
-        negative is left out.
+        Samples, shape (..., channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
 
     Returns
     -------
@@ -57,7 +65,7 @@ def gamma_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     [3.0, 3.0, 3.0]
     """
     samples = whole_samples(x)
-    return shrink_mean(samples, _mean_of_fit(fit.gamma(samples)))
+    return shrink_mean(samples, _mean_of_fit(samples, _of_family("gamma")))
 
 
 @register("lognormal_shrinkage", source=SOURCE, joint_channels=True)
@@ -71,8 +79,8 @@ def lognormal_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN, infinite or
-        negative is left out.
+        Samples, shape (..., channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
 
     Returns
     -------
@@ -98,7 +106,7 @@ def lognormal_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     (1.875, 1.91)
     """
     samples = whole_samples(x)
-    return shrink_mean(samples, _mean_of_fit(fit.lognormal(samples)))
+    return shrink_mean(samples, _mean_of_fit(samples, _of_family("lognormal")))
 
 
 @register("mixture_shrinkage", source=SOURCE, joint_channels=True)
@@ -116,8 +124,8 @@ def mixture_shrinkage(x: npt.ArrayLike, *, max_k: int = 3) -> npt.NDArray[np.flo
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN, infinite or
-        negative is left out.
+        Samples, shape (..., channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
     max_k
         Largest number of components, at most 8; BIC chooses.
 
@@ -150,7 +158,7 @@ def mixture_shrinkage(x: npt.ArrayLike, *, max_k: int = 3) -> npt.NDArray[np.flo
     samples = whole_samples(x)
 
     def kernel(rows: Floats) -> Floats:
-        return _mean_of_fit(fit.mixture(rows, max_k=max_k, effort="fast"))
+        return _mean_of_fit(rows, lambda x: mixture(x, max_k=max_k, effort="fast"))
 
     # Near 1, logarithms are exact enough for the narrowest components, of a width of 1e-3.
     with np.errstate(over="ignore"):
@@ -158,7 +166,15 @@ def mixture_shrinkage(x: npt.ArrayLike, *, max_k: int = 3) -> npt.NDArray[np.flo
     return shrink_mean(samples, plug_in)
 
 
-def _mean_of_fit(found: fit.Fit | fit.Mixture) -> Floats:
+def _of_family(name: str) -> Callable[[Floats], Fit]:
+    return lambda x: fit_part(PositivePart.of(x), FAMILIES[name])
+
+
+def _mean_of_fit(
+    samples: npt.NDArray[np.floating[Any]], fit: Callable[[Floats], Fit | Mixture]
+) -> Floats:
+    """Return the mean of a fit, for which negative samples are zeros, and add their values."""
     # A very wide log-normal has no finite mean in doubles; then the sample mean stands.
     with np.errstate(over="ignore", invalid="ignore"):
-        return found.mean()
+        mean = fit(np.maximum(samples, 0)).mean()
+        return mean if samples.min() >= 0 else mean + mean_of_good(np.minimum(samples, 0))

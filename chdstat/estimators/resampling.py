@@ -40,7 +40,7 @@ def jung2015(
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out.
+        Samples, shape (..., sample). NaN and infinite samples are left out.
     resamples
         B, at least 1.
     location

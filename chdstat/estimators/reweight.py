@@ -34,15 +34,15 @@ def bayesian_median_of_means(
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out.
+        Samples, shape (..., sample). NaN and infinite samples are left out.
     alpha
         Concentration of the weights, larger than 0; the mean for alpha to infinity.
 
     Returns
     -------
     ndarray
-        Estimates, shape (...), in the unit and dtype of `x`, never below 0; NaN where no sample is
-        good.
+        Estimates, shape (...), in the unit and dtype of `x`, within the range of the samples; NaN
+        where no sample is good.
 
     Raises
     ------
@@ -71,8 +71,9 @@ def bayesian_median_of_means(
         second, third = row_sums(square), np.vecdot(square, deviation)
         # sigma times skewness is M3 / M2. Equal samples have neither.
         shift = np.divide(third, second, out=np.zeros_like(mean), where=second > 1e-30)
-        # A tiny alpha would correct by more than there is.
-        return np.asarray(np.maximum(mean - shift / (3 * (rows.shape[-1] * alpha + 2)), 0))
+        # A tiny alpha would correct by more than there is: means with weights have bounds.
+        found = mean - shift / (3 * (rows.shape[-1] * alpha + 2))
+        return np.asarray(np.clip(found, rows.min(axis=-1), rows.max(axis=-1)))
 
     return estimate_rows(as_samples(x), kernel)
 
@@ -93,7 +94,7 @@ def lee_valiant(
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out.
+        Samples, shape (..., sample). NaN and infinite samples are left out.
     delta
         Probability of a large error, between 0 and 1: the smaller, the more weight is taken off.
         Where fewer samples differ from kappa than that amount, all of these lose all of theirs.

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad, spans
+from chdstat._arrays import all_good, as_samples, is_bad, spans
 from chdstat.errors import InputError
 from chdstat.estimators._rows import Floats, estimate_rows, median_of_sorted
-from chdstat.estimators.classical import all_good, mean_of_good
+from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.registry import register
 
 __all__ = ["bucket_means", "gini", "gmon_adaptive", "gmon_binary", "median_of_means"]
@@ -34,7 +34,7 @@ def median_of_means(x: npt.ArrayLike, buckets: int = 11) -> npt.NDArray[np.float
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out of their
+        Samples, shape (..., sample). NaN and infinite samples are left out of their
         bucket; a bucket without a good sample is left out of the median.
     buckets
         M. Sample i falls into bucket i mod M, so consecutive samples are spread.
@@ -75,7 +75,7 @@ def gmon_binary(
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out of their
+        Samples, shape (..., sample). NaN and infinite samples are left out of their
         bucket; a bucket without a good sample is left out.
     buckets
         M, see `median_of_means`.
@@ -124,7 +124,7 @@ def gmon_adaptive(x: npt.ArrayLike, *, buckets: int = 11) -> npt.NDArray[np.floa
     Parameters
     ----------
     x
-        Samples, shape (..., sample). NaN, infinite and negative samples are left out of their
+        Samples, shape (..., sample). NaN and infinite samples are left out of their
         bucket; M counts the buckets with a good sample.
     buckets
         M, see `median_of_means`.
@@ -165,7 +165,8 @@ def gmon_adaptive(x: npt.ArrayLike, *, buckets: int = 11) -> npt.NDArray[np.floa
 def gini(ascending: Floats) -> Floats:
     """Return the Gini coefficient of ascending numbers (..., M): 0 for equal, (M-1)/M for one.
 
-    ``G = 2 sum_j j m_(j) / (M sum_j m_j) - (M + 1) / M``, 0 where all are 0.
+    ``G = sum_j (2 j - M - 1) m_(j) / (M sum_j |m_j|)``, 0 where all are 0. For negative numbers, as
+    Raffinetti, Siletti and Vernizzi 2015, doi:10.1007/s10260-014-0293-4.
 
     Examples
     --------
@@ -173,7 +174,7 @@ def gini(ascending: Floats) -> Floats:
     [0.0, 0.75]
     """
     count = ascending.shape[-1]
-    total = ascending.sum(axis=-1)
+    total = np.abs(ascending).sum(axis=-1)
     # Ranks around their mean: equal numbers cancel exactly, and none comes out below 0.
     weighted = ascending @ (2 * np.arange(1, count + 1) - (count + 1.0))
     share = np.divide(weighted, count * total, out=np.zeros_like(total), where=total > 0)

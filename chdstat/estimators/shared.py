@@ -19,6 +19,7 @@ from chdstat.estimators._likeness import (
     corrected_means,
     histograms,
     not_different,
+    root,
     significance,
 )
 from chdstat.estimators._rows import Floats, check_pixels
@@ -62,8 +63,8 @@ def delbracio2014(
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN, infinite or
-        negative is left out.
+        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
     threshold
         Distance up to which patches are alike, larger than 0; 1 is what noise gives.
     radius
@@ -135,15 +136,16 @@ def sakai2024(
     SE_j^2``: Welch's test on the samples after a Box-Cox transform with lambda = 1/2, their means
     corrected for skewness as by Johnson. The estimate is the mean of all their samples.
 
-    Formulas are those of the authors' published code. Of their denoiser this is the membership of
+    Formulas are those of the authors' published code; the root of a negative sample is ours, minus
+    that of its size (Bickel and Doksum 1981). Of their denoiser this is the membership of
     pixels; its Gaussian weights in space and in albedo and normals are left out, and its window is
     a square.
 
     Parameters
     ----------
     x
-        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN, infinite or
-        negative is left out.
+        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
     alpha
         Level of the two-sided test, between 0 and 1: the smaller, the more is shared.
     radius
@@ -168,6 +170,8 @@ def sakai2024(
     variances are involved", Biometrika 34, 1947, doi:10.1093/biomet/34.1-2.28.
     G. E. P. Box and D. R. Cox, "An analysis of transformations", Journal of the Royal Statistical
     Society B 26(2), 1964, doi:10.1111/j.2517-6161.1964.tb00553.x.
+    P. J. Bickel and K. A. Doksum, "An analysis of transformations revisited", Journal of the
+    American Statistical Association 76(374), 1981, doi:10.1080/01621459.1981.10477649.
 
     Examples
     --------
@@ -181,7 +185,7 @@ def sakai2024(
     check_pixels(samples, picture=True)
     picture = Picture.of(samples)
     # 2 (sqrt(x) - 1) gives the same test as sqrt(x).
-    fields = significance(corrected_means(picture, np.sqrt), picture.count, alpha)
+    fields = significance(corrected_means(picture, root), picture.count, alpha)
     values = with_weight(picture.mean(), picture.count)
     sums, _ = pool(not_different, fields, values, radius=radius)
     return with_own(quotient(sums) * picture.unit, samples, picture.count)

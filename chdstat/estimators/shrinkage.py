@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad
+from chdstat._arrays import all_good, as_samples, is_bad
 from chdstat.errors import InputError
 from chdstat.estimators._rows import Floats, check_pixels, estimate_rows
-from chdstat.estimators.classical import all_good, mean_of_good
+from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.registry import register
 from chdstat.estimators.robust import gmon_adaptive
 
@@ -116,11 +116,12 @@ def shrink_mean(
     """Pull the mean of samples (..., channel, sample) towards another estimate (..., channel)."""
     samples = as_samples(x)
     mean = mean_of_good(samples)
+    error = standard_error(samples)
     # Radiance in units of the pixel's brightest channel can be squared whatever it is.
-    unit = np.fmax.reduce(mean, axis=-1, keepdims=True, initial=0)
+    unit = np.fmax.reduce(np.fmax(np.abs(mean), error), axis=-1, keepdims=True, initial=0)
     unit[unit == 0] = 1
     with np.errstate(over="ignore"):
-        towards, noise = biased / unit, (standard_error(samples) / unit) ** 2
+        towards, noise = biased / unit, (error / unit) ** 2
     return np.asarray((james_stein(mean / unit, towards, noise) * unit).astype(samples.dtype))
 
 
@@ -149,8 +150,8 @@ def gmon_shrinkage(x: npt.ArrayLike, *, buckets: int = 11) -> npt.NDArray[np.flo
     Parameters
     ----------
     x
-        Samples, shape (..., channel, sample). A sample of which any channel is NaN, infinite or
-        negative is left out.
+        Samples, shape (..., channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
     buckets
         Of the G-MoN.
 

@@ -128,6 +128,7 @@ def _with_counts(part: BinnedPart, counts: Floats) -> BinnedPart:
         n=counts.sum(axis=-1).astype(np.int64),
         n_null=none,
         n_zero=none,
+        n_negative=none,
         n_bad=none,
     )
 
@@ -135,7 +136,8 @@ def _with_counts(part: BinnedPart, counts: Floats) -> BinnedPart:
 def _take(part: Part, rows: npt.NDArray[np.intp]) -> PositivePart | BinnedPart:
     """Return some rows of the flattened batch."""
     others = {
-        name: getattr(part, name).ravel()[rows] for name in ("n", "n_null", "n_zero", "n_bad")
+        name: getattr(part, name).ravel()[rows]
+        for name in ("n", "n_null", "n_zero", "n_negative", "n_bad")
     }
     if isinstance(part, BinnedPart):
         bins = part.counts.shape[-1]

@@ -192,6 +192,7 @@ def _result(found: ChosenMixtures, family: MixtureFamily) -> Mixture:
         n=part.n,
         n_null=part.n_null,
         n_zero=part.n_zero,
+        n_negative=part.n_negative,
         n_bad=part.n_bad,
         converged=found.converged.reshape(shape),
         reason=found.reason,

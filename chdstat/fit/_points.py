@@ -120,7 +120,7 @@ class Halves(PositivePart):
         points, sums = _of_ragged(x, n)
         none = np.zeros_like(n)
         valid = points.weight > 0
-        return cls(x, valid, n, n_null=none, n_zero=none, n_bad=none, points=points, sums=sums)
+        return cls(x, valid, n, none, none, none, none, points=points, sums=sums)
 
 
 def blocks(part: Part, usable: Mask, *, thin: bool = False) -> Iterator[Points]:

@@ -78,8 +78,9 @@ class Mixture:
         fit of the other half, shape (..., K); NaN unless it is the criterion.
     null_share, null_interval
         Share of nulls among the good samples, shape (...), and its interval, shape (..., 2).
-    n, n_null, n_zero, n_bad
-        Samples fitted; null ones; zeros of one channel in samples that are not null; bad ones.
+    n, n_null, n_zero, n_negative, n_bad
+        Samples fitted; null ones; zeros of one channel in samples that are not null; negative ones,
+        which the model leaves out; bad ones.
     converged
         Whether the last cycle of the chosen fit raised its log-likelihood by less than the
         tolerance; where not, it is the best that was reached.
@@ -103,6 +104,7 @@ class Mixture:
     n: Counts
     n_null: Counts
     n_zero: Counts
+    n_negative: Counts
     n_bad: Counts
     converged: Mask
     reason: npt.NDArray[np.int8]

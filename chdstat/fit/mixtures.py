@@ -191,7 +191,7 @@ def _half(part: PositivePart, start: int) -> PositivePart:
     positive = part.positive[..., start::2]
     n = np.asarray(np.count_nonzero(positive, axis=-1), dtype=np.int64)
     none = np.zeros_like(n)
-    return PositivePart(part.x[..., start::2], positive, n, none, none, none)
+    return PositivePart(part.x[..., start::2], positive, n, none, none, none, none)
 
 
 def _check(k: Any, family: str, criterion: str, max_k: Any, effort: str) -> None:

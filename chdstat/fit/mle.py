@@ -81,7 +81,7 @@ def fit(
     ----------
     x
         Radiance of a pixel, shape (sample,), of a batch, shape (..., sample), or all samples of an
-        image. Of an array, exact zeros are nulls and NaN, infinite or negative numbers are bad.
+        image. Of an array, exact zeros are nulls and NaN or infinite numbers are bad.
         Of `Samples`, a sample is null where all channels are 0 and bad where any channel is; a 0 of
         one channel in another sample cannot enter a positive family: it is left out of the fit of
         that channel and counted as `n_zero`. Or a `Histogram` of log scale, or the dataset that
@@ -293,6 +293,7 @@ def fit_part(part: Part, family: Family) -> Fit:
         n=part.n,
         n_null=part.n_null,
         n_zero=part.n_zero,
+        n_negative=part.n_negative,
         n_bad=part.n_bad,
         log_likelihood=log_likelihood,
         aic=np.asarray(2 * count - 2 * log_likelihood),

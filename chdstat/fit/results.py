@@ -27,7 +27,8 @@ SHARED = {
     "n": "samples that the family was fitted to",
     "n_null": "null samples: all channels are 0",
     "n_zero": "zeros of this channel in samples that are not null",
-    "n_bad": "samples left out: a channel is NaN, infinite or negative",
+    "n_negative": "negative samples of this channel, left out: they have no logarithm",
+    "n_bad": "samples left out: a channel is NaN or infinite",
 }
 """Variables that all fits of the same samples share, with their long names."""
 _OF_FAMILY = {
@@ -52,8 +53,9 @@ class Fit:
         Estimates and their asymptotic standard errors, by name.
     null_share, null_interval
         Share of nulls among the good samples, shape (...), and its interval, shape (..., 2).
-    n, n_null, n_zero, n_bad
-        Samples fitted; null ones; zeros of one channel in samples that are not null; bad ones.
+    n, n_null, n_zero, n_negative, n_bad
+        Samples fitted; null ones; zeros of one channel in samples that are not null; negative ones,
+        which the model leaves out; bad ones.
     log_likelihood
         Of all good samples: the positive ones in linear radiance, and the Bernoulli part of zeros.
     aic, bic
@@ -72,6 +74,7 @@ class Fit:
     n: Counts
     n_null: Counts
     n_zero: Counts
+    n_negative: Counts
     n_bad: Counts
     log_likelihood: Floats
     aic: Floats

@@ -121,6 +121,7 @@ def without_largest(part: PositivePart, rows: Mask) -> PositivePart:
         n=part.n[rows] - 1,
         n_null=part.n_null[rows],
         n_zero=part.n_zero[rows],
+        n_negative=part.n_negative[rows],
         n_bad=part.n_bad[rows],
     )
 

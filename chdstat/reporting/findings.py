@@ -210,10 +210,10 @@ def _bad(scene: Overview) -> Finding:
     total = scene.pixels * scene.spp
     return Finding(
         "Did the renderer return impossible values?",
-        f"{scene.bad_samples} of {total} samples are NaN, infinite or negative; they are counted "
+        f"{scene.bad_samples} of {total} samples are NaN or infinite; they are counted "
         "and left out."
         if scene.bad_samples
-        else f"None of {total} samples is NaN, infinite or negative.",
+        else f"None of {total} samples is NaN or infinite.",
         f"{scene.bad_samples}",
     )
 

@@ -152,7 +152,7 @@ def _draw(chds: Sequence[CHD], samples: int, rng: np.random.Generator) -> Positi
     none = np.zeros_like(n)
     nulls = rng.negative_binomial(samples, 1 - share)
     x = np.stack(rows)
-    return PositivePart(x, np.asarray(x > 0), n, n_null=nulls, n_zero=none, n_bad=none)
+    return PositivePart(x, np.asarray(x > 0), n, nulls, none, none, none)
 
 
 def _truths(

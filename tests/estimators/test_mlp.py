@@ -100,7 +100,7 @@ def test_a_bad_sample_counts_as_the_mean_of_the_others(trained):
     x = np.random.default_rng(0).gamma(1, size=32)
     filled = x.copy()
     filled[5] = np.delete(x, 5).mean()
-    for bad in (np.nan, np.inf, -1.0):
+    for bad in (np.nan, np.inf, -np.inf):
         x[5] = bad
         assert trained.predict(x) == pytest.approx(trained.predict(filled))
     assert np.isnan(trained.predict(np.full(32, np.nan)))

@@ -82,7 +82,7 @@ def test_a_mixture_of_gamma_components_has_the_sample_mean():
         [2.0, 2.0, 2.0, 2.0],
         [0.0, 0.0, 0.0, 5.0],
         [0.0, np.nan, np.nan, 5.0],
-        [3.0, np.nan, np.inf, -1.0],
+        [3.0, np.nan, np.inf, -np.inf],
     ],
 )
 def test_where_no_mixture_can_be_fitted_it_is_the_mean(row):

@@ -245,7 +245,7 @@ def rms(values):
 def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(function):
     x = picture(12, (6, 6, 3, 16))
     x[2, 3, :, :] = np.nan
-    x[4, 4, 0, :] = -1.0
+    x[4, 4, 0, :] = -np.inf
     found = function(x)
     assert np.isnan(found[2, 3]).all()
     assert np.isnan(found[4, 4, 0])

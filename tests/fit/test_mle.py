@@ -157,7 +157,8 @@ def test_unusable_pixels_are_data(family):
     for value in (*fit.parameters.values(), fit.log_likelihood, fit.bic):
         np.testing.assert_array_equal(~np.isfinite(value), fit.reason != Reason.OK)
     np.testing.assert_array_equal(fit.converged, fit.reason == Reason.OK)
-    np.testing.assert_array_equal(fit.n_bad, [0, 8, 0, 0, 2])
+    np.testing.assert_array_equal(fit.n_bad, [0, 8, 0, 0, 1])
+    np.testing.assert_array_equal(fit.n_negative, [0, 0, 0, 0, 1])
     np.testing.assert_array_equal(fit.null_share, [1, np.nan, 7 / 8, 0, 0])
     assert np.isnan(fit.cdf([1.0])[:4]).all()
 

@@ -130,7 +130,7 @@ class Alike:
     same
         Whether all others are equal to it and good, shape (...).
     lit
-        Whether any sample of the picture is above 0.
+        Whether any sample of the picture is not 0.
     count
         Samples so far.
     """
@@ -144,7 +144,7 @@ class Alike:
     def of(cls, samples: npt.NDArray[Any]) -> Alike:
         """Look at samples, shape (..., channel, sample), of which there is at least one."""
         first = samples[..., 0].copy()
-        good = np.asarray((np.isfinite(first) & (first >= 0)).all(axis=-1))
+        good = np.asarray(np.isfinite(first).all(axis=-1))
         found = cls(first, good)
         found.add(samples)
         return found
@@ -162,7 +162,7 @@ class Alike:
         same = self.same
         same[same] = (samples[same] == self.first[same][..., np.newaxis]).all(axis=(-2, -1))
         # Of nearly all pictures one sample a pixel is enough to tell.
-        self.lit = self.lit or bool((samples[..., 0] > 0).any() or (samples > 0).any())
+        self.lit = self.lit or bool(samples[..., 0].any() or samples.any())
         self.count += samples.shape[-1]
 
 
@@ -174,7 +174,7 @@ def with_constants(found: Estimates, alike: Alike) -> Estimates:
     """
     if alike.count < _FEWEST_ALIKE:
         return found
-    same = alike.same & ((alike.first > 0).any(axis=-1) | (not alike.lit))
+    same = alike.same & (alike.first.any(axis=-1) | (not alike.lit))
     if same.any():
         with np.errstate(over="ignore"):
             mean = alike.first[same].astype(np.float32)

@@ -261,8 +261,8 @@ class Progressive:
         ----------
         x
             Samples, shape (..., channel, sample), any number of them; a picture (y, x, channel,
-            sample) where it looks at features or neighbours. A sample of which any channel is NaN,
-            infinite or negative is left out.
+            sample) where it looks at features or neighbours. A sample of which any channel is NaN
+            or infinite is left out.
         features
             First-hit features of the picture.
         direct

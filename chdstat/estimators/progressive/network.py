@@ -119,7 +119,7 @@ class Network(nn.Module):
             parts.append(sight.described)
         if self.shape.neighbours:
             parts += [_legible(sight.bands).flatten(1), torch.log1p(sight.weight)]
-            parts.append(0.2 * torch.log1p(sight.shared / _FAINT))
+            parts.append(0.2 * torch.log1p(sight.shared.clamp(min=0) / _FAINT))
         return torch.cat(parts, dim=1)
 
     def load_arrays(self, arrays: dict[str, npt.NDArray[np.float32]]) -> None:
@@ -144,10 +144,14 @@ class Network(nn.Module):
 
 
 def _legible(bins: torch.Tensor) -> torch.Tensor:
-    """Return shares and radiance so that rare and bright samples do not outweigh all others."""
+    """Return shares and radiance so that rare and bright samples do not outweigh all others.
+
+    Negative radiance looks like none.
+    """
+    bins = bins.clamp(min=0)
     # The shares go through the logarithm, too, as one loop over all is faster than one with gaps.
     legible = torch.log1p(bins / _FAINT).mul_(0.2)
-    legible[..., 0] = bins[..., 0].clamp(min=0).sqrt()
+    legible[..., 0] = bins[..., 0].sqrt()
     return legible
 
 

@@ -50,7 +50,8 @@ class Profile:
     ----------
     bins
         Weight of the samples in each octave, then their radiance in each channel in units of
-        `unit`; shape (..., octave, 1 + channel). Nulls enter no octave. Of parts, the octaves of
+        `unit`; shape (..., octave, 1 + channel). Nulls enter no octave, samples of negative
+        luminance the lowest. Of parts, the octaves of
         the direct light come first, then those of the indirect.
     count
         Good samples, nulls among them, shape (...).
@@ -73,7 +74,7 @@ class Profile:
     def of(cls, x: npt.ArrayLike, *, unit: float, direct: npt.ArrayLike | None = None) -> Self:
         """Return the profiles of samples (..., channel, sample).
 
-        A sample of which any channel is NaN, infinite or negative is left out.
+        A sample of which any channel is NaN or infinite is left out.
 
         Parameters
         ----------
@@ -191,7 +192,7 @@ def _profile_of_parts(
     apart = np.empty((rows, _PARTS, channels, n), np.result_type(direct, total))
     apart[:, 0] = np.where(bad, np.nan, direct)
     rest = np.where(bad, np.nan, total) - apart[:, 0]
-    above = np.asarray(rest < -_ROUNDING * apart[:, 0])
+    above = np.asarray(rest < -_ROUNDING * np.abs(apart[:, 0]))
     if above.any():
         row, channel, sample = np.argwhere(above)[0]
         message = (
@@ -220,7 +221,7 @@ def _profile(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int64]
         if bad.any():
             values[bad] = 0
         luminance = _luminance(values[..., 1:])
-    np.greater(luminance, 0, out=values[..., 0], casting="unsafe")
+    np.not_equal(luminance, 0, out=values[..., 0], casting="unsafe")
     place = np.clip(luminance, 2.0**_LOWEST, 2.0 ** (_LOWEST + OCTAVES), out=luminance)
     np.log2(place, out=place)
     place -= _LOWEST

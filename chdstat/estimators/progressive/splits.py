@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from chdstat.estimators.heldout import without
 from chdstat.estimators.progressive.profiles import Profile
 
 __all__ = ["Halves", "Part", "Parts", "Splits"]
@@ -209,8 +210,8 @@ class Splits:
         return np.asarray(starts[..., np.newaxis] + places)
 
     def _rest(self, pixels: npt.NDArray[np.int64], seen: Array) -> Array:
-        """Return the mean of the samples that were not seen; rounding leaves none below 0."""
-        total = np.maximum(self._total[pixels] - seen.sum(axis=-1, dtype=np.float64), 0)
+        """Return the mean of the samples that were not seen."""
+        total = without(self._total[pixels], seen.sum(axis=-1, dtype=np.float64))
         return np.asarray(total / (self.spp - seen.shape[-1]), np.float32)
 
 

@@ -95,11 +95,15 @@ class Spread:
         balance: float,
         level: float,
     ) -> Floats:
-        """Return a quantile; estimate and variance (row, channel), samples (row,)."""
+        """Return a quantile; estimate and variance (row, channel), samples (row,).
+
+        Of a negative estimate, which signed samples make, it is that of a normal distribution.
+        """
         z = self._normal(np.maximum(count, 1), balance, level)[:, np.newaxis]
-        mean = estimate + DARK
+        mean = np.maximum(estimate, 0) + DARK
         root = 1 - variance / (9 * mean**2) + z * np.sqrt(variance) / (3 * mean)
-        return np.asarray(np.maximum(mean * np.maximum(root, 0) ** 3 - DARK, 0))
+        found = np.maximum(mean * np.maximum(root, 0) ** 3 - DARK, 0)
+        return np.where(estimate < 0, estimate + z * np.sqrt(variance), found)
 
     def _normal(self, count: npt.NDArray[Any], balance: float, level: float) -> Floats:
         if not len(self.sizes):
@@ -147,5 +151,5 @@ def _calibrate(weights: Floats, trials: Sequence[Trial]) -> Floats:
         mean = _mixed(estimates, balance) + DARK
         spread = np.sqrt(_mixed(variances, balance)) / (3 * mean)
         z = (np.cbrt(truth / mean) - 1 + spread**2) / spread
-        found.append(np.quantile(z, LEVELS))
+        found.append(np.quantile(z[mean >= DARK], LEVELS))
     return np.array(found)

@@ -109,7 +109,7 @@ def test_what_rounding_makes_is_no_variance():
 
 def test_pixels_with_a_bad_sample_or_beyond_single_precision_are_not_used():
     x = draws(16)
-    x[3, 1, 5], x[4, 0, 0], x[5, 2, 7], x[6, :, 2] = np.nan, -1, np.inf, 1e30
+    x[3, 1, 5], x[4, 0, 0], x[5, 2, 7], x[6, :, 2] = np.nan, -np.inf, np.inf, 1e30
     assert filled(x).usable().tolist() == [0, 1, 2, *range(7, 40)]
     made = parts(x)
     assert len(made) == 36

@@ -97,7 +97,7 @@ def test_certainty_rests_less_on_experience_with_every_sample(trained):
 def test_bad_samples_are_left_out_and_a_pixel_of_none_else_is_unknown(trained):
     x = np.random.default_rng(0).exponential(size=(4, 4, 3, 8))
     x[0, 0] = np.nan
-    x[1, 1, 2, 3] = -1
+    x[1, 1, 2, 3] = -np.inf
     stream = Stream(trained, unit=1.0)
     stream.update(x)
     assert stream.count[0, 0] == 0
@@ -288,7 +288,7 @@ def test_one_that_was_trained_before_learns_on(source, trained):
 
 def test_bad_samples_are_left_out_where_it_learns(source):
     x = source.x.copy()
-    x[0, 0], x[1, 1, 2, 3], x[2, 2, :, 0], x[3, 3, 0, 0] = np.nan, -1, np.inf, 1e30
+    x[0, 0], x[1, 1, 2, 3], x[2, 2, :, 0], x[3, 3, 0, 0] = np.nan, -np.inf, np.inf, 1e30
     stream = Stream(Progressive(), learns=True)
     stream.update(x)
     stream.learn(iterations=3)
