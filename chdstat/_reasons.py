@@ -29,6 +29,10 @@ class Reason(enum.IntEnum):
     """The likelihood has no maximum: it rises towards a limit of the family."""
     NONE_POSITIVE = 7
     """No sample is positive, and some are negative: they have no logarithm."""
+    TIED = 8
+    """Several samples share the largest value: they were clamped, rounded, or are a few atoms."""
+    UNTESTED = 9
+    """No test was asked for: there is a statistic and no p-value."""
 
 
 def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:

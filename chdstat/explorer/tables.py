@@ -44,7 +44,7 @@ def statistics(place: Measured) -> Table:
             "tail index ξ",
             *(_with_interval(x, i) for x, i in zip(tail.xi, tail.interval, strict=True)),
         ],
-        _row("p of ξ ≤ 0", tail.p_exponential, _p),
+        _row("p of a gamma tail", tail.p_exponential, _p),
         ["modes", *(str(int(m)) if m else "—" for m in modes.modes)],
         _row("dip of log", modes.dip),
         _row("p of one mode (dip)", modes.dip_p_value, _p),

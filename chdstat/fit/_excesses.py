@@ -46,12 +46,15 @@ class Fitted:
         Largest sample that is no excess.
     n
         Excesses.
+    first_xi
+        Tail index of the first candidate, whether the test rejects it or not.
     """
 
     xi: Floats
     scale: Floats
     threshold: Floats
     n: Counts
+    first_xi: Floats
 
 
 @dataclass(frozen=True)
@@ -115,19 +118,20 @@ def hill_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts) -> Fitted:
 def _in_chunks(
     ascending: npt.NDArray[Any], n: Counts, k: Counts, model: _Model, *, log: bool
 ) -> Fitted:
-    values, used = np.full((3, len(n)), np.nan), np.zeros(len(n), dtype=np.int64)
+    values, used = np.full((4, len(n)), np.nan), np.zeros(len(n), dtype=np.int64)
     order = np.argsort(k[:, 0], kind="stable")
     for part in spans(len(n), max(1, _CHUNK // int(k.max(initial=1)))):
         rows = order[part]
         values[:, rows], used[rows] = _choose(ascending, n, k, rows, model, log)
-    return Fitted(xi=values[0], scale=values[1], threshold=values[2], n=used)
+    xi, scale, threshold, first_xi = values
+    return Fitted(xi=xi, scale=scale, threshold=threshold, n=used, first_xi=first_xi)
 
 
 def _choose(
     ascending: npt.NDArray[Any], n: Counts, k: Counts, rows: Counts, model: _Model, log: bool
 ) -> tuple[Floats, Counts]:
     """Take the first candidate whose fit is not rejected, or the last one that can be fitted."""
-    found, used = np.full((3, len(rows)), np.nan), k[rows, 0].copy()
+    found, used = np.full((4, len(rows)), np.nan), k[rows, 0].copy()
     open_ = np.arange(len(rows))
     for tried in range(k.shape[1]):
         here = rows[open_]
@@ -138,6 +142,8 @@ def _choose(
         found[0, better] = xi[known]
         found[1, better] = scale[known] * excesses.largest[known]
         found[2, better] = excesses.threshold[known]
+        if tried == 0:
+            found[3] = xi
         used[better] = excesses.n[known]
         open_ = open_[~accepted]
         if not len(open_):

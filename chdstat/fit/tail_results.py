@@ -25,9 +25,11 @@ _LABELS = {
     "tail_index_se": ("standard error of the tail index", "1"),
     "tail_interval": ("interval of the tail index", "1"),
     "tail_p_value": ("p-value of a tail index at most the tested one", "1"),
-    "tail_p_exponential": ("p-value of a tail no heavier than an exponential", "1"),
+    "tail_p_exponential": ("p-value of a tail no heavier than a gamma distribution's", "1"),
     "tail_q_value": ("q-value of a tail index at most the tested one", "1"),
-    "tail_q_exponential": ("q-value of a tail no heavier than an exponential", "1"),
+    "tail_q_exponential": ("q-value of a tail no heavier than a gamma distribution's", "1"),
+    "tail_index_far": ("tail index of the largest samples alone", "1"),
+    "tail_interval_far": ("interval of the tail index of the largest samples alone", "1"),
     "tail_scale": ("generalised Pareto scale", _RADIANCE),
     "tail_threshold": ("radiance above which the tail begins", _RADIANCE),
     "tail_n": ("samples above the threshold", "1"),
@@ -36,9 +38,10 @@ _LABELS = {
     "tail_hill_interval": ("interval of the Hill estimate", "1"),
     "tail_hill_n": ("samples of the Hill estimate", "1"),
     "tail_variance_suspect": ("xi >= 1/2: do not trust the sample variance", "1"),
-    "tail_variance_trusted": ("xi < 1/2 by the upper end of its interval", "1"),
+    "tail_variance_trusted": ("xi < 1/2 at every threshold", "1"),
+    "tail_variance_unidentified": ("the samples cannot tell whether the variance is finite", "1"),
 }
-_INTERVALS = ("tail_interval", "tail_hill_interval")
+_INTERVALS = ("tail_interval", "tail_interval_far", "tail_hill_interval")
 
 
 @dataclass(frozen=True)
@@ -52,8 +55,14 @@ class Tail:
         ``0.9 / sqrt(n)``, as simulations say of bounded tails.
     interval
         Low and high end for xi, shape (..., 2).
-    p_value, p_exponential
-        One-sided: of the hypotheses that the tail index is at most `tested`, and at most 0.
+    xi_far, interval_far
+        Tail index of the `FAR` largest samples alone, and its interval: if a few samples are of a
+        heavier tail than the rest, these tell. `interval` does not know of them.
+    p_value
+        One-sided, of the hypothesis that the tail index is at most `tested`.
+    p_exponential
+        One-sided, of the hypothesis that the tail is no heavier than that of an exponential, or of
+        a gamma distribution whose logarithms vary as much as the samples' do.
     tested, level
         That index, and the level of the intervals.
     scale, threshold
@@ -67,14 +76,19 @@ class Tail:
         Where xi >= 1/2: the variance may be infinite, the sample variance is not to be trusted, nor
         is any error bar made of it.
     variance_trusted
-        Where the upper end of the interval is below 1/2. Between the two, samples cannot tell.
+        Where the upper end of the interval is below 1/2, and neither the largest candidate nor the
+        `FAR` largest samples are heavier than those of a gamma distribution.
+    variance_unidentified
+        Where neither holds: the samples cannot tell whether their variance is finite.
     reason
-        `Reason` codes.
+        `Reason` codes; where it is not `OK`, none of the three holds.
     """
 
     xi: Floats
     standard_error: Floats
     interval: Floats
+    xi_far: Floats
+    interval_far: Floats
     p_value: Floats
     p_exponential: Floats
     tested: float
@@ -88,6 +102,7 @@ class Tail:
     hill_n: Counts
     variance_suspect: Mask
     variance_trusted: Mask
+    variance_unidentified: Mask
     reason: npt.NDArray[np.int8]
 
 
@@ -97,6 +112,8 @@ def tail_variables(tail: Tail) -> Mapped:
         "tail_index": tail.xi,
         "tail_index_se": tail.standard_error,
         "tail_interval": tail.interval,
+        "tail_index_far": tail.xi_far,
+        "tail_interval_far": tail.interval_far,
         "tail_p_value": tail.p_value,
         "tail_p_exponential": tail.p_exponential,
         "tail_scale": tail.scale,
@@ -108,6 +125,7 @@ def tail_variables(tail: Tail) -> Mapped:
         "tail_hill_n": tail.hill_n,
         "tail_variance_suspect": tail.variance_suspect,
         "tail_variance_trusted": tail.variance_trusted,
+        "tail_variance_unidentified": tail.variance_unidentified,
         "tail_reason": tail.reason,
     }
     first = ("channel",) if tail.n.ndim == 3 else ()

@@ -44,7 +44,7 @@ class Evidence:
         Share of the sum that the largest sample carries.
     tail_index, tail_index_se, tail_interval, tail_p_value
         Generalised Pareto tail index, its standard error, its interval, shape (..., 2), and the
-        one-sided p-value of xi <= 0.
+        one-sided p-value of a tail no heavier than that of a gamma distribution.
     modes
         Modes of the log density; 0 where they could not be counted.
     ashman_d, ashman_d_se

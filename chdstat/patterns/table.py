@@ -154,9 +154,14 @@ def _is_described(e: Evidence, t: Thresholds) -> Mask:
 
 
 def _body_is_long(e: Evidence, t: Thresholds) -> Mask:
-    """Say where the family of a pixel has a long tail, and its largest samples do not object."""
+    """Say where a pixel is log-normal with a long tail, and its largest samples do not object.
+
+    The tail of a gamma distribution is exponential, however heavy it seems above its quantile 0.9.
+    """
+    is_lognormal = e.vuong_z <= 0
     objects = e.tail_interval[..., 1] < t.tail_index
-    return np.asarray(_is_described(e, t) & (e.body_index >= t.tail_index) & ~objects)
+    is_long = is_lognormal & (e.body_index >= t.tail_index)
+    return np.asarray(_is_described(e, t) & is_long & ~objects)
 
 
 def _is_long(e: Evidence, t: Thresholds) -> Mask:
@@ -171,8 +176,7 @@ def _tail_p_value(e: Evidence, t: Thresholds) -> Floats:
     two tests, the smaller p-value counts twice (Bonferroni).
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        of_body = special.ndtr(-e.body_index / e.body_index_se)
-    of_body = np.where(e.vuong_z > 0, of_body, np.fmax(of_body, special.ndtr(e.vuong_z)))
+        of_body = np.fmax(special.ndtr(-e.body_index / e.body_index_se), special.ndtr(e.vuong_z))
     both = np.minimum(2 * np.fmin(of_body, e.tail_p_value), 1.0)
     return np.where(_body_is_long(e, t), both, e.tail_p_value)
 
@@ -181,7 +185,7 @@ def _is_like(sign: int) -> Callable[[Evidence, Thresholds], Mask]:
     """Say where gamma (1) or log-normal (-1) is the better one, of one mode with a short tail."""
 
     def large_enough(e: Evidence, t: Thresholds) -> Mask:
-        short = e.body_index < t.tail_index
+        short = (sign > 0) | (e.body_index < t.tail_index)
         return np.asarray((sign * e.vuong_z > 0) & _is_described(e, t) & short)
 
     return large_enough
@@ -221,8 +225,8 @@ PATTERNS: tuple[Pattern, ...] = (
         name="long_tail",
         meaning="rare bright paths carry the variance: more samples help less than they should",
         statistic="generalised Pareto tail index, without a sample that dominates",
-        rule="the index is at least the threshold and significantly above 0, as of an exponential; "
-        "or that of the family that describes the samples is, and the former's interval reaches it",
+        rule="the index is at least the threshold and significantly above that of a gamma tail; or "
+        "that of log-normal is, which describes the samples, and the former's interval reaches it",
         source=_TAIL_SOURCE,
         measure=lambda e: e.tail_index,
         large_enough=_is_long,

@@ -64,7 +64,8 @@ def truth(chd: CHD) -> Truth:
     * null-heavy: a share of nulls within 0.05 of 1/2 (`NULL_ZONE`: 512 samples cannot tell).
     * long tail: a tail index in (0.1, 0.3), `TAIL_ZONE`. That of a body without a grafted tail is
       the penultimate one at its quantile 0.9, so that a log-normal body of sigma 1 or more is
-      long-tailed, one of sigma 0.65 or less is not, and what lies between is left out.
+      long-tailed, one of sigma 0.65 or less is not, and what lies between is left out. A gamma
+      body is not, whatever its shape.
     * modes: neighbouring components with Ashman's D below 2.5, the end of `SEPARATION_ZONE`, or
       components that do not show as many maxima of the density of log x.
     * gamma-like and log-normal-like: bodies whose logarithm has a standard deviation below 0.365
@@ -107,7 +108,8 @@ def _flags(chd: CHD, tail_index: float) -> dict[str, bool | None]:
             **dict.fromkeys((*absent, "gamma_like", "lognormal_like"), False),
         }
     several = _has_modes(chd)
-    long_tail = False if chd.is_constant else _above(tail_index, TAIL_ZONE)
+    exponential = chd.tail_index is None and all(c.family == "gamma" for c in chd.body)
+    long_tail = False if chd.is_constant or exponential else _above(tail_index, TAIL_ZONE)
     return {
         "null_heavy": _above(chd.null_share, NULL_ZONE),
         "constant": chd.is_constant and not chd.firefly_share,
