@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib.metadata
 import itertools
 import threading
+from asyncio import CancelledError as AsyncCancelledError
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,11 +20,15 @@ from chdstat._renderer import Job, Renderer
 from chdstat._store import Chunk
 from chdstat._workers import cores
 from chdstat.backend import activate
+from chdstat.errors import RenderError
 
 if TYPE_CHECKING:
     from distributed import Client
 
 __all__ = ["rendered"]
+
+_PATIENCE = 8
+"""Seconds to wait for the first worker of a cluster."""
 
 Image = npt.NDArray[np.float32]
 
@@ -35,9 +41,7 @@ def rendered(
     Ctrl-C ends it with KeyboardInterrupt once no thread is at work any more.
     """
     if client is not None:
-        remote = client.get_executor(pure=False)
-        window = 2 * max(1, sum(client.ncores().values()))
-        yield from _collect(lambda c: remote.submit(_render_remote, job, c), chunks, window)
+        yield from _remotely(job, renderer.identity, chunks, client)
         return
     with (
         Interrupts() as interrupts,
@@ -91,16 +95,93 @@ def _collect(
             future.cancel()
 
 
+# --- workers of a cluster -----------------------------------------------------------------------
+
 _REMOTE: dict[tuple[Any, ...], Renderer] = {}
 """The last renderer of a worker process: building a scene costs more than a chunk."""
 _REMOTE_LOCK = threading.Lock()
 
 
-def _render_remote(job: Job, chunk: Chunk) -> Image:
-    """Render one chunk in a Dask worker."""
+def _remotely(
+    job: Job, identity: dict[str, Any], chunks: Sequence[Chunk], client: Client
+) -> Iterator[tuple[Chunk, Image]]:
+    """Let the workers of a cluster draw chunks; what happens to it becomes an error that says so.
+
+    Futures of Dask raise no error of their own when their scheduler dies; they are cancelled.
+    """
+    _check_workers(client)
+    remote = client.get_executor(pure=False)
+    window = 2 * max(1, sum(client.ncores().values()))
+    try:
+        yield from _collect(
+            lambda c: remote.submit(_render_remote, job, identity, c), chunks, window
+        )
+    except (CancelledError, AsyncCancelledError, OSError, TimeoutError) as error:
+        message = (
+            "the Dask cluster was lost while it rendered; what is stored is kept: start it again, "
+            "or render here, with the same command to resume"
+        )
+        raise RenderError(message) from error
+
+
+def _check_workers(client: Client) -> None:
+    """Refuse a cluster that has no workers, or workers of other versions.
+
+    Raises
+    ------
+    RenderError
+        If there are none within a few seconds, or their versions differ from those here.
+    """
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE)
+        theirs = client.run(_versions)
+    except (TimeoutError, OSError, CancelledError) as error:
+        message = (
+            f"the Dask scheduler at {client.scheduler_info().get('address', '?')} has no worker "
+            f"after {_PATIENCE} seconds; start one with: dask worker ADDRESS"
+        )
+        raise RenderError(message) from error
+    ours = _versions()
+    other = {address: found for address, found in theirs.items() if found != ours}
+    if other:
+        address, found = next(iter(other.items()))
+        differing = ", ".join(f"{n} {found.get(n)}, not {v}" for n, v in ours.items())
+        message = (
+            f"{len(other)} Dask worker(s) have other versions than here: {address} has "
+            f"{differing}; samples would differ: install the same there"
+        )
+        raise RenderError(message)
+
+
+def _versions() -> dict[str, str]:
+    """Return the versions on which samples depend."""
+    return {name: importlib.metadata.version(name) for name in ("chdstat", "mitsuba", "numpy")}
+
+
+def _render_remote(job: Job, identity: dict[str, Any], chunk: Chunk) -> Image:
+    """Render one chunk in a Dask worker, of the very scene that the client has."""
+    key = (identity["scene_hash"], str(identity["scene_code"]), *job.settings)
     with activate(job.verdict), _REMOTE_LOCK:
-        if job.key not in _REMOTE:
+        if key not in _REMOTE:
             _REMOTE.clear()
-            _REMOTE[job.key] = Renderer(job)
+            renderer = Renderer(job)
+            _check_same(identity, renderer.identity)
+            _REMOTE[key] = renderer
         # One at a time: a pass uses all cores, and Mitsuba's signal handler is not reentrant.
-        return _REMOTE[job.key].chunk(chunk)
+        return _REMOTE[key].chunk(chunk)
+
+
+def _check_same(here: dict[str, Any], there: dict[str, Any]) -> None:
+    """Refuse a worker whose files or plugins are others than those of the client."""
+    names = [
+        name
+        for part in ("scene_files", "scene_code")
+        for name in sorted(here[part].keys() | there[part].keys())
+        if here[part].get(name) != there[part].get(name)
+    ]
+    if here["scene_hash"] != there["scene_hash"] or names:
+        message = (
+            f"a Dask worker reads another scene than is read here ({', '.join(names[:5])} "
+            "differ); give it the same files and plugins, and start it again"
+        )
+        raise RenderError(message)

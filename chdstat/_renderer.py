@@ -6,29 +6,29 @@ wavefront. Which random numbers each sample owns is told by `chdstat._streams`.
 
 from __future__ import annotations
 
-import functools
+import contextlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._asked import Asked, asked_for, brief
 from chdstat._interrupts import Interrupted
 from chdstat._store import Chunk
 from chdstat._streams import Streams
 from chdstat.backend import BACKENDS, Verdict, activate
 from chdstat.errors import RenderError, SceneError
 from chdstat.scenes import Scene
+from chdstat.scenes.code import code_of, plugins_made
 
 __all__ = ["Job", "Renderer", "film_size", "integrator_type"]
 
 _BLOCK = 32
 _RUN = 16
 """Samples of a pixel in neighbouring lanes: their paths begin alike, which saves a tenth."""
-_INTEGRATOR = "path"
-"""What renders a scene that names no integrator."""
 _FEATURE_SPP = 16
 _FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
 
@@ -44,48 +44,84 @@ class Job:
     size: tuple[int, int] | None = None
     seed: int = 0
     max_depth: int | None = None
+    sensor: int = 0
 
-    @functools.cached_property
-    def key(self) -> tuple[Any, ...]:
-        """Identity of the job; jobs of equal key give equal samples."""
-        return (self.scene.hash, self.verdict.backend, self.size, self.seed, self.max_depth)
+    @property
+    def settings(self) -> tuple[Any, ...]:
+        """What the samples depend on besides the scene."""
+        return (self.verdict.backend, self.size, self.seed, self.max_depth, self.sensor)
+
+    def asked(self) -> Asked:
+        """Return what the scene asks for, as Mitsuba reads its description.
+
+        Raises
+        ------
+        InputError, SceneError, RenderError
+            If there is no such sensor, or its film or the integrator cannot be used.
+        """
+        state = self.scene.parse(BACKENDS[self.verdict.backend])
+        return asked_for(self.scene.name, state, self.sensor)
 
 
 def film_size(job: Job) -> tuple[int, int]:
-    """Return the (width, height) of the film that the scene of a job describes."""
-    with activate(job.verdict) as mi:
-        nodes = job.scene.parse(BACKENDS[job.verdict.backend]).nodes
-        return _film_size(next((n.props for n in nodes if n.type == mi.ObjectType.Film), {}))
+    """Return the (width, height) of the image that the scene of a job describes."""
+    with activate(job.verdict):
+        return job.asked().film.crop_size
 
 
 def integrator_type(job: Job) -> str:
     """Return Mitsuba's name of the integrator that the scene of a job asks for."""
-    with activate(job.verdict) as mi:
-        nodes = job.scene.parse(BACKENDS[job.verdict.backend]).nodes
-        found = (n.props.plugin_name() for n in nodes if n.type == mi.ObjectType.Integrator)
-        return str(next(found, _INTEGRATOR))
-
-
-def _film_size(properties: Any) -> tuple[int, int]:
-    """Return (width, height) of a film's properties, with Mitsuba's own defaults."""
-    return int(properties.get("width", 768)), int(properties.get("height", 576))
+    with activate(job.verdict):
+        return str(job.asked().integrator.plugin_name())
 
 
 class Renderer:
-    """Renders chunks of samples of one job; safe to call from several threads."""
+    """Renders chunks of samples of one job; safe to call from several threads.
+
+    Attributes
+    ----------
+    size
+        (width, height) of the image in pixels.
+    film
+        The film, of which the image may be a crop.
+    files, code
+        Digests of the files that the scene reads and of the code of its Python plugins, by name.
+    notes
+        What the scene asks for and does not get.
+    """
 
     def __init__(self, job: Job) -> None:
         with activate(job.verdict) as mi:
             self._mi = mi
             self._scalar = job.verdict.backend == "scalar"
-            self.notes: list[str] = []
-            state = job.scene.parse(BACKENDS[job.verdict.backend])
-            self._read_settings(state, job)
+            self.files, self.scene_hash = job.scene.files(), job.scene.hash
+            asked = job.asked()
+            self.notes = list(asked.notes)
+            self._sensor_properties = asked.sensor
+            self.film, note = asked.film.resized(job.size)
+            self.notes += note
+            self.size = self.film.crop_size
+            self._read_integrator(asked.integrator, job)
             self._streams = Streams(self.size, job.seed)
-            self._scene = job.scene.build(state)
-            self._sensor_medium = self._scene.sensors()[0].get_medium()
             self._local = threading.local()
-            _ = self._integrator  # one that cannot be used is refused before any work
+            with plugins_made(mi, asked.plugins) as plugins:
+                _ = self._integrator  # one that cannot be used is refused before any work
+                self._scene = job.scene.build(asked.state)
+            self.code = code_of(plugins)
+            self._sensor_medium = self._scene.sensors()[job.sensor].get_medium()
+            if job.scene.files() != self.files:
+                message = f"files of scene {job.scene.name!r} changed while they were read; again"
+                raise SceneError(message)
+            self._try_out()
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What tells the scene from another one, as stores keep it."""
+        return {
+            "scene_hash": self.scene_hash,
+            "scene_files": {name: digest[:16] for name, digest in self.files.items()},
+            "scene_code": self.code,
+        }
 
     def chunk(self, chunk: Chunk, *, before_pass: Callable[[], None] = lambda: None) -> Image:
         """Draw the samples of one chunk, shape (y, x, channel, sample).
@@ -93,10 +129,11 @@ class Renderer:
         `before_pass` is called just before each pass, to end the chunk by an exception. Raises
         `Interrupted` if Mitsuba cancelled a pass.
         """
-        if self._scalar:
-            return self._chunk_scalar(chunk, before_pass)
-        before_pass()
-        return self._chunk_wavefront(chunk)
+        with self._telling():
+            if self._scalar:
+                return self._chunk_scalar(chunk, before_pass)
+            before_pass()
+            return self._chunk_wavefront(chunk)
 
     def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, seed: int | None = None) -> Image:
         """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample).
@@ -107,7 +144,8 @@ class Renderer:
         draw = self._pixel_scalar if self._scalar else self._pixel_wavefront
         numbers = [streams.of_pixel(int(y), int(x)) for y, x in pixels]
         places = zip(pixels, numbers, strict=True)
-        return np.stack([draw(number, int(y), int(x), spp) for (y, x), number in places])
+        with self._telling():
+            return np.stack([draw(number, int(y), int(x), spp) for (y, x), number in places])
 
     @property
     def depth(self) -> int | None:
@@ -129,48 +167,31 @@ class Renderer:
 
     # --- settings -------------------------------------------------------------------------------
 
-    def _read_settings(self, state: Any, job: Job) -> None:
-        """Take sensor, film and integrator out of the parsed scene and note what is replaced."""
-        kinds = self._mi.ObjectType
-        nodes: dict[Any, list[Any]] = {}
-        for node in state.nodes:
-            nodes.setdefault(node.type, []).append(node.props)
-        if not nodes.get(kinds.Sensor):
-            message = f"scene {job.scene.name!r} has no sensor; add a <sensor> to it"
-            raise SceneError(message)
-        self._sensor_properties = nodes[kinds.Sensor][0]
-        self.size = job.size or _film_size((nodes.get(kinds.Film) or [{}])[0])
-        self._note_replaced("filter", nodes.get(kinds.ReconstructionFilter, []), "box")
-        self._note_replaced("sampler", nodes.get(kinds.Sampler, []), "independent")
-        self._read_integrator(nodes.get(kinds.Integrator, []), job)
-
-    def _note_replaced(self, word: str, found: list[Any], used: str) -> None:
-        asked = {p.plugin_name() for p in found} - {used}
-        if asked:
-            self.notes.append(
-                f"the scene asks for the {', '.join(sorted(asked))} {word}; "
-                f"the {used} {word} is used, so that samples are independent and unmixed"
-            )
-
-    def _read_integrator(self, found: list[Any], job: Job) -> None:
-        properties = self._mi.Properties(found[0] if found else self._mi.Properties(_INTEGRATOR))
+    def _read_integrator(self, asked: Any, job: Job) -> None:
+        properties = self._mi.Properties(asked)
         for name in ("samples_per_pass", "timeout", "block_size"):
             if name in properties:
                 del properties[name]
         if job.max_depth is not None:
             properties["max_depth"] = job.max_depth
-        kinds = self._mi.Properties.Type
-        nested = (kinds.Object, kinds.Reference, kinds.ResolvedReference)
-        plain = {k: v for k, v in properties.items() if properties.type(k) not in nested}
-        if len(plain) < len(list(properties.keys())):
-            message = (
-                f"integrator {properties.plugin_name()!r} wraps another integrator; "
-                "name the inner one (such as path or volpath) in the scene"
-            )
-            raise RenderError(message)
-        self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **plain}
+        self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **properties}
         properties["block_size"] = _BLOCK  # the default depends on the number of cores
         self._integrator_properties = properties
+
+    def _try_out(self) -> None:
+        """Draw one sample where that costs nothing: what cannot be drawn is refused at once."""
+        sensor = self._sensor((0, 0), (1, 1))
+        if self._scalar:
+            with self._telling():
+                self._integrator.render(self._scene, sensor, seed=0, spp=1)
+
+    @contextlib.contextmanager
+    def _telling(self) -> Iterator[None]:
+        """Turn what Mitsuba says of samples that it cannot draw into an error that names why."""
+        try:
+            yield
+        except RuntimeError as error:
+            raise _unusable(self.integrator["type"], error) from error
 
     # --- Mitsuba objects ------------------------------------------------------------------------
 
@@ -184,10 +205,10 @@ class Renderer:
                 del properties[name]
         film = {
             "type": "hdrfilm",
-            "width": self.size[0],
-            "height": self.size[1],
-            "crop_offset_x": offset[0],
-            "crop_offset_y": offset[1],
+            "width": self.film.size[0],
+            "height": self.film.size[1],
+            "crop_offset_x": self.film.corner[0] + offset[0],
+            "crop_offset_y": self.film.corner[1] + offset[1],
             "crop_width": extent[0],
             "crop_height": extent[1],
             "pixel_format": "rgb",
@@ -198,20 +219,25 @@ class Renderer:
         properties["sampler"] = mi.load_dict({"type": "independent"})
         if self._sensor_medium is not None:
             properties["medium"] = self._sensor_medium
-        return mi.PluginManager.instance().create_object(properties)
+        try:
+            return mi.PluginManager.instance().create_object(properties)
+        except RuntimeError as error:
+            message = f"sensor {properties.plugin_name()!r} cannot be used: {brief(error)}"
+            raise RenderError(message) from error
 
     @property
     def _integrator(self) -> Any:
         """The integrator of the calling thread; it keeps state while it renders."""
         if not hasattr(self._local, "integrator"):
             create = self._mi.PluginManager.instance().create_object
-            self._local.integrator = create(self._mi.Properties(self._integrator_properties))
-            if not isinstance(self._local.integrator, self._mi.SamplingIntegrator):
-                message = (
-                    f"integrator {self.integrator['type']!r} does not sample pixel by pixel; "
-                    "use one that does, such as path, volpath or direct"
-                )
-                raise RenderError(message)
+            name = self.integrator["type"]
+            try:
+                integrator = create(self._mi.Properties(self._integrator_properties))
+            except RuntimeError as error:
+                raise _unusable(name, error) from error
+            if not isinstance(integrator, self._mi.SamplingIntegrator):
+                raise _unusable(name, "does not sample pixel by pixel")
+            self._local.integrator = integrator
         return self._local.integrator
 
     # --- scalar ---------------------------------------------------------------------------------
@@ -309,6 +335,14 @@ class Renderer:
             return weight * color
 
         return kernel
+
+
+def _unusable(integrator: str, why: str | Exception) -> RenderError:
+    reason = why if isinstance(why, str) else f"cannot sample this scene here ({brief(why)})"
+    return RenderError(
+        f"integrator {integrator!r} {reason}; "
+        "use one that samples pixel by pixel, such as path, volpath or direct"
+    )
 
 
 def _time_and_lens(mi: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:

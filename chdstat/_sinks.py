@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.metadata
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +25,13 @@ Image = npt.NDArray[np.float32]
 def provenance(job: Job, renderer: Renderer, spp: int) -> dict[str, Any]:
     return {
         "scene": job.scene.name,
-        "scene_hash": job.scene.hash,
+        **renderer.identity,
         "scene_source": job.scene.origin,
         "scene_parameters": dict(job.scene.parameters),
         "integrator": renderer.integrator,
+        "sensor": job.sensor,
         "size": list(renderer.size),
+        "crop": renderer.film.crop,
         "spp": spp,
         "seed": job.seed,
         "backend": job.verdict.backend,
@@ -43,8 +46,20 @@ def provenance(job: Job, renderer: Renderer, spp: int) -> dict[str, Any]:
     }
 
 
-_IDENTITY = ("scene_hash", "integrator", "size", "seed", "backend", "mitsuba_version", "streams")
-"""Attributes that must agree before samples are added to a store."""
+_IDENTITY: dict[str, Any] = {
+    "scene_hash": None,
+    "scene_code": {},
+    "integrator": None,
+    "sensor": 0,
+    "size": None,
+    "crop": None,
+    "seed": None,
+    "backend": None,
+    "mitsuba_version": None,
+    "streams": None,
+}
+"""Attributes that must agree before samples are added to a store, with what older stores mean that
+lack them."""
 
 
 def existing_store(out: str | Path | None) -> Store | None:
@@ -134,14 +149,30 @@ class StoreSink:
 def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
     """Refuse to mix samples of two scenes, seeds or settings in one store."""
     held = store.attrs
-    differing = [name for name in _IDENTITY if held.get(name) != attrs[name]]
+    stored = {name: held.get(name, default) for name, default in _IDENTITY.items()}
+    differing = [name for name in _IDENTITY if stored[name] != attrs[name]]
     if differing:
-        detail = "; ".join(f"{n}: stored {held.get(n)}, asked for {attrs[n]}" for n in differing)
+        detail = "; ".join(f"{n}: stored {stored[n]}, asked for {attrs[n]}" for n in differing)
         message = (
-            f"{store.path} holds other samples ({detail}). Nothing was changed; "
-            "give another output path, or the same settings to resume or append"
+            f"{store.path} holds other samples ({_changed(held, attrs)}{detail}). Nothing was "
+            "changed; give another output path, or the same settings to resume or append"
         )
         raise StoreError(message)
+
+
+def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> str:
+    """Return which files and plugins of a scene differ from those that a store was rendered with.
+
+    Stores of earlier versions do not say which files they were rendered with.
+    """
+    parts = []
+    for key, word in (("scene_files", "files"), ("scene_code", "code of plugins")):
+        before, now = held.get(key), attrs[key]
+        if before is not None and before != now:
+            names = sorted(n for n in before.keys() | now.keys() if before.get(n) != now.get(n))
+            more = f" and {len(names) - 5} more" if len(names) > 5 else ""
+            parts.append(f"changed {word}: {', '.join(names[:5])}{more}; ")
+    return "".join(parts)
 
 
 Sink = MemorySink | StoreSink

@@ -88,7 +88,10 @@ def probe(backend: str, *, fresh: bool = False) -> Verdict:
         If there is no such backend.
     """
     if backend not in BACKENDS:
-        message = f"backend must be one of auto, {', '.join(BACKENDS)}; got {backend!r}"
+        message = (
+            f"backend must be one of auto, {', '.join(BACKENDS)}; got {backend!r}. All render in "
+            "RGB: spectral, mono and polarized variants of Mitsuba are not supported"
+        )
         raise InputError(message)
     if backend == "scalar":
         return Verdict("scalar", works=True, detail="built into Mitsuba")

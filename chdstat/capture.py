@@ -62,6 +62,7 @@ def render(
     size: tuple[int, int] | None = None,
     seed: int = 0,
     max_depth: int | None = None,
+    sensor: int = 0,
     direct: bool = False,
     out: str | Path | None = None,
     backend: Backend = "auto",
@@ -86,6 +87,8 @@ def render(
         Any non-negative integer; another one gives independent samples.
     max_depth
         Longest path in segments; None takes the scene's own.
+    sensor
+        Which of the scene's sensors sees the image, counted from 0.
     direct
         Render every sample once more with no more than two segments, for what is emission and
         direct light of it: `Samples.direct`. The rest is indirect. This takes a tenth more time in
@@ -126,7 +129,7 @@ def render(
         direct = existing.direct() is not None or direct  # one of other samples is refused here
         backend = existing.attrs["backend"] if backend == "auto" else backend
         size = size or tuple(existing.attrs["size"])
-    job = job_of(loaded, backend, size, seed, max_depth)
+    job = job_of(loaded, backend, size, seed, max_depth, sensor)
     with activate(job.verdict):
         renderer = Renderer(job)
         _check_streams(job, renderer, spp)
@@ -140,7 +143,7 @@ def render(
             if out
             else MemorySink(attrs, renderer, spp)
         )
-        _fill(job, renderer, sink, client, progress)
+        _fill(job, renderer, sink, spp, client, progress)
         if shorter is None:
             return sink.finish()
         del renderer  # kernels are frozen where one scene is alive only
@@ -155,6 +158,7 @@ def render_batches(
     size: tuple[int, int] | None = None,
     seed: int = 0,
     max_depth: int | None = None,
+    sensor: int = 0,
     backend: Backend = "auto",
     progress: bool | None = None,
 ) -> Rendering:
@@ -164,7 +168,7 @@ def render_batches(
 
     Parameters
     ----------
-    scene, size, seed, max_depth, backend
+    scene, size, seed, max_depth, sensor, backend
         As for `render`.
     spp
         Samples per pixel in all.
@@ -193,7 +197,7 @@ def render_batches(
     [(8, 8, 3, 16), (8, 8, 3, 16), (8, 8, 3, 8)]
     """
     spp, batch = whole("spp", spp, least=1), whole("batch", batch, least=1)
-    job = job_of(scene, backend, size, seed, max_depth)
+    job = job_of(scene, backend, size, seed, max_depth, sensor)
     with activate(job.verdict):
         renderer = Renderer(job)
     _check_streams(job, renderer, spp)
@@ -211,13 +215,14 @@ def render_pixels(
     size: tuple[int, int] | None = None,
     seed: int = 0,
     max_depth: int | None = None,
+    sensor: int = 0,
     backend: Backend = "scalar",
 ) -> Image:
     """Draw samples of a few pixels, without rendering the rest of the image.
 
     Parameters
     ----------
-    scene, size, seed, max_depth, backend
+    scene, size, seed, max_depth, sensor, backend
         As for `render`. The samples are independent of those that `render` draws.
     pixels
         (y, x) of each pixel, shape (pixel, 2); a single pair is taken as one pixel.
@@ -241,7 +246,7 @@ def render_pixels(
     (1, 3, 16)
     """
     spp = whole("spp", spp, least=1)
-    job = job_of(scene, backend, size, seed, max_depth)
+    job = job_of(scene, backend, size, seed, max_depth, sensor)
     with activate(job.verdict):
         renderer = Renderer(job)
         return renderer.pixels(_checked_pixels(pixels, renderer.size), spp)
@@ -300,6 +305,7 @@ def job_of(
     size: tuple[int, int] | None,
     seed: int,
     max_depth: int | None,
+    sensor: int = 0,
 ) -> Job:
     """Return a job whose settings are checked, so that no work is done for wrong ones."""
     if size is not None:
@@ -314,7 +320,8 @@ def job_of(
             message = "max_depth must be at least 1 segment, or -1 for no limit, got 0"
             raise InputError(message)
     seed = whole("seed", seed, least=0)
-    return Job(load_scene(scene), resolve(backend), size, seed, max_depth)
+    sensor = whole("sensor", sensor, least=0)
+    return Job(load_scene(scene), resolve(backend), size, seed, max_depth, sensor)
 
 
 def _check_streams(job: Job, renderer: Renderer, spp: int) -> None:
@@ -391,7 +398,7 @@ def _direct(
     else:
         path = Path(out) / DIRECT
         sink = StoreSink.open(path, existing_store(path), attrs, renderer, spp, features=False)
-    _fill(job, renderer, sink, client, progress)
+    _fill(job, renderer, sink, spp, client, progress)
     return sink.finish()
 
 
@@ -399,12 +406,17 @@ def _fill(
     job: Job,
     renderer: Renderer,
     sink: Sink,
+    spp: int,
     client: Client | None,
     progress: bool | None,
 ) -> None:
     """Render what is missing, writing each chunk as it arrives."""
     chunks = sink.pending()
     if not chunks:
+        there = sink.finish()
+        level = logging.WARNING if there.spp > spp else logging.INFO
+        message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
+        _log.log(level, message, there.path, there.spp, spp)
         return
     start = time.monotonic()
     with track(

@@ -256,13 +256,17 @@ def test_more_samples_are_appended_to_the_same_bits(tmp_path, whole, old, new):
     assert np.array_equal(more.read(), whole[..., :new])
 
 
-def test_a_finished_store_is_not_touched(tmp_path, monkeypatch):
+def test_a_finished_store_is_not_touched_and_it_is_said(tmp_path, monkeypatch, caplog):
     path = tmp_path / "s.zarr"
     render(out=path)
     before = contents(path)
     monkeypatch.setattr(Renderer, "chunk", None)
-    assert render(out=path).spp == 4
-    assert render(out=path, spp=2).spp == 4
+    with caplog.at_level(logging.WARNING, logger="chdstat"):
+        assert render(out=path).spp == 4
+        assert caplog.messages == []
+        assert render(out=path, spp=2).spp == 4
+    said = f"nothing to render: {path} holds 4 samples per pixel, 2 were asked for"
+    assert caplog.messages == [said]
     assert contents(path) == before
 
 
@@ -461,9 +465,19 @@ def test_parameters_that_the_scene_does_not_use(xml):
 @pytest.mark.parametrize(
     ("integrator", "message"),
     [
-        ({"type": "aov", "aovs": "d:depth", "img": {"type": "path"}}, "'aov' wraps another integ"),
-        ({"type": "moment", "nested": {"type": "path"}}, "'moment' wraps another .*inner one"),
         ({"type": "ptracer"}, "'ptracer' does not sample pixel by pixel; use .* such as path"),
+        (
+            {"type": "volpathmis"},
+            "'volpathmis' cannot sample this .*such as path, volpath",
+        ),
+        ({"type": "prb"}, "'prb' cannot sample this scene here .*such as path"),
+        ({"type": "prbvolpath"}, "'prbvolpath' cannot sample this scene here .*such as path"),
+        ({"type": "stokes", "nested": {"type": "path"}}, "'stokes' wraps another integrator"),
+        ({"type": "aov", "aovs": "d:depth"}, "'aov' must hold one integrator .* got 0"),
+        (
+            {"type": "aov", "aovs": "d:depth", "a": {"type": "path"}, "b": {"type": "direct"}},
+            "'aov' must hold one integrator .* got 2",
+        ),
     ],
 )
 def test_integrators_that_do_not_sample_radiance(tmp_path, integrator, message):

@@ -24,7 +24,7 @@ ORDER = (
     "scenes",
     "_store _streams",
     "backend",
-    "samples",
+    "samples _asked",
     "_renderer",
     "_sinks",
     "_crew",
@@ -81,7 +81,7 @@ HEAVY = (
     "bokeh",
 )
 
-RENDERING = {"_crew", "_renderer", "backend", "capture", "renderings", "scenes"}
+RENDERING = {"_asked", "_crew", "_renderer", "backend", "capture", "renderings", "scenes"}
 """What may import Mitsuba."""
 
 

@@ -42,6 +42,9 @@ def render(
     size: Size = None,
     seed: Seed = None,
     max_depth: Depth = None,
+    sensor: Annotated[
+        int, typer.Option("--sensor", help="Which sensor of the scene, counted from 0.")
+    ] = 0,
     direct: Annotated[
         bool, typer.Option("--direct", help="Keep the direct light of each sample apart, too.")
     ] = False,
@@ -63,6 +66,7 @@ def render(
             out=out,
             client=client,
             direct=direct,
+            sensor=sensor,
             progress=progress_of(quiet),
             **given(spp=spp, size=size_of(size), seed=seed, max_depth=max_depth, backend=backend),
         )
@@ -84,7 +88,7 @@ def info(
     if as_json:
         print_json(found)
     else:
-        print_table(found)
+        print_table(found | {"scene_files": len(found.get("scene_files", ()))})
     if found.get("damaged"):
         message = (
             f"{len(found['damaged'])} damaged chunk(s) in {store}; delete the files listed above "

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import reprlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from chdstat.errors import SceneError
+from chdstat.errors import InputError, SceneError
+from chdstat.scenes.files import is_file
 from chdstat.scenes.scene import Scene
 
 __all__ = ["BUILTIN", "Scene", "load_scene"]
@@ -46,6 +48,8 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene, **parameters: obj
 
     Raises
     ------
+    InputError
+        If it is none of these, such as a scene that Mitsuba has built.
     SceneError
         If the name is unknown (the nearest is suggested), the file is missing or is not XML, or
         parameters are given to a scene that takes none.
@@ -61,6 +65,13 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene, **parameters: obj
     """
     if isinstance(source, Scene):
         scene = source
+    elif not isinstance(source, str | Path | Mapping):
+        kind = f"{type(source).__module__}.{type(source).__qualname__}"  # type: ignore[unreachable]
+        message = (
+            "scene must be a name, the path of an XML file, a dict or a chdstat Scene, "
+            f"got a {kind}; give the file or dict that it was made of"
+        )
+        raise InputError(message)
     elif isinstance(source, Mapping):
         scene = Scene("scene", _checked_dict(source))
     elif str(source) in BUILTIN:
@@ -86,13 +97,13 @@ def _checked_dict(source: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _checked_file(path: Path) -> tuple[str, Path]:
     """Return the name and the absolute path of an XML scene that exists."""
-    if path.is_dir() and (path / "scene.xml").is_file():
+    if is_file(path / "scene.xml"):
         path = path / "scene.xml"
-    if not path.is_file():
-        near = difflib.get_close_matches(str(path), BUILTIN, n=1)
+    if not is_file(path):
+        near = difflib.get_close_matches(str(path)[:100], BUILTIN, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         message = (
-            f"no built-in scene or file {str(path)!r}; {hint}"
+            f"no built-in scene or file {reprlib.repr(str(path))}; {hint}"
             f"Built-in scenes: {', '.join(sorted(BUILTIN))}"
         )
         raise SceneError(message)

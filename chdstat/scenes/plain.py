@@ -6,7 +6,7 @@ With `chdstat.capture` and `chdstat.backend` the only module that imports Mitsub
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,8 +24,8 @@ __all__ = ["instantiate", "parse"]
 
 def parse(scene: Scene, variant: str) -> Any:
     """Return Mitsuba's parser state of a scene; the variant must be the one that is set."""
-    config = _config(variant)
-    with _naming(scene, "read"):
+    config, folders = _config(variant), scene.described().folders
+    with _naming(scene, "read"), _resolving(folders):
         if isinstance(scene.source, Mapping):
             state = mi.parser.parse_dict(config, _to_mitsuba(scene.source))
         else:
@@ -36,7 +36,8 @@ def parse(scene: Scene, variant: str) -> Any:
 
 def instantiate(scene: Scene, state: Any) -> Any:
     """Return the Mitsuba scene of a parser state, its models and textures read."""
-    with _naming(scene, "build"), _resolving(scene):
+    folders = scene.described().folders
+    with _naming(scene, "build"), _resolving(folders):
         return mi.parser.instantiate(_config(str(mi.variant())), state)
 
 
@@ -52,23 +53,24 @@ def _naming(scene: Scene, doing: str) -> Iterator[None]:
     """Turn what Mitsuba says of a scene that it cannot use into an error that names the scene."""
     try:
         yield
-    except RuntimeError as error:
+    except (RuntimeError, ValueError, TypeError) as error:  # ValueError: text that is no UTF-8
         reason = " ".join(line.strip() for line in str(error).splitlines()[:3])
         message = f"Mitsuba cannot {doing} the scene {scene.name!r}: {reason}"
         raise SceneError(message) from error
 
 
 @contextlib.contextmanager
-def _resolving(scene: Scene) -> Iterator[None]:
-    """Let Mitsuba find the models and textures beside a scene file while the context lasts."""
-    if not isinstance(scene.source, Path):
-        yield
-        return
+def _resolving(folders: Sequence[Path]) -> Iterator[None]:
+    """Let Mitsuba look for files in these folders first while the context lasts.
+
+    A ``<path>`` of the scene is forgotten afterwards, too, which Mitsuba would keep for the next.
+    """
     # Mitsuba's names belong to the variant that is set, so a type checker cannot know them.
     mitsuba_now: Any = mi
     previous = mitsuba_now.file_resolver()
     resolver = mitsuba_now.FileResolver(previous)
-    resolver.prepend(str(scene.source.parent))
+    for folder in reversed(folders):
+        resolver.prepend(str(folder))
     mitsuba_now.set_file_resolver(resolver)
     try:
         yield

@@ -7,9 +7,9 @@ Mitsuba's parser state, in which the capture code replaces film, sampler and int
 
 from __future__ import annotations
 
-import functools
+import contextlib
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,12 @@ from typing import Any
 import numpy as np
 
 from chdstat.errors import SceneError
+from chdstat.scenes.files import Description, described, digest_of
 
 __all__ = ["Scene"]
+
+_PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
+"""Types whose values are told apart by how they are printed."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +51,36 @@ class Scene:
         """Where the scene comes from: its file, or 'chdstat' for one described in Python."""
         return str(self.source) if isinstance(self.source, Path) else "chdstat"
 
-    @functools.cached_property
+    @property
     def hash(self) -> str:
-        """SHA-256 of everything the picture depends on: description, parameters, files."""
+        """SHA-256 of everything that the image depends on: description, parameters, files.
+
+        It is that of now: it changes with the content of any file that the scene reads. The code
+        of plugins written in Python is not in it; `Renderer.code` has that.
+        """
         digest = hashlib.sha256()
-        if isinstance(self.source, Path):
-            _hash_file_scene(digest, self.source)
-        else:
-            _hash_value(digest, self.source)
-        _hash_value(digest, dict(sorted(self.parameters.items())))
+        with _bounded(self.name):
+            if not isinstance(self.source, Path):
+                _hash_value(digest, self.source)
+            _hash_value(digest, dict(sorted(self.parameters.items())))
+        for name, content in sorted(self.files().items()):
+            _hash_value(digest, (name, content))
         return digest.hexdigest()
+
+    def files(self) -> dict[str, str]:
+        """Return the SHA-256 of the content of each file that the scene reads, by its name there.
+
+        Raises
+        ------
+        SceneError
+            If a file cannot be read, or the description is no XML or nested too deep.
+        """
+        return {name: digest_of(path) for name, path in self.described().files.items()}
+
+    def described(self) -> Description:
+        """Return the files that the scene reads, and the folders where they are looked for."""
+        with _bounded(self.name):
+            return described(self.name, self.source, self.parameters)
 
     def parse(self, variant: str) -> Any:
         """Return Mitsuba's parser state of this scene for a variant that is set.
@@ -83,26 +107,14 @@ class Scene:
         return plain.instantiate(self, state)
 
 
-def _hash_file_scene(digest: Any, path: Path) -> None:
-    """Hash an XML file and, by content, the models and textures in the folders beside it.
-
-    Only files that the XML mentions count, so that notes or renders beside a scene do not
-    change its identity.
-    """
+@contextlib.contextmanager
+def _bounded(name: str) -> Iterator[None]:
+    """Refuse a scene dict that is nested so deep that walking through it overflows the stack."""
     try:
-        text = path.read_bytes()
-    except OSError as error:
-        message = f"cannot read scene file {path}: {error.strerror}"
+        yield
+    except RecursionError as error:
+        message = f"the description of scene {name!r} is nested too deep, or holds itself"
         raise SceneError(message) from error
-    digest.update(text)
-    for candidate in sorted(path.parent.rglob("*")):
-        if candidate == path or not candidate.is_file():
-            continue
-        relative = candidate.relative_to(path.parent).as_posix()
-        if relative.encode() in text:
-            digest.update(relative.encode())
-            with candidate.open("rb") as stream:
-                digest.update(hashlib.file_digest(stream, "sha256").digest())
 
 
 def _hash_value(digest: Any, value: Any) -> None:
@@ -119,5 +131,23 @@ def _hash_value(digest: Any, value: Any) -> None:
         digest.update(f"list{len(value)}".encode())
         for item in value:
             _hash_value(digest, item)
-    else:
+    elif isinstance(value, _PLAIN):
         digest.update(f"{type(value).__name__}:{value!r};".encode())
+    else:
+        _hash_value(digest, _plain(value))
+
+
+def _plain(value: Any) -> Any:
+    """Return the content of a value of Mitsuba's that holds nothing but numbers."""
+    kind = type(value)
+    if kind.__module__.split(".")[0] in ("drjit", "mitsuba"):
+        numbers = value.matrix if "Transform" in kind.__name__ else value
+        with contextlib.suppress(TypeError, ValueError, RuntimeError):
+            array = np.array(numbers)
+            if array.dtype != object:
+                return str(value), array
+    message = (
+        f"a scene dict holds a {kind.__module__}.{kind.__qualname__}, which cannot be told from "
+        "another one; describe it by plain values (see chdstat.scenes.Scene)"
+    )
+    raise SceneError(message)

@@ -1,0 +1,299 @@
+"""Identity of a scene: every file that it reads, its parameters, and the code of its plugins."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.backend import activate, probe
+from chdstat.errors import InputError, SceneError, StoreError
+from chdstat.io import write_exr
+from chdstat.scenes import Scene, load_scene
+
+SETTINGS: dict[str, Any] = {"size": (4, 4), "backend": "scalar"}
+
+
+def write(path: Path, value: float) -> None:
+    """Write a constant texture."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_exr(path, np.full((4, 8, 3), value, np.float32))
+
+
+def scene(folder: Path, body: str) -> Path:
+    """Write an XML scene in a folder of its own."""
+    path = folder / "rooms" / "scene.xml"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(
+        f"<scene version='3.0.0'><sensor type='perspective'/>{textwrap.dedent(body)}</scene>"
+    )
+    return path
+
+
+ENVMAP = "<emitter type='envmap'><string name='filename' value='{}'/></emitter>"
+
+
+@pytest.mark.parametrize(
+    ("name", "body"),
+    [
+        ("../tex.exr", ENVMAP.format("../tex.exr")),
+        ("{root}/tex.exr", ENVMAP.format("{root}/tex.exr")),
+        ("rooms/maps/tex.exr", ENVMAP.format("maps/tex.exr")),
+        ("../tex.exr", "<default name='sky' value='../tex.exr'/>" + ENVMAP.format("$sky")),
+        (
+            "../tex.exr",
+            "<default name='t' value='no'/><default name='te' value='tex'/>"
+            + ENVMAP.format("../$te.exr"),
+        ),
+        ("skies/tex.exr", "<path value='../skies'/>" + ENVMAP.format("tex.exr")),
+        ("../tex.exr", "<include filename='../parts/sky.xml'/>"),
+    ],
+)
+def test_samples_of_two_textures_are_not_mixed(tmp_path, name, body):
+    root = tmp_path / "a b"
+    texture = root / "rooms" / name.format(root=root)
+    texture = root / name if name.startswith(("rooms", "skies")) else texture
+    write(texture, 1.0)
+    (root / "parts").mkdir()
+    sky = f"<scene version='3.0.0'>{ENVMAP.format('../tex.exr')}</scene>"
+    (root / "parts/sky.xml").write_text(sky)
+    source = scene(root, body.format(root=root))
+    out = tmp_path / "s.zarr"
+    assert chd.render(source, spp=64, out=out, **SETTINGS).read().mean() == pytest.approx(1)
+    assert chd.render(source, spp=70, out=out, **SETTINGS).spp == 70
+    before = load_scene(source).hash
+    write(texture, 5.0)
+    assert load_scene(source).hash != before
+    with pytest.raises(StoreError, match=r"holds other samples \(changed files: .*tex\.exr"):
+        chd.render(source, spp=128, out=out, **SETTINGS)
+    assert chd.open(out).read().mean() == pytest.approx(1)
+    write(texture, 1.0)
+    assert load_scene(source).hash == before
+
+
+def test_an_include_and_a_spectrum_are_files_of_the_scene_wherever_one_stands(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "parts").mkdir()
+    spectrum, part = tmp_path / "parts/glow.spd", tmp_path / "parts/light.xml"
+    spectrum.write_text("400 1.0\n700 1.0\n")
+    radiance = "<spectrum name='radiance' filename='../parts/glow.spd'/>"
+    shine = f"<emitter type='constant'>{radiance}</emitter>"
+    part.write_text("<scene version='3.0.0'><shape type='sphere'/></scene>")
+    source = scene(tmp_path, f"<include filename='../parts/light.xml'/>{shine}")
+    monkeypatch.chdir("/")
+    loaded = load_scene(source)
+    assert loaded.files().keys() == {"scene.xml", "../parts/light.xml", "../parts/glow.spd"}
+    hashes = {loaded.hash}
+    chd.render(loaded, spp=1, **SETTINGS)
+    spectrum.write_text("400 2.0\n700 2.0\n")
+    hashes.add(loaded.hash)
+    part.write_text("<scene version='3.0.0'><shape type='cube'/></scene>")
+    hashes.add(loaded.hash)
+    assert len(hashes) == 3
+
+
+def test_what_lies_beside_a_scene_and_is_not_named_is_never_touched(tmp_path, monkeypatch):
+    write(tmp_path / "tex.exr", 1.0)
+    source = scene(tmp_path, ENVMAP.format("../tex.exr"))
+    before = load_scene(source).hash
+    for name in ("notes.txt", "renders/a.exr"):
+        path = source.parent / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("scene.xml")
+    monkeypatch.setattr(os, "scandir", None)
+    monkeypatch.setattr(os, "listdir", None)
+    assert load_scene(source).hash == before
+
+
+def test_a_moved_scene_is_the_same_and_its_parameters_belong_to_it(tmp_path):
+    for place in ("a", "b"):
+        write(tmp_path / place / "tex.exr", 1.0)
+    body = "<default name='f' value='tex'/>" + ENVMAP.format("../$f.exr")
+    first, second = (scene(tmp_path / place, body) for place in ("a", "b"))
+    assert load_scene(first).hash == load_scene(second).hash
+    assert load_scene(first, f="tex").hash != load_scene(first, f="other").hash
+
+
+def test_a_file_that_vanishes_is_named(tmp_path, monkeypatch):
+    write(tmp_path / "tex.exr", 1.0)
+    source = scene(tmp_path, ENVMAP.format("../tex.exr"))
+    found = load_scene(source).described()
+    (tmp_path / "tex.exr").unlink()
+    monkeypatch.setattr(Scene, "described", lambda _: found)
+    with pytest.raises(SceneError, match=r"cannot read .*tex\.exr, which the scene names"):
+        _ = load_scene(source).hash
+
+
+def test_a_file_that_changes_while_the_scene_is_built_is_noticed(tmp_path, monkeypatch):
+    write(tmp_path / "tex.exr", 1.0)
+    source, build = scene(tmp_path, ENVMAP.format("../tex.exr")), Scene.build
+
+    def slow(self: Scene, state: Any) -> Any:
+        write(tmp_path / "tex.exr", 2.0)
+        return build(self, state)
+
+    monkeypatch.setattr(Scene, "build", slow)
+    with pytest.raises(SceneError, match=r"changed while they were read"):
+        chd.render(source, spp=1, **SETTINGS)
+
+
+def test_a_path_tag_is_forgotten_with_its_scene(tmp_path):
+    write(tmp_path / "skies/tex.exr", 1.0)
+    source = scene(tmp_path, "<path value='../skies'/>" + ENVMAP.format("tex.exr"))
+    chd.render(source, spp=1, **SETTINGS)
+    with pytest.raises(SceneError, match="tex.exr"):
+        chd.render(scene(tmp_path / "b", ENVMAP.format("tex.exr")), spp=1, **SETTINGS)
+
+
+def test_files_and_values_of_a_dict_belong_to_it(tmp_path):
+    texture = tmp_path / "tex.exr"
+    write(texture, 1.0)
+    source = {"type": "scene", "sky": {"type": "envmap", "filename": str(texture)}}
+    before = load_scene(source).hash
+    write(texture, 2.0)
+    assert load_scene(source).hash != before
+    with activate(probe("scalar")) as mi:
+        moved = [mi.ScalarTransform4f().translate([0, 0, z]) for z in (1, 1, 1 + 1e-6)]
+        hashes = [load_scene({**source, "ball": {"to_world": m}}).hash for m in moved]
+        assert hashes[0] == hashes[1] != hashes[2]
+        with pytest.raises(SceneError, match=r"holds a mitsuba.Shape, .*plain values"):
+            _ = load_scene({**source, "ball": mi.load_dict({"type": "sphere"})}).hash
+        with pytest.raises(InputError, match=r"scene must be .* got a mitsuba.Scene; give the"):
+            chd.render(mi.load_dict({"type": "scene"}))
+    with pytest.raises(InputError, match="got a builtins.int"):
+        load_scene(5)
+
+
+def test_a_scene_without_end_is_refused():
+    loop: dict[str, Any] = {"type": "scene"}
+    loop["again"] = loop
+    with pytest.raises(SceneError, match="nested too deep, or holds itself"):
+        chd.render(loop, spp=1)
+
+
+# --- plugins ------------------------------------------------------------------------------------
+
+PLUGIN = """
+import mitsuba as mi
+
+{head}
+
+class Glow(mi.{base}):
+    def __init__(self, props):
+        super().__init__(props)
+        {more}
+
+    {method}
+
+def glow(strength=1):
+    {use}
+
+mi.register_{kind}("glow", lambda props: Glow(props))
+"""
+INTEGRATOR = {
+    "base": "SamplingIntegrator",
+    "kind": "integrator",
+    "head": "FACTOR = 1",
+    "more": "self.factor = 1",
+    "method": (
+        "def sample(self, scene, sampler, ray, medium=None, active=True):\n"
+        "        return mi.Color3f(FACTOR * self.factor * glow()), True, []"
+    ),
+    "use": "return 1.0 * strength",
+}
+
+
+def plugin(folder: Path, name: str, **changes: str) -> None:
+    """Write the module of a plugin and import it anew."""
+    path = folder / f"{name}.py"
+    path.write_text(PLUGIN.format(**{**INTEGRATOR, **changes}))
+    code = compile(path.read_text(), str(path), "exec")
+    exec(code, {"__name__": name})
+
+
+GLOWING = {"type": "scene", "sensor": {"type": "perspective"}, "integrator": {"type": "glow"}}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"head": "FACTOR = 10"},
+        {"more": "self.factor = 10"},
+        {"use": "return 10.0 * strength"},
+        {
+            "method": INTEGRATOR["method"]
+            .replace("1), True", "1), True")
+            .replace("glow()", "glow(10)")
+        },
+    ],
+)
+def test_the_code_of_a_plugin_belongs_to_the_scene(tmp_path, change):
+    out = tmp_path / "s.zarr"
+    with activate(probe("scalar")):
+        plugin(tmp_path, "my_plugin")
+        assert chd.render(GLOWING, spp=4, out=out, **SETTINGS).read().mean() == 1
+        plugin(tmp_path, "my_plugin")
+        assert chd.render(GLOWING, spp=6, out=out, **SETTINGS).read().mean() == 1
+        plugin(tmp_path, "my_plugin", **change)
+        with pytest.raises(StoreError, match=r"changed code of plugins: my_plugin\.Glow"):
+            chd.render(GLOWING, spp=8, out=out, **SETTINGS)
+        assert chd.render(GLOWING, spp=4, **SETTINGS).read().mean() == 10
+
+
+def test_a_class_with_other_values_around_it_is_another_plugin(tmp_path):
+    def register(strength: float) -> None:
+        class Around(mi.BSDF):  # type: ignore[misc, name-defined]
+            def __init__(self, props):
+                super().__init__(props)
+
+            def sample(self, ctx, si, sample1, sample2, active):
+                return mi.BSDFSample3f(), mi.Color3f(strength)
+
+            def eval(self, ctx, si, wo, active):
+                return mi.Color3f(strength)
+
+            def pdf(self, ctx, si, wo, active):
+                return 0.0
+
+            def to_string(self) -> str:
+                return "Around"
+
+        mi.register_bsdf("around", lambda props: Around(props))
+
+    # A material within another one, which Mitsuba does not lead to.
+    inner = {"type": "twosided", "inner": {"type": "around"}}
+    source = {**GLOWING, "integrator": {"type": "path"}, "ball": {"type": "cube", "bsdf": inner}}
+    with activate(probe("scalar")) as mi:
+        codes = []
+        for strength in (1.0, 1.0, 2.0):
+            register(strength)
+            codes.append(
+                chd._renderer.Renderer(chd.capture.job_of(source, "scalar", (4, 4), 0, None)).code
+            )
+    assert codes[0] == codes[1] != codes[2]
+    assert [name.split(".")[-1] for name in codes[0]] == ["Around"]
+    assert pickle.loads(pickle.dumps(load_scene(source))).hash == load_scene(source).hash
+
+
+def test_scenes_of_compiled_plugins_have_no_code():
+    assert chd.render("cornell-box", spp=1, **SETTINGS).attrs["scene_code"] == {}
+
+
+@pytest.mark.external
+@pytest.mark.parametrize(("folder", "least"), [("bathroom", 800), ("white-room", 150)])
+def test_real_scenes_name_all_their_files(scenes_folder, folder, least):
+    source = load_scene(scenes_folder / folder / "scene.xml")
+    named = source.described().files
+    assert len(named) > least
+    text = (scenes_folder / folder / "scene.xml").read_text()
+    beside = [
+        p for kind in ("models", "textures") for p in (scenes_folder / folder / kind).iterdir()
+    ]
+    assert {p.name for p in beside if p.name in text} <= {p.name for p in named.values()}

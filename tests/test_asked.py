@@ -1,0 +1,186 @@
+"""What a scene asks for: crops of its film, sensors and wrappers, given or refused in words.
+
+The statistical tests compare pixels with Mitsuba's own average of the same scene; seeds are fixed.
+With a new seed each fails falsely with a probability below 1e-4 (five standard errors, at most 400
+pixels), and each has a negative control.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat._arrays import luminance
+from chdstat.backend import activate, probe
+from chdstat.capture import scene_integrator, scene_size
+from chdstat.errors import InputError, RenderError, SceneError, StoreError
+from chdstat.scenes import load_scene
+
+WHOLE, CROP = (
+    (48, 32),
+    {"crop_width": 16, "crop_height": 12, "crop_offset_x": 20, "crop_offset_y": 9},
+)
+
+
+def box(**film: Any) -> dict[str, Any]:
+    """Return the Cornell box with another film."""
+    source = dict(load_scene("cornell-box").source)
+    plain = {"type": "hdrfilm", "width": WHOLE[0], "height": WHOLE[1], "rfilter": {"type": "box"}}
+    return {**source, "sensor": {**source["sensor"], "film": {**plain, **film}}}
+
+
+def render(scene: Any, **options: Any) -> chd.Samples:
+    return chd.render(scene, **{"backend": "scalar", "spp": 64, **options})
+
+
+def by_mitsuba(source: dict[str, Any], spp: int, sensor: int = 0) -> np.ndarray:
+    """Return the luminance that Mitsuba renders of a scene."""
+    with activate(probe("scalar")) as mi:
+        built = load_scene(source).build(load_scene(source).parse(mi.variant()))
+        image = mi.render(built, sensor=sensor, spp=spp, seed=100_000)
+        return luminance(np.array(image, np.float64), channel_axis=-1)
+
+
+def errors(samples: chd.Samples, image: np.ndarray) -> np.ndarray:
+    """Return by how many of its standard errors each pixel differs from an exact image."""
+    x = luminance(samples.read().astype(np.float64))
+    return (x.mean(-1) - image) / (x.std(-1, ddof=1) / np.sqrt(x.shape[-1]) + 1e-6)
+
+
+def test_a_crop_of_the_film_is_the_image(tmp_path):
+    out = tmp_path / "s.zarr"
+    samples = render(box(**CROP), spp=256, out=out)
+    assert samples.shape[:2] == (12, 16)
+    assert scene_size(box(**CROP)) == (16, 12)
+    assert samples.attrs["crop"] == [20, 9, 48, 32]
+    assert samples.attrs["notes"] == []
+    image = by_mitsuba(box(**CROP), 4096)
+    assert abs(errors(samples, image)).max() < 5
+    # The middle of the film is another part of it.
+    assert abs(errors(samples, by_mitsuba(box(), 64)[10:22, 16:32])).max() > 5
+    whole = render(box(), spp=1)
+    assert whole.shape[:2] == (32, 48)
+    assert whole.attrs["crop"] is None
+    depth = whole.features["depth"][9:21, 20:36]
+    assert np.median(abs(samples.features["depth"] - depth) / depth) < 0.01
+    assert chd.render(box(**CROP), out=out, spp=260, backend="scalar").spp == 260
+
+
+def test_single_pixels_of_a_crop_are_those_of_its_image():
+    pixels = [(0, 0), (6, 8), (11, 15)]
+    single = chd.render_pixels(box(**CROP), pixels, spp=512)
+    image = by_mitsuba(box(**CROP), 4096)
+    x = luminance(single.astype(np.float64))
+    error = x.std(-1, ddof=1) / np.sqrt(512)
+    assert (abs(x.mean(-1) - [image[p] for p in pixels]) < 5 * error).all()
+
+
+@pytest.mark.parametrize(
+    ("size", "film", "notes"), [((32, 24), [40, 18, 96, 64], 0), ((8, 8), [10, 6, 24, 21], 1)]
+)
+def test_another_size_enlarges_the_crop(size, film, notes):
+    samples = render(box(**CROP), size=size, spp=2)
+    assert samples.shape[:2] == size[::-1]
+    assert samples.attrs["crop"] == film
+    assert len(samples.attrs["notes"]) == notes
+
+
+def test_a_store_of_the_whole_film_takes_no_crop(tmp_path):
+    out = tmp_path / "s.zarr"
+    render(box(), out=out, size=(16, 12))
+    with pytest.raises(StoreError, match="crop: stored None, asked for"):
+        render(box(**CROP), out=out, spp=128)
+
+
+@pytest.mark.parametrize(
+    ("film", "message"),
+    [
+        ({"width": "x"}, "width of the film .* must be a whole number of pixels from 1, got 'x'"),
+        ({"height": 0}, "height of the film .* from 1, got 0"),
+        ({"width": 7.5}, "width of the film .* got 7.5"),
+        (
+            {"crop_width": 40, "crop_offset_x": 20},
+            "crop of 40 x 32 pixels at .20, 0. must lie within",
+        ),
+        ({"crop_offset_y": -1}, "crop_offset_y of the film .* from 0, got -1"),
+    ],
+)
+def test_films_that_are_none(film, message):
+    with pytest.raises(SceneError, match=message):
+        render(box(**film))
+    with pytest.raises(SceneError, match=message):
+        scene_size(box(**film))
+
+
+# --- sensors ------------------------------------------------------------------------------------
+
+
+def two_sensors() -> dict[str, Any]:
+    source = box(width=12, height=10)
+    film = {"type": "hdrfilm", "width": 20, "height": 16, "rfilter": {"type": "gaussian"}}
+    other = {
+        "type": "perspective",
+        "fov": 100,
+        "to_world": source["sensor"]["to_world"],
+        "film": film,
+    }
+    return {**source, "wide": other}
+
+
+def test_the_sensor_that_is_asked_for_sees_the_image(tmp_path, caplog):
+    out = tmp_path / "s.zarr"
+    with caplog.at_level(logging.WARNING, logger="chdstat"):
+        first = render(two_sensors(), spp=4)
+    (note,) = first.attrs["notes"]
+    assert note == "the scene has 2 sensors; sensor 0 ('sensor') is used"
+    assert [record.getMessage() for record in caplog.records] == [note]
+    assert first.shape[:2] == (10, 12)
+    second = render(two_sensors(), sensor=1, spp=256, out=out)
+    assert second.shape[:2] == (16, 20)
+    assert "gaussian filter" in second.attrs["notes"][1]
+    boxed = two_sensors()
+    boxed["wide"]["film"]["rfilter"] = {"type": "box"}
+    assert abs(errors(second, by_mitsuba(boxed, 2048, sensor=1))).max() < 5
+    narrow = render(box(width=20, height=16), spp=256)
+    assert abs(errors(narrow, by_mitsuba(boxed, 64, sensor=1))).max() > 5
+    with pytest.raises(StoreError, match="sensor: stored 1, asked for 0"):
+        render(two_sensors(), out=out, spp=300)
+    with pytest.raises(InputError, match="sensor must be below 2, the sensors of 'scene', got 2"):
+        render(two_sensors(), sensor=2)
+
+
+# --- wrappers -----------------------------------------------------------------------------------
+
+
+PATH = {"type": "path", "max_depth": 4}
+AOV = {"type": "aov", "aovs": "d:depth", "within": PATH}
+
+
+@pytest.mark.parametrize("wrapper", [AOV, *({"type": "moment", "nested": n} for n in (PATH, AOV))])
+def test_the_samples_of_a_wrapper_are_those_of_the_integrator_within(wrapper):
+    plain = render({**box(), "integrator": PATH}, spp=3)
+    samples = render({**box(), "integrator": wrapper}, spp=3)
+    assert np.array_equal(samples.read(), plain.read())
+    assert samples.attrs["integrator"] == {"type": "path", "max_depth": 4}
+    assert samples.attrs["notes"][-1].endswith(
+        "the path integrator within it is used, whose samples are kept"
+    )
+    assert scene_integrator({**box(), "integrator": wrapper}) == "path"
+
+
+def test_the_samples_of_a_python_wrapper_are_not_guessed(tmp_path: Path):
+    text = "<scene version='3.0.0'><integrator type='mine'><integrator type='path'/></integrator>"
+    (tmp_path / "s.xml").write_text(f"{text}<sensor type='perspective'/></scene>")
+    with pytest.raises(RenderError, match="'mine' wraps another integrator"):
+        render(tmp_path / "s.xml", size=(4, 4))
+
+
+@pytest.mark.parametrize("variant", ["scalar_spectral", "llvm_ad_mono", "cuda_ad_rgb"])
+def test_other_variants_are_refused_in_words(variant: Any):
+    with pytest.raises(InputError, match=f"backend must be one of .* '{variant}'. .* RGB"):
+        render("cornell-box", backend=variant)
