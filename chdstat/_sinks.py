@@ -64,9 +64,9 @@ lack them."""
 
 def existing_store(out: str | Path | None) -> Store | None:
     """Return the store that is already at `out`, if any."""
-    if out is None or not Path(out).exists() or not (Path(out) / "zarr.json").exists():
+    if out is None or not Store.exists(Path(out)):
         return None
-    return Store.open(Path(out), writable=True)
+    return Store.open(Path(out))
 
 
 class MemorySink:
@@ -88,6 +88,9 @@ class MemorySink:
 
     def spent(self, seconds: float) -> None:
         self._attrs["render_seconds"] = round(seconds, 3)
+
+    def close(self) -> None:
+        """Do nothing: samples in memory are nobody else's."""
 
     def finish(self, direct: Samples | None = None) -> Samples:
         return Samples(array=self._array, attrs=self._attrs, features=self._features, direct=direct)
@@ -124,10 +127,11 @@ class StoreSink:
             )
             return cls(store)
         _check_identity(existing, attrs)
-        if spp > existing.shape[3]:
-            existing.group.attrs.update({"spp": spp})
-            existing.extend(spp)
-        return cls(existing)
+        store = Store.open(Path(out), writable=True)
+        if features:
+            store.restore(renderer.features)
+        store.extend(spp)
+        return cls(store)
 
     def pending(self) -> list[Chunk]:
         return self._store.pending()
@@ -138,11 +142,16 @@ class StoreSink:
     def spent(self, seconds: float) -> None:
         before = float(self._store.attrs.get("render_seconds", 0.0))
         # A full disk has been reported by `write`; the time spent is not worth another error.
-        with contextlib.suppress(OSError):
-            self._store.group.attrs.update({"render_seconds": round(before + seconds, 3)})
+        with contextlib.suppress(StoreError):
+            self._store.update(render_seconds=round(before + seconds, 3))
+
+    def close(self) -> None:
+        """Let others write to the store."""
+        self._store.close()
 
     def finish(self, direct: Samples | None = None) -> Samples:
         store = self._store
+        store.update(direct=True if direct else None)
         return Samples(store=store, attrs=store.attrs, direct=direct, spp=store.complete_spp())
 
 

@@ -7,6 +7,7 @@ pixels on demand.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Mapping, Sequence
@@ -143,11 +144,12 @@ def render(
             if out
             else MemorySink(attrs, renderer, spp)
         )
-        _fill(job, renderer, sink, spp, client, progress)
-        if shorter is None:
-            return sink.finish()
-        del renderer  # kernels are frozen where one scene is alive only
-        return sink.finish(_direct(shorter, spp, out, client, progress))
+        with contextlib.closing(sink):
+            _fill(job, renderer, sink, spp, client, progress)
+            if shorter is None:
+                return sink.finish()
+            del renderer  # kernels are frozen where one scene is alive only
+            return sink.finish(_direct(shorter, spp, out, client, progress))
 
 
 def render_batches(
@@ -398,8 +400,9 @@ def _direct(
     else:
         path = Path(out) / DIRECT
         sink = StoreSink.open(path, existing_store(path), attrs, renderer, spp, features=False)
-    _fill(job, renderer, sink, spp, client, progress)
-    return sink.finish()
+    with contextlib.closing(sink):
+        _fill(job, renderer, sink, spp, client, progress)
+        return sink.finish()
 
 
 def _fill(

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from chdstat._store import Store
 
-__all__ = ["Samples", "checked", "inspect", "open"]
+__all__ = ["Samples", "checked", "convert", "inspect", "open"]
 
 _MAP_BYTES = 16 * 2**20
 """Size of the block that `Samples.map` hands out at most, unless 16 x 16 pixels are larger."""
@@ -314,7 +314,7 @@ class Samples:
         if self._store is None:
             radiance = xr.DataArray(self._array, dims=dims)
         else:
-            radiance = xr.open_zarr(self._store.path, consolidated=False)["radiance"]
+            radiance = xr.DataArray(self._store.lazy(), dims=dims)
         radiance = radiance.isel(sample=slice(0, self.spp))
         radiance.attrs = {"long_name": "linear radiance", "units": "W sr-1 m-2"}
         features = {
@@ -407,7 +407,8 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     path
         The store.
     verify
-        Read everything and check its checksums; ``damaged`` then lists the files that fail.
+        Read everything and check its checksums; without it, that files are there and in their
+        places. ``damaged`` lists those that fail.
 
     Raises
     ------
@@ -427,10 +428,32 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
         "complete_spp": store.complete_spp(),
         "pending_chunks": len(store.pending()),
         "direct_spp": 0 if direct is None else direct.complete_spp(),
-        "features": sorted(store.read_features()),
+        "features": store.feature_names,
         "bytes": sum(f.stat().st_size for f in files),
     }
-    if verify:
-        held = (store,) if direct is None else (store, direct)
-        found["damaged"] = [str(file) for each in held for file in each.damaged()]
+    damaged = store.damaged(content=verify)
+    if verify or damaged:
+        found["damaged"] = [str(file) for file in damaged]
     return found
+
+
+def convert(old: str | Path, new: str | Path) -> None:
+    """Write the samples of a store of an earlier schema into a new one, with its direct part.
+
+    Samples that only some pixels have are left out; a render that resumes draws them again.
+
+    Parameters
+    ----------
+    old
+        The store; it stays as it is.
+    new
+        Where to write; nothing may be there.
+
+    Raises
+    ------
+    StoreError
+        If `old` is damaged or of the present schema already, or `new` cannot be written.
+    """
+    from chdstat import _store
+
+    _store.convert(Path(old), Path(new))

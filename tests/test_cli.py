@@ -42,6 +42,7 @@ def test_help_has_an_example_for_every_command(run):
     assert code == 0
     for command in (
         "render",
+        "convert",
         "info",
         "analyze",
         "train",
@@ -295,7 +296,7 @@ def test_damage_is_found_and_named(run, tmp_path):
     code, out, err = run("info", path, "--verify", "--json")
     assert code == 1
     assert json.loads(out)["damaged"] == [str(shard)]
-    assert "1 damaged chunk(s)" in err
+    assert "1 damaged file(s)" in err
     assert run("analyze", path, "-q")[0] == 1
 
 

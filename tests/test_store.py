@@ -2,15 +2,22 @@ from __future__ import annotations
 
 import errno
 import itertools
+import json
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zarr
+from zarr.codecs import BloscCodec, Crc32cCodec
 
 import chdstat as chd
+from chdstat import _store
+from chdstat._core.files import Lock
 from chdstat._store import BATCH, SCHEMA_VERSION, TILE, Store, chunk_grid
+from chdstat.cli import main
 from chdstat.errors import StoreError
+from chdstat.samples import convert, inspect
 
 ALL = slice(None)
 
@@ -23,10 +30,8 @@ def radiance(height: int, width: int, spp: int, *, channels: int = 3) -> np.ndar
 
 def create(path: Path, x: np.ndarray, **options: object) -> Store:
     height, width, channels, spp = x.shape
-    attrs = {"scene": "test", "spp": spp}
-    return Store.create(
-        path, height=height, width=width, channels=channels, spp=spp, attrs=attrs, **options
-    )
+    options = {"attrs": {"scene": "test", "spp": spp}, **options}
+    return Store.create(path, height=height, width=width, channels=channels, spp=spp, **options)
 
 
 def fill(store: Store, x: np.ndarray, *, at_most: int | None = None) -> Store:
@@ -151,51 +156,89 @@ def test_a_growth_stopped_halfway_goes_on(tmp_path, monkeypatch):
     x = radiance(4, 4, 100)
     path = tmp_path / "s.zarr"
     store = fill(create(path, x[..., :10]), x[..., :10])
+    put = _store._put
 
-    resize = zarr.Array.resize
-
-    def stop_before_radiance(array: zarr.Array, shape: tuple[int, ...]) -> None:
-        if array.path == "radiance":
+    def stop_before_radiance(file: Path, content: bytes) -> None:
+        if file.parent.name == "radiance":
             raise KeyboardInterrupt
-        resize(array, shape)
+        put(file, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(zarr.Array, "resize", stop_before_radiance)
+        patch.setattr(_store, "_put", stop_before_radiance)
         with pytest.raises(KeyboardInterrupt):
             store.extend(100)
+    store.close()
+    assert Store.open(path).damaged() == [path / "radiance/zarr.json"]
     again = Store.open(path, writable=True)
-    assert again.complete_spp() == 10
-    again.extend(100)
+    assert (again.complete_spp(), again.shape) == (10, x.shape)
+    assert again.damaged() == []
     assert np.array_equal(fill(again, x).read(ALL, ALL, ALL), x)
 
 
-def test_leftovers_of_a_killed_writer_do_not_disturb(tmp_path):
+def test_leftovers_of_a_killed_writer_are_removed(tmp_path):
     x = radiance(10, 10, 70)
     path = tmp_path / "s.zarr"
-    half_made = tmp_path / ".s.zarr.partial"
-    half_made.mkdir()
-    (half_made / "zarr.json").write_text("{")
+    path.mkdir()
+    (path / ".lock").touch()
+    (path / ".zarr.0123456789ab.partial.json").write_text("{")
     store = fill(create(path, x), x, at_most=1)
-    assert not half_made.exists()
-    for folder in (path, path / "radiance", path / "radiance/c/0/0/0", path / "ledger/c/0/0"):
-        (folder / "1.0123456789abcdef.partial").write_bytes(b"half")
-    assert np.array_equal(fill(store, x).read(ALL, ALL, ALL), x)
-    assert Store.open(path).damaged() == []
+    left = [path / "radiance/c/0/0/0/.1.0123456789ab.partial", path / ".zarr.01.partial.json"]
+    for file in left:
+        file.write_bytes(b"half")
+    store.close()
+    with Store.open(path, writable=True) as again:
+        assert np.array_equal(fill(again, x).read(ALL, ALL, ALL), x)
+        assert again.damaged() == []
+    assert not any(".partial" in p.name or p.name == ".lock" for p in path.rglob("*"))
 
 
-def test_a_store_is_not_seen_before_it_is_whole(tmp_path, monkeypatch):
-    path = tmp_path / "s.zarr"
+@pytest.mark.parametrize("stop", ["zarr.json", "features/depth/c/0/0"])
+def test_what_a_stopped_maker_left_is_completed(tmp_path, monkeypatch, stop):
+    path, put = tmp_path / "s.zarr", _store._put
+    x, features = radiance(4, 4, 4), {"depth": np.ones((4, 4), np.float32)}
 
-    def stop(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
+    def stopped(file: Path, content: bytes) -> None:
+        if file == path / stop:
+            raise KeyboardInterrupt
+        put(file, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr("chdstat._store._create_features", stop)
+        patch.setattr(_store, "_put", stopped)
         with pytest.raises(KeyboardInterrupt):
-            create(path, radiance(4, 4, 4))
-    assert not path.exists()
+            create(path, x, features=features)
+    assert Store.exists(path) == (stop != "zarr.json")
+    store = Store.open(path, writable=True) if Store.exists(path) else create(path, x)
+    with store:
+        store.restore(lambda: features)
+        assert store.damaged() == []
+        assert store.read_features()["depth"].all()
+        assert np.array_equal(fill(store, x).read(ALL, ALL, ALL), x)
+
+
+# --- two writers --------------------------------------------------------------------------------
+
+
+def test_a_second_writer_is_refused_until_the_first_is_done(tmp_path):
+    path = tmp_path / "s.zarr"
+    x = radiance(4, 4, 70)
+    with create(path, x) as store:
+        for second in (lambda: Store.open(path, writable=True), lambda: create(path, x)):
+            with pytest.raises(StoreError, match=f"process {os.getpid()} on|exists and is not"):
+                second()
+        fill(store, x, at_most=1)
+        assert chd.open(path).spp == BATCH  # who reads is not kept out
+    with Store.open(path, writable=True) as store:
+        assert len(store.pending()) == 1
+
+
+def test_of_two_makers_one_is_refused(tmp_path):
+    path = tmp_path / "s.zarr"
+    path.mkdir()
+    lock = Lock(path / ".lock", path)
+    with pytest.raises(StoreError, match=f"{path} is being written by process {os.getpid()} on"):
+        create(path, radiance(4, 4, 4))
+    lock.release()
     create(path, radiance(4, 4, 4))
-    assert [p.name for p in tmp_path.iterdir()] == ["s.zarr"]
 
 
 # --- what is not a store ------------------------------------------------------------------------
@@ -237,11 +280,12 @@ def test_other_zarr_data_is_not_a_store(tmp_path, kind):
 @pytest.mark.parametrize("version", [SCHEMA_VERSION + 1, 0, "new"])
 def test_another_schema_is_refused(tmp_path, version):
     path = tmp_path / "s.zarr"
-    store = create(path, radiance(4, 4, 4))
-    store.group.attrs["schema_version"] = version
-    with pytest.raises(
-        StoreError, match=f"schema version {version}, this chdstat reads {SCHEMA_VERSION}"
-    ):
+    create(path, radiance(4, 4, 4))
+    for file in (path / "zarr.json", path / "radiance/zarr.json"):
+        held = json.loads(file.read_text())
+        held["attributes"]["schema_version"] = version
+        file.write_text(json.dumps(held))
+    with pytest.raises(StoreError, match=f"schema version {version}, this chdstat reads 1 and 2"):
         chd.open(path)
 
 
@@ -268,7 +312,7 @@ def test_an_empty_folder_is_filled(tmp_path):
 
 def test_a_folder_that_cannot_be_made_is_an_error(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(StoreError, match=r"cannot create a store at .*s\.zarr: "):
+    with pytest.raises(StoreError, match=r"cannot write to .*s\.zarr: "):
         create(tmp_path / "file" / "s.zarr", radiance(4, 4, 4))
 
 
@@ -289,54 +333,257 @@ def flip(file: Path) -> None:
     file.write_bytes(bytes(data))
 
 
-@pytest.mark.parametrize("harm", [truncate, stump, flip])
+def fold(file: Path) -> None:
+    file.unlink()
+    file.mkdir()
+
+
+def swap(file: Path) -> None:
+    other = file.with_name("0")
+    content = file.read_bytes()
+    file.write_bytes(other.read_bytes())
+    other.write_bytes(content)
+
+
+HARMS = [truncate, stump, flip, fold, swap, Path.unlink, lambda file: file.write_bytes(b"")]
+
+
+@pytest.mark.parametrize("harm", HARMS)
 def test_damage_is_found_named_and_repaired(tmp_path, harm):
     x = radiance(TILE, 2 * TILE, 2 * BATCH)
     path = tmp_path / "s.zarr"
-    fill(create(path, x), x)
+    fill(create(path, x), x).close()
+    sound = contents(path)
     harmed = path / "radiance/c/0/1/0/1"
-    sound = harmed.read_bytes()
     harm(harmed)
-    store = Store.open(path, writable=True)
-    with pytest.raises(StoreError, match=rf"cannot read {harmed} .*delete.*render' again"):
+    damaged = [harmed.with_name("0"), harmed] if harm is swap else [harmed]
+    store = Store.open(path)
+    assert store.damaged() == damaged
+    named = ", ".join(map(str, damaged))
+    with pytest.raises(StoreError, match=rf"cannot read {named} \(.*render' again to repair"):
         store.read(ALL, ALL, ALL)
-    assert store.damaged() == [harmed]
-    assert store.damaged(xs=slice(0, TILE)) == []
     assert np.array_equal(store.read(ALL, slice(0, TILE), ALL), x[:, :TILE])
-    assert np.array_equal(store.read(ALL, ALL, slice(0, BATCH)), x[..., :BATCH])
-    harmed.unlink()
-    assert [store.chunk_file(c) for c in store.pending()] == [harmed]
-    fill(store, x)
-    assert harmed.read_bytes() == sound
-    assert store.damaged() == []
+    if harm is not swap:
+        assert np.array_equal(store.read(ALL, ALL, slice(0, BATCH)), x[..., :BATCH])
+    assert chd.open(path).spp == 2 * BATCH  # what is gone is not fewer samples
+    with Store.open(path, writable=True) as writer:
+        assert [writer.chunk_file(c) for c in writer.pending()] == damaged
+        fill(writer, x)
+    assert contents(path) == sound
 
 
-@pytest.mark.parametrize("harm", [Path.unlink, lambda file: file.write_bytes(b"")])
-def test_a_file_that_is_gone_or_empty_counts_as_not_rendered(tmp_path, harm):
-    x = radiance(4, 4, 3 * BATCH)
+@pytest.mark.parametrize("name", ["zarr.json", "radiance/zarr.json", "features/depth/zarr.json"])
+@pytest.mark.parametrize("harm", [truncate, flip, fold, Path.unlink])
+def test_metadata_is_believed_only_where_it_is_sound(tmp_path, name, harm):
+    x, features = radiance(5, 6, 70), {"depth": np.ones((5, 6), np.float32)}
     path = tmp_path / "s.zarr"
-    store = fill(create(path, x), x)
-    harm(path / "radiance/c/0/0/0/1")
-    assert store.damaged() == [path / "radiance/c/0/0/0/1"]
-    assert chd.open(path).spp == BATCH
-    assert np.array_equal(fill(store, x).read(ALL, ALL, ALL), x)
+    fill(create(path, x, features=features), x).close()
+    sound = contents(path)
+    harm(path / name)
+    store = Store.open(path)
+    assert store.damaged() == [path / name]
+    assert np.array_equal(store.read(ALL, ALL, ALL), x)
+    assert store.read_features()["depth"].all()
+    Store.open(path, writable=True).close()
+    assert contents(path) == sound
 
 
-@pytest.mark.parametrize("what", ["radiance", "ledger"])
-def test_a_full_disk_keeps_what_is_stored(tmp_path, monkeypatch, what):
+@pytest.mark.parametrize("harm", [truncate, flip, fold, Path.unlink])
+def test_damaged_features_are_named_and_repaired(tmp_path, harm):
+    x, features = radiance(5, 6, 70), {"depth": np.ones((5, 6), np.float32)}
+    path = tmp_path / "s.zarr"
+    fill(create(path, x, features=features), x).close()
+    sound = contents(path)
+    harm(path / "features/depth/c/0/0")
+    store = Store.open(path)
+    assert store.damaged() == [path / "features/depth"]
+    assert np.array_equal(store.read(ALL, ALL, ALL), x)
+    with pytest.raises(StoreError, match="cannot read .*features/depth/c/0/0 .*render' again"):
+        store.read_features()
+    with Store.open(path, writable=True) as writer:
+        writer.restore(lambda: features)
+    assert contents(path) == sound
+
+
+def test_a_chunk_of_another_store_or_of_fewer_samples_is_refused(tmp_path):
+    x = radiance(4, 4, 70)
+    ours, theirs = tmp_path / "ours.zarr", tmp_path / "theirs.zarr"
+    fill(create(theirs, x, attrs={"scene": "other"}), x)
+    store = fill(create(ours, x[..., :68]), x[..., :68])
+    chunk = ours / "radiance/c/0/0/0/1"
+    older = chunk.read_bytes()
+    store.extend(70)
+    fill(store, x).close()
+    for content, why in (
+        ((theirs / "radiance/c/0/0/0/1").read_bytes(), "it is of other samples"),
+        (older, "it is an older one, with fewer samples"),
+    ):
+        chunk.write_bytes(content)
+        with pytest.raises(StoreError, match=why):
+            Store.open(ours).read(ALL, ALL, ALL)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"shape": [4, 4, 3, 10**9]},
+        {"shape": [1, 4, 3, 70]},
+        {"data_type": "uint32"},
+        {"fill_value": 0},
+        {"codecs": []},
+    ],
+)
+def test_what_the_metadata_of_an_array_says_changes_nothing(tmp_path, change):
+    x = radiance(4, 4, 70)
+    path = tmp_path / "s.zarr"
+    fill(create(path, x), x).close()
+    file = path / "radiance/zarr.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    assert np.array_equal(chd.open(path).read(), x)
+    assert inspect(path)["damaged"] == [str(file)]
+
+
+def test_a_full_disk_keeps_what_is_stored(tmp_path, monkeypatch):
     x = radiance(8, 8, 3 * BATCH)
     path = tmp_path / "s.zarr"
     store = fill(create(path, x), x, at_most=1)
-    write = zarr.Array.__setitem__
 
-    def full(array: zarr.Array, *args: object) -> None:
-        if array.path == what:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        write(array, *args)
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(zarr.Array, "__setitem__", full)
+        patch.setattr(_store, "_put", full)
         with pytest.raises(StoreError, match="cannot write to .*No space left.*resume"):
             fill(store, x)
+    store.close()
     assert chd.open(path).spp == BATCH
-    assert np.array_equal(fill(Store.open(path, writable=True), x).read(ALL, ALL, ALL), x)
+    with Store.open(path, writable=True) as again:
+        assert np.array_equal(fill(again, x).read(ALL, ALL, ALL), x)
+
+
+def test_a_store_that_cannot_be_written_is_read(tmp_path, monkeypatch):
+    x = radiance(4, 4, 4)
+    path = tmp_path / "s.zarr"
+    fill(create(path, x), x).close()
+
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    with pytest.raises(StoreError, match="cannot write to .*Read-only file system"):
+        Store.open(path, writable=True)
+    assert np.array_equal(chd.open(path).read(), x)
+
+
+# --- stores of the first schema -----------------------------------------------------------------
+
+
+def first_schema(path: Path, x: np.ndarray, features: dict[str, np.ndarray]) -> Path:
+    """Write a store as chdstat did that had no manifest."""
+    height, width, channels, spp = x.shape
+    group = zarr.open_group(path, mode="w", zarr_format=3)
+    with zarr.config.set({"array.write_empty_chunks": True}):
+        group.create_array(
+            "radiance",
+            shape=x.shape,
+            dtype="float32",
+            chunks=(16, 16, channels, 64),
+            shards=(64, 64, channels, 64),
+            compressors=[BloscCodec(cname="zstd", clevel=1, shuffle="noshuffle"), Crc32cCodec()],
+            fill_value=float("nan"),
+            dimension_names=("y", "x", "channel", "sample"),
+        )[...] = x
+    grid = (-(-height // 64), -(-width // 64), -(-spp // 64))
+    ledger = group.create_array(
+        "ledger", shape=grid, dtype="int32", chunks=(*grid[:2], 1024), fill_value=0
+    )
+    ledger[...] = np.broadcast_to(np.minimum(64, spp - 64 * np.arange(grid[2])), grid)
+    folder = group.create_group("features")
+    for name, image in features.items():
+        folder.create_array(name, data=image)
+    about = {"schema_version": 1, "scene": "old", "size": [width, height], "spp": spp}
+    group.attrs.update({**about, "integrator": {"type": "path", "max_depth": 8}})
+    return path
+
+
+@pytest.fixture
+def run(monkeypatch):
+    """Return a function that runs a command, which must succeed."""
+
+    def command(*arguments: object) -> None:
+        monkeypatch.setattr("sys.argv", ["chdstat", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert not ended.value.code
+
+    return command
+
+
+@pytest.fixture
+def old(tmp_path):
+    x, features = radiance(5, 70, 130), {"depth": np.ones((5, 70), np.float32)}
+    return first_schema(tmp_path / "old.zarr", x, features), x
+
+
+def test_the_first_schema_is_read(old):
+    path, x = old
+    before = contents(path)
+    samples = chd.open(path)
+    assert np.array_equal(samples.read(), x)
+    assert samples.features["depth"].all()
+    assert (inspect(path, verify=True)["damaged"], samples.attrs["schema_version"]) == ([], 1)
+    assert np.array_equal(samples.to_dataset()["radiance"].values, x)
+    with pytest.raises(StoreError, match=f"of schema 1.*chdstat convert {path} -o NEW"):
+        Store.open(path, writable=True)
+    assert contents(path) == before
+
+
+def test_the_first_schema_is_converted_and_then_grows(old, tmp_path, run, capsys):
+    path, x = old
+    new = tmp_path / "new.zarr"
+    first_schema(path / "direct", x / 2, {})
+    run("convert", path, "-o", new)
+    assert "130 spp" in capsys.readouterr().out
+    samples = chd.open(new)
+    assert np.array_equal(samples.read(), x)
+    assert np.array_equal(samples.direct.read(), x / 2)
+    assert samples.features["depth"].all()
+    assert samples.attrs == chd.open(path).attrs | {"schema_version": 2}
+    with Store.open(new, writable=True) as store:
+        store.extend(140)
+        assert store.complete_spp() == 130
+    with pytest.raises(StoreError, match="of schema 2 already"):
+        convert(new, tmp_path / "newer.zarr")
+    with pytest.raises(StoreError, match="nothing was overwritten"):
+        convert(path, new)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("radiance/zarr.json", {"shape": [5, 70, 3, 10**9]}),
+        ("radiance/zarr.json", {"shape": [5, 70, 4, 130]}),
+        ("radiance/zarr.json", {"shape": [5, 70, 3, 60]}),
+        ("radiance/zarr.json", {"shape": "?"}),
+        ("ledger/zarr.json", {"shape": [1, 2]}),
+        ("ledger/zarr.json", {"data_type": "?"}),
+        ("zarr.json", {"attributes": {"schema_version": 1}}),
+        ("zarr.json", {"attributes": []}),
+    ],
+)
+def test_a_damaged_store_of_the_first_schema_is_an_error(old, name, change):
+    path, _ = old
+    file = path / name
+    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    with pytest.raises(StoreError):
+        chd.open(path).read()
+
+
+@pytest.mark.parametrize("harm", [truncate, flip])
+def test_a_damaged_chunk_of_the_first_schema_is_named(old, harm):
+    path, x = old
+    harm(path / "radiance/c/0/1/0/1")
+    assert Store.open(path).damaged() == [path / "radiance/c/0/1/0/1"]
+    with pytest.raises(StoreError, match=r"cannot read .*radiance/c/0/1/0/1 \(.*convert"):
+        chd.open(path).read()
+    assert np.array_equal(chd.open(path).read(xs=slice(0, 64)), x[:, :64])

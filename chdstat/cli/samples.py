@@ -29,7 +29,7 @@ from chdstat.cli._options import (
 from chdstat.cli._output import print_json, print_table, say_samples
 from chdstat.errors import ChdstatError
 
-__all__ = ["info", "render"]
+__all__ = ["convert", "info", "render"]
 
 
 @app.command(
@@ -77,7 +77,8 @@ def render(
 def info(
     store: StorePath,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Read everything and check its checksums.")
+        bool,
+        typer.Option("--verify", help="Read everything, and list the files that are damaged."),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -91,7 +92,24 @@ def info(
         print_table(found | {"scene_files": len(found.get("scene_files", ()))})
     if found.get("damaged"):
         message = (
-            f"{len(found['damaged'])} damaged chunk(s) in {store}; delete the files listed above "
-            "and run the same 'chdstat render' again to repair them"
+            f"{len(found['damaged'])} damaged file(s) in {store}, listed above; "
+            "run the same 'chdstat render' again to repair them"
         )
         raise ChdstatError(message)
+
+
+@app.command(epilog="Example: chdstat convert old.zarr -o new.zarr")
+def convert(
+    store: StorePath,
+    out: Annotated[Path, typer.Option("--out", "-o", help="New store to write.")],
+    as_json: Json = False,
+) -> None:
+    """Write the samples of a store of an earlier schema into a new one, which can be appended to.
+
+    The old store stays as it is.
+    """
+    import chdstat
+    from chdstat.samples import convert as converted
+
+    converted(store, out)
+    say_samples(chdstat.open(out), as_json)
