@@ -20,7 +20,7 @@ ROOT = Path(chd.__file__).parent
 ORDER = (
     "errors",
     "_core",
-    "_arrays _code _exposure _interrupts _reasons _workers progress",
+    "_arrays _code _image_scales _interrupts _reasons _workers progress",
     "scenes",
     "_store _streams",
     "backend",

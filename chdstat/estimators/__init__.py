@@ -15,8 +15,9 @@ with a certainty and an interval, and without a reference as `self_trained`. The
 - sharing statistics with alike pixels around: `delbracio2014`, `sakai2024`, `shared_patches`,
   `shared_shape`.
 
-`names` lists what is registered, the mean first, and `lookup` says where it comes from and what it
-needs; ``estimators.<name>`` is the function.
+`mean_radiance` is the unit that `Progressive` measures an image in. `names` lists what is
+registered, the mean first, and `lookup` says where it comes from and what it needs;
+``estimators.<name>`` is the function.
 """
 
 from __future__ import annotations
@@ -56,6 +57,7 @@ from chdstat.estimators.registry import (
     register_learned,
 )
 from chdstat.estimators.training import History
+from chdstat._image_scales import mean_radiance
 # isort: on
 
 __all__ = [
@@ -87,6 +89,7 @@ __all__ = [
     "lognormal_shrinkage",
     "lookup",
     "mean",
+    "mean_radiance",
     "median",
     "median_of_means",
     "mixture_shrinkage",

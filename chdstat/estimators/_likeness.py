@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy.special import stdtrit
 
 from chdstat._arrays import all_good, is_bad, spans
-from chdstat.estimators._exposure import exposure_unit
+from chdstat._image_scales import exposure_unit
 from chdstat.estimators._rows import Floats
 from chdstat.estimators.classical import mean_of_good
 

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import all_good, as_samples, is_bad, luminance, spans
+from chdstat._image_scales import exposure_unit
 from chdstat.errors import InputError
-from chdstat.estimators._exposure import exposure_unit
 from chdstat.estimators._rows import Floats, check_pixels
 from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.registry import register

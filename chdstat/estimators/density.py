@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import as_samples, is_bad, spans
+from chdstat._image_scales import exposure_unit
 from chdstat.errors import InputError
-from chdstat.estimators._exposure import exposure_unit
 from chdstat.estimators._rows import Floats, check_pixels
 from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.registry import register

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import as_samples
-from chdstat.estimators._exposure import exposure_unit
+from chdstat._image_scales import exposure_unit
 from chdstat.estimators._likeness import (
     Picture,
     chi_square,

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from chdstat import viz
 from chdstat._arrays import is_bad, is_null, luminance
-from chdstat._exposure import auto_exposure
+from chdstat._image_scales import RadianceSums, display_stops, mean_of_pixels
 from chdstat._moments import Moments
 from chdstat.errors import InputError
 from chdstat.explorer.sources import StoreSource
@@ -44,6 +44,9 @@ class Overall:
         Unbiased variance of luminance, squared radiance, shape (y, x).
     variation
         Standard deviation of luminance over its mean, shape (y, x).
+    extreme, others
+        The sample that is farthest from 0 and the sum of the others, averaged over channels,
+        radiance, shape (y, x).
     spp
         Samples per pixel behind them.
     """
@@ -54,6 +57,8 @@ class Overall:
     bad_count: Image
     variance: Image
     variation: Image
+    extreme: Image
+    others: Image
     spp: int
 
     @property
@@ -62,17 +67,28 @@ class Overall:
         good = np.where(self.good_count > 0, self.good_count, np.nan)
         return np.asarray(self.variation / np.sqrt(good))
 
+    @property
+    def unit(self) -> float:
+        """Mean radiance of the picture, which a few fireflies do not move."""
+        return mean_of_pixels(self.extreme, self.others, self.good_count)
+
     @cached_property
     def exposure(self) -> float:
         """Stops that show the picture well."""
-        return auto_exposure(self.mean)
+        return display_stops(self.mean)
 
     @classmethod
     def empty(cls, height: int, width: int, channels: int) -> Overall:
         """Return the picture of no samples."""
         mean = np.full((height, width, channels), np.nan, np.float32)
-        null, good, bad, variance, variation = np.full((5, height, width), np.nan, np.float32)
-        return cls(mean, null, good, bad, variance, variation, 0)
+        maps = np.full((7, height, width), np.nan, np.float32)
+        return cls.of_maps(mean, maps)
+
+    @classmethod
+    def of_maps(cls, mean: Image, maps: Image) -> Overall:
+        """Return the picture of a mean and of the other maps, stacked in their order."""
+        null, good, bad, variance, variation, extreme, others = maps
+        return cls(mean, null, good, bad, variance, variation, extreme, others, 0)
 
     def put(self, ys: slice, xs: slice, part: Overall) -> None:
         """Write a part of the image."""
@@ -123,11 +139,15 @@ class Tally:
         self._moments: Moments | None = None
         self._nulls: Any = 0
         self._bads: Any = 0
+        self._sums: RadianceSums | None = None
 
     def add(self, block: Image) -> None:
         """Count more samples."""
         bad = np.asarray(is_bad(block).any(axis=-2))
         good = ~bad
+        if self._sums is None:
+            self._sums = RadianceSums(block.shape[:-2])
+        self._sums.add(block)
         self._nulls = self._nulls + np.count_nonzero(is_null(block) & good, axis=-1)
         self._bads = self._bads + np.count_nonzero(bad, axis=-1)
         with np.errstate(invalid="ignore", over="ignore"):
@@ -137,8 +157,8 @@ class Tally:
 
     def overall(self) -> Overall:
         """Return the picture of what was counted; `spp` is left to who knows it."""
-        moments = self._moments
-        if moments is None:
+        moments, sums = self._moments, self._sums
+        if moments is None or sums is None:
             message = "no samples were counted yet"
             raise InputError(message)
         mean = moments.seen(moments.mean)
@@ -148,9 +168,9 @@ class Tally:
             variation = np.where(mean[..., -1] > 0, np.sqrt(variance) / mean[..., -1], np.nan)
             bads = np.broadcast_to(self._bads, share.shape)
             maps = np.stack([share, moments.count[..., 0], bads, variance, variation])
-            null, good, bad, variances, variations = maps.astype(np.float32)
+            maps = np.concatenate([maps, [sums.extreme, sums.others]]).astype(np.float32)
         picture = mean[..., :-1].astype(np.float32)
-        return Overall(picture, null, good, bad, variances, variations, 0)
+        return Overall.of_maps(picture, maps)
 
 
 def _of_blocks(blocks: Iterator[Image]) -> Overall:

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from chdstat.errors import ChdstatError
-from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.explorer.cache import kept
 from chdstat.explorer.images import Overall, preview, stream
 from chdstat.explorer.judged import quick_names
@@ -92,8 +91,9 @@ class Shared:
     @property
     def unit(self) -> float | None:
         """Radiance that trained estimators count from, None before there is a picture."""
-        mean = None if self.overall is None else self.overall.mean
-        return None if mean is None or not np.isfinite(mean).any() else picture_unit(mean)
+        overall = self.overall
+        known = overall is not None and np.isfinite(overall.mean).any()
+        return overall.unit if overall is not None and known else None
 
     def start(self) -> None:
         """Show the first picture, then begin to improve it."""

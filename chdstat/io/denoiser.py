@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._image_scales import exposure_unit
 from chdstat.errors import ChdstatError, InputError
-from chdstat.estimators._exposure import exposure_unit
 
 __all__ = ["denoise"]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from chdstat import viz
-from chdstat._exposure import auto_exposure
+from chdstat._image_scales import display_stops
 from chdstat.comparison import Comparison, compare
 from chdstat.estimators import Estimator, Progressive
 from chdstat.estimators.progressive import Estimates
@@ -129,7 +129,7 @@ class SelfTraining:
             width = np.abs(found.high - found.low).mean(axis=-1) / found.radiance.mean(axis=-1)
         width[~np.isfinite(width)] = np.nan
         mean, ours = self.comparison.estimates
-        exposure = auto_exposure(self.comparison.reference)
+        exposure = display_stops(self.comparison.reference)
         images = {
             f"Mean of {self.comparison.n} samples": mean,
             "Self-trained": ours,

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from chdstat._exposure import auto_exposure
+from chdstat._image_scales import display_stops
 from chdstat.errors import InputError
 from chdstat.viz.chd import Curve
 from chdstat.viz.image import tonemap
@@ -104,7 +104,7 @@ def view_pair(
     if len(images) != 2:
         message = f"expected two images of one view, got {len(images)}"
         raise InputError(message)
-    exposure = auto_exposure(list(images.values())[1])
+    exposure = display_stops(list(images.values())[1])
     with style():
         height = 0.225 * WIDTH * np.shape(next(iter(images.values())))[0]
         height /= np.shape(next(iter(images.values())))[1]

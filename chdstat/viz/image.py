@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from chdstat._exposure import auto_exposure
+from chdstat._image_scales import display_stops
 from chdstat.errors import InputError
 from chdstat.viz.lettering import verbatim
 from chdstat.viz.style import HEIGHT, PALETTE, WIDTH, style
@@ -75,7 +75,7 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
         raise InputError(message)
     linear = np.broadcast_to(linear, (*linear.shape[:2], 3))
     finite = np.asarray(np.isfinite(linear).all(axis=-1))
-    stops = auto_exposure(linear[finite]) if exposure is None else exposure
+    stops = display_stops(linear[finite]) if exposure is None else exposure
     value = np.clip(np.where(finite[..., None], linear, 0) * 2.0**stops, 0, 1)
     curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
     return np.where(finite[..., None], curve, (1.0, 0.0, 1.0))
@@ -187,7 +187,7 @@ def pictures(
     window = crop or (slice(None), slice(None))
     exposed = np.asarray(list(images.values())[-1])[window]
     if exposure is None:
-        exposure = auto_exposure(exposed)
+        exposure = display_stops(exposed)
     rows = 2 if errors else 1
     with style():
         height, width = np.shape(exposed)[:2]

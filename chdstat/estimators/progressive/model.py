@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import generator
+from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import Totals, direct_of
+from chdstat.estimators.heldout import direct_of
 from chdstat.estimators.progressive.application import Alike, apply, with_constants, with_means
-from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.inputs import Input, InputConfig
 from chdstat.estimators.progressive.lessons import (
     Material,
@@ -100,7 +100,10 @@ class Progressive:
 
     @property
     def unit(self) -> float:
-        """Mean radiance of the picture that it was trained on."""
+        """Mean radiance of the image that it was trained on, as of `mean_radiance`.
+
+        Of several images it is the geometric mean of theirs.
+        """
         return self._state.unit
 
     @property
@@ -204,7 +207,7 @@ class Progressive:
             Scene(
                 picture,
                 self.inputs.features_of(picture),
-                picture_unit(_means(picture)),
+                mean_radiance(picture),
                 own,
                 direct_of(picture) if self.inputs.direct else None,
             )
@@ -270,7 +273,8 @@ class Progressive:
         balance
             0 for the least MSE, 1 for the least relMSE, and what lies between.
         unit
-            Mean radiance of the picture that `x` is a part of; None measures it on `x`.
+            Mean radiance of the image that `x` is a part of, as of `mean_radiance`: then parts of
+            it are estimated as the whole is, if neighbours are no input. None measures it on `x`.
         level
             Probability of the interval.
         trust
@@ -465,8 +469,3 @@ class Progressive:
             unit=asked.unit,
             direct=asked.direct,
         )
-
-
-def _means(samples: Samples) -> Array:
-    """Return the means of all pixels, shape (y, x, channel)."""
-    return Totals.of(samples).mean()

@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import as_samples
+from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators._rows import check_pixels
-from chdstat.estimators.classical import mean_of_good
-from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.lessons import Scenery, ask
 from chdstat.estimators.progressive.profiles import Profile
@@ -75,7 +74,7 @@ class Question:
             raise InputError(message)
         check_asked(channels, samples.shape[-2], balance)
         part = inputs.direct_of(direct, samples.shape)
-        measured = picture_unit(mean_of_good(samples)) if unit is None else unit
+        measured = mean_radiance(samples) if unit is None else unit
         return cls(samples, features, part, balance, measured)
 
     def of_part(self, samples: Array, direct: Array | None) -> Self:

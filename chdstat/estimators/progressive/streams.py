@@ -9,11 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import as_samples
+from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.progressive.application import Alike, with_constants
 from chdstat.estimators.progressive.courses import Course
-from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.estimators.progressive.first_hit import Features, describe
 from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.progressive.profiles import Profile
@@ -41,7 +40,8 @@ class Stream:
     features
         First-hit features of the picture, where it looks at these.
     unit
-        Mean radiance of the picture; None measures it on the first batch.
+        Mean radiance of the image, as of `mean_radiance`; None measures it on the first batch with
+        light.
     learns
         Whether `learn` is going to train the model on the samples as they arrive, without a
         reference. A model that was trained before goes on from there; until it has learned
@@ -151,14 +151,14 @@ class Stream:
         part = self._model.inputs.direct_of(direct, samples.shape)
         shape, channels = samples.shape[:-2], samples.shape[-2]
         if self._profile is None:
-            unit = picture_unit(mean_of_good(samples)) if self._unit is None else self._unit
+            unit = mean_radiance(samples) if self._unit is None else self._unit
             if self._learns:
                 self._course = self._new_course(shape, channels, unit)
             self._profile = Profile.empty(shape, channels, unit=unit, parts=self._parts)
         kept = self._profile
         if self._unit is None and not kept.bins.any():
             # Black so far: the unit is that of the first batch with light.
-            kept.unit = picture_unit(mean_of_good(samples))
+            kept.unit = mean_radiance(samples)
             if self._course is not None:
                 self._course.unit = kept.unit
         if (kept.count.shape, kept.channels) != (shape, channels):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators import Profile, Progressive, Stream
-from chdstat.estimators.progressive.exposure import picture_unit
 from chdstat.simulation import CHD, Component, truth_of
 
 
@@ -74,7 +74,7 @@ def test_the_unit_is_that_of_the_first_samples(trained):
 def test_black_batches_say_nothing_of_the_unit(trained):
     x = 1e-4 * np.random.default_rng(0).exponential(size=(8, 8, 3, 32)).astype(np.float32)
     dark = np.zeros((8, 8, 3, 4), np.float32)
-    stream, expected = Stream(trained), Stream(trained, unit=picture_unit(x.mean(axis=-1)))
+    stream, expected = Stream(trained), Stream(trained, unit=mean_radiance(x))
     for part in (dark, dark, x):
         stream.update(part)
         expected.update(part)
