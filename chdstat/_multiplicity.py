@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special, stats
 
-__all__ = ["holm", "q_values", "wilson"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["holm", "q_values", "rejections", "wilson"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -43,6 +46,15 @@ def q_values(p: npt.NDArray[np.floating[Any]]) -> Floats:
             adjusted[tested] = stats.false_discovery_control(p[here][tested])
             q[here] = adjusted
     return q
+
+
+def rejections(q_value: xr.DataArray, alpha: float) -> xr.DataArray:
+    """Return 1 where a q-value is at most `alpha`, 0 where it is not, NaN where nothing was tested.
+
+    Its mean is the share of the pixels that were tested.
+    """
+    rejected = (q_value <= alpha).astype(np.float32)
+    return rejected.where(q_value.notnull()).drop_attrs()
 
 
 def holm(p: npt.NDArray[np.floating[Any]]) -> Floats:

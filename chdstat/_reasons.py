@@ -33,6 +33,8 @@ class Reason(enum.IntEnum):
     """Several samples share the largest value: they were clamped, rounded, or are a few atoms."""
     UNTESTED = 9
     """No test was asked for: there is a statistic and no p-value."""
+    FEW_REPLICATES = 10
+    """Fewer than half of the bootstrap replicates could be fitted: they are no p-value."""
 
 
 def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import is_bad
+from chdstat._arrays import is_bad, whole
 from chdstat._core.files import replacing
 from chdstat._fitted import Fitted
 from chdstat._moments import Moments
 from chdstat._positive import PositivePart
 from chdstat._rows import Result
 from chdstat.errors import StoreError
-from chdstat.fit.goodness_of_fit import goodness_of_part, stream_of
+from chdstat.fit.goodness_of_fit import goodness_of_part
 from chdstat.fit.goodness_results import Goodness, finish_goodness, goodness_variables
 from chdstat.fit.mixture_results import finish_mixture, mixture_variables
 from chdstat.fit.selection import SELECTED, finish_selection, selection_variables
@@ -73,7 +73,8 @@ def analyze(
         Compare the families by held-out likelihood, too, which nearly doubles the cost of fits.
     resamples, seed
         Bootstrap replicates of the goodness of the best family, and their seed. Without any, there
-        are statistics and effect sizes and no p-values. Each costs about as much as the fits.
+        are statistics and effect sizes, but neither p-values nor ``best_goodness_rejected``. Each
+        costs about as much as the fits.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -100,6 +101,8 @@ def analyze(
     """
     import xarray as xr
 
+    resamples = whole("resamples", resamples, least=0)
+    seed = whole("seed", seed, least=0)
     summary = summarize(samples, progress=progress)
     stages = _stages(samples.spp, thresholds or Thresholds(), resamples, seed)
 
@@ -162,8 +165,7 @@ class _Tile(Fitted):
 
     def goodness(self, resamples: int, seed: int) -> Goodness:
         part, selection = self.of_channels(self.part), self.of_channels(self.selection)
-        stream = stream_of(part, seed)
-        return goodness_of_part(part, selection, resamples=resamples, seed=stream)
+        return goodness_of_part(part, selection, resamples=resamples, seed=seed)
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,7 @@ def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list
         ),
         _Stage(
             lambda t: goodness_variables(t.goodness(resamples, seed)),
-            lambda d: finish_goodness(d, "best"),
+            lambda d: finish_goodness(d, "best", resamples=resamples),
         ),
         _Stage(lambda t: tail_variables(t.of_channels(t.tail)), finish_tail),
         _Stage(

@@ -122,7 +122,7 @@ def overview(found: xr.Dataset) -> Overview:
         families_held_out=_family_shares(found, "held_out_best_family"),
         decided=_share(found["margin"] > 10, found["margin"].notnull()),
         misfit=_quartiles(distance.values),
-        log_rejected=_share(log["normality_rejected"], log["normality_p_value"].notnull()),
+        log_rejected=_share(log["normality_rejected"] == 1, log["normality_p_value"].notnull()),
         log_skewness=_quartiles(log["normality_skewness"].values),
         patterns={p.name: float(found[p.name].mean()) for p in PATTERNS},
         label_agreement=float(found["label_agreement"].attrs["kappa"]),
@@ -144,7 +144,7 @@ def _averages(
     sizes = found["size"].values
     shares = {
         int(n): _share(
-            found["averages_rejected"].isel(size=i),
+            found["averages_rejected"].isel(size=i) == 1,
             found["averages_p_value"].isel(size=i).notnull(),
         )
         for i, n in enumerate(sizes)

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import spans
+from chdstat._arrays import generator, spans
 from chdstat._positive import PositivePart
 from chdstat.explorer.measured import Measured
 from chdstat.fit.families import FAMILIES
-from chdstat.fit.goodness_of_fit import FitTest, goodness_of_part, stream_of
+from chdstat.fit.goodness_of_fit import FitTest, goodness_of_part
 from chdstat.fit.mle import fit_part
 from chdstat.fit.selection import SELECTED
 
@@ -77,7 +77,7 @@ def fitness(
     n = min(place.spp, _MOST)
     part = PositivePart.of_pixels(place.rows[: len(place.channels), :n], rows="both")
     # One generator for all pieces: their replicates are as independent as those of one call.
-    rng = stream_of(part, seed)
+    rng = generator(seed)
     pieces = list(spans(resamples, _PIECE))
     p_values, distances = [], []
     for i, name in enumerate(SELECTED):

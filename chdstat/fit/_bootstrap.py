@@ -1,11 +1,12 @@
 """Bootstrap: distances from a fitted family, and those of samples drawn from it and fitted again.
 
-All rows of a block take part in each replicate. Rows differ in their number of samples, and so do
-their replicates.
+The random numbers of a row are made of the seed and of the row's own samples, so that its p-value
+does not depend on which rows are tested with it. The replicates of several rows are fitted at once.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -39,11 +40,12 @@ def bootstrap(
     parameters: Parameters,
     tests: Sequence[FitTest],
     resamples: int,
-    rng: np.random.Generator,
+    seed: int,
 ) -> tuple[Floats, Floats, Floats]:
     """Return statistics, p-values and replicates that could be fitted, each of shape (row, test).
 
-    Rows are those of the flattened batch; what is not usable is NaN, NaN and 0.
+    Rows are those of the flattened batch; what is not usable is NaN, NaN and 0. P-values are NaN
+    where fewer than half of the replicates could be fitted.
     """
     shape = (part.n.size, len(tests))
     statistic, p_value, fitted = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
@@ -51,16 +53,31 @@ def bootstrap(
     # Rows of as many samples go together: a block is as wide as its rows need.
     rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
     width = (part.counts if isinstance(part, BinnedPart) else part.x).shape[-1]
-    for block in spans(len(rows), max(1, _CHUNK // width)):
+    for block in spans(len(rows), max(1, _CHUNK // width // max(1, resamples))):
         here = rows[block]
         some = _take(part, here)
         known = {name: value.ravel()[here] for name, value in parameters.items()}
         statistic[here] = _distances(some, family, known, tests)
-        more, count = _replicates(some, family, known, statistic[here], tests, resamples, rng)
+        streams = _streams(some, seed) if resamples else []
+        more, count = _replicates(some, family, known, statistic[here], tests, resamples, streams)
         fitted[here] = count
         # Davison and Hinkley (1997), equation 4.11.
-        p_value[here] = np.where(count > 0, (more + 1) / (count + 1), np.nan)
+        known_enough = (count > 0) & (2 * count >= resamples)
+        p_value[here] = np.where(known_enough, (more + 1) / (count + 1), np.nan)
     return statistic, p_value, fitted
+
+
+def _streams(part: Part, seed: int) -> list[np.random.Generator]:
+    """Return a generator for each row, of the seed and of the row's samples, whatever their order.
+
+    It is never that of `numpy.random.default_rng(seed)`, of which the samples may be draws.
+    """
+    held = (
+        part.counts
+        if isinstance(part, BinnedPart)
+        else [row[:n].astype(np.float64) for row, n in zip(part.sorted, part.n, strict=True)]
+    )
+    return [np.random.default_rng([seed, zlib.crc32(row.tobytes())]) for row in held]
 
 
 def _replicates(
@@ -70,19 +87,23 @@ def _replicates(
     statistic: Floats,
     tests: Sequence[FitTest],
     resamples: int,
-    rng: np.random.Generator,
+    streams: Sequence[np.random.Generator],
 ) -> tuple[Floats, Floats]:
     """Count replicates at least as far from their fit as the samples, and all that could be fit."""
     more, count = np.zeros(statistic.shape), np.zeros(statistic.shape)
-    least = statistic * (1 - _SAME)
-    for _ in range(resamples):
+    least = statistic[:, np.newaxis] * (1 - _SAME)
+    width = (part.counts if isinstance(part, BinnedPart) else part.x).shape[-1]
+    for piece in spans(resamples, max(1, _CHUNK // width // len(part.n))):
+        times = min(piece.stop, resamples) - piece.start
+        repeated = {name: np.repeat(value, times) for name, value in parameters.items()}
         # Where the sum of the samples is close to overflow, that of a replicate may: no fit.
         with np.errstate(all="ignore"):
-            drawn = _draw(part, family, parameters, rng)
-            estimate, _ = estimate_part(drawn, family, parameters)
+            drawn = _draw(part, family, parameters, times, streams)
+            estimate, _ = estimate_part(drawn, family, repeated)
         found = _distances(drawn, family, estimate.parameters, tests)
-        more += found >= least
-        count += np.isfinite(found) & np.isfinite(least)
+        found = found.reshape(len(part.n), times, len(tests))
+        more += np.count_nonzero(found >= least, axis=1)
+        count += np.count_nonzero(np.isfinite(found) & np.isfinite(least), axis=1)
     return more, count
 
 
@@ -105,26 +126,34 @@ def _distances(
 
 
 def _draw(
-    part: Part, family: Family, parameters: Parameters, rng: np.random.Generator
+    part: Part,
+    family: Family,
+    parameters: Parameters,
+    times: int,
+    streams: Sequence[np.random.Generator],
 ) -> PositivePart | BinnedPart:
-    """Draw as many samples for each row from the family as it has."""
+    """Draw as many samples from the family as a row has, so many times, one row after the other."""
     if isinstance(part, BinnedPart):
         probability = bin_probabilities(part, family, parameters)
         total = np.maximum(probability.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
-        counts = rng.multinomial(part.n, probability / total).astype(np.float64)
-        return _with_counts(part, counts)
-    columns = {name: value[:, np.newaxis] for name, value in parameters.items()}
-    width = int(part.n.max())
-    drawn = family.distribution(columns).rvs(size=(len(part.n), width), random_state=rng)
-    return PositivePart.of(drawn, bad=np.arange(width) >= part.n[:, np.newaxis])
+        rows = zip(streams, part.n, probability / total, strict=True)
+        counts = [rng.multinomial(n, row, size=times) for rng, n, row in rows]
+        return _with_counts(part, np.concatenate(counts).astype(np.float64), times)
+    drawn = np.ones((len(part.n), times, int(part.n.max())))
+    for i, (rng, n) in enumerate(zip(streams, part.n, strict=True)):
+        distribution = family.distribution({name: value[i] for name, value in parameters.items()})
+        drawn[i, :, :n] = distribution.rvs(size=(times, n), random_state=rng)
+    bad = np.arange(drawn.shape[-1]) >= np.repeat(part.n, times)[:, np.newaxis]
+    return PositivePart.of(drawn.reshape(-1, drawn.shape[-1]), bad=bad)
 
 
-def _with_counts(part: BinnedPart, counts: Floats) -> BinnedPart:
-    none = np.zeros_like(part.n)
+def _with_counts(part: BinnedPart, counts: Floats, times: int) -> BinnedPart:
+    none = np.zeros(len(counts), dtype=np.int64)
+    one = len(part.log_centers) == 1
     return BinnedPart(
         counts=counts,
-        log_centers=part.log_centers,
-        width=part.width,
+        log_centers=part.log_centers if one else np.repeat(part.log_centers, times, axis=0),
+        width=part.width if len(part.width) == 1 else np.repeat(part.width, times),
         n=counts.sum(axis=-1).astype(np.int64),
         n_null=none,
         n_zero=none,

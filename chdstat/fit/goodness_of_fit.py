@@ -11,14 +11,14 @@ to read; chi-square at all cells alike, whatever their order, and is the weakest
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias, overload
+from typing import TYPE_CHECKING, TypeAlias, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import generator
+from chdstat._arrays import generator, whole
+from chdstat._binned import BinnedPart
 from chdstat._positive import Counts, Floats, Mask
 from chdstat._reasons import Reason
 from chdstat._routes import Part, Source, run
@@ -29,7 +29,7 @@ from chdstat.fit._mixture_family import mixture_family, mixture_parameters
 from chdstat.fit.families import Family, Parameters, get_family
 from chdstat.fit.goodness_results import FIT_TESTS, Goodness, finish_goodness, goodness_variables
 from chdstat.fit.mixture_results import Mixture
-from chdstat.fit.mle import fit_part
+from chdstat.fit.mle import fit_part, zero_log_likelihood
 from chdstat.fit.results import Fit
 from chdstat.fit.selection import Selection
 from chdstat.histograms import Histogram
@@ -46,13 +46,15 @@ __all__ = [
     "goodness",
     "goodness_of_part",
     "goodness_variables",
-    "stream_of",
 ]
 
 Fitted: TypeAlias = Fit | Mixture | Selection
 """What was fitted, and can be tested."""
 
 _MINIMUM = 8
+_SAME = 1e-6
+"""Difference of two log-likelihoods per sample, above which they are of different samples: that of
+other samples is about 1 / sqrt(n), that of the same in single precision below 1e-7."""
 
 
 @overload
@@ -107,8 +109,9 @@ def goodness(
     resamples
         Replicates B; 0 for statistics and effects alone.
     seed
-        Of all replicates: consecutive draws of one generator. The tiles of an image have
-        independent ones, made of the seed and of what the tile holds.
+        Of the replicates. The random numbers of a pixel are made of the seed and of its positive
+        samples: its p-value is the same whichever pixels are tested with it, and equal samples have
+        equal p-values.
     alpha
         For an image: false discovery rate of ``rejected``.
 
@@ -117,8 +120,9 @@ def goodness(
     Goodness or xarray.Dataset
         `Goodness` for an array or a `Histogram`. For an image, its fields over (y, x, channel,
         fit_test), as ``gamma_goodness_p_value``; the q-value of Benjamini and Hochberg over the
-        image, for each channel and test apart; and ``gamma_goodness_rejected``, where it is at most
-        `alpha`.
+        image, for each channel and test separately; and ``gamma_goodness_rejected``: 1 where it is
+        at most `alpha`, 0 where it is not, NaN without a p-value. Without replicates, there is none
+        of these.
 
     Raises
     ------
@@ -149,7 +153,9 @@ def goodness(
     >>> lognormal.p_value[:3], bool(lognormal.effect[0] > gamma.effect[0])
     (array([0.01, 0.01, 0.01]), True)
     """
-    _check(tests, resamples, alpha)
+    _check(tests, alpha)
+    resamples = whole("resamples", resamples, least=0)
+    root = _root(seed)
     image = isinstance(x, Samples) or hasattr(x, "data_vars")
     if image and (not isinstance(fit, (str, Family)) or isinstance(seed, np.random.Generator)):
         message = "an image needs the name of a family and an integer seed, got a fit or generator"
@@ -159,9 +165,9 @@ def goodness(
     name = _name(fit)
 
     def of_part(part: Part) -> Goodness:
-        # Never that of `numpy.random.default_rng(seed)`, of which the samples may be draws.
-        stream = seed if isinstance(seed, np.random.Generator) else stream_of(part, seed)
-        return goodness_of_part(part, fit, tests=tests, resamples=resamples, seed=stream)
+        if not isinstance(fit, Family):
+            _check_fit(part, fit)
+        return goodness_of_part(part, fit, tests=tests, resamples=resamples, seed=root)
 
     result = run(
         x,
@@ -173,7 +179,7 @@ def goodness(
     )
     if isinstance(result, Goodness):
         return result
-    return finish_goodness(result, name, tests=tests, alpha=alpha)
+    return finish_goodness(result, name, tests=tests, resamples=resamples, alpha=alpha)
 
 
 def goodness_of_part(
@@ -184,34 +190,28 @@ def goodness_of_part(
     resamples: int = 0,
     seed: int | np.random.Generator | None = 0,
 ) -> Goodness:
-    """Test samples that are already split; a `Family` is fitted to them first.
+    """Test samples that are already split; a `Family` is fitted to them first, a fit is theirs.
 
     Of a `Selection`, each row is tested for the family that is best there. Its p-value then is a
     little too large, as replicates are fitted with that family alone.
-
-    Raises
-    ------
-    InputError
-        If the fit has another batch shape.
     """
-    rng = generator(seed)
+    root = _root(seed)
     given = fit if isinstance(fit, Family) else None
     fit = fit_part(part, fit) if isinstance(fit, Family) else fit
-    if fit.reason.shape != part.n.shape:
-        message = f"expected a fit of batch shape {part.n.shape}, got {fit.reason.shape}"
-        raise InputError(message)
     reason = fit.reason.copy()
     values = np.full((3, *part.n.shape, len(tests)), np.nan)
-    for family, parameters, rows in _cases(fit, given):
+    for family, parameters, rows, _ in _cases(fit, given):
         few = rows & (reason == Reason.OK) & (part.n < max(_MINIMUM, family.minimum + 1))
         reason[few] = Reason.TOO_FEW
         usable = rows & (reason == Reason.OK)
-        found = bootstrap(part, usable, family, parameters, tests, resamples, rng)
+        found = bootstrap(part, usable, family, parameters, tests, resamples, root)
         for value, of_rows in zip(values, found, strict=True):
             value[usable] = of_rows.reshape(value.shape)[usable]
     statistic, p_value, fitted = values
     reasons = np.repeat(reason[..., np.newaxis], len(tests), axis=-1)
     reasons[(reasons == Reason.OK) & np.isnan(statistic)] = Reason.TOO_FEW
+    untested = Reason.FEW_REPLICATES if resamples else Reason.UNTESTED
+    reasons[(reasons == Reason.OK) & np.isnan(p_value)] = untested
     return Goodness(
         family=_name(fit),
         tests=tuple(tests),
@@ -224,10 +224,35 @@ def goodness_of_part(
     )
 
 
-def stream_of(part: Part, seed: Any) -> np.random.Generator:
-    """Return a generator of this tile's own: tiles that share a seed must not share replicates."""
-    held = zlib.crc32(part.n.tobytes() + part.log_statistics.mean.tobytes())
-    return generator(None) if seed is None else generator([seed, held])
+def _root(seed: int | np.random.Generator | None) -> int:
+    """Return a seed itself, and a number of a generator, or of a new one for None."""
+    if seed is None or isinstance(seed, np.random.Generator):
+        return int(generator(seed).integers(2**63))
+    return whole("seed", seed, least=0)
+
+
+def _check_fit(part: Part, fit: Fitted) -> None:
+    """Raise InputError if a fit is not one to these samples: these have another likelihood.
+
+    That of a mixture in bins spreads the samples within them: there, only their numbers are told.
+    """
+    if fit.reason.shape != part.n.shape:
+        message = f"expected a fit of batch shape {part.n.shape}, got {fit.reason.shape}"
+        raise InputError(message)
+    other = np.zeros(part.n.shape, dtype=bool)
+    for family, parameters, rows, one in _cases(fit):
+        found = family.log_likelihood(part, parameters) + zero_log_likelihood(part)
+        with np.errstate(invalid="ignore"):
+            far = np.abs(found - one.log_likelihood) > _SAME * (part.n + np.abs(found))
+        if isinstance(part, BinnedPart) and isinstance(one, Mixture):
+            far = np.zeros_like(rows)
+        other |= rows & ((one.n != part.n) | (one.n_null != part.n_null) | far)
+    if other.any():
+        message = (
+            f"the fit is not one to x: {np.count_nonzero(other)} of {other.size} rows have other "
+            "samples; fit x itself, with the same null, or give the family's name"
+        )
+        raise InputError(message)
 
 
 def _name(fit: Family | Fitted) -> str:
@@ -238,20 +263,22 @@ def _name(fit: Family | Fitted) -> str:
     return fit.name if isinstance(fit, Family) else fit.family
 
 
-def _cases(fit: Fitted, given: Family | None) -> Iterator[tuple[Family, Parameters, Mask]]:
-    """Yield each family that there is, its parameters, and its rows."""
+def _cases(
+    fit: Fitted, given: Family | None = None
+) -> Iterator[tuple[Family, Parameters, Mask, Fit | Mixture]]:
+    """Yield each family that there is, its parameters, its rows, and their fit."""
     if isinstance(fit, Selection):
         for i, name in enumerate(fit.families):
-            rows = np.asarray(fit.best == i)
-            yield get_family(name), fit.fits[name].parameters, rows
+            one = fit.fits[name]
+            yield get_family(name), one.parameters, np.asarray(fit.best == i), one
         return
     if isinstance(fit, Fit):
         family = given or get_family(fit.family)
-        yield family, fit.parameters, np.ones(fit.n.shape, dtype=bool)
+        yield family, fit.parameters, np.ones(fit.n.shape, dtype=bool), fit
         return
     for k in np.unique(fit.k[fit.k > 0]).tolist():
         rows = np.asarray(fit.k == k)
-        yield mixture_family(fit.family, k), mixture_parameters(fit, k), rows
+        yield mixture_family(fit.family, k), mixture_parameters(fit, k), rows, fit
 
 
 def _effects(statistic: Floats, n: Counts, tests: Sequence[FitTest]) -> Floats:
@@ -260,10 +287,10 @@ def _effects(statistic: Floats, n: Counts, tests: Sequence[FitTest]) -> Floats:
     return np.stack(effects, axis=-1)
 
 
-def _check(tests: Sequence[FitTest], resamples: int, alpha: float) -> None:
+def _check(tests: Sequence[FitTest], alpha: float) -> None:
     if isinstance(tests, str) or not tests or not set(tests) <= set(FIT_TESTS):
         message = f"tests must be some of {', '.join(FIT_TESTS)}, got {tests!r}"
         raise InputError(message)
-    if resamples < 0 or not 0 < alpha < 1:
-        message = f"resamples must be >= 0 and alpha lie in (0, 1), got {resamples} and {alpha}"
+    if not 0 < alpha < 1:
+        message = f"alpha must lie in (0, 1), got {alpha}"
         raise InputError(message)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._multiplicity import q_values
+from chdstat._multiplicity import q_values, rejections
 from chdstat._positive import Counts, Floats
 from chdstat._reasons import flag_attributes
 from chdstat.fit._distances import DISTANCES, FitTest
@@ -30,13 +30,15 @@ _LABELS = {
     "q_value": "q-value of the family over the image",
     "effect": "misfit, whatever the number of samples",
     "resamples": "bootstrap replicates that could be fitted",
-    "rejected": "not of this family, at the false discovery rate of the dataset",
+    "rejected": "1 where not of this family, at the false discovery rate of the dataset",
 }
 
 
 @dataclass(frozen=True)
 class Goodness:
     """Goodness of fit of a family; arrays of shape (..., test), NaN where `reason` says why.
+
+    With the reasons `UNTESTED` and `FEW_REPLICATES`, there is a statistic and an effect.
 
     Attributes
     ----------
@@ -45,7 +47,8 @@ class Goodness:
     statistic
         Kolmogorov's D, Cramer and von Mises' W^2, Anderson and Darling's A^2, Pearson's X^2.
     p_value
-        Of the hypothesis that the samples are of the family; NaN without a replicate.
+        Of the hypothesis that the samples are of the family; NaN where fewer than half of the
+        replicates could be fitted.
     effect
         D; sqrt(W^2 / n), the mean distance of the distribution functions; sqrt(A^2 / n), the same
         relative to its standard deviation; and Cohen's w, sqrt(X^2 / n).
@@ -79,16 +82,24 @@ def finish_goodness(
     family: str,
     *,
     tests: Sequence[FitTest] = FIT_TESTS,
+    resamples: int,
     alpha: float = 0.05,
 ) -> xr.Dataset:
-    """Add q-values and ``rejected``, coordinates and the names and units of the variables."""
+    """Add q-values and ``rejected``, coordinates and the names and units of the variables.
+
+    Without replicates nothing was tested: p-values and what follows from them are left out.
+    """
     prefix = f"{family}_goodness"
     p_value = dataset[f"{prefix}_p_value"]
-    q_value = p_value.copy(data=q_values(p_value.to_numpy()))
-    dataset = dataset.assign({f"{prefix}_q_value": q_value, f"{prefix}_rejected": q_value <= alpha})
+    if not resamples:
+        dataset = dataset.drop_vars([f"{prefix}_p_value", f"{prefix}_resamples"])
+    else:
+        q_value = p_value.copy(data=q_values(p_value.to_numpy()))
+        rejected = rejections(q_value, alpha).assign_attrs(false_discovery_rate=alpha)
+        dataset = dataset.assign({f"{prefix}_q_value": q_value, f"{prefix}_rejected": rejected})
     for name, text in _LABELS.items():
-        dataset[f"{prefix}_{name}"].attrs.update(long_name=f"{family}: {text}", units="1")
-    dataset[f"{prefix}_rejected"].attrs["false_discovery_rate"] = alpha
+        if f"{prefix}_{name}" in dataset:
+            dataset[f"{prefix}_{name}"].attrs.update(long_name=f"{family}: {text}", units="1")
     dataset[f"{prefix}_reason"].attrs.update(
         long_name=f"why there is no test of {family}", units="1", **flag_attributes()
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from chdstat._multiplicity import q_values
+from chdstat._multiplicity import q_values, rejections
 from chdstat._reasons import flag_attributes
 from chdstat.errors import InputError
 
@@ -25,7 +25,7 @@ _LABELS = {
     "n_predicted": "samples per average whose predicted shape cannot be told from Gaussian",
     "n": "samples that were tested",
     "q_value": "q-value of normality over the image",
-    "rejected": "not Gaussian, at the false discovery rate of the dataset",
+    "rejected": "1 where not Gaussian, at the false discovery rate of the dataset",
 }
 
 
@@ -48,7 +48,7 @@ def finish(dataset: xr.Dataset, title: str, alpha: float) -> xr.Dataset:
     """Add q-value and ``rejected`` for every axis beyond (y, x) apart, and say what is what."""
     p_value = dataset["p_value"]
     q_value = p_value.copy(data=q_values(p_value.to_numpy()))
-    dataset = dataset.assign(q_value=q_value, rejected=q_value <= alpha)
+    dataset = dataset.assign(q_value=q_value, rejected=rejections(q_value, alpha))
     for name in dataset.data_vars:
         if name in _LABELS:
             dataset[name].attrs.update(long_name=_LABELS[str(name)], units="1")

@@ -206,7 +206,7 @@ def finish_means(
         long_name="share of pixels whose averages are not Gaussian", units="1"
     )
     needed = n_needed(
-        rejected.transpose(*dims, "size").to_numpy(),
+        (rejected == 1).transpose(*dims, "size").to_numpy(),
         dataset["reason"].transpose(*dims, "size").to_numpy(),
         dataset["n_predicted"].transpose(*dims).notnull().to_numpy(),
         sizes,

@@ -114,7 +114,8 @@ def gaussianity(
     Gaussianity or xarray.Dataset
         `Gaussianity` for an array. For `Samples`, its fields over (y, x, channel [, transform]
         [, test]), the q-value of Benjamini and Hochberg over the image for every channel, transform
-        and test apart, and ``rejected`` where it is at most `alpha`.
+        and test separately, and ``rejected``: 1 where it is at most `alpha`, 0 where it is not, NaN
+        where nothing was tested.
 
     Raises
     ------

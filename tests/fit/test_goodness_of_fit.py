@@ -31,7 +31,7 @@ def draw(family, shape, seed):
 
 def least_uniformity(p_value, resamples, seed):
     """Spread discrete p-values evenly over their steps; return the p-value of uniformity."""
-    fitted = resamples > 0
+    fitted = np.isfinite(p_value)
     # Of 100 Burr samples, 2 % look like Weibull ones, which are no Burr distribution.
     assert fitted.mean() > 0.95
     u = np.random.default_rng(seed).random(fitted.sum())
@@ -88,7 +88,9 @@ def test_statistics_of_bins_by_their_formulas():
     assert result.statistic[0] == pytest.approx(np.abs(gap).max(), abs=1e-9)
     weight = np.diff(distribution.cdf(edges))
     assert result.statistic[1] == pytest.approx(2000 * np.sum(gap[1:] ** 2 * weight), rel=1e-6)
-    fine = goodness(x, fitted, resamples=0)
+    with pytest.raises(InputError, match="not one to x"):
+        goodness(x, fitted, resamples=0)
+    fine = goodness(x, "gamma", resamples=0)
     np.testing.assert_allclose(result.effect[1:3], fine.effect[1:3], rtol=0.3)
     assert result.effect[0] <= fine.effect[0]
 
@@ -133,7 +135,7 @@ def test_false_discoveries_over_an_image():
     samples = chd.Samples.from_array(np.where(truth[..., np.newaxis], lognormal, other))
     tests = ("anderson-darling",)
     dataset = goodness(samples, "lognormal", tests=tests, resamples=199, progress=False)
-    rejected = dataset["lognormal_goodness_rejected"].to_numpy()[..., 0, 0]
+    rejected = dataset["lognormal_goodness_rejected"].to_numpy()[..., 0, 0] == 1
     assert (rejected & truth).sum() / rejected.sum() < 0.13
     assert rejected[~truth].mean() > 0.7
     uncorrected = dataset["lognormal_goodness_p_value"].to_numpy()[..., 0, 0] <= 0.05
@@ -150,6 +152,7 @@ def test_image_has_names_units_and_coordinates():
     assert tuple(p_value["fit_test"].to_numpy()) == tests
     assert (dataset["gamma_goodness_q_value"] >= p_value).all()
     assert dataset["gamma_goodness_rejected"].attrs["false_discovery_rate"] == 0.1
+    assert set(np.unique(dataset["gamma_goodness_rejected"])) <= {0, 1}
     assert all({"long_name", "units"} <= set(v.attrs) for v in dataset.data_vars.values())
     again = goodness(samples, "gamma", tests=tests, resamples=9, progress=False)
     np.testing.assert_array_equal(again["gamma_goodness_p_value"], p_value)
@@ -179,6 +182,25 @@ def test_a_fit_is_not_repeated():
     np.testing.assert_array_equal(part.statistic, by_fit.statistic)
     with pytest.raises(InputError, match=r"\(2,\), got \(3,\)"):
         goodness(x[:2], fitted)
+
+
+@pytest.mark.parametrize("route", ["samples", "histogram"])
+def test_a_fit_of_other_samples_is_refused(route):
+    x, y = draw("gamma", (2, 4, 200), 90)
+    of = chd.histogram if route == "histogram" else np.asarray
+    fits = (chd.fit.gamma(of(x)), chd.fit.mixture(of(x), 2), select(of(x), ("gamma", "lognormal")))
+    for fitted in fits:
+        assert goodness(of(x), fitted, resamples=0).n.tolist() == [200] * 4
+        # Of a mixture in bins, only the numbers of samples are told.
+        short = np.where(np.arange(200) < 190, y[:1], 0)
+        in_bins = route == "histogram" and hasattr(fitted, "k")
+        mixed = of(np.concatenate([x[:3], short if in_bins else y[:1]]))
+        with pytest.raises(InputError, match="not one to x: 1 of 4 rows"):
+            goodness(mixed, fitted, resamples=0)
+    with pytest.raises(InputError, match="not one to x"):
+        goodness(x[0, :50], chd.fit.gamma(x[0, 50:100]))
+    float32 = x.astype(np.float32)
+    assert goodness(float32, chd.fit.gamma(x), resamples=0).n.tolist() == [200] * 4
 
 
 @pytest.mark.parametrize("component", ["lognormal", "gamma"])
@@ -216,14 +238,60 @@ def test_mixtures_of_several_numbers_of_components():
 
 
 def test_replicates_are_independent_and_seeded():
-    x = np.broadcast_to(draw("gamma", 100, 82), (50, 100))
+    # The same samples in another unit have the same distances, but replicates of their own: their
+    # p-values differ as binomial numbers do.
+    x = draw("gamma", 100, 82) * np.linspace(1, 2, 50)[:, np.newaxis]
     one, same, other = (goodness(x, "gamma", resamples=19, seed=s) for s in (1, 1, 2))
     np.testing.assert_array_equal(one.p_value, same.p_value)
     assert (one.p_value != other.p_value).any()
-    # Equal rows have replicates of their own: their p-values differ as binomial numbers do.
     more = 20 * one.p_value[:, 0] - 1
     share = more.mean() / 19
     assert 0.4 < more.var() / (19 * share * (1 - share)) < 2.2
+
+
+@pytest.mark.parametrize("route", ["samples", "histogram"])
+@pytest.mark.parametrize("family", PARAMETERS)
+def test_a_row_has_the_p_value_that_it_has_alone(family, route):
+    x = draw(family, (12, 100), 91)
+    x[3, :40] = 0
+    of = chd.histogram if route == "histogram" else np.asarray
+    together = goodness(of(x), family, resamples=19)
+    np.testing.assert_array_equal(
+        goodness(of(x[2:6]), family, resamples=19).p_value, together.p_value[2:6]
+    )
+    alone = goodness(of(np.random.default_rng(1).permutation(x[5])), family, resamples=19)
+    np.testing.assert_array_equal(alone.p_value, together.p_value[5])
+
+
+def test_what_was_not_tested_has_no_verdict():
+    x = draw("gamma", (2, 3, 1, 64), 92)
+    alone = goodness(x, "gamma", resamples=0)
+    assert (alone.reason == Reason.UNTESTED).all()
+    assert np.isnan(alone.p_value).all()
+    assert np.isfinite(alone.effect).all()
+    x[0, 0] = 0
+    samples = chd.Samples.from_array(x)
+    untested = goodness(samples, "gamma", resamples=0, progress=False)
+    assert {n.removeprefix("gamma_goodness_") for n in untested.data_vars} == {
+        "statistic",
+        "effect",
+        "reason",
+    }
+    tested = goodness(samples, "gamma", resamples=9, progress=False)
+    rejected = tested["gamma_goodness_rejected"]
+    np.testing.assert_array_equal(rejected.isnull(), tested["gamma_goodness_p_value"].isnull())
+    assert np.isnan(rejected[0, 0]).all()
+
+
+def test_few_replicates_are_no_p_value():
+    """Of 8 Pareto samples, fewer than half of the replicates can often be fitted as Burr ones."""
+    x = stats.burr12(1.5, 1.5).rvs((60, 8), random_state=np.random.default_rng(93))
+    found = goodness(x, "burr", tests=["anderson-darling"], resamples=39)
+    few = found.reason == Reason.FEW_REPLICATES
+    assert few.any()
+    np.testing.assert_array_equal(few, np.isfinite(found.statistic) & np.isnan(found.p_value))
+    assert (2 * found.resamples[few] < 39).all()
+    assert (2 * found.resamples[found.reason == Reason.OK] >= 39).all()
 
 
 def test_replicates_are_not_the_draws_that_are_tested():
@@ -269,7 +337,7 @@ def test_ties_and_extremes_warn_of_nothing():
         result = goodness(x, family, resamples=5)
         ok = result.reason == Reason.OK
         assert np.isfinite(result.statistic[ok]).all()
-        np.testing.assert_array_equal(result.p_value > 0, result.resamples > 0)
+        np.testing.assert_array_equal(result.p_value > 0, result.resamples > 2)
         assert (result.resamples[~ok] == 0).all()
 
 
@@ -279,7 +347,9 @@ def test_ties_and_extremes_warn_of_nothing():
         ({"fit": "normal"}, "normal"),
         ({"tests": ("lilliefors",)}, "lilliefors"),
         ({"tests": "chi-square"}, "chi-square"),
-        ({"resamples": -1}, "-1"),
+        ({"resamples": -1}, "resamples must be at least 0, got -1"),
+        ({"resamples": 9.5}, "resamples must be a whole number, got 9.5"),
+        ({"seed": -1}, "seed must be at least 0, got -1"),
         ({"alpha": 2}, "2"),
     ],
 )
