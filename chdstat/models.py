@@ -135,7 +135,7 @@ def load_model(path: str | Path) -> AnyModel:
     """
     _, about = read_model(Path(path))
     kind = about.get("kind") if isinstance(about, dict) else None
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         message = f"{path} holds a model of kind {kind!r}; this version knows {', '.join(_KINDS)}"
         raise StoreError(message)
     return _KINDS[kind].load(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
@@ -86,7 +87,36 @@ def test_foreign_and_damaged_files_are_refused(tmp_path):
         path.write_bytes(content)
         with pytest.raises(StoreError, match="damaged or not a chdstat model"):
             load_model(path)
-    for about, kind in (({"kind": "other"}, "'other'"), ([], "None")):
+    for about, kind in (
+        ({"kind": "other"}, "'other'"),
+        ([], "None"),
+        ({"kind": ["mlp"]}, r"\['mlp'\]"),
+    ):
         write_model(path, {"a": np.zeros(3)}, about)
         with pytest.raises(StoreError, match=f"kind {kind}; this version knows mlp, progressive"):
             load_model(path)
+
+
+def test_one_bit_of_a_model_is_enough_to_refuse_it(tmp_path):
+    path = tmp_path / "a.safetensors"
+    train_model(picture(), "elek2019", iterations=2, progress=False).save(path)
+    sound = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for place in rng.integers(len(sound), size=64):
+        broken = bytearray(sound)
+        broken[place] ^= 1 << rng.integers(8)
+        path.write_bytes(broken)
+        with pytest.raises(StoreError, match="damaged|not a chdstat model"):
+            load_model(path)
+    nested = tmp_path / "nested.safetensors"
+    for text in ("[" * 100_000, "0 " + "[" * 100_000):
+        save_file({"a": np.zeros(3)}, nested, metadata={"chdstat": text})
+        with pytest.raises(StoreError, match="damaged"):
+            load_model(nested)
+
+
+def test_equal_models_are_equal_files(tmp_path):
+    files = [tmp_path / f"{i}.safetensors" for i in range(2)]
+    for path in files:
+        train_model(picture(), "elek2019", iterations=2, progress=False).save(path)
+    assert files[0].read_bytes() == files[1].read_bytes()
