@@ -900,10 +900,11 @@ def _listed(folder: Path) -> list[str]:
 
 
 def _put(file: Path, content: bytes) -> None:
-    """Replace a file of a store, or an empty folder in its place."""
+    """Replace a file of a store, or a folder without files in its place."""
     file.parent.mkdir(parents=True, exist_ok=True)
     if file.is_dir():
-        file.rmdir()
+        for folder in (*sorted(file.rglob("*"), reverse=True), file):
+            folder.rmdir()
     with replacing(file) as partial:
         partial.write_bytes(content)
 
