@@ -10,11 +10,15 @@ streams by the birthday rule, so every stream gets an integer of its own:
   too regular for chance, and the variance of a mean of 1024 samples was a quarter off.
 * llvm, cuda: one call draws a whole chunk. Each lane mixes the 32-bit number of the chunk with its
   lane index; chunks are numbered by (batch, tile).
-* single pixels drawn on demand own the topmost 2^28 numbers, which neither of the above reaches.
+* single pixels drawn on demand own the topmost 2^24 numbers, which neither of the above reaches;
+  they are permuted, too. In an image of more pixels than that, some share a stream.
 
-The user's seed shuffles passes in another order: two seeds share ``spp / 983040`` of the samples of
-a pixel, on average. The numbers of chunks and of single pixels it shifts by a multiple of the
-golden section of their range, which spreads small seeds evenly.
+So a scalar image takes 2^12 of the 2^32 numbers for each sample of each tile: there are 2048 spp of
+1920 x 1080 pixels, 512 of 3840 x 2160. A wavefront has 64 times a number of chunks, billions.
+
+The user's seed shuffles passes in another order: two seeds share about one sample of a pixel in a
+million, times spp. The numbers of chunks and of single pixels it shifts by a multiple of the golden
+section of their range, which spreads small seeds evenly.
 """
 
 from __future__ import annotations
@@ -28,6 +32,7 @@ __all__ = [
     "CHUNKS",
     "PASSES",
     "PIXELS",
+    "SEEDS",
     "STREAMS",
     "Streams",
     "max_spp",
@@ -38,14 +43,19 @@ __all__ = [
 
 STREAMS = 2
 """Which numbering this is, the second: samples of two numberings are never mixed in a store."""
-PIXELS = 2**28
+PIXELS = 2**24
 """Numbers kept for single pixels, the topmost of the 2^32."""
 PASSES = (2**32 - PIXELS) // TILE**2
 """Scalar passes that own streams."""
+_SHUFFLED = (983_040, PASSES)
+"""Where the ranges end of which passes are shuffled each within its own: the first was all there
+were once, so that what was rendered then goes on as it began."""
 CHUNKS = 2**31
 """Chunks that have a number for the wavefront."""
-_HALF, _TURNS = 2**10, 6
-"""Half of the 20 bits of a number of a pass, and how often they change places."""
+_TURNS = 6
+"""How often the halves of a number change places while it is permuted."""
+SEEDS = 2**31
+"""Seeds of the user: larger ones would come back to the numbers of smaller ones."""
 _WORD = 2**64 - 1
 _GOLDEN = (math.sqrt(5) - 1) / 2
 
@@ -71,7 +81,8 @@ class Streams:
     def of_pixel(self, y: int, x: int) -> int:
         """Return the number of a pixel's own stream, apart from those of chunks."""
         index = y * self.size[0] + x
-        return 2**32 - PIXELS + number_of(self.seed, index, PIXELS)
+        number = number_of(self.seed, index, PIXELS)
+        return 2**32 - PIXELS + _permuted(number, 0, half=2**12)
 
     def _tile(self, chunk: Chunk) -> int:
         return chunk.tile_y * -(-self.size[0] // TILE) + chunk.tile_x
@@ -91,22 +102,30 @@ def number_of(seed: int, index: int, span: int) -> int:
 def shuffled(index: int, seed: int) -> int:
     """Return the number of a scalar pass under a user's seed; one to one with `index`.
 
-    A Feistel network of 20 bits, walked until the number is one of a pass (Black and Rogaway,
+    A Feistel network of 20 bits, walked until the number is one of its range (Black and Rogaway,
     "Ciphers with arbitrary finite domains", 2002, doi:10.1007/3-540-45760-7_9).
 
     Examples
     --------
     >>> [shuffled(i, seed=0) for i in range(3)], [shuffled(i, seed=1) for i in range(3)]
     ([550259, 112832, 199408], [195807, 282655, 269606])
+    >>> shuffled(1_000_000, seed=0) >= 983_040
+    True
     """
     number = index % PASSES
+    first, last = (0, _SHUFFLED[0]) if number < _SHUFFLED[0] else _SHUFFLED
     while True:
-        left, right = divmod(number, _HALF)
-        for turn in range(_TURNS):
-            left, right = right, left ^ _mixed(right + _HALF * (turn + _TURNS * seed)) % _HALF
-        number = left * _HALF + right
-        if number < PASSES:
+        number = _permuted(number, seed, half=2**10)
+        if first <= number < last:
             return number
+
+
+def _permuted(number: int, seed: int, *, half: int) -> int:
+    """Return another number below `half` squared; one to one."""
+    left, right = divmod(number, half)
+    for turn in range(_TURNS):
+        left, right = right, left ^ _mixed(right + half * (turn + _TURNS * seed)) % half
+    return left * half + right
 
 
 def _mixed(number: int) -> int:

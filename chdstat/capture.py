@@ -24,7 +24,7 @@ from chdstat._crew import rendered
 from chdstat._renderer import Job, Renderer, film_size, integrator_type
 from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
 from chdstat._store import DIRECT
-from chdstat._streams import max_spp
+from chdstat._streams import SEEDS, max_spp
 from chdstat._workers import memory
 from chdstat.backend import Backend, activate, resolve
 from chdstat.errors import InputError, RenderError
@@ -85,7 +85,7 @@ def render(
     size
         (width, height) in pixels; None takes that of `out`, else the scene's own.
     seed
-        Any non-negative integer; another one gives independent samples.
+        An integer from 0 to 2^31 - 1; another one gives independent samples.
     max_depth
         Longest path in segments; None takes the scene's own.
     sensor
@@ -322,19 +322,29 @@ def job_of(
             message = "max_depth must be at least 1 segment, or -1 for no limit, got 0"
             raise InputError(message)
     seed = whole("seed", seed, least=0)
+    if seed >= SEEDS:
+        message = f"seed must be below 2^31, the most that give samples of their own, got {seed}"
+        raise InputError(message)
     sensor = whole("sensor", sensor, least=0)
     return Job(load_scene(scene), resolve(backend), size, seed, max_depth, sensor)
 
 
 def _check_streams(job: Job, renderer: Renderer, spp: int) -> None:
-    most = max_spp(job.verdict.backend, *renderer.size)
-    if spp > most:
-        width, height = renderer.size
-        message = (
-            f"spp must be at most {most} for {width} x {height} pixels with the "
-            f"{job.verdict.backend} backend (then its random streams repeat), got {spp}"
-        )
-        raise InputError(message)
+    backend = job.verdict.backend
+    most = max_spp(backend, *renderer.size)
+    if spp <= most:
+        return
+    width, height = renderer.size
+    message = (
+        f"spp must be at most {most} for {width} x {height} pixels with the {backend} backend "
+        f"(then its random streams repeat), got {spp}"
+        if most
+        else f"{width} x {height} pixels are more than the {backend} backend has random streams"
+    )
+    if backend == "scalar":
+        more = max_spp("llvm", width, height)
+        message += f"; the llvm and cuda backends draw up to {more}, see: chdstat doctor"
+    raise InputError(message)
 
 
 def _check_room(size: tuple[int, int], spp: int, out: str | Path | None) -> None:

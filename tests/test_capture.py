@@ -383,8 +383,13 @@ def test_what_is_no_store_is_not_overwritten(tmp_path, kind):
         ({"max_depth": -7}, "max_depth must be at least -1, got -7"),
         (
             {"spp": max_spp("scalar", 8, 8) + 1},
-            "spp must be at most [0-9]+ for 8 x 8 pixels with the scalar backend",
+            "spp must be at most [0-9]+ for 8 x 8 pixels with the scalar backend .* llvm and cuda ",
         ),
+        (
+            {"size": (100_000, 100_000), "spp": 1},
+            "100000 x 100000 pixels are more than the scalar backend has .* llvm and cuda backends",
+        ),
+        ({"seed": 2**31}, r"seed must be below 2\^31, .* got 2147483648"),
         ({"backend": "metal"}, "backend must be one of auto, scalar"),
     ],
 )

@@ -139,7 +139,9 @@ def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:
         samples = open_samples(path)
     except StoreError:
         return None  # `render` resumes it, or says what is wrong
-    same = samples.attrs.get("scene_hash") == scene.hash
+    # The code of plugins is known to the renderer only, which compares it before it appends.
+    plugins = samples.attrs.get("scene_code")
+    same = samples.attrs.get("scene_hash") == scene.hash and not plugins
     return samples if same and samples.spp >= spp else None
 
 
