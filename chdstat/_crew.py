@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.metadata
 import itertools
 import threading
 from asyncio import CancelledError as AsyncCancelledError
@@ -29,6 +28,8 @@ __all__ = ["rendered"]
 
 _PATIENCE = 8
 """Seconds to wait for the first worker of a cluster."""
+_VERSIONED = ("chdstat", "mitsuba")
+"""Packages on whose version samples depend."""
 
 Image = npt.NDArray[np.float32]
 
@@ -109,14 +110,16 @@ def _remotely(
 
     Futures of Dask raise no error of their own when their scheduler dies; they are cancelled.
     """
-    _check_workers(client)
-    remote = client.get_executor(pure=False)
-    window = 2 * max(1, sum(client.ncores().values()))
+    from distributed import KilledWorker
+
     try:
+        _check_workers(client)
+        remote = client.get_executor(pure=False)
+        window = 2 * max(1, sum(client.ncores().values()))
         yield from _collect(
             lambda c: remote.submit(_render_remote, job, identity, c), chunks, window
         )
-    except (CancelledError, AsyncCancelledError, OSError, TimeoutError) as error:
+    except (CancelledError, AsyncCancelledError, KilledWorker, OSError) as error:
         message = (
             "the Dask cluster was lost while it rendered; what is stored is kept: start it again, "
             "or render here, with the same command to resume"
@@ -134,28 +137,25 @@ def _check_workers(client: Client) -> None:
     """
     try:
         client.wait_for_workers(1, timeout=_PATIENCE)
-        theirs = client.run(_versions)
-    except (TimeoutError, OSError, CancelledError) as error:
+    except TimeoutError as error:
+        address = client.scheduler.address
         message = (
-            f"the Dask scheduler at {client.scheduler_info().get('address', '?')} has no worker "
-            f"after {_PATIENCE} seconds; start one with: dask worker ADDRESS"
+            f"the Dask scheduler at {address} has no workers after {_PATIENCE} seconds; "
+            f"start some with: dask worker {address}"
         )
         raise RenderError(message) from error
-    ours = _versions()
-    other = {address: found for address, found in theirs.items() if found != ours}
-    if other:
-        address, found = next(iter(other.items()))
-        differing = ", ".join(f"{n} {found.get(n)}, not {v}" for n, v in ours.items())
-        message = (
-            f"{len(other)} Dask worker(s) have other versions than here: {address} has "
-            f"{differing}; samples would differ: install the same there"
-        )
-        raise RenderError(message)
-
-
-def _versions() -> dict[str, str]:
-    """Return the versions on which samples depend."""
-    return {name: importlib.metadata.version(name) for name in ("chdstat", "mitsuba", "numpy")}
+    versions = client.get_versions(packages=list(_VERSIONED))
+    ours = versions["client"]["packages"]
+    for address, worker in versions["workers"].items():
+        theirs = worker["packages"]
+        differing = [n for n in _VERSIONED if theirs.get(n) != ours.get(n)]
+        if differing:
+            detail = ", ".join(f"{n} {theirs.get(n)}, here {ours.get(n)}" for n in differing)
+            message = (
+                f"the Dask worker at {address} has other versions ({detail}), with which samples "
+                "differ; install the same ones there"
+            )
+            raise RenderError(message)
 
 
 def _render_remote(job: Job, identity: dict[str, Any], chunk: Chunk) -> Image:

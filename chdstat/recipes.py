@@ -6,6 +6,7 @@ A recipe is a TOML file; those of the study scenes lie in ``renders/``. For a sc
 
 from __future__ import annotations
 
+import reprlib
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -20,6 +21,7 @@ from chdstat.capture import scene_integrator
 from chdstat.errors import InputError
 from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, Scene
+from chdstat.scenes.files import is_file
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -37,6 +39,7 @@ __all__ = [
 ]
 
 SCHEMA = 1
+_LONGEST, _DOTS = 2**16, 1000
 PHENOMENA = (
     "diffuse",
     "glossy",
@@ -215,26 +218,40 @@ def load_recipe(path: str | Path) -> Recipe:
         file and key.
     """
     path = Path(path)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        message = f"cannot read recipe {path}: {error.strerror}"
-        raise InputError(message) from error
-    except UnicodeDecodeError as error:
-        message = f"recipe {path} is no text in UTF-8"
-        raise InputError(message) from error
-    except tomllib.TOMLDecodeError as error:
-        message = f"recipe {path} is not valid TOML: {error}"
-        raise InputError(message) from error
+    content = _toml(path)
     try:
         recipe = _recipe(content)
     except InputError as error:
         message = f"recipe {path}: {error}"
         raise InputError(message) from error
     beside = path.parent / recipe.scene
-    if recipe.scene not in BUILTIN and beside.is_file():
+    if recipe.scene not in BUILTIN and is_file(beside):
         return replace(recipe, scene=str(beside))
     return recipe
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    """Return what a file says, if it is one that a person may have written.
+
+    Python's parser overflows its stack in deep arrays, and takes minutes for a key of many parts.
+    """
+    try:
+        with path.open("rb") as stream:
+            text = stream.read(_LONGEST + 1).decode("utf-8")
+    except OSError as error:
+        message = f"cannot read recipe {path}: {error.strerror}"
+        raise InputError(message) from error
+    except UnicodeDecodeError as error:
+        message = f"recipe {path} is no text in UTF-8"
+        raise InputError(message) from error
+    if len(text) > _LONGEST or any(line.count(".") > _DOTS for line in text.splitlines()):
+        message = f"recipe {path} must have at most {_LONGEST} characters, {_DOTS} points in a line"
+        raise InputError(message)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        message = f"recipe {path} is not valid TOML: {error}"
+        raise InputError(message) from error
 
 
 def _recipe(content: Mapping[str, Any]) -> Recipe:
@@ -307,7 +324,7 @@ def _only_known(content: Mapping[str, Any], known: tuple[str, ...], where: str =
 
 def _expect(holds: bool, key: str, expected: object, got: object) -> None:
     if not holds:
-        message = f"{key} must be {expected}, got {got!r}"
+        message = f"{key} must be {expected}, got {reprlib.repr(got)}"
         raise InputError(message)
 
 

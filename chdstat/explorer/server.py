@@ -32,6 +32,8 @@ __all__ = ["DEFAULT_PORT", "Explorer", "explore"]
 DEFAULT_PORT = 5006
 """Of the command line, so that an address stays the same from day to day."""
 _ADDRESS = "127.0.0.1"
+_HOSTS = (_ADDRESS, "localhost", "[::1]", "::1")
+"""What this machine calls itself in the header of a request."""
 _EVERY = 3000
 """Milliseconds between two looks at a store that is still being written."""
 
@@ -237,7 +239,27 @@ def _bound(shared: Shared, port: int) -> Server:
     server._tornado.websocket_origins.update(
         {f"{_ADDRESS}:{server.port}", f"localhost:{server.port}"}
     )
+    _refuse_other_hosts(server._tornado)
     return server
+
+
+def _refuse_other_hosts(application: Any) -> None:
+    """Answer only to names of this machine.
+
+    A page elsewhere may let its own name point here (DNS rebinding): to its browser, what is read
+    from here is then its own.
+    """
+    from tornado.httputil import split_host_and_port
+    from tornado.web import ErrorHandler
+
+    find = application.find_handler
+
+    def find_here(request: Any, **options: Any) -> Any:
+        if split_host_and_port(request.host.lower())[0] in _HOSTS:
+            return find(request, **options)
+        return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+
+    application.find_handler = find_here
 
 
 def _check_port(port: int) -> None:

@@ -72,14 +72,14 @@ class Session:
             message = json.loads(new)
             command, seq = str(message.pop("command")), int(message.pop("seq"))
             handle = self._commands[command]
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
             self._wire.alert("the page sent something that is no command; reload it")
             return
         try:
             handle(self, seq, **message)
         except ChdstatError as error:
             self._wire.alert(str(error))
-        except (TypeError, ValueError, OverflowError) as error:
+        except (TypeError, ValueError, OverflowError, AttributeError) as error:
             self._wire.alert(f"the command {command!r} was not understood: {error}")
 
     def _ready(self, seq: int) -> None:

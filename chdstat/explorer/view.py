@@ -224,7 +224,8 @@ def _checked(name: str, value: Any) -> Any:
     elif name == "tone":
         _require(value in TONES, name, TONES, value)
     elif name == "channel":
-        _require(value in CHANNELS or value.isdigit(), name, (*CHANNELS, "0", "1", "2"), value)
+        numbered = isinstance(value, str) and value.isascii() and value.isdigit()
+        _require(value in CHANNELS or numbered, name, (*CHANNELS, "0", "1", "2"), value)
     elif name == "exposure":
         if value is not None and not -_MOST_STOPS <= value <= _MOST_STOPS:
             message = f"exposure must be within {_MOST_STOPS:g} stops of 0, got {value}"

@@ -53,6 +53,27 @@ def handshake(explorer, origin):
         return connection.getresponse().status
 
 
+def status(explorer, host):
+    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=10)
+    with contextlib.closing(connection):
+        connection.request("GET", "/", headers={"Host": host})
+        return connection.getresponse().status
+
+
+def test_only_names_of_this_machine_are_answered(explored, store_path):
+    explorer = explored(store_path)
+    for host in ("127.0.0.1", f"localhost:{explorer.port}", "LOCALHOST", f"[::1]:{explorer.port}"):
+        assert status(explorer, host) == 200
+    for host in (
+        "evil.example",
+        f"evil.example:{explorer.port}",
+        "localhost.evil.example",
+        "",
+        "[",
+    ):
+        assert status(explorer, host) in (400, 403)
+
+
 @pytest.mark.parametrize("host", ["127.0.0.1", "localhost"])
 def test_pages_of_the_server_may_talk_to_it(explored, store_path, host):
     explorer = explored(store_path)

@@ -1,0 +1,107 @@
+"""Clusters that die, have no workers, or have others than the client: errors in words."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat import _crew
+from chdstat._renderer import Job, Renderer
+from chdstat._store import chunk_grid
+from chdstat.backend import probe
+from chdstat.errors import RenderError
+from chdstat.scenes import load_scene
+
+SETTINGS: dict[str, Any] = {"size": (8, 8), "backend": "scalar"}
+
+SCHEDULER = """
+import time
+from distributed import LocalCluster
+if __name__ == "__main__":
+    cluster = LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
+        protocol="tcp://", host="127.0.0.1",
+    )
+    print(cluster.scheduler_address, flush=True)
+    time.sleep(600)
+"""
+
+
+@contextmanager
+def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """Run a scheduler with one worker in another process; yield it and its address."""
+    script = tmp_path / "scheduler.py"
+    script.write_text(SCHEDULER)
+    child = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout is not None
+        yield child, child.stdout.readline().strip()
+    finally:
+        child.kill()
+        child.wait()
+        child.stdout.close()
+
+
+def test_a_scheduler_without_workers_is_told(monkeypatch):
+    from distributed import Client, LocalCluster
+
+    monkeypatch.setattr(_crew, "_PATIENCE", 0.5)
+    with (
+        LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster,
+        Client(cluster) as client,
+        pytest.raises(RenderError, match=r"scheduler at inproc:.* has no workers after .* with: "),
+    ):
+        chd.render("cornell-box", spp=1, client=client, **SETTINGS)
+
+
+def test_a_scheduler_that_dies_is_told_and_the_rest_is_kept(tmp_path, monkeypatch):
+    from distributed import Client
+
+    out, write = tmp_path / "s.zarr", chd._store.Store.write
+    with scheduler(tmp_path) as (child, address), Client(address, timeout="30s") as client:
+
+        def fatal(*arguments: Any) -> None:
+            write(*arguments)
+            child.kill()
+
+        with monkeypatch.context() as patch:
+            patch.setattr(chd._store.Store, "write", fatal)
+            with pytest.raises(RenderError, match="cluster was lost while it rendered; what is"):
+                chd.render("cornell-box", spp=512, out=out, client=client, **SETTINGS)
+    assert 0 < len(chd._store.Store.open(out).pending()) < 8
+    whole = chd.render("cornell-box", spp=512, **SETTINGS).read()
+    assert np.array_equal(chd.render("cornell-box", spp=512, out=out, **SETTINGS).read(), whole)
+
+
+def test_workers_of_other_versions_are_refused():
+    packages = {"chdstat": chd.__version__, "mitsuba": "3.9.1"}
+    answer = {
+        "client": {"packages": packages},
+        "workers": {"tcp://a": {"packages": {**packages, "mitsuba": "3.7.0"}}},
+    }
+    client: Any = SimpleNamespace(
+        wait_for_workers=lambda *_, **__: None, get_versions=lambda **_: answer
+    )
+    with pytest.raises(RenderError, match=r"tcp://a has other versions .mitsuba 3.7.0, here 3.9.1"):
+        _crew._check_workers(client)
+    answer["workers"]["tcp://a"]["packages"] = packages
+    _crew._check_workers(client)
+
+
+def test_a_worker_that_reads_another_scene_is_refused():
+    job = Job(load_scene("cornell-box"), probe("scalar"), (8, 8))
+    identity = Renderer(job).identity
+    chunk = next(chunk_grid(8, 8, 1))
+    assert _crew._render_remote(job, identity, chunk).shape == (8, 8, 3, 1)
+    other = {**identity, "scene_hash": "0", "scene_files": {"tex.exr": "0"}}
+    with pytest.raises(RenderError, match=r"reads another scene than is read here \(tex.exr"):
+        _crew._render_remote(job, other, chunk)
