@@ -13,10 +13,12 @@ from typing import Any
 
 from chdstat.errors import InputError, RenderError, SceneError
 
-__all__ = ["Asked", "Film", "asked_for", "brief"]
+__all__ = ["LONGEST", "Asked", "Film", "asked_for"]
 
 _INTEGRATOR = "path"
 """What renders a scene that names no integrator."""
+LONGEST = 2**20
+"""Most pixels of a film in width and in height."""
 _WRAPPERS = ("aov", "moment")
 """Integrators that record more about the samples of the one within."""
 
@@ -123,11 +125,6 @@ def asked_for(name: str, state: Any, sensor: int) -> Asked:
     )
 
 
-def brief(error: Exception) -> str:
-    """Return the first lines of what Mitsuba says."""
-    return " ".join(line.strip() for line in str(error).splitlines()[:3])
-
-
 class _Nodes:
     """The nodes of a parser state, by kind and by what holds them."""
 
@@ -217,10 +214,10 @@ def _film(name: str, properties: Any) -> Film:
 
 def _whole(scene: str, properties: Any, key: str, default: int, *, least: int) -> int:
     value = properties.get(key, default)
-    if type(value) is not int or value < least:
+    if type(value) is not int or not least <= value <= LONGEST:
         message = (
-            f"{key} of the film of scene {scene!r} must be a whole number of pixels from {least}, "
-            f"got {value!r}"
+            f"{key} of the film of scene {scene!r} must be a whole number of pixels from {least} "
+            f"to {LONGEST}, got {value!r}"
         )
         raise SceneError(message)
     return value

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._asked import Asked, asked_for, brief
+from chdstat._asked import Asked, asked_for
 from chdstat._interrupts import Interrupted
 from chdstat._store import Chunk
 from chdstat._streams import Streams
 from chdstat.backend import BACKENDS, Verdict, activate
-from chdstat.errors import RenderError, SceneError
+from chdstat.errors import RenderError, SceneError, brief
 from chdstat.scenes import Scene
 from chdstat.scenes.code import code_of, plugins_made
 

@@ -175,6 +175,8 @@ def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> str:
     Stores of earlier versions do not say which files they were rendered with.
     """
     parts = []
+    if "scene_files" not in held and held.get("scene_hash") != attrs["scene_hash"]:
+        parts.append("rendered by an earlier version, which tells scenes apart by other files; ")
     for key, word in (("scene_files", "files"), ("scene_code", "code of plugins")):
         before, now = held.get(key), attrs[key]
         if before is not None and before != now:

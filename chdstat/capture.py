@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import whole
+from chdstat._asked import LONGEST
 from chdstat._core.files import free_disk
 from chdstat._crew import rendered
 from chdstat._renderer import Job, Renderer, film_size, integrator_type
@@ -144,8 +145,11 @@ def render(
             if out
             else MemorySink(attrs, renderer, spp)
         )
+        if existing is not None and spp < existing.complete_spp() == existing.shape[3]:
+            message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
+            _log.warning(message, out, existing.shape[3], spp)
         with contextlib.closing(sink):
-            _fill(job, renderer, sink, spp, client, progress)
+            _fill(job, renderer, sink, client, progress)
             if shorter is None:
                 return sink.finish()
             del renderer  # kernels are frozen where one scene is alive only
@@ -316,6 +320,9 @@ def job_of(
             message = f"size must be (width, height) in pixels, got {size!r}"
             raise InputError(message)
         size = whole("width", size[0], least=1), whole("height", size[1], least=1)
+        if max(size) > LONGEST:
+            message = f"width and height must be at most {LONGEST} pixels, got {max(size):.4g}"
+            raise InputError(message)
     if max_depth is not None:
         max_depth = whole("max_depth", max_depth, least=-1)
         if max_depth == 0:
@@ -411,7 +418,7 @@ def _direct(
         path = Path(out) / DIRECT
         sink = StoreSink.open(path, existing_store(path), attrs, renderer, spp, features=False)
     with contextlib.closing(sink):
-        _fill(job, renderer, sink, spp, client, progress)
+        _fill(job, renderer, sink, client, progress)
         return sink.finish()
 
 
@@ -419,17 +426,12 @@ def _fill(
     job: Job,
     renderer: Renderer,
     sink: Sink,
-    spp: int,
     client: Client | None,
     progress: bool | None,
 ) -> None:
     """Render what is missing, writing each chunk as it arrives."""
     chunks = sink.pending()
     if not chunks:
-        there = sink.finish()
-        level = logging.WARNING if there.spp > spp else logging.INFO
-        message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
-        _log.log(level, message, there.path, there.spp, spp)
         return
     start = time.monotonic()
     with track(

@@ -13,7 +13,10 @@ __all__ = [
     "RenderError",
     "SceneError",
     "StoreError",
+    "brief",
 ]
+
+_LONGEST = 600
 
 
 class ChdstatError(Exception):
@@ -38,3 +41,17 @@ class RenderError(ChdstatError):
 
 class StoreError(ChdstatError):
     """A sample store is missing, damaged, incomplete or belongs to something else."""
+
+
+def brief(error: BaseException) -> str:
+    """Return the first lines of what another library says, for a message that quotes it.
+
+    Examples
+    --------
+    >>> brief(RuntimeError("no such plugin"))
+    'no such plugin'
+    """
+    text = " ".join(line.strip() for line in str(error).splitlines()[:3])
+    return (
+        text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
+    )

@@ -88,7 +88,6 @@ def scenes() -> Iterator[tuple[str, bytes]]:
         SCENE.replace(b'<integer name="width" value="6"', b'<string name="width" value="x"'),
     )
     yield "latin-1", more("<!-- caf\xe9 -->".encode("latin-1"))
-    yield "utf-16", SCENE.decode().replace("utf-8", "utf-16").encode("utf-16")
     yield "zero bytes", SCENE.replace(b"path", b"pa\0th")
     yield (
         "laughs",
@@ -124,11 +123,9 @@ def recipes() -> Iterator[tuple[str, bytes]]:
         yield f"key of {size} parts", RECIPE + b"a." * size + b"b = 1"
     yield "inline tables", RECIPE + b"x = " + b"{a=" * 5000 + b"1" + b"}" * 5000
     yield "long integer", RECIPE.replace(b"64", b"9" * 6000)
-    yield "large integer", RECIPE.replace(b"64", b"9" * 60)
     yield "long scene", RECIPE.replace(b"bathroom", b"x" * 60_000)
     yield "endless scene", RECIPE.replace(b"bathroom", b"x" * 100_000)
     yield "zero byte", RECIPE.replace(b"bathroom", b"x\\u0000y")
     yield "no text", b"\xff\xfe" + RECIPE
-    yield "large size", RECIPE.replace(b"[128, 96]", b"[" + b"9" * 4000 + b", 1]")
     yield "many regions", b"schema = 1\nregions = [" + b"1," * 30_000 + b"]"
     yield "empty", b""

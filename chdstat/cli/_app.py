@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import reprlib
 import sys
 from typing import Annotated
 
@@ -55,6 +56,11 @@ def main() -> None:
         if ended.code == _INTERRUPTED:  # what typer makes of Ctrl-C
             _fail("stopped; what renders to a store resumes where it was", _INTERRUPTED)
         raise
+    except OSError as error:  # such as a name that is too long, or a folder that may not be read
+        if "--debug" in sys.argv:
+            raise
+        name = reprlib.repr(error.filename) if error.filename else ""
+        _fail(f"{error.strerror or error}: {name}".rstrip(": "), 1)
     except MemoryError:
         _fail("out of memory; use a smaller --size or --spp, or keep samples in a store", 1)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import reprlib
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -160,7 +162,9 @@ def source_of(source: str, define: list[str] | None) -> Any:
 
 def is_store(source: str) -> bool:
     """Say whether a source is a finished store rather than a scene."""
-    return (Path(source) / "zarr.json").is_file()
+    from chdstat.scenes.files import is_file
+
+    return is_file(Path(source) / "zarr.json")
 
 
 def thresholds_of(given: list[str] | None) -> Any:
@@ -200,8 +204,8 @@ def size_of(text: str | None) -> tuple[int, int] | None:
     if text is None:
         return None
     width, x, height = text.lower().partition("x")
-    if not (x and width.isdecimal() and height.isdecimal()):
-        message = f"--size takes WIDTHxHEIGHT such as 128x128, got {text!r}"
+    if not (x and re.fullmatch("[0-9]{1,9}", width) and re.fullmatch("[0-9]{1,9}", height)):
+        message = f"--size takes WIDTHxHEIGHT such as 128x128, got {reprlib.repr(text)}"
         raise InputError(message)
     return int(width), int(height)
 

@@ -7,6 +7,7 @@ of samples. All that a person does is a function from a view to the next one.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -224,7 +225,7 @@ def _checked(name: str, value: Any) -> Any:
     elif name == "tone":
         _require(value in TONES, name, TONES, value)
     elif name == "channel":
-        numbered = isinstance(value, str) and value.isascii() and value.isdigit()
+        numbered = isinstance(value, str) and re.fullmatch("[0-9]{1,2}", value) is not None
         _require(value in CHANNELS or numbered, name, (*CHANNELS, "0", "1", "2"), value)
     elif name == "exposure":
         if value is not None and not -_MOST_STOPS <= value <= _MOST_STOPS:

@@ -14,7 +14,7 @@ import mitsuba as mi
 import mitsuba.parser
 import numpy as np
 
-from chdstat.errors import SceneError
+from chdstat.errors import SceneError, brief
 
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene
@@ -54,8 +54,7 @@ def _naming(scene: Scene, doing: str) -> Iterator[None]:
     try:
         yield
     except (RuntimeError, ValueError, TypeError) as error:  # ValueError: text that is no UTF-8
-        reason = " ".join(line.strip() for line in str(error).splitlines()[:3])
-        message = f"Mitsuba cannot {doing} the scene {scene.name!r}: {reason}"
+        message = f"Mitsuba cannot {doing} the scene {scene.name!r}: {brief(error)}"
         raise SceneError(message) from error
 
 
