@@ -13,9 +13,10 @@ import numpy.typing as npt
 
 from chdstat._positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit._cells import Cells
-from chdstat.fit._grounds import Solution
+from chdstat.fit._grounds import SampleRows, Solution
 from chdstat.fit._peaks import peaks_of
 from chdstat.fit._search import Found, search
+from chdstat.fit._unimodal_bic import edge_scores, log_samples
 
 __all__ = ["BestPeaks", "best_peaks"]
 
@@ -50,22 +51,24 @@ def best_peaks(
     rival: Floats,
     max_k: int,
     *,
+    doubtful: Mask,
     also: Callable[[Found], None] = lambda _: None,
 ) -> BestPeaks:
     """Find the peaks of the usable rows.
 
-    `rival` is the best score of distributions of one mode, see `rival_scores`, shape (...). `also`
-    gets to see the log-normal mixtures as they are found.
+    `rival` is the best score of distributions of one mode, see `unimodal_scores`, shape (...).
+    Where one mode is not out of the question, `doubtful`, a mixture of more has to beat those of
+    `edge_scores`, too. `also` gets to see the log-normal mixtures as they are found.
     """
     shape = part.n.shape
-    log_n = np.log(np.maximum(part.n, 1)).reshape(-1)
+    log_n = log_samples(part.n).reshape(-1)
     count = np.zeros(part.n.size, dtype=np.int8)
     table = np.full((len(_FIELDS), part.n.size, max_k), np.nan)
     delta = np.full(part.n.size, np.nan)
     for found in search(part, usable, "lognormal", max_k, effort="fast", rival=rival):
         rows = found.rows
         count[rows], table[:, rows], gain = _of_piece(
-            found, rival.reshape(-1)[rows], log_n[rows], max_k
+            found, rival.reshape(-1)[rows], log_n[rows], max_k, doubtful.reshape(-1)[rows]
         )
         delta[rows] = np.where(np.isfinite(gain), 2 * gain, np.nan)
         also(found)
@@ -74,17 +77,17 @@ def best_peaks(
 
 
 def _of_piece(
-    found: Found, rival: Floats, log_n: Floats, max_k: int
+    found: Found, rival: Floats, log_n: Floats, max_k: int, doubtful: Mask
 ) -> tuple[Counts, Floats, Floats]:
     """Return modes, the fields of their peaks (4, row, mode), and the gain over the rival.
 
     Log-normal components come first. Where they make more than one mode, gamma components get the
-    chance to make fewer.
+    chance to make fewer, and distributions of one mode with hard edges that to make one.
     """
-    count = np.ones(len(rival), dtype=np.int64)
-    table = np.full((len(_FIELDS), len(rival), max_k), np.nan)
-    table[0, :, 0] = found.solutions[0].state[1, 0] + found.cells.origin
-    table[1, :, 0] = 1.0
+    one = np.full((len(_FIELDS), len(rival), max_k), np.nan)
+    one[0, :, 0] = found.solutions[0].state[1, 0] + found.cells.origin
+    one[1, :, 0] = 1.0
+    count, table = np.ones(len(rival), dtype=np.int64), one.copy()
     best = rival.copy()
     everyone = np.arange(len(rival))
     gain = _enter(found.solutions, found.cells, everyone, log_n, best, count, table) - rival
@@ -92,6 +95,12 @@ def _of_piece(
     of_gamma = found.also("gamma", several)
     also = _enter(of_gamma, found.cells, several, log_n, best, count, table) - rival[several]
     gain[several] = np.maximum(gain[several], also)
+    several = several[doubtful[several] & (count[several] > 1)]
+    assert isinstance(found.ground, SampleRows)
+    edge = edge_scores(found.ground.log_sorted[several], found.ground.n[several], best[several])
+    gain[several] -= np.maximum(edge - rival[several], 0)
+    beaten = several[edge >= best[several]]
+    count[beaten], table[:, beaten] = 1, one[:, beaten]
     return count, table, gain
 
 

@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import generator
-from chdstat._positive import Floats, PositivePart
+from chdstat._positive import PositivePart
 from chdstat._reasons import Reason
 from chdstat.fit._best_peaks import best_peaks
 from chdstat.fit._chosen_mixtures import ChosenMixtures
-from chdstat.fit._rivals import rival_scores
 from chdstat.fit._search import Found
+from chdstat.fit._unimodal_bic import unimodal_scores
 from chdstat.fit.mixture_results import Mixture
 from chdstat.fit.results import Fit
 from chdstat.modes._dip import dips_of_part
+from chdstat.modes._ties import on_steps, spread, tied_shares
 from chdstat.modes.results import MODES, Modality, finish_modality, modality_variables
 from chdstat.samples import Mapped, Samples
 
@@ -42,13 +42,14 @@ __all__ = [
 _MINIMUM = 20
 _LEVEL = 0.05
 """Level of the dip test at which a uniform distribution is not considered any more."""
+_CERTAIN = 0.01
+"""Level at which no distribution of one mode is: the dip test holds its level for all of them."""
 
 
 @overload
 def modality(
     x: Samples,
     *,
-    seed: int | np.random.Generator | None = ...,
     progress: bool | None = None,
 ) -> xr.Dataset: ...
 @overload
@@ -56,13 +57,11 @@ def modality(
     x: npt.ArrayLike,
     *,
     null: npt.ArrayLike | None = None,
-    seed: int | np.random.Generator | None = ...,
 ) -> Modality: ...
 def modality(
     x: Samples | npt.ArrayLike,
     *,
     null: npt.ArrayLike | None = None,
-    seed: int | np.random.Generator | None = 0,
     progress: bool | None = None,
 ) -> Modality | xr.Dataset:
     """Count the modes of the positive samples in the log domain, and test whether there is one.
@@ -74,8 +73,6 @@ def modality(
     ----------
     x, null, progress
         As for `chdstat.fit.fit`.
-    seed
-        Of what moves ties apart.
 
     Returns
     -------
@@ -100,13 +97,11 @@ def modality(
     """
     if not isinstance(x, Samples):
         part = PositivePart.of(x, null=null)
-        return modality_of_part(part, seed=seed)
-    # Tiles are worked on in any order: each begins with the same generator.
-    root = int(generator(seed).integers(2**62))
+        return modality_of_part(part)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         part = PositivePart.of_pixels(block)
-        result = modality_of_part(part, seed=root)
+        result = modality_of_part(part)
         return modality_variables(result)
 
     return finish_modality(x.map(of_block, description="counting modes", progress=progress))
@@ -116,23 +111,18 @@ def modality_of_part(
     part: PositivePart,
     *,
     fits: Iterable[Fit] | None = None,
-    single_bic: Floats | None = None,
-    seed: int | np.random.Generator | None = 0,
 ) -> Modality:
     """Look for modes in samples that are already split.
 
-    `fits` are the families of one mode to beat, for whoever has them, or `single_bic`, shape (...),
-    the smallest BIC of some families.
+    `fits` are the families of one mode to beat, for whoever has them.
     """
-    return _modality(part, fits, single_bic, seed, lambda _: None)
+    return _modality(part, fits, lambda _: None)
 
 
 def mixture_and_modes_of_part(
     part: PositivePart,
     *,
     fits: Iterable[Fit] | None = None,
-    single_bic: Floats | None = None,
-    seed: int | np.random.Generator | None = 0,
 ) -> tuple[Mixture, Modality]:
     """Look for modes, and return the best log-normal mixtures, too, at hardly any further cost.
 
@@ -141,25 +131,30 @@ def mixture_and_modes_of_part(
     where two are worse than one or than the best distribution of one mode.
     """
     chosen = ChosenMixtures.of(part, part.reason(_MINIMUM), MODES)
-    modality = _modality(part, fits, single_bic, seed, chosen.enter)
+    modality = _modality(part, fits, chosen.enter)
     return chosen.result("lognormal"), modality
 
 
 def _modality(
     part: PositivePart,
     fits: Iterable[Fit] | None,
-    single_bic: Floats | None,
-    seed: int | np.random.Generator | None,
     also: Callable[[Found], None],
 ) -> Modality:
     reason = part.reason(_MINIMUM)
     ok = reason == Reason.OK
-    dip, p_value, tied_share = dips_of_part(part, ok, seed)
+    tied_share = np.where(ok, tied_shares(part), np.nan)
+    steps = on_steps(part, tied_share)
+    smooth = spread(part, steps) if steps.any() else part
+    dip, p_value = dips_of_part(smooth, ok, (tied_share > 0) & ~steps)
     # Uniform samples are what the dip test takes for granted: where it speaks against them, a few
     # modes side by side are not to be mistaken for them.
     bounded = p_value >= _LEVEL
-    rival = rival_scores(part, ok, bounded, fits=fits, single_bic=single_bic)
-    peaks = best_peaks(part, ok, rival, MODES, also=also)
+    rival = unimodal_scores(part, ok, bounded, fits=fits)
+    if steps.any():
+        # Fits to samples as they were rounded do not compare with those to what was spread.
+        of_steps = PositivePart.of(smooth.x[steps])
+        rival[steps] = unimodal_scores(of_steps, ok[steps], bounded[steps])
+    peaks = best_peaks(smooth, ok, rival, MODES, doubtful=p_value >= _CERTAIN, also=also)
     return Modality(
         dip=dip,
         dip_p_value=p_value,

@@ -51,15 +51,20 @@ class Modality:
         Hartigan's dip, in [1/(2n), 1/4], and its p-value under unimodality, at least 1e-5. Where
         the hypothesis is true, p is uniform for uniform samples and larger for others.
     tied_share
-        Share of samples that are equal to another one. Ties were moved apart at random by less than
-        float32 can tell, as the test is one of continuous samples.
+        Share of samples that are equal to another one. Ties are moved apart by less than float32
+        can tell, as the test is one of continuous samples. Rounded samples, of which 8 % or more
+        tie at other values than the three most frequent ones, are spread half-way to their
+        neighbours first: a step is no mode.
     modes
         1 to 3: the maxima of the best mixture's density of log radiance that stand apart: a
         component of at least 8 % of the samples, with a valley of at least 2 % of its height
         between it and every higher one. The best mixture has the smallest BIC of 1 to 3 log-normal
         or gamma components; there is one mode where a distribution of one mode has a smaller one
-        still: gamma, log-normal, Weibull, Burr, and, unless the dip test rejects them at 5 %,
-        uniform or log-uniform. 0 where `reason` says why.
+        still: gamma, log-normal, Weibull, Burr, Pareto above a floor or below a ceiling, and,
+        unless the dip test rejects them at 5 %, uniform or log-uniform; or, unless it rejects all
+        of one mode at 1 %, gamma above a floor or below a ceiling, and any density that is
+        log-concave in log radiance or in the logarithm of the distance from either end. 0 where
+        `reason` says why.
     places, weights
         Radiance of the modes as log10, and the mass of each, shape (..., 3), the darkest first; NaN
         beyond the modes there are.

@@ -93,16 +93,15 @@ def gather(
     tail: Tail | None = None,
     modes: Modality | None = None,
     families: Selection | None = None,
-    seed: int | None = 0,
 ) -> Evidence:
     """Measure every pixel; results for the same part that are already there are not repeated."""
-    evidence = _measure(part, tail, modes, families, seed)
+    evidence = _measure(part, tail, modes, families)
     limit = firefly_limit(part.n, firefly_share, firefly_samples)
     rows = np.asarray(evidence.largest_share > limit)
     if not rows.any():
         return evidence
     rest = without_largest(part, rows)
-    return _replace_shape(evidence, _measure(rest, None, None, None, seed), rows)
+    return _replace_shape(evidence, _measure(rest, None, None, None), rows)
 
 
 def firefly_limit(n: npt.NDArray[np.int64], share: float, samples: float) -> Floats:
@@ -131,12 +130,11 @@ def _measure(
     tail: Tail | None,
     modes: Modality | None,
     families: Selection | None,
-    seed: int | None,
 ) -> Evidence:
     tail = tail or tail_of_part(part)
     families = families or select_part(part, [FAMILIES[name] for name in SELECTED])
     if modes is None:
-        modes = modality_of_part(part, seed=seed, fits=families.fits.values())
+        modes = modality_of_part(part, fits=families.fits.values())
     widest = np.argsort(-np.nan_to_num(modes.ashman_d), axis=-1)
     statistics = part.log_statistics
     body_index, body_index_se = _body_index(families)

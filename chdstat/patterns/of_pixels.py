@@ -122,7 +122,6 @@ def classify(
     x: Samples,
     *,
     thresholds: Thresholds | None = None,
-    seed: int | None = 0,
     progress: bool | None = None,
 ) -> xr.Dataset: ...
 @overload
@@ -130,13 +129,11 @@ def classify(
     x: npt.ArrayLike,
     *,
     thresholds: Thresholds | None = None,
-    seed: int | None = 0,
 ) -> Patterns: ...
 def classify(
     x: Samples | npt.ArrayLike,
     *,
     thresholds: Thresholds | None = None,
-    seed: int | None = 0,
     progress: bool | None = None,
 ) -> Patterns | xr.Dataset:
     """Say which patterns the sample distribution of each pixel shows.
@@ -153,8 +150,6 @@ def classify(
         channels. Nulls and bad samples are told by whole samples.
     thresholds
         When a pattern counts; None for the defaults.
-    seed
-        Of what moves ties apart, see `chdstat.modality`.
     progress
         For `Samples`: show a progress bar; None shows it on a terminal.
 
@@ -184,10 +179,10 @@ def classify(
     """
     thresholds = thresholds or Thresholds()
     if not isinstance(x, Samples):
-        return patterns_of_part(luminance_part(x), thresholds, seed=seed)
+        return patterns_of_part(luminance_part(x), thresholds)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        return patterns_variables(patterns_of_part(luminance_part(block), thresholds, seed=seed))
+        return patterns_variables(patterns_of_part(luminance_part(block), thresholds))
 
     dataset = x.map(of_block, description="classifying", progress=progress)
     return finish_patterns(dataset, thresholds)
@@ -215,7 +210,6 @@ def patterns_of_part(
     tail: Tail | None = None,
     modes: Modality | None = None,
     families: Selection | None = None,
-    seed: int | None = 0,
 ) -> Patterns:
     """Classify samples that are already split; each pixel is tested for itself.
 
@@ -228,8 +222,6 @@ def patterns_of_part(
     tail, modes, families
         Results for the same part, if they are there; the families must be those of
         `chdstat.fit.selection.SELECTED`.
-    seed
-        Of what moves ties apart, see `chdstat.modality`.
     """
     thresholds = thresholds or Thresholds()
     evidence = gather(
@@ -239,7 +231,6 @@ def patterns_of_part(
         tail=tail,
         modes=modes,
         families=families,
-        seed=seed,
     )
     # Of a single pixel, arithmetic returns numbers: results are arrays of shape ().
     p_values = {p.name: np.asarray(p.test(evidence, thresholds)) for p in PATTERNS if p.test}

@@ -79,7 +79,7 @@ def test_mixtures_of_one_to_three(benchmark, effort):
 def test_modes(benchmark, spp):
     part = PositivePart.of(simulated_pixels(1024, spp))
     assert part.log_sorted.size
-    benchmark(modality_of_part, part, single_bic=np.full(1024, 1e9))
+    benchmark(modality_of_part, part)
 
 
 def test_scikit_learn(benchmark):

@@ -1,0 +1,237 @@
+"""Log-concave densities of maximum likelihood, of many rows at once.
+
+Their logarithm is concave: one mode, any skewness, and a jump at either end if the samples want
+one. Normal, exponential, uniform and triangular distributions are log-concave, and so are their
+truncations. The maximum of the likelihood exists and is piecewise linear (Cule, Samworth and
+Stewart, "Maximum likelihood estimation of a multi-dimensional log-concave density", 2010,
+doi:10.1111/j.1467-9868.2010.00753.x). Here its knots are quantiles of the samples, close at both
+ends, and the maximum is found by a primal-dual interior-point method.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from chdstat._arrays import spans
+from chdstat._positive import Counts, Floats, Mask
+
+__all__ = ["log_concave_likelihood"]
+
+_KNOTS = 33
+_QUANTILES = np.sin(np.linspace(0, np.pi / 2, _KNOTS)) ** 2
+_CLOSEST = 1e-4 / _KNOTS
+"""Least distance of two knots, in units of the range: ties would have none."""
+_CYCLES = 40
+_TOLERANCE = 0.02
+"""Least gap of the barrier, in log-likelihood of a row, that is worth a further step."""
+_CENTERING, _BOUNDARY, _LONGEST = 0.15, 0.95, 2.0
+"""Of a step: how far the barrier falls, how near to its wall, and how long it may be."""
+_REGULAR = 1e-10
+_SMALL = 0.02
+"""Slope below which moments of the exponential function come from their series."""
+_CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Knots of some rows: everything has the rows last, since there are many more of them.
+
+    The constraints are ``slack = below p[:-2] + center p[1:-1] + above p[2:] >= 0``, which is the
+    concavity at the inner knots, scaled so that `center` is 1.
+    """
+
+    step: Floats
+    weight: Floats
+    below: Floats
+    above: Floats
+
+    def slack(self, p: Floats) -> Floats:
+        return np.asarray(self.below * p[:-2] + p[1:-1] + self.above * p[2:])
+
+    def spread(self, force: Floats) -> Floats:
+        """Return the transpose of `slack`, applied to a force on each constraint."""
+        total = np.zeros((len(force) + 2, force.shape[-1]))
+        total[:-2] += self.below * force
+        total[1:-1] += force
+        total[2:] += self.above * force
+        return total
+
+    def take(self, rows: Mask) -> _Problem:
+        return _Problem(*(v[:, rows] for v in (self.step, self.weight, self.below, self.above)))
+
+
+def log_concave_likelihood(ascending: Floats, n: Counts) -> Floats:
+    """Return the largest log-likelihood of log-concave densities, shape (row,).
+
+    It is that of densities with knots at 33 quantiles, to within 0.05; somewhat less where 40 steps
+    do not reach the maximum, as may happen with samples over many orders of magnitude.
+
+    Parameters
+    ----------
+    ascending
+        Samples in ascending order, shape (row, sample), not all equal.
+    n
+        How many of them count, shape (row,).
+
+    Examples
+    --------
+    >>> x = np.sort(np.random.default_rng(0).random((1, 200)))
+    >>> bool(0 <= log_concave_likelihood(x, np.array([200]))[0] < 5)  # of a uniform density: 0
+    True
+    """
+    found = np.empty(len(n))
+    for part in spans(len(n), _CHUNK):
+        found[part] = _maximum(ascending[part], n[part])
+    return found
+
+
+def _maximum(ascending: Floats, n: Counts) -> Floats:
+    last = np.take_along_axis(ascending, n[:, np.newaxis] - 1, axis=-1)
+    low, scale = ascending[:, :1], last - ascending[:, :1]
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
+    place = np.where(valid, (ascending - low) / scale, 0.0)
+    problem = _problem(place, n)
+    value = np.full(len(n), -np.inf)
+    rows, p = np.arange(len(n)), _normal(problem)
+    slack = problem.slack(p)
+    force = 0.1 / (len(slack) * slack)
+    for cycle in range(_CYCLES):
+        gap = (force * slack).sum(axis=0)
+        with np.errstate(all="ignore"):
+            further, force = _newton(problem, p, force, slack, gap)
+        lost = ~np.isfinite(further).all(axis=0)
+        done = lost | (gap * n[rows] < _TOLERANCE) | (cycle == _CYCLES - 1)
+        if done.any():
+            best = np.where(lost, p, further)[:, done]
+            density = _normalized(problem.take(done), best)
+            value[rows[done]] = (problem.weight[:, done] * density).sum(axis=0)
+            problem, further, force, rows = (
+                problem.take(~done),
+                further[:, ~done],
+                force[:, ~done],
+                rows[~done],
+            )
+        if not rows.size:
+            break
+        p, slack = further, np.maximum(problem.slack(further), 1e-300)
+    return np.asarray(n * (np.nan_to_num(value, nan=-np.inf) - np.log(scale[:, 0])))
+
+
+def _problem(place: Floats, n: Counts) -> _Problem:
+    """Share each sample between the knots next to it: all that a piecewise linear density sees."""
+    index = np.rint(_QUANTILES * (n[:, np.newaxis] - 1)).astype(np.int64)
+    # Two knots at one sample would be one.
+    rank = np.arange(_KNOTS)
+    index = np.maximum(index, rank)
+    index = np.clip(np.minimum(index, n[:, np.newaxis] - _KNOTS + rank), 0, n[:, np.newaxis] - 1)
+    knots = np.take_along_axis(place, index, axis=-1)
+    below = np.zeros((len(n), place.shape[-1] + 1))
+    np.cumsum(place, axis=-1, out=below[:, 1:])
+    count = np.diff(index, axis=-1)
+    beyond = np.diff(np.take_along_axis(below, index, axis=-1), axis=-1) - count * knots[:, :-1]
+    step = np.diff(knots, axis=-1)
+    share = np.clip(beyond / np.where(step > 0, step, 1), 0, count)
+    weight = np.zeros((_KNOTS, len(n)))
+    weight[:-1] += (count - share).T
+    weight[1:] += share.T
+    weight[-1] += 1
+    weight /= n
+    step = np.maximum(step, _CLOSEST)
+    step /= step.sum(axis=-1, keepdims=True)
+    step = np.ascontiguousarray(step.T)
+    both = 1 / step[:-1] + 1 / step[1:]
+    return _Problem(step, weight, -1 / (step[:-1] * both), -1 / (step[1:] * both))
+
+
+def _normal(problem: _Problem) -> Floats:
+    """Return the log density of a normal distribution of twice the variance, at the knots."""
+    knots = np.zeros_like(problem.weight)
+    np.cumsum(problem.step, axis=0, out=knots[1:])
+    mean = (problem.weight * knots).sum(axis=0)
+    variance = np.maximum((problem.weight * (knots - mean) ** 2).sum(axis=0), 0.02)
+    return _normalized(problem, -((knots - mean) ** 2) / (4 * variance))
+
+
+def _normalized(problem: _Problem, p: Floats) -> Floats:
+    top = p.max(axis=0)
+    zeroth, _, _ = _moments(np.diff(p, axis=0))
+    mass = (problem.step * np.exp(p[:-1] - top) * zeroth).sum(axis=0)
+    return np.asarray(p - top - np.log(mass))
+
+
+def _newton(
+    problem: _Problem, p: Floats, force: Floats, slack: Floats, gap: Floats
+) -> tuple[Floats, Floats]:
+    """Take a primal-dual step: of the density p, and of the forces on the constraints.
+
+    Of ``integral exp(p) - sum w p``, whose minimum is normalised without being told.
+    """
+    zeroth, first, second = _moments(np.diff(p, axis=0))
+    mass = problem.step * np.exp(p[:-1])
+    gradient = -problem.weight
+    gradient[:-1] += mass * (zeroth - first)
+    gradient[1:] += mass * first
+    stiffness, target = force / slack, _CENTERING * gap / len(slack) / slack
+    below, above = problem.below, problem.above
+    bands = np.zeros((3, *p.shape))
+    bands[0, :-1] += mass * (zeroth - 2 * first + second)
+    bands[0, 1:] += mass * second
+    bands[1, :-1] += mass * (first - second)
+    bands[0, :-2] += stiffness * below * below
+    bands[0, 1:-1] += stiffness
+    bands[0, 2:] += stiffness * above * above
+    bands[1, :-2] += stiffness * below
+    bands[1, 1:-1] += stiffness * above
+    bands[2, :-2] += stiffness * below * above
+    bands[0] += _REGULAR
+    change = _solve(bands, problem.spread(target) - gradient)
+    of_slack = problem.slack(change)
+    of_force = target - force - stiffness * of_slack
+    wall = np.minimum(_way(slack, of_slack), _way(force, of_force))
+    rise = np.maximum(change.max(axis=0), _REGULAR)
+    length = np.minimum(np.minimum(1, _BOUNDARY * wall), _LONGEST / rise)
+    return p + length * change, force + length * of_force
+
+
+def _way(values: Floats, change: Floats) -> Floats:
+    """Return how many such changes leave all values positive."""
+    return np.asarray(np.where(change < 0, -values / change, np.inf).min(axis=0))
+
+
+def _moments(slope: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the integrals of exp(a t), t exp(a t) and t^2 exp(a t) over t from 0 to 1."""
+    small = np.abs(slope) < _SMALL
+    a = np.where(small, 1.0, slope)
+    e = np.exp(a)
+    zeroth = (e - 1) / a
+    first = (e - zeroth) / a
+    second = (e - 2 * first) / a
+    a = slope[small]
+    zeroth[small] = 1 + a / 2 * (1 + a / 3 * (1 + a / 4))
+    first[small] = 1 / 2 + a / 3 * (1 + a / 8 * (3 + a * 0.8))
+    second[small] = 1 / 3 + a / 4 * (1 + a / 5 * (2 + a * 5 / 9))
+    return zeroth, first, second
+
+
+def _solve(bands: Floats, right: Floats) -> Floats:
+    """Solve symmetric systems of two bands beside the diagonal, shape (band, knot, row)."""
+    pivot, one, two = bands
+    x = right
+    for j in range(len(x)):
+        for k, band in ((1, one), (2, two)):
+            if j + k == len(x):
+                break
+            factor = band[j] / pivot[j]
+            pivot[j + k] -= factor * band[j]
+            x[j + k] -= factor * x[j]
+            if k == 1 and j + 2 < len(x):
+                one[j + 1] -= factor * two[j]
+            band[j] = factor
+    x /= pivot
+    for j in range(len(x) - 2, -1, -1):
+        x[j] -= one[j] * x[j + 1]
+        if j + 2 < len(x):
+            x[j] -= two[j] * x[j + 2]
+    return x

@@ -1,0 +1,80 @@
+"""Log-concave densities: against a general optimiser, families that are log-concave, and laws."""
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from chdstat.fit._log_concave import log_concave_likelihood
+
+
+def likelihood(x):
+    x = np.sort(np.atleast_2d(x), axis=-1)
+    return log_concave_likelihood(x, np.full(len(x), x.shape[-1]))
+
+
+def by_slsqp(x):
+    """Maximise over concave log densities whose knots are the samples."""
+    x, n = np.sort(x), len(x)
+    step = np.diff(x)
+
+    def loss(p):
+        slope = np.diff(p)
+        mass = np.where(
+            np.abs(slope) < 1e-6, 1 + slope / 2, np.expm1(slope) / np.where(slope, slope, 1)
+        )
+        return -p.sum() / n + (step * np.exp(p[:-1]) * mass).sum()
+
+    concave = {"type": "ineq", "fun": lambda p: -np.diff(np.diff(p) / step)}
+    start = stats.norm(x.mean(), 1.5 * x.std()).logpdf(x)
+    found = optimize.minimize(
+        loss, start, constraints=[concave], method="SLSQP", options={"maxiter": 500, "ftol": 1e-10}
+    )
+    return n * (1 - found.fun)
+
+
+@pytest.mark.parametrize("draw", ["normal", "exponential", "uniform", "laplace"])
+def test_maximum_is_that_of_a_general_optimiser(draw):
+    x = getattr(np.random.default_rng(1), draw)(size=(3, 33))
+    expected = [by_slsqp(row) for row in x]
+    np.testing.assert_allclose(likelihood(x), expected, atol=0.05)
+
+
+@pytest.mark.parametrize("n", [40, 300, 4000])
+def test_not_less_likely_than_families_that_are_log_concave(n):
+    rng = np.random.default_rng(2)
+    x = rng.exponential(size=(50, n))
+    edge = -n * (np.log((x - x.min(axis=-1, keepdims=True)).mean(axis=-1)) + 1)
+    assert (likelihood(x) > edge - 0.1).all()
+    x = rng.normal(size=(50, n))
+    normal = -n / 2 * (np.log(2 * np.pi * x.var(axis=-1)) + 1)
+    assert (likelihood(x) > normal - 0.1).all()
+    # How much more likely grows slowly: by 3 to 17 here, not by a share of n.
+    assert (likelihood(x) < normal + 25).all()
+
+
+def test_unit_and_direction_drop_out():
+    x = np.random.default_rng(3).gumbel(size=(20, 200))
+    np.testing.assert_allclose(
+        likelihood(1e3 * x - 7), likelihood(x) - 200 * np.log(1e3), atol=0.05
+    )
+    np.testing.assert_allclose(likelihood(-x), likelihood(x), atol=0.05)
+
+
+def test_two_lumps_are_less_likely_than_their_mixture():
+    rng = np.random.default_rng(4)
+    x = rng.normal(size=(50, 500)) + 5 * (rng.random((50, 500)) < 0.5)
+    mixture = np.log((stats.norm.pdf(x) + stats.norm.pdf(x - 5)) / 2).sum(axis=-1)
+    assert (likelihood(x) < mixture - 20).all()
+
+
+def test_awkward_rows_have_a_number():
+    rng = np.random.default_rng(5)
+    rows = [
+        rng.standard_cauchy(200) ** 3,
+        np.r_[np.zeros(199), 1.0],
+        rng.integers(0, 3, 200) * 1.0,
+        np.exp(rng.normal(0, 20, 200)),
+    ]
+    assert not np.isnan(likelihood(np.array(rows))).any()
+    few = log_concave_likelihood(np.array([[0.0, 1.0, np.inf]]), np.array([2]))
+    assert few[0] == pytest.approx(0, abs=0.1)  # uniform
