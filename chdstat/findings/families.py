@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from chdstat.findings.conclusions import Conclusion
 from chdstat.findings.evidence import Evidence
-from chdstat.findings.resampling import Blocks, Spread, interval_of
+from chdstat.findings.resampling import Blocks, Spread, interval_of, least_of
 from chdstat.findings.results import Exhibit, Part
 
 if TYPE_CHECKING:
@@ -81,14 +81,15 @@ def _names(analysis: xr.Dataset) -> dict[str, int]:
 
 
 def _lead(counts: Floats, blocks: Blocks, gamma: int) -> Spread:
+    """Return the least lead of gamma over another family."""
     sums = blocks.sums(counts)
 
     def lead(weights: Floats) -> Floats:
         total = weights @ sums
         shares = total / total.sum(axis=1, keepdims=True)
-        return np.asarray(shares[:, gamma] - np.delete(shares, gamma, axis=1).max(axis=1))
+        return np.asarray(shares[:, [gamma]] - np.delete(shares, gamma, axis=1))
 
-    return interval_of(lead, blocks, bounds=(-1.0, 1.0))
+    return least_of(lead, blocks, bounds=(-1.0, 1.0))
 
 
 def _share(some: Floats, counts: Floats, blocks: Blocks) -> Spread:

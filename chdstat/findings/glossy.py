@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import numpy as np
 import numpy.typing as npt
 
 from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.evidence import Evidence, Patch
 from chdstat.findings.log_chds import EDGES, SAME_SHAPE, LogChds, aligned, squared_distance
-from chdstat.findings.resampling import Blocks, Spread, interval_of
+from chdstat.findings.resampling import Blocks, Spread, interval_of, largest_of
 from chdstat.findings.results import Exhibit, Part
 
 __all__ = ["FOLLOWS", "SHIFT", "channel_shift", "measure", "pooled_distance", "spread_slope"]
@@ -95,9 +97,13 @@ def channel_shift(x: Floats, blocks: Blocks, *, level: float) -> Spread:
     lit = np.asarray((x > 0).all(axis=1))
     logs = np.log10(np.where(lit[:, np.newaxis], x, 1)).sum(axis=-1)
     sums, count = blocks.sums(logs), blocks.sums(lit.sum(axis=-1))
-    return interval_of(
-        lambda w: np.ptp((w @ sums) / (w @ count)[:, np.newaxis], axis=1), blocks, level=level
-    )
+    one, two = np.array(list(permutations(range(x.shape[1]), 2))).T
+
+    def shifts(weights: Floats) -> Floats:
+        means = (weights @ sums) / (weights @ count)[:, np.newaxis]
+        return np.asarray(means[:, one] - means[:, two])
+
+    return largest_of(shifts, blocks, level=level)
 
 
 def spread_slope(x: Floats, blocks: Blocks, *, level: float) -> Spread:

@@ -18,7 +18,16 @@ from scipy import stats
 
 from chdstat._arrays import block_numbers, generator, spans
 
-__all__ = ["LEVEL", "Blocks", "Spread", "interval_of", "mean_of", "median_of"]
+__all__ = [
+    "LEVEL",
+    "Blocks",
+    "Spread",
+    "interval_of",
+    "largest_of",
+    "least_of",
+    "mean_of",
+    "median_of",
+]
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -170,29 +179,81 @@ def interval_of(
     >>> found.value, found.low < 5.5, found.high > 9.5
     (7.5, True, True)
     """
+    return least_of(
+        lambda weights: statistic(weights)[:, np.newaxis],
+        blocks,
+        level=level,
+        bounds=bounds,
+        seed=seed,
+    )
+
+
+def least_of(
+    statistics: Callable[[Floats], Floats],
+    blocks: Blocks,
+    *,
+    level: float = LEVEL,
+    bounds: tuple[float, float] = (-math.inf, math.inf),
+    seed: int = 0,
+) -> Spread:
+    """Return the least of several statistics of weighted blocks with its interval.
+
+    The least of several noisy numbers is too small where they are nearly equal, and so are the
+    percentiles of its replicates. The low end is therefore the least of the low ends that the
+    statistics have each for itself: it lies above the true least only if that one's does. The high
+    end is the least of high ends that hold for all statistics at once, by the largest of their
+    deviations in each replicate.
+
+    Parameters
+    ----------
+    statistics
+        Maps how often each block counts, shape (replicate, block), to shape (replicate, statistic).
+    blocks, level, bounds, seed
+        As for `interval_of`.
+
+    References
+    ----------
+    Berger, "Multiparameter hypothesis testing and acceptance sampling", 1982, doi:10.2307/1267823:
+    the low end. Romano and Wolf, "Stepwise multiple testing as formalized data snooping", 2005,
+    doi:10.1111/j.1468-0262.2005.00615.x: the high end.
+    """
     if not len(blocks):
         return Spread.unknown(level=level)
     with np.errstate(all="ignore"):
-        value = float(statistic(np.ones((1, len(blocks))))[0])
+        values = statistics(np.ones((1, len(blocks))))[0].astype(np.float64)
+        value = float(values.min())
         degrees = len(blocks) - len(np.unique(blocks.region))
-        if len(blocks) < LEAST_BLOCKS or degrees < 2 or not math.isfinite(value):
+        if len(blocks) < LEAST_BLOCKS or degrees < 2 or not np.isfinite(values).all():
             return Spread.unknown(value, level=level)
         rng = generator(seed)
         draws = np.concatenate(
             [
-                statistic(blocks.draw(part.stop - part.start, rng))
+                statistics(blocks.draw(part.stop - part.start, rng))
                 for part in spans(REPLICATES, _AT_ONCE)
             ]
         )
-    finite = draws[np.isfinite(draws)]
-    if len(finite) < REPLICATES / 2:
+    moves = draws[np.isfinite(draws).all(axis=1)] - values
+    if len(moves) < REPLICATES / 2:
         return Spread.unknown(value, level=level)
-    reach = float(stats.t.ppf((1 + level) / 2, degrees)) * math.sqrt(len(blocks) / degrees)
-    below, above = (float(value - end) for end in np.quantile(finite, _KNOWN))
-    stretch = reach / float(stats.norm.ppf(_KNOWN[1]))
     # A statistic that resampling shifts as a whole must not lie outside of its own interval.
-    low, high = value - stretch * max(below, 0.0), value + stretch * max(-above, 0.0)
-    return Spread(value, max(low, bounds[0]), min(high, bounds[1]), level)
+    below, above = (
+        np.maximum(side, 0) for side in np.quantile(moves, _KNOWN, axis=0) * [[-1], [1]]
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        largest = np.where(above > 0, moves / above, 0).max(axis=1)
+    together = max(float(np.quantile(largest, _KNOWN[1])), 1.0)
+    reach = float(stats.t.ppf((1 + level) / 2, degrees)) * math.sqrt(len(blocks) / degrees)
+    stretch = reach / float(stats.norm.ppf(_KNOWN[1]))
+    low, high = values - stretch * below, values + stretch * together * above
+    return Spread(value, max(float(low.min()), bounds[0]), min(float(high.min()), bounds[1]), level)
+
+
+def largest_of(
+    statistics: Callable[[Floats], Floats], blocks: Blocks, *, level: float = LEVEL
+) -> Spread:
+    """Return the largest of several statistics of weighted blocks; see `least_of`."""
+    least = least_of(lambda weights: -statistics(weights), blocks, level=level)
+    return Spread(-least.value, -least.high, -least.low, level)
 
 
 def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Spread:

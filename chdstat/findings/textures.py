@@ -11,7 +11,7 @@ from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.evidence import Evidence, Patch
 from chdstat.findings.glossy import SHIFT, channel_shift, pooled_distance
 from chdstat.findings.log_chds import SAME_SHAPE, LogChds, aligned, squared_distance
-from chdstat.findings.resampling import Blocks, Spread, interval_of
+from chdstat.findings.resampling import Blocks, Spread, largest_of
 from chdstat.findings.results import Exhibit, Part
 from chdstat.findings.slopes import logs, slope_of
 
@@ -139,14 +139,13 @@ def _between_channels(shapes: LogChds, blocks: Blocks, level: float) -> Spread:
     kept = blocks[known]
     sums, count = kept.sums(shapes.halves[known]), kept.sums(np.ones(np.count_nonzero(known)))
 
-    def largest(weights: Floats) -> Floats:
+    def squares(weights: Floats) -> Floats:
         n = (weights @ count)[:, np.newaxis, np.newaxis, np.newaxis]
         means = LogChds(np.tensordot(weights, sums, 1) / n)
         pairs = combinations(range(sums.shape[1]), 2)
-        squares = [squared_distance(means[:, a], means[:, b]) for a, b in pairs]
-        return np.asarray(np.sqrt(np.maximum(np.max(squares, axis=0), 0)))
+        return np.stack([squared_distance(means[:, a], means[:, b]) for a, b in pairs], axis=-1)
 
-    return interval_of(largest, kept, level=level, bounds=(0.0, np.inf))
+    return largest_of(squares, kept, level=level).root()
 
 
 def _exhibit(channels: tuple[str, ...], log_albedo: Floats, log_variance: Floats) -> Exhibit:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import xarray as xr
 
 import chdstat as chd
 from chdstat.findings import Evidence
@@ -237,6 +238,25 @@ def kept_assumptions(rng, spp):
 def families(draw: str, *parameters: float) -> World:
     def world(rng, spp):
         return [evidence(image(getattr(rng, draw)(*parameters, size=(6, 6, spp))))]
+
+    return world
+
+
+def family_shares(*shares: float) -> World:
+    """Return an analysis whose best families are drawn with these shares, gamma the first."""
+    names = ("gamma", "lognormal", "weibull", "burr", "pareto")
+    flags = {"flag_values": np.arange(len(names)), "flag_meanings": " ".join(names)}
+
+    def world(rng, spp):
+        best = rng.choice(len(shares), p=shares, size=(24, 24, 1))
+        given = xr.Dataset(
+            {
+                "best_family": (("y", "x", "channel"), best, flags),
+                "gamma_like": (("y", "x"), np.zeros((24, 24), bool)),
+            }
+        )
+        samples = chd.Samples.from_array(np.ones((24, 24, 1, spp)))
+        return [Evidence("simulated", samples, given=given)]
 
     return world
 
