@@ -69,6 +69,19 @@ def test_every_part_of_a_claim_can_be_refuted(number, words, world):
     assert found.verdict == "not supported"
 
 
+def test_equal_chds_whose_bright_samples_are_not_so_rare_are_the_same():
+    """The negative control of pixels that differ by such samples, in one of the refuted worlds."""
+    assert look(8, worlds.fireflies(0.05, 80, edge=24)).verdict == "supported"
+
+
+def test_what_is_too_rare_to_be_seen_again_is_not_claimed_to_be_the_same():
+    x = np.random.default_rng(0).gamma(2, size=worlds.size(SPP))
+    x[::3, ::2, 100] *= 1e5  # 24 pixels have a firefly, once
+    found = BY_NUMBER[8].find(worlds.evidence(worlds.image(x)))
+    assert found.parts[1].statistic.value == pytest.approx(1, abs=0.1)
+    assert found.verdict == "cannot tell"
+
+
 def test_a_dark_surface_has_the_shape_of_the_pale_one_beside_it():
     parts = look(7, worlds.pair(0.5)).parts
     assert [part.verdict for part in parts] == ["supported"] * 4

@@ -128,10 +128,16 @@ def texture(multiplies: bool) -> World:
     return world
 
 
-def fireflies(rng, spp):
-    """Return equal CHDs that have a sample a thousand times as bright now and then."""
-    rare = rng.random(size(spp)) < 1e-3
-    return [evidence(image(rng.gamma(2, size=size(spp)) * np.where(rare, 1000, 1)))]
+def fireflies(
+    rate: float = 1e-3, brightness: float = 1000, share: float = 1, edge: int = EDGE
+) -> World:
+    """Return CHDs of which a share of the pixels has samples that are so much brighter."""
+
+    def world(rng, spp):
+        rare = rng.random(size(spp, edge)) < np.where(rng.random((edge, edge, 1)) < share, rate, 0)
+        return [evidence(image(rng.gamma(2, size=rare.shape) * np.where(rare, brightness, 1)))]
+
+    return world
 
 
 def glints(rng, spp):
@@ -306,7 +312,7 @@ TRUE: dict[int, World] = {
     5: indirect,
     6: penumbra(True),
     7: texture(True),
-    8: fireflies,
+    8: fireflies(),
     9: path_lengths(0.5, 1.0),
     10: neighbours(True),
     11: complexity(1),
@@ -437,6 +443,9 @@ REFUTED: list[tuple[int, str, World]] = [
     (7, "shapes of channels", other_texture(BROWN, 1.5)),
     (7, "slope", texture(False)),
     (7, "dark and pale", pair(1.5)),
+    (8, "distance", glints),
+    (8, "mean radiance", fireflies(0.05, 80, share=0.05, edge=24)),  # the mean is 4.95 times
+    (8, "mean radiance", fireflies(1, 12, share=0.05, edge=24)),
     *((9, part, path_lengths(1.0, 0.5)) for part in ("support", "tail", "skewness", "variance")),
     (10, "neighbours", neighbours(False)),
     (10, "blend", moved_seam),
