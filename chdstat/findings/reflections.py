@@ -77,11 +77,16 @@ def shape_spread(shapes: LogChds, blocks: Blocks, *, level: float) -> Spread:
 
 
 def _variation(x: Floats) -> Floats:
-    """Return deviation over mean of good samples, nulls counted, shape (pixel,)."""
+    """Return deviation over mean of good samples, nulls counted, shape (pixel,).
+
+    NaN where the mean is not positive.
+    """
     good = np.isfinite(x)
     moments = Moments.of(np.where(good, x, 0), good)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.sqrt(moments.variance) / moments.mean)
+        return np.asarray(
+            np.sqrt(moments.variance) / np.where(moments.mean > 0, moments.mean, np.nan)
+        )
 
 
 def _exhibit(shapes: LogChds) -> Exhibit:
