@@ -1,6 +1,5 @@
 """The learned estimator: it learns, repeats, never says NaN, and survives a round trip to disk."""
 
-import json
 import sys
 
 import numpy as np
@@ -11,6 +10,7 @@ from safetensors.numpy import save_file
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, PRESETS, Preset
+from chdstat.estimators._modelfile import write_model
 from chdstat.estimators._network import RECORD_EVERY, evaluate, initial_weights
 from chdstat.estimators.heldout import draw_pixels
 
@@ -199,13 +199,13 @@ def test_foreign_files_are_refused_and_nothing_in_them_runs(tmp_path):
 def test_a_file_with_parts_missing_or_of_the_wrong_shape_is_refused(tmp_path):
     path = tmp_path / "model"
     about = {"preset": {"name": "x", "source": "y", "hidden": [4]}, "train_shape": [2, 2]}
-    save_file({"weight0": np.zeros((32, 4))}, path, metadata={"chdstat": json.dumps(about)})
+    write_model(path, {"weight0": np.zeros((32, 4))}, about)
     with pytest.raises(StoreError, match="whole network"):
         MLP.load(path)
     about |= {"scale": 1.0, "provenance": {}}
     arrays = {f"weight{i}": np.full((4, 4), np.nan, np.float32) for i in range(4)}
     arrays |= {"history": np.zeros((0, 5)), "train_pixels": np.zeros((0, 2), np.int64)}
-    save_file(arrays, path, metadata={"chdstat": json.dumps(about)})
+    write_model(path, arrays, about)
     with pytest.raises(StoreError, match="finite weights"):
         MLP.load(path)
 

@@ -6,12 +6,12 @@ import pickle
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
 from safetensors.numpy import save_file
 
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, Progressive
+from chdstat.estimators._modelfile import read_model, write_model
 
 BALANCES = (0.0, 0.5, 1.0)
 
@@ -272,11 +272,9 @@ def test_foreign_files_and_other_kinds_are_refused(tmp_path):
 
 def rewritten(path, change):
     """Write a model file anew with its arrays and description changed."""
-    with safe_open(path, framework="numpy") as file:
-        arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
-        about = json.loads(file.metadata()["chdstat"])
+    arrays, about = read_model(path)
     change(arrays, about)
-    save_file(arrays, path, metadata={"chdstat": json.dumps(about)})
+    write_model(path, arrays, about)
 
 
 @pytest.mark.parametrize(
