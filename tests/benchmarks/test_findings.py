@@ -1,7 +1,7 @@
 """How often findings are right in worlds whose truth is known: verdicts, a row a world.
 
 Run with ``pytest --benchmark-only -s tests/benchmarks/test_findings.py``. CHDSTAT_WORLDS says how
-many worlds of each kind are drawn, in place of 100 (ties: eight times as many).
+many worlds of each kind are drawn, in place of 50 (ties: eight times as many).
 """
 
 import importlib.util
@@ -15,7 +15,7 @@ import pytest
 
 from chdstat.findings import FINDINGS
 
-WORLDS = int(os.environ.get("CHDSTAT_WORLDS", "100"))
+WORLDS = int(os.environ.get("CHDSTAT_WORLDS", "50"))
 
 
 def _worlds():
@@ -96,3 +96,24 @@ def test_fireflies_and_their_neighbours(name):
     found = verdicts(8, world)
     told(f"8, {name}", found)
     assert found["not supported" if same else "supported"] <= 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
+@pytest.mark.parametrize("spp", [128, 512, 2048])
+@pytest.mark.parametrize("name", worlds.HARD_EDGES)
+def test_hard_edges_are_no_penumbra(name, spp):
+    """One mode in every pixel, however many samples there are: never "supported"."""
+    world = worlds.lit_across(worlds.HARD_EDGES[name])
+    found = verdicts(6, world, count=max(WORLDS // 5, 1), spp=spp)
+    told(f"6, {name}, {spp} spp", found)
+    assert found["supported"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
+def test_two_modes_across_a_penumbra_are_found():
+    """The control: what the claim describes is supported."""
+    found = verdicts(6, worlds.penumbra(True), count=max(WORLDS // 5, 1))
+    told("6, two modes", found)
+    assert found["supported"] >= 0.9

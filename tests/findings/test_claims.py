@@ -75,6 +75,12 @@ def test_equal_chds_whose_bright_samples_are_not_so_rare_are_the_same():
     assert look(8, worlds.fireflies(0.05, 80, edge=24)).verdict == "supported"
 
 
+@pytest.mark.parametrize("name", worlds.HARD_EDGES)
+def test_a_hard_edge_is_no_second_mode_of_a_penumbra(name):
+    found = look(6, worlds.lit_across(worlds.HARD_EDGES[name]))
+    assert found.parts[0].verdict == "not supported", found.parts[0]
+
+
 def test_what_is_too_rare_to_be_seen_again_is_not_claimed_to_be_the_same():
     x = np.random.default_rng(0).gamma(2, size=worlds.size(SPP))
     x[::3, ::2, 100] *= 1e5  # 24 pixels have a firefly, once

@@ -116,6 +116,28 @@ def penumbra(follows: bool) -> World:
     return world
 
 
+def lit_across(draw: Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]) -> World:
+    """Return a penumbra whose brightness varies by 25 across it, of draws of one mode or two."""
+
+    def world(rng, spp):
+        scale = np.linspace(0.2, 5, EDGE)[:, np.newaxis]
+        return [evidence(image(scale * draw(rng, size(spp))), "penumbra")]
+
+    return world
+
+
+HARD_EDGES: dict[str, Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]] = {
+    "1 + exponential": lambda rng, shape: 1 + rng.exponential(size=shape),
+    "1 + Pareto(2)": lambda rng, shape: 1 + rng.pareto(2, shape),
+    "1 + Pareto(3)": lambda rng, shape: 1 + rng.pareto(3, shape),
+    "exp(exponential)": lambda rng, shape: np.exp(rng.exponential(size=shape)),
+    "log-triangular": lambda rng, shape: np.exp(4 * rng.triangular(0, 0.2, 1, shape)),
+    "log-semicircle": lambda rng, shape: np.exp(4 * rng.beta(1.5, 1.5, shape)),
+    "beta(5, 1)": lambda rng, shape: rng.beta(5, 1, shape),
+}
+"""Draws of one mode whose density starts or ends at once."""
+
+
 def texture(multiplies: bool) -> World:
     """Return light times albedo, or with the albedo added to noise that does not know of it."""
 
