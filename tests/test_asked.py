@@ -100,14 +100,17 @@ def test_a_store_of_the_whole_film_takes_no_crop(tmp_path):
 @pytest.mark.parametrize(
     ("film", "message"),
     [
-        ({"width": "x"}, "width of the film .* must be a whole number of pixels from 1, got 'x'"),
-        ({"height": 0}, "height of the film .* from 1, got 0"),
+        (
+            {"width": "x"},
+            "width of the film .* a whole number of pixels from 1 to 1048576, got 'x'",
+        ),
+        ({"height": 0}, "height of the film .* from 1 to 1048576, got 0"),
         ({"width": 7.5}, "width of the film .* got 7.5"),
         (
             {"crop_width": 40, "crop_offset_x": 20},
             "crop of 40 x 32 pixels at .20, 0. must lie within",
         ),
-        ({"crop_offset_y": -1}, "crop_offset_y of the film .* from 0, got -1"),
+        ({"crop_offset_y": -1}, "crop_offset_y of the film .* from 0 to 1048576, got -1"),
     ],
 )
 def test_films_that_are_none(film, message):

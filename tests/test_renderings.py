@@ -85,7 +85,10 @@ def test_a_loop_can_be_left():
         ({"seed": -1}, "seed must be at least 0"),
         ({"size": (0, 8)}, "width must be"),
         ({"spp": 2**40}, "spp must be at most"),
-        ({"size": (10**6, 10**6), "spp": 1}, "spp must be at most|than the memory can hold"),
+        (
+            {"size": (10**6, 10**6), "spp": 1},
+            "1000000 x 1000000 pixels are more than the .* backend has random streams",
+        ),
     ],
 )
 def test_what_is_out_of_range_is_refused_before_any_work(options, message):
@@ -113,8 +116,9 @@ for turn in range(40):
         render_batches("cornell-box", spp=2000, size=(64, 64), backend="scalar", batch=8)
     )
     next(batches)
-    threading.Timer(random.Random(turn).uniform(0, 0.05), interrupt).start()
     try:
+        # On a busy machine the timer ends before its start does.
+        threading.Timer(random.Random(turn).uniform(0, 0.05), interrupt).start()
         for _ in batches:
             pass
     except KeyboardInterrupt:

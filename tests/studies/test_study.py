@@ -12,7 +12,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.atlases import atlas
-from chdstat.errors import InputError, SceneError, StoreError
+from chdstat.errors import InputError, LeftOutWarning, SceneError, StoreError
 from chdstat.findings import FINDINGS, Evidence
 from chdstat.models import train_model
 from chdstat.recipes import PHENOMENA
@@ -174,7 +174,8 @@ HOPELESS = {
 def test_hopeless_samples_give_a_study_that_cannot_tell():
     x = noise("x", (4, 4, 3, 64)).read()
     samples = [chd.Samples.from_array(f(x), scene=name) for name, f in HOPELESS.items()]
-    hopeless = study(samples, folder=None, estimators=("mean",))
+    with pytest.warns(LeftOutWarning, match=r"100\.0 % of the samples are bad"):
+        hopeless = study(samples, folder=None, estimators=("mean",))
     assert hopeless.names == tuple(HOPELESS)
     for scene in hopeless.scenes:
         assert not any(f.verdict == "supported" for f in scene.findings), scene.name

@@ -85,7 +85,7 @@ class Profile:
         direct
             Emission and direct light of each sample, of the same shape: then this part and the
             rest, which is indirect, are counted apart. A sample that is bad in either is left out
-            of both.
+            of both. Direct light may exceed a sample only where either is negative.
 
         Raises
         ------
@@ -192,7 +192,8 @@ def _profile_of_parts(
     apart = np.empty((rows, _PARTS, channels, n), np.result_type(direct, total))
     apart[:, 0] = np.where(bad, np.nan, direct)
     rest = np.where(bad, np.nan, total) - apart[:, 0]
-    above = np.asarray(rest < -_ROUNDING * np.abs(apart[:, 0]))
+    rounded = (rest < 0) & (total >= 0) & (apart[:, 0] >= 0)
+    above = np.asarray(rounded & (rest < -_ROUNDING * apart[:, 0]))
     if above.any():
         row, channel, sample = np.argwhere(above)[0]
         message = (
@@ -201,7 +202,7 @@ def _profile_of_parts(
             "give what was rendered with the same seed"
         )
         raise InputError(message)
-    np.maximum(rest, 0, out=apart[:, 1])
+    apart[:, 1] = np.where(rounded, 0, rest)
     bins, count = _profile(apart.reshape(-1, channels, n), unit)
     return bins.reshape(rows, _PARTS * OCTAVES, -1), count[::_PARTS]
 

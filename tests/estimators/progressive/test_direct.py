@@ -90,7 +90,7 @@ def test_parts_of_many_rows_and_of_none():
     assert Profile.of(x[:0], unit=1.0, direct=direct[:0]).bins.shape == (0, 2 * OCTAVES, 4)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_sample_that_is_bad_in_either_is_left_out_of_both(value):
     x, direct = halves((4, 3, 8))
     expected = Profile.of(x[..., 2:], unit=1.0, direct=direct[..., 2:])
@@ -98,6 +98,16 @@ def test_a_sample_that_is_bad_in_either_is_left_out_of_both(value):
     found = Profile.of(x, unit=1.0, direct=direct)
     assert (found.count == 6).all()
     assert found.bins == pytest.approx(expected.bins, rel=1e-5)
+
+
+def test_negative_samples_are_kept_in_either_part():
+    x, direct = halves((4, 3, 8))
+    x[..., 0, 0], direct[..., 1, 1] = -1, -2
+    found = Profile.of(x, unit=1.0, direct=direct)
+    assert (found.count == 8).all()
+    bins = found.bins.reshape(4, 2, OCTAVES, 4).sum(axis=2)[..., 1:]
+    assert bins[:, 0] == pytest.approx(direct.sum(axis=-1), rel=1e-5)
+    assert bins[:, 1] == pytest.approx((x - direct).sum(axis=-1), rel=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -363,7 +373,6 @@ def test_a_comparison_tells_those_who_look_at_it(quick):
         first.read(), direct=direct_of(first).read()
     )
     assert found.estimates[1] == pytest.approx(expected)
-    assert found.cost["progressive_direct"].time > 0
     assert lookup("progressive_direct").uses_direct
     assert not lookup("progressive").uses_direct
 
