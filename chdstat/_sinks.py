@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._renderer import Job, Renderer
-from chdstat._store import Chunk, Store, chunk_grid
+from chdstat._store import Chunk, Store, check_schema, chunk_grid
 from chdstat._streams import STREAMS
 from chdstat.errors import StoreError
 from chdstat.samples import Samples
@@ -126,6 +126,7 @@ class StoreSink:
                 features=renderer.features() if features else {},
             )
             return cls(store)
+        check_schema(Path(out))
         _check_identity(existing, attrs)
         store = Store.open(Path(out), writable=True)
         if features:
@@ -176,7 +177,10 @@ def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> str:
     """
     parts = []
     if "scene_files" not in held and held.get("scene_hash") != attrs["scene_hash"]:
-        parts.append("rendered by an earlier version, which tells scenes apart by other files; ")
+        parts.append(
+            "rendered by an earlier version, which tells scenes apart by other files: "
+            "'chdstat convert --scene' shows whether they are of this scene; "
+        )
     for key, word in (("scene_files", "files"), ("scene_code", "code of plugins")):
         before, now = held.get(key), attrs[key]
         if before is not None and before != now:

@@ -57,10 +57,20 @@ import zarr.errors
 from zarr.storage import LocalStore, MemoryStore, StorePath
 
 from chdstat._arrays import spans
-from chdstat._core.files import Lock, checksum, replacing, sweep
+from chdstat._core.files import Lock, checksum, replacing, sweep, unused
 from chdstat.errors import StoreError
 
-__all__ = ["BATCH", "BLOCK", "DIRECT", "TILE", "Chunk", "Store", "chunk_grid", "convert"]
+__all__ = [
+    "BATCH",
+    "BLOCK",
+    "DIRECT",
+    "TILE",
+    "Chunk",
+    "Store",
+    "check_schema",
+    "chunk_grid",
+    "convert",
+]
 
 SCHEMA_VERSION = 2
 TILE = 64
@@ -239,7 +249,7 @@ class Store:
             message = f"no store at {path}; render one with: chdstat render SCENE -o {path}"
             raise StoreError(message)
         if writable:
-            _check_converted(path)
+            check_schema(path)
             with _writing(path):
                 lock = Lock(path / _LOCK, path)
                 sweep(path)
@@ -710,20 +720,28 @@ class _FirstStore(Store):
         return iter(())
 
 
-def convert(old: Path, new: Path) -> None:
-    """Write the samples of a store of schema 1 into a new one; see `chdstat.samples.convert`."""
+def convert(old: Path, new: Path, told: Mapping[str, Any]) -> None:
+    """Write the samples of a store of schema 1 into a new one; see `chdstat.capture.convert`.
+
+    `told` is what is known better now of its attributes, and of those of its direct part.
+    """
     store = Store.open(old)
     if not isinstance(store, _FirstStore):
         message = f"{old} is of schema {SCHEMA_VERSION} already: there is nothing to convert"
         raise StoreError(message)
     direct = store.direct()
-    with _converted(store, new) as made:
-        if direct is not None:
-            _converted(direct, new / DIRECT).close()
-            made.update(direct=True)
+    with _writing(new):
+        new.parent.mkdir(parents=True, exist_ok=True)
+        with (
+            replacing(unused(new), folder=True) as partial,
+            _converted(store, partial, told) as made,
+        ):
+            if direct is not None:
+                _converted(direct, partial / DIRECT, told).close()
+                made.update(direct=True)
 
 
-def _converted(old: Store, path: Path) -> Store:
+def _converted(old: Store, path: Path, told: Mapping[str, Any]) -> Store:
     height, width, channels, _ = old.shape
     spp = old.complete_spp()
     if spp == 0:
@@ -735,7 +753,7 @@ def _converted(old: Store, path: Path) -> Store:
         width=width,
         channels=channels,
         spp=spp,
-        attrs={**old.attrs, "spp": spp},
+        attrs={**old.attrs, **told, "spp": spp},
         features=old.read_features(),
     )
     for chunk in new.pending():
@@ -856,11 +874,21 @@ def _attributes_of(path: Path) -> dict[str, Any]:
     raise _incomplete(path, "zarr.json and its copy radiance/zarr.json are damaged or of others")
 
 
-def _check_converted(path: Path) -> None:
-    if _attributes_of(path)["schema_version"] == _FIRST_SCHEMA:
+def check_schema(path: Path) -> None:
+    """Refuse to write to a store of schema 1.
+
+    Raises
+    ------
+    StoreError
+        If it is one; the message says how to convert it.
+    """
+    attributes = _attributes_of(path)
+    if attributes["schema_version"] == _FIRST_SCHEMA:
+        name, source = (attributes.get(key) for key in ("scene", "scene_source"))
+        scene = name if source in (None, "chdstat") else source
         message = (
             f"{path} is of schema {_FIRST_SCHEMA}, which is only read; to append, convert it "
-            f"first: chdstat convert {path} -o NEW"
+            f"first: chdstat convert {path} -o NEW --scene {scene}"
         )
         raise StoreError(message)
 

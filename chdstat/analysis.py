@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import is_bad, whole
-from chdstat._core.files import replacing
+from chdstat._core.files import replacing, unused
 from chdstat._fitted import Fitted
 from chdstat._moments import Moments
 from chdstat._positive import PositivePart
@@ -41,7 +41,7 @@ from chdstat.summary import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["analyze", "save", "unused"]
+__all__ = ["analyze", "save"]
 
 _TRANSFORMS: tuple[Transform, ...] = ("log", "sqrt", "linear")
 _TESTS: tuple[TestName, ...] = tuple(TESTS)
@@ -140,15 +140,6 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
     except OSError as error:
         message = f"cannot write {target}: {error.strerror or error}"
         raise StoreError(message) from error
-    return target
-
-
-def unused(path: str | Path) -> Path:
-    """Return a path to write to, or raise StoreError if something is there already."""
-    target = Path(path)
-    if target.exists():
-        message = f"{target} exists; nothing was overwritten. Give another path or move it away"
-        raise StoreError(message)
     return target
 
 

@@ -18,9 +18,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat import _store
 from chdstat._arrays import whole
 from chdstat._asked import LONGEST
-from chdstat._core.files import free_disk
+from chdstat._core.files import free_disk, unused
 from chdstat._crew import rendered
 from chdstat._renderer import Job, Renderer, film_size, integrator_type
 from chdstat._sinks import MemorySink, Sink, StoreSink, existing_store, provenance
@@ -28,16 +29,18 @@ from chdstat._store import DIRECT
 from chdstat._streams import SEEDS, max_spp
 from chdstat._workers import memory
 from chdstat.backend import Backend, activate, resolve
-from chdstat.errors import InputError, RenderError
+from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.progress import track
 from chdstat.renderings import Rendering
 from chdstat.samples import Samples
+from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
 
 if TYPE_CHECKING:
     from distributed import Client
 
 __all__ = [
+    "convert",
     "job_of",
     "refuse_render",
     "render",
@@ -53,6 +56,11 @@ _MOST_COMPRESSION = 10
 """Stores shrink to between a third and nine tenths; a tenth leaves room for darker scenes."""
 _DIRECT_DEPTH = 2
 """Segments of a path from the camera to a light that shines on what it sees."""
+
+_PROOF = 16
+"""Samples of each pixel by which a store is known to be of a scene."""
+_OF_SCENE = ("scene_hash", "scene_files", "scene_code", "sensor", "crop")
+"""Attributes by which the same scene is known."""
 
 Image = npt.NDArray[np.float32]
 
@@ -256,6 +264,74 @@ def render_pixels(
     with activate(job.verdict):
         renderer = Renderer(job)
         return renderer.pixels(_checked_pixels(pixels, renderer.size), spp)
+
+
+def convert(
+    old: str | Path,
+    new: str | Path,
+    *,
+    scene: str | Path | dict[str, Any] | Scene | None = None,
+    progress: bool | None = None,
+) -> Samples:
+    """Write the samples of a store of an earlier schema into a new one, with its direct part.
+
+    Samples that only some pixels have are left out; a render that resumes draws them again.
+
+    Parameters
+    ----------
+    old
+        The store; it stays as it is.
+    new
+        Where to write; nothing may be there. It is there when it is complete.
+    scene
+        What `old` was rendered of, needed to append to `new` if that was an XML file: earlier
+        versions told scenes apart by other files. The first samples of each pixel, 16 at most, are
+        rendered again, and must be equal to the bit.
+    progress
+        Show a progress bar while they are; None shows it on a terminal.
+
+    Returns
+    -------
+    Samples
+        Those of the new store.
+
+    Raises
+    ------
+    StoreError
+        If `old` is damaged, of the present schema already or of another scene, or `new` is there
+        or cannot be written.
+    SceneError, RenderError
+        If the scene cannot be read, or not be rendered as it was.
+    """
+    target = unused(new)
+    told = {} if scene is None else _proved(open_samples(old), scene, progress)
+    _store.convert(Path(old), target, told)
+    return open_samples(target)
+
+
+def _proved(
+    samples: Samples, scene: str | Path | dict[str, Any] | Scene, progress: bool | None
+) -> dict[str, Any]:
+    """Return what stores keep of a scene that gives these samples again, to the bit."""
+    attrs = samples.attrs
+    again = render(
+        scene,
+        spp=min(samples.spp, _PROOF),
+        size=attrs["size"],
+        seed=attrs.get("seed", 0),
+        max_depth=attrs.get("integrator", {}).get("max_depth"),
+        sensor=attrs.get("sensor", 0),
+        backend=attrs.get("backend", "auto"),
+        progress=progress,
+    )
+    if not np.array_equal(again.read(), samples.read(ss=slice(0, again.spp)), equal_nan=True):
+        message = (
+            f"{samples.path} holds other samples than {again.name!r} gives now; nothing was "
+            "written. Give the scene as it was, or convert without one: what comes of it is read, "
+            "but not appended to"
+        )
+        raise StoreError(message)
+    return {name: again.attrs[name] for name in _OF_SCENE}
 
 
 def scene_size(scene: str | Path | dict[str, Any] | Scene) -> tuple[int, int]:

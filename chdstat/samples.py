@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from chdstat._store import Store
 
-__all__ = ["Samples", "checked", "convert", "inspect", "open"]
+__all__ = ["Samples", "checked", "inspect", "open"]
 
 _MAP_BYTES = 16 * 2**20
 """Size of the block that `Samples.map` hands out at most, unless 16 x 16 pixels are larger."""
@@ -435,25 +435,3 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     if verify or damaged:
         found["damaged"] = [str(file) for file in damaged]
     return found
-
-
-def convert(old: str | Path, new: str | Path) -> None:
-    """Write the samples of a store of an earlier schema into a new one, with its direct part.
-
-    Samples that only some pixels have are left out; a render that resumes draws them again.
-
-    Parameters
-    ----------
-    old
-        The store; it stays as it is.
-    new
-        Where to write; nothing may be there.
-
-    Raises
-    ------
-    StoreError
-        If `old` is damaged or of the present schema already, or `new` cannot be written.
-    """
-    from chdstat import _store
-
-    _store.convert(Path(old), Path(new))

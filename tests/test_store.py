@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import itertools
 import json
 import os
+import shutil
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +18,17 @@ import chdstat as chd
 from chdstat import _store
 from chdstat._core.files import Lock
 from chdstat._store import BATCH, SCHEMA_VERSION, TILE, Store, chunk_grid
+from chdstat.capture import convert
 from chdstat.cli import main
 from chdstat.errors import StoreError
-from chdstat.samples import convert, inspect
+from chdstat.samples import inspect
 
 ALL = slice(None)
+BALL = [
+    "70189d9781890fa471d07c01cfffc8d787c87a346739411b22fe76b72a799387",
+    "fd4c260a7f60afb70852a108f036197104f5a6825053ce9be82beb6e59a10ee8",
+]
+"""SHA-256 of all samples, and of their direct part, as read by the version that rendered them."""
 
 
 def radiance(height: int, width: int, spp: int, *, channels: int = 3) -> np.ndarray:
@@ -520,6 +529,15 @@ def run(monkeypatch):
 
 
 @pytest.fixture
+def ball(tmp_path, monkeypatch):
+    """Return the folder of a store that chdstat rendered at commit 078eeb6, and of its scene."""
+    archive = Path(__file__).parent / "reference/store_of_schema_1.zip"
+    shutil.unpack_archive(archive, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def old(tmp_path):
     x, features = radiance(5, 70, 130), {"depth": np.ones((5, 70), np.float32)}
     return first_schema(tmp_path / "old.zarr", x, features), x
@@ -556,6 +574,56 @@ def test_the_first_schema_is_converted_and_then_grows(old, tmp_path, run, capsys
         convert(new, tmp_path / "newer.zarr")
     with pytest.raises(StoreError, match="nothing was overwritten"):
         convert(path, new)
+
+
+def test_a_store_that_was_really_of_the_first_schema_is_read(ball):
+    samples = chd.open("ball.zarr")
+    told = [hashlib.sha256(part.read().tobytes()).hexdigest() for part in (samples, samples.direct)]
+    assert told == BALL
+    assert samples.features["position"].mean() == pytest.approx(1.47096, abs=1e-4)
+    assert inspect("ball.zarr", verify=True)["damaged"] == []
+    found = chd.analyze(samples, progress=False)
+    assert np.allclose(found["mean"], samples.read().mean(axis=-1), rtol=1e-6)
+    estimate = chd.estimate(samples, iterations=2, progress=False)
+    assert np.isfinite(estimate.radiance).all()
+
+
+def test_a_store_that_was_really_of_the_first_schema_is_converted_and_appended_to(ball, run):
+    before = contents(ball)
+    more = {"spp": 130, "progress": False}
+    with pytest.raises(StoreError, match="chdstat convert ball.zarr -o NEW --scene ball.xml"):
+        chd.render("ball.xml", out="ball.zarr", **more)
+    run("convert", "ball.zarr", "-o", "new.zarr", "--scene", "ball.xml", "-q")
+    if chd.open("new.zarr").attrs["mitsuba_version"] == version("mitsuba"):
+        found = chd.render("ball.xml", out="new.zarr", **more)
+        fresh = chd.render("ball.xml", direct=True, backend="scalar", **more)
+        for one, other in ((found, fresh), (found.direct, fresh.direct)):
+            assert np.array_equal(one.read(), other.read())
+    assert inspect("new.zarr", verify=True)["damaged"] == []
+    assert {name: content for name, content in contents(ball).items() if name in before} == before
+
+
+def test_a_store_is_not_converted_as_of_another_scene(ball):
+    Path("ball.xml").write_text(Path("ball.xml").read_text().replace("0.8", "0.7"))
+    with pytest.raises(StoreError, match="holds other samples than 'ball' gives now"):
+        convert("ball.zarr", "new.zarr", scene="ball.xml", progress=False)
+    convert("ball.zarr", "new.zarr")
+    with pytest.raises(StoreError, match="'chdstat convert --scene' shows"):
+        chd.render("ball.xml", out="new.zarr", spp=130, progress=False)
+
+
+def test_a_conversion_that_stops_leaves_nothing(ball, monkeypatch):
+    before = contents(ball)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "update", full)  # the last but one chunk is there
+        with pytest.raises(StoreError, match="No space left"):
+            convert("ball.zarr", "new.zarr")
+    assert contents(ball) == before
+    convert("ball.zarr", "new.zarr")
 
 
 @pytest.mark.parametrize(

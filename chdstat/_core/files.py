@@ -43,6 +43,7 @@ __all__ = [
     "replacing",
     "scratch",
     "sweep",
+    "unused",
     "write_record",
 ]
 
@@ -96,6 +97,15 @@ def checked_target(path: str | Path, suffix: str) -> Path:
     if target.is_dir() or not os.access(target.parent, os.W_OK):
         message = f"{str(target)!r} cannot be written; give another path"
         raise InputError(message)
+    return target
+
+
+def unused(path: str | Path) -> Path:
+    """Return a path to write to, or raise StoreError if something is there already."""
+    target = Path(path)
+    if target.exists():
+        message = f"{target} exists; nothing was overwritten. Give another path or move it away"
+        raise StoreError(message)
     return target
 
 

@@ -98,18 +98,27 @@ def info(
         raise ChdstatError(message)
 
 
-@app.command(epilog="Example: chdstat convert old.zarr -o new.zarr")
+@app.command(epilog="Example: chdstat convert old.zarr -o new.zarr --scene bathroom")
 def convert(
     store: StorePath,
     out: Annotated[Path, typer.Option("--out", "-o", help="New store to write.")],
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            "--scene",
+            help="What it was rendered of, needed to append if that was an XML file: some samples "
+            "of it are rendered again, and must be the same.",
+        ),
+    ] = None,
+    define: Defines = None,
+    quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
     """Write the samples of a store of an earlier schema into a new one, which can be appended to.
 
     The old store stays as it is.
     """
-    import chdstat
-    from chdstat.samples import convert as converted
+    from chdstat.capture import convert as converted
 
-    converted(store, out)
-    say_samples(chdstat.open(out), as_json)
+    of = None if scene is None else scene_of(scene, define)
+    say_samples(converted(store, out, scene=of, progress=progress_of(quiet)), as_json)

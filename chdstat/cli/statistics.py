@@ -40,7 +40,8 @@ def analyze(
 ) -> None:
     """Say what the sample distributions of a store are: nulls, families, tails, modes, averages."""
     import chdstat
-    from chdstat.analysis import save, unused
+    from chdstat._core.files import unused
+    from chdstat.analysis import save
     from chdstat.overviews import overview
 
     if out is not None:
