@@ -148,10 +148,10 @@ def mean_radiance(samples: npt.ArrayLike | _Image) -> float:
     --------
     >>> image = np.full((32, 32, 1, 8), 0.5)
     >>> image[3, 4] = 1000  # a lamp
-    >>> round(mean_radiance(image), 3), round(image.mean(), 3)
+    >>> round(mean_radiance(image), 3), round(float(image.mean()), 3)
     (1.476, 1.476)
     >>> image[20, 9, 0, 5] = 1e6  # a firefly
-    >>> round(mean_radiance(image), 3), round(image.mean(), 3)
+    >>> round(mean_radiance(image), 3), round(float(image.mean()), 3)
     (1.538, 123.546)
     """
     if isinstance(samples, _Image):

@@ -119,7 +119,9 @@ class PositivePart:
         null = zero if null is None else _mask(null, x.shape) & good
         positive = (x > 0) & good & ~null
         n, n_null, n_bad = (_count(mask) for mask in (positive, null, bad))
-        n_negative = _count((x < 0) & good & ~null) if not (x.size == 0 or x.min() >= 0) else 0 * n
+        # Most samples have none, and a mask more costs time; NaN is not at least 0.
+        some = x.size > 0 and not x.min() >= 0
+        n_negative = _count((x < 0) & good & ~null) if some else np.zeros_like(n)
         n_zero = np.asarray(x.shape[-1] - n - n_null - n_negative - n_bad, dtype=np.int64)
         return cls(x, positive, n, n_null, n_zero, n_negative, n_bad)
 
