@@ -19,6 +19,7 @@ from chdstat.errors import InputError, LeftOutWarning
 __all__ = [
     "LUMINANCE",
     "all_good",
+    "as_pixels",
     "as_samples",
     "block_numbers",
     "generator",
@@ -132,6 +133,31 @@ def as_samples(
     return array if array.dtype in (np.float32, np.float64) else array.astype(np.float64)
 
 
+def as_pixels(
+    x: npt.ArrayLike, *, minimum: int = 1, name: str = "x", image: bool = False
+) -> npt.NDArray[np.floating[Any]]:
+    """Return samples (..., channel, sample) as `as_samples` does.
+
+    An `xarray.DataArray` whose dims have names, and none is "channel", gains one channel.
+
+    Raises
+    ------
+    InputError
+        If `x` has no axis of channels, is none of shape (y, x, channel, sample) where an `image`
+        is needed, or is refused by `as_samples`.
+    """
+    array = as_samples(x, minimum=minimum, name=name)
+    if hasattr(x, "dims") and "channel" not in x.dims:
+        array = array[..., np.newaxis, :]
+    if image and array.ndim != 4:
+        message = f"{name} must be an image of shape (y, x, channel, sample), got {array.shape}"
+        raise InputError(message)
+    if array.ndim < 2:
+        message = f"{name} must have shape (..., channel, sample), got {array.shape}"
+        raise InputError(message)
+    return array
+
+
 def is_bad(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
     """Mark samples that are no number: NaN or infinite.
 
@@ -210,7 +236,10 @@ def luminance(
     if channels == 1:
         return np.asarray(x.take(0, axis=channel_axis))
     if channels != 3:
-        message = f"luminance needs 1 or 3 channels, got {channels} in shape {x.shape}"
+        message = (
+            f"luminance needs 1 or 3 channels, got {channels} in shape {x.shape}; samples lie on "
+            "the last axis, channels before them"
+        )
         raise InputError(message)
     return np.asarray(np.moveaxis(x, channel_axis, -1) @ LUMINANCE.astype(x.dtype))
 

@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad, spans
+from chdstat._arrays import as_pixels, is_bad, spans
 from chdstat.errors import InputError
 
 __all__ = [
@@ -159,10 +159,7 @@ def mean_radiance(samples: npt.ArrayLike | _Image) -> float:
         for ys, xs, _, block in samples.blocks():
             sums.add(block, (ys, xs))
         return sums.mean()
-    x = as_samples(samples)
-    if x.ndim < 2:
-        message = f"samples must have shape (..., channel, sample), got {x.shape}"
-        raise InputError(message)
+    x = as_pixels(samples, name="samples")
     flat = x.reshape(-1, *x.shape[-2:])
     sums = RadianceSums(flat.shape[:1])
     sums.add(flat)

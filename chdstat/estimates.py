@@ -322,7 +322,7 @@ def _checked_model(
         message = f"spp of a rendering is set where it is made: {rendering.spp}, got {spp} here"
         raise InputError(message)
     if denoise:
-        check_denoiser(Samples.from_array(np.zeros((1, 1, channels, 1))))
+        check_denoiser(Samples.from_array(np.zeros((1, 1, channels, 1)), axes="yxcs"))
     if model is None:
         return None
     if not isinstance(model, Progressive) or model.inputs.neighbours or model.inputs.direct:

@@ -31,6 +31,8 @@ __all__ = ["Samples", "checked", "inspect", "open"]
 _MAP_BYTES = 16 * 2**20
 """Size of the block that `Samples.map` hands out at most, unless 16 x 16 pixels are larger."""
 _MEMORY_TILE, _MEMORY_BATCH = 64, 64
+_MOST_CHANNELS = 4
+"""More than these are probably samples, unless the caller says that they are channels."""
 
 Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
 
@@ -77,30 +79,53 @@ class Samples:
         *,
         features: Mapping[str, npt.NDArray[np.float32]] | None = None,
         direct: npt.ArrayLike | None = None,
+        axes: str | None = None,
         **attrs: Any,
     ) -> Samples:
         """Hold samples that are already in memory.
 
+        They are kept in single precision, float32 arrays without a copy. Masked samples become NaN.
+
         Parameters
         ----------
         array
-            Linear radiance, shape (y, x, channel, sample); (y, x, sample) gains one channel.
+            Linear radiance, shape (y, x, channel, sample) or (y, x, sample), which gains one
+            channel. The dims of an `xarray.DataArray` may be in any order: their names decide.
         features
             First-hit features by name, each (y, x) or (y, x, component).
         direct
             Emission and direct light of each sample, of the same shape as the samples.
+        axes
+            Order of the axes of `array` and `direct`: the letters y, x, c (channel) and s (sample),
+            such as "yxsc"; None for "yxcs" or "yxs", where that is plausible.
         **attrs
             Provenance, such as ``scene="name"``.
 
         Raises
         ------
         InputError
-            If the shape is not one of these, or an axis is empty.
+            If the shape is not one of these, or an axis is empty. Without `axes` and names: if
+            there would be more than 4 channels, or fewer samples than channels, of which the axes
+            are probably in another order. If an array holds unsigned integers, as encoded images
+            do, or a sample that is 0 or infinite in single precision only.
+
+        Examples
+        --------
+        >>> radiance = np.ones((4, 6, 32, 3))  # samples before channels
+        >>> Samples.from_array(radiance, axes="yxsc")
+        <Samples 'samples' 6 x 4 pixels, 3 channels, 32 spp, in memory>
         """
-        data = _picture(array, "samples")
+        data = _picture(array, "samples", axes)
+        for name, image in (features or {}).items():
+            if np.ndim(image) not in (2, 3) or np.shape(image)[:2] != data.shape[:2]:
+                message = (
+                    f"feature {name} must have shape {data.shape[:2]} or (*{data.shape[:2]}, "
+                    f"component), as the samples, got {np.shape(image)}"
+                )
+                raise InputError(message)
         part = None
         if direct is not None:
-            part = cls(array=_picture(direct, "direct"), attrs=attrs)
+            part = cls(array=_picture(direct, "direct", axes), attrs=attrs)
             if part.shape != data.shape:
                 message = (
                     f"direct must have the shape of the samples, {data.shape}, got {part.shape}"
@@ -344,8 +369,11 @@ def checked(samples: object) -> Samples:
         If it is something else.
     """
     if not isinstance(samples, Samples):
-        advice = "; chdstat.open opens a store" if isinstance(samples, str | Path) else ""
-        got = repr(samples) if advice else type(samples).__name__
+        path = isinstance(samples, str | Path)
+        advice = "; chdstat.open opens a store" if path else ""
+        if isinstance(samples, np.ndarray) or hasattr(samples, "dims"):
+            advice = "; Samples.from_array makes them of an array"
+        got = repr(samples) if path else type(samples).__name__
         message = f"expected Samples, got {got}{advice}"
         raise InputError(message)
     return samples
@@ -381,15 +409,80 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
     return Samples(store=store, attrs=store.attrs, direct=_direct_of(store, spp), spp=spp)
 
 
-def _picture(array: npt.ArrayLike, name: str) -> npt.NDArray[np.float32]:
+def _picture(array: npt.ArrayLike, name: str, axes: str | None) -> npt.NDArray[np.float32]:
     """Return samples (y, x, channel, sample) in single precision."""
-    data = as_samples(array, name=name)
-    if data.ndim == 3:
-        data = data[:, :, np.newaxis, :]
-    if data.ndim != 4 or 0 in data.shape:
+    named = hasattr(array, "dims")
+    data = as_samples(array, minimum=1 if axes is None else 0, name=name)
+    if axes is not None:
+        if named:
+            message = f"the dims of {name} have names, which decide: leave axes={axes!r} out"
+            raise InputError(message)
+        data = _ordered(data, name, axes)
+    if named and ("channel" in array.dims) != (data.ndim == 4):  # type: ignore[union-attr]
+        message = f"{name} must have the dims y, x, sample and perhaps channel, got {array.dims}"  # type: ignore[union-attr]
+        raise InputError(message)
+    if data.ndim not in (3, 4) or 0 in data.shape:
         message = f"{name} must have shape (y, x, channel, sample), got {data.shape}"
         raise InputError(message)
-    return data.astype(np.float32, copy=False)
+    if axes is None and not named:
+        _check_plausible(name, data.shape)
+    if data.ndim == 3:
+        data = data[:, :, np.newaxis, :]
+    return _single(data, name)
+
+
+def _ordered(data: npt.NDArray[Any], name: str, axes: str) -> npt.NDArray[Any]:
+    """Return an array whose axes are named by letters as (y, x, channel, sample)."""
+    letters = "yxcs" if data.ndim == 4 else "yxs"
+    if not isinstance(axes, str) or sorted(axes) != sorted(letters) or data.ndim not in (3, 4):
+        message = (
+            "axes must name each axis of the samples once, by the letters y, x, s (sample) and, of "
+            f"four axes, c (channel), such as 'yxsc'; got {axes!r} for {name} of shape {data.shape}"
+        )
+        raise InputError(message)
+    return np.ascontiguousarray(data.transpose([axes.index(letter) for letter in letters]))
+
+
+def _check_plausible(name: str, shape: tuple[int, ...]) -> None:
+    """Refuse samples whose axes are probably in another order than (y, x, channel, sample)."""
+    *_, channels, spp = shape
+    if len(shape) == 3 and spp > _MOST_CHANNELS:
+        return
+    if len(shape) == 3:
+        message = (
+            f"{name} of shape {shape} would be {spp} samples of one channel in each pixel; it "
+            "looks like an image, of means of samples. If it holds samples, give axes='yxs'"
+        )
+        raise InputError(message)
+    if channels <= _MOST_CHANNELS and spp >= channels:
+        return
+    short = next((i for i in (3, 0, 1) if shape[i] <= _MOST_CHANNELS), None)
+    likely = {
+        3: "axes='yxsc' if it is (y, x, sample, channel), 'syxc' if (sample, y, x, channel)",
+        0: "axes='cyxs' if it is (channel, y, x, sample)",
+        1: "axes='scyx' if it is (sample, channel, y, x)",
+        None: "axes, such as 'yxsc' if it is (y, x, sample, channel)",
+    }[short]
+    message = (
+        f"{name} of shape {shape} would have {channels} channels of {spp} samples; say what the "
+        f"axes are: {likely}, or 'yxcs' if this is right"
+    )
+    raise InputError(message)
+
+
+def _single(data: npt.NDArray[np.floating[Any]], name: str) -> npt.NDArray[np.float32]:
+    """Return samples in single precision, unless that makes nulls or infinite ones of them."""
+    with np.errstate(over="ignore", under="ignore"):
+        single = data.astype(np.float32, copy=False)
+    changed = ((single == 0) != (data == 0)) | (np.isinf(single) != np.isinf(data))
+    if changed.any():
+        message = (
+            f"{name} holds {data[changed][0]:.6g}, but samples are kept in single precision, from "
+            "1.5e-45 to 3.4e38: scale the radiance, such as by 1e30, or give 0 for what is too "
+            "small to matter"
+        )
+        raise InputError(message)
+    return single
 
 
 def _direct_of(store: Store, spp: int) -> Samples | None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, warn_of_bad
+from chdstat._arrays import as_pixels, warn_of_bad
 from chdstat._batches import Batches
 from chdstat._binning import SCALES, Counts, Floats, GivenSupport, Mask, sample_masks, tile_support
 from chdstat._moments import Moments
@@ -165,7 +165,7 @@ class Summary:
         InputError
             If the block has no channel axis, or another shape before its samples than the first.
         """
-        x = as_samples(block, name="block")
+        x = as_pixels(block, name="block")
         self._check(x)
         null, bad = sample_masks(x)
         good = None if bad is None else ~bad
@@ -245,8 +245,8 @@ class Summary:
         )
 
     def _check(self, x: npt.NDArray[Any]) -> None:
-        if x.ndim < 2 or x.shape[-2] == 0:
-            message = f"a block must have shape (..., channel, sample), got {x.shape}"
+        if x.shape[-2] == 0:
+            message = f"block must have a channel, shape (..., channel, sample), got {x.shape}"
             raise InputError(message)
         if self.shape not in (None, x.shape[:-1]):
             message = (

@@ -223,6 +223,6 @@ def test_image_equals_its_pixels(radiance, scale):
 
 
 def test_an_image_knows_its_own_nulls():
-    samples = Samples.from_array(np.ones((1, 1, 3, 2)))
+    samples = Samples.from_array(np.ones((1, 1, 3, 4)))
     with pytest.raises(InputError, match="for arrays"):
-        histogram(samples, null=np.zeros(2, dtype=bool))
+        histogram(samples, null=np.zeros(4, dtype=bool))

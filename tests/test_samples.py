@@ -231,5 +231,5 @@ def test_what_is_no_pixel_is_refused_with_advice(index):
 def test_what_is_no_samples_is_refused_with_advice(ask):
     with pytest.raises(InputError, match=r"expected Samples, got 'a.zarr'; chdstat.open opens"):
         ask("a.zarr")
-    with pytest.raises(InputError, match="expected Samples, got ndarray"):
+    with pytest.raises(InputError, match="got ndarray; Samples.from_array makes them of an array"):
         ask(np.ones((2, 2, 3, 64)))

@@ -334,7 +334,7 @@ def test_memory_does_not_grow_with_spp():
             lambda: Summary().merge(Summary(batch_size=9).update(np.ones((3, 4)))),
             "same batch_size",
         ),
-        (lambda: summarize(Samples.from_array(np.ones((1, 1, 4))), max_batches=1), "max_batches"),
+        (lambda: summarize(Samples.from_array(np.ones((1, 1, 8))), max_batches=1), "max_batches"),
     ],
 )
 def test_wrong_use_is_refused(action, message):

@@ -20,7 +20,6 @@ from chdstat.errors import InputError
 __all__ = [
     "Floats",
     "Kernel",
-    "check_pixels",
     "check_share",
     "estimate_rows",
     "median_of_sorted",
@@ -82,22 +81,6 @@ def median_of_sorted(rows: Floats) -> Floats:
     """Return the medians of ascending rows."""
     m = rows.shape[-1]
     return np.asarray(0.5 * (rows[:, (m - 1) // 2] + rows[:, m // 2]))
-
-
-def check_pixels(x: npt.NDArray[np.floating[Any]], *, picture: bool = False) -> None:
-    """Refuse samples without a channel axis, or without those of a picture.
-
-    Raises
-    ------
-    InputError
-        If `x` is not (..., channel, sample), or (y, x, channel, sample) where a picture is needed.
-    """
-    if picture and x.ndim != 4:
-        message = f"neighbours need a picture of shape (y, x, channel, sample), got {x.shape}"
-        raise InputError(message)
-    if x.ndim < 2:
-        message = f"all channels are needed, shape (..., channel, sample), got {x.shape}"
-        raise InputError(message)
 
 
 def check_share(share: float) -> None:

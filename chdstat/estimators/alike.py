@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._arrays import as_pixels
 from chdstat.errors import InputError
 from chdstat.estimators._likeness import (
     Means,
@@ -26,7 +26,7 @@ from chdstat.estimators._likeness import (
     significance,
     without_largest,
 )
-from chdstat.estimators._rows import Floats, check_pixels
+from chdstat.estimators._rows import Floats
 from chdstat.estimators._windows import (
     check_window,
     patch_mean,
@@ -131,8 +131,7 @@ def shared_patches(
     if fireflies not in ("limit", "keep"):
         message = f"fireflies must be 'limit' or 'keep', got {fireflies!r}"
         raise InputError(message)
-    samples = as_samples(x, minimum=2)
-    check_pixels(samples, picture=True)
+    samples = as_pixels(x, minimum=2, image=True)
     picture = Picture.of(samples)
     own = picture.mean() if fireflies == "keep" else _limited(picture, _LIMIT, _ALPHA, _AROUND)
     window = _Patches(threshold, radius, patch, _members(picture))
@@ -205,8 +204,7 @@ def shared_shape(
     [108.0, 338.0, 205.0]
     """
     check_window(radius, alpha=alpha, above_zero={"limit": limit})
-    samples = as_samples(x, minimum=2)
-    check_pixels(samples, picture=True)
+    samples = as_pixels(x, minimum=2, image=True)
     picture = Picture.of(samples)
     found = _limited(picture, limit, alpha, radius)
     return with_own(found * picture.unit, samples, picture.count)

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import all_good, as_samples, is_bad, luminance, spans
+from chdstat._arrays import all_good, as_pixels, is_bad, luminance, spans
 from chdstat._image_scales import exposure_unit
 from chdstat.errors import InputError
-from chdstat.estimators._rows import Floats, check_pixels
+from chdstat.estimators._rows import Floats
 from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.registry import register
 
@@ -152,8 +152,7 @@ class Cascade:
     @classmethod
     def of(cls, x: npt.ArrayLike, *, unit: float | None = None) -> Cascade:
         """Split samples (..., channel, sample); see `zirr2018` for what they may be."""
-        samples = as_samples(x)
-        check_pixels(samples)
+        samples = as_pixels(x)
         _check_channels(samples.shape)
         channels, n = samples.shape[-2:]
         rows = samples.reshape(-1, channels, n)
@@ -268,8 +267,7 @@ def layer_weights(brightness: npt.ArrayLike) -> Floats:
 def _estimate(
     x: npt.ArrayLike, kappa: float, unit: float | None, *, radius: int
 ) -> npt.NDArray[np.floating[Any]]:
-    samples = as_samples(x)
-    check_pixels(samples, picture=radius > 0)
+    samples = as_pixels(x, image=radius > 0)
     cascade = Cascade.of(samples, unit=unit)
     found = cascade.resolve(kappa, radius=radius)
     empty = cascade.count == 0

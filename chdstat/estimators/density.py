@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad, spans
+from chdstat._arrays import as_pixels, is_bad, spans
 from chdstat._image_scales import exposure_unit
 from chdstat.errors import InputError
-from chdstat.estimators._rows import Floats, check_pixels
+from chdstat.estimators._rows import Floats
 from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.registry import register
 
@@ -99,8 +99,7 @@ def decoro2010(
             f"got {neighbours}, {bandwidth} and {radius}"
         )
         raise InputError(message)
-    samples = as_samples(x)
-    check_pixels(samples, picture=True)
+    samples = as_pixels(x, image=True)
     bad = np.asarray(is_bad(samples).any(axis=-2))
     kept = dense(samples, bad, neighbours, bandwidth, radius, unit) & ~bad
     alone = ~kept.any(axis=-1)

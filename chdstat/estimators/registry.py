@@ -18,7 +18,7 @@ from typing import Any, Literal, Protocol, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._arrays import as_pixels, as_samples
 from chdstat.errors import InputError
 
 __all__ = [
@@ -100,7 +100,9 @@ class Estimator:
         InputError
             If there are too few samples, or `x` lacks the axes that the estimator looks at.
         """
-        return self.function(as_samples(x, minimum=self.minimum_samples), **options)
+        needs_channels = self.joint_channels or self.uses_neighbours
+        convert = as_pixels if needs_channels else as_samples
+        return self.function(convert(x, minimum=self.minimum_samples), **options)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._arrays import as_pixels
 from chdstat._image_scales import exposure_unit
 from chdstat.estimators._likeness import (
     Picture,
@@ -22,7 +22,7 @@ from chdstat.estimators._likeness import (
     root,
     significance,
 )
-from chdstat.estimators._rows import Floats, check_pixels
+from chdstat.estimators._rows import Floats
 from chdstat.estimators._windows import (
     check_window,
     patch_sum,
@@ -101,8 +101,7 @@ def delbracio2014(
     True
     """
     check_window(radius, patch=patch, above_zero={"threshold": threshold})
-    samples = as_samples(x)
-    check_pixels(samples, picture=True)
+    samples = as_pixels(x, image=True)
     picture = Picture.of(samples)
     mean = picture.mean()
     found = exposure_unit(mean.mean(axis=-1) * picture.unit, unit)
@@ -181,8 +180,7 @@ def sakai2024(
     [1.0, 1.0, 95.0, 95.0]
     """
     check_window(radius, alpha=alpha)
-    samples = as_samples(x, minimum=2)
-    check_pixels(samples, picture=True)
+    samples = as_pixels(x, minimum=2, image=True)
     picture = Picture.of(samples)
     # 2 (sqrt(x) - 1) gives the same test as sqrt(x).
     fields = significance(corrected_means(picture, root), picture.count, alpha)

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import all_good, as_samples, is_bad
+from chdstat._arrays import all_good, as_pixels, as_samples, is_bad
 from chdstat.errors import InputError
-from chdstat.estimators._rows import Floats, check_pixels, estimate_rows
+from chdstat.estimators._rows import Floats, estimate_rows
 from chdstat.estimators.classical import mean_of_good
 from chdstat.estimators.registry import register
 from chdstat.estimators.robust import gmon_adaptive
@@ -185,8 +185,7 @@ def gmon_shrinkage(x: npt.ArrayLike, *, buckets: int = 11) -> npt.NDArray[np.flo
 
 def whole_samples(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     """Spoil all channels of a sample of which one is bad, unless that leaves a pixel with none."""
-    samples = as_samples(x)
-    check_pixels(samples)
+    samples = as_pixels(x)
     if all_good(samples):
         return samples
     bad = is_bad(samples).any(axis=-2, keepdims=True)

@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._arrays import as_pixels
 from chdstat._multiplicity import q_values
 from chdstat._positive import Floats, Mask, PositivePart
 from chdstat._reasons import Reason, flag_attributes
-from chdstat.errors import InputError
 from chdstat.fit.selection import SELECTED, Selection
 from chdstat.fit.tail import Tail
 from chdstat.modes import Modality
@@ -196,11 +195,7 @@ def luminance_part(x: npt.ArrayLike) -> PositivePart:
     InputError
         If there are neither 1 nor 3 channels.
     """
-    array = as_samples(x)
-    if array.ndim < 2:
-        message = f"x must have shape (..., channel, sample), got {array.shape}"
-        raise InputError(message)
-    return PositivePart.of_pixels(array, rows="luminance")
+    return PositivePart.of_pixels(as_pixels(x), rows="luminance")
 
 
 def patterns_of_part(

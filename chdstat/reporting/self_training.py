@@ -79,7 +79,7 @@ class SelfTraining:
         few = samples.read(ss=slice(0, _SPP))
         model = Progressive(inputs=["features", "neighbours"] if features else ["neighbours"])
         model.train(
-            Samples.from_array(few, features=features),
+            Samples.from_array(few, features=features, axes="yxcs"),
             reference=False,
             iterations=iterations,
             progress=progress,

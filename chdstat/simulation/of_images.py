@@ -129,7 +129,7 @@ def simulate(
         color = np.array(chd.color) / (LUMINANCE @ np.array(chd.color))
         image[here] = radiance[:, np.newaxis] * color[:, np.newaxis]
     described = json.dumps([asdict(chd) for chd in chosen])
-    return Samples.from_array(image, scene="simulated", simulated_chds=described)
+    return Samples.from_array(image, axes="yxcs", scene="simulated", simulated_chds=described)
 
 
 def truth_of(samples: Samples) -> xr.Dataset:

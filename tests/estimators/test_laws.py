@@ -139,7 +139,8 @@ def test_too_few_samples_are_refused_with_expected_and_received(name):
 
 @pytest.mark.parametrize("name", [n for n in NAMES if ENTRIES[n].joint_channels])
 def test_estimators_of_colours_refuse_samples_without_channels(name):
-    message = "picture" if ENTRIES[name].uses_neighbours else "all channels"
+    shape = r"\(.*channel, sample\), got \(32,\)"
+    message = rf"x must (have shape|be an image of shape) {shape}"
     with pytest.raises(InputError, match=message):
         ENTRIES[name](np.ones(32))
 

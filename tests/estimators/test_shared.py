@@ -321,5 +321,5 @@ def test_options_out_of_range_are_refused(function, options):
 
 @pytest.mark.parametrize("function", ALL)
 def test_samples_that_are_no_picture_are_refused(function):
-    with pytest.raises(InputError, match="picture"):
+    with pytest.raises(InputError, match=r"must be an image of shape \(y, x, channel, sample\)"):
         function(np.ones((3, 16)))

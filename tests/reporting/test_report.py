@@ -60,7 +60,7 @@ def test_a_report_has_all_its_parts(radiance, tmp_path):
     ],
 )
 def test_hopeless_samples_give_a_report_that_says_so(radiance, tmp_path, name, change, said):
-    samples = chd.Samples.from_array(change(radiance), scene=name)
+    samples = chd.Samples.from_array(change(radiance), axes="yxcs", scene=name)
     path = tmp_path / "hopeless.pdf"
     warned = pytest.warns(LeftOutWarning, match=r"100\.0 % of the samples are bad")
     with warned if name == "all bad" else contextlib.nullcontext():

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
-from chdstat.estimators._rows import check_pixels
+from chdstat._arrays import as_pixels
 from chdstat.estimators.progressive.first_hit import Features
 from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.registry import LearnedEstimator, register, register_learned
@@ -107,9 +106,8 @@ def self_trained(
     >>> self_trained(picture, iterations=5).shape
     (16, 16, 3)
     """
-    samples = as_samples(x, minimum=2)
-    check_pixels(samples, picture=True)
-    picture = Samples.from_array(samples, features=features)
+    samples = as_pixels(x, minimum=2, image=True)
+    picture = Samples.from_array(samples, features=features, axes="yxcs")
     model = Progressive(inputs=["features", "neighbours"] if features else ["neighbours"])
     model.train(picture, seed=seed, iterations=iterations, progress=progress)
     return model.predict(picture.read(), features=features)

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from chdstat._arrays import LUMINANCE, as_samples, is_bad, spans
+from chdstat._arrays import LUMINANCE, as_pixels, as_samples, is_bad, spans
 from chdstat._workers import in_order
 from chdstat.errors import InputError
 
@@ -150,10 +150,7 @@ class Profile:
 
 
 def _checked(x: npt.ArrayLike, unit: float) -> Floats:
-    samples = as_samples(x)
-    if samples.ndim < 2:
-        message = f"x must have shape (..., channel, sample), got {samples.shape}"
-        raise InputError(message)
+    samples = as_pixels(x)
     if not _SMALLEST <= unit <= _LARGEST:
         message = f"unit must be a positive radiance, {_SMALLEST:.1g} to {_LARGEST:.1g}, got {unit}"
         raise InputError(message)

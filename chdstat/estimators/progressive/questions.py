@@ -9,10 +9,9 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._arrays import as_pixels
 from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators._rows import check_pixels
 from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.lessons import Scenery, ask
 from chdstat.estimators.progressive.profiles import Profile
@@ -68,10 +67,7 @@ class Question:
             If the samples have another shape, the direct part is missing, or the balance is out of
             range.
         """
-        samples = as_samples(x)
-        if samples.ndim < 2:
-            message = f"x must have shape (..., channel, sample), got {samples.shape}"
-            raise InputError(message)
+        samples = as_pixels(x)
         check_asked(channels, samples.shape[-2], balance)
         part = inputs.direct_of(direct, samples.shape)
         measured = mean_radiance(samples) if unit is None else unit
@@ -106,7 +102,7 @@ class Question:
         """
         profile, alike = None, None
         if inputs.neighbours:
-            check_pixels(self.samples, picture=True)
+            as_pixels(self.samples, image=True)
             profile = Profile.of(self.samples, unit=self.unit)
             alike = ask(self.samples) / np.float32(self.unit)
         scenery = inputs.scenery(self.features, self.shape, profile, described=shape.described)

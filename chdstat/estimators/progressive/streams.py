@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._arrays import as_pixels
 from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.application import Alike, with_constants
@@ -144,10 +144,7 @@ class Stream:
             If these are other pixels, `x` has no channels, it is no picture (y, x, channel, sample)
             where the model learns, or `direct` is missing or not their direct part.
         """
-        samples = as_samples(x)
-        if samples.ndim < 2:
-            message = f"x must have shape (..., channel, sample), got {samples.shape}"
-            raise InputError(message)
+        samples = as_pixels(x)
         part = self._model.inputs.direct_of(direct, samples.shape)
         shape, channels = samples.shape[:-2], samples.shape[-2]
         if self._profile is None:

@@ -186,7 +186,7 @@ def test_it_refuses_what_it_cannot_use(trained, call, match):
 
 def test_an_estimator_that_looks_around_refuses_what_is_no_picture(alone, smooth):
     features = smooth.samples.features
-    with pytest.raises(InputError, match="picture"):
+    with pytest.raises(InputError, match=r"must be an image of shape \(y, x, channel, sample\)"):
         alone.predict(smooth.x[0], features=features)
     with pytest.raises(InputError, match=r"must have shape \(24, 24\)"):
         alone.predict(smooth.x, features={"albedo": features["albedo"][:5]})

@@ -1,0 +1,187 @@
+"""Input: axes by name, masks, integers and precision; whatever array is taken, the same holds."""
+
+import re
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import chdstat as chd
+from chdstat import estimators, fit
+from chdstat.errors import InputError
+from chdstat.estimators import Progressive
+from chdstat.estimators.progressive.profiles import Profile
+from chdstat.histograms import StreamingHistogram
+from chdstat.normality.of_averages import gaussianity_of_means
+from chdstat.samples import Samples
+from chdstat.summary import Summary
+
+HEIGHT, WIDTH, SPP = 4, 6, 32
+DIMS = ("y", "x", "channel", "sample")
+
+
+@pytest.fixture(scope="module")
+def x():
+    rng = np.random.default_rng(8)
+    return rng.gamma(0.9, size=(HEIGHT, WIDTH, 3, SPP)).astype(np.float32)
+
+
+# --- axes ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("axes", ["yxcs", "yxsc", "syxc", "scyx", "cyxs", "xycs"])
+def test_axes_are_what_the_caller_says(x, axes):
+    order = ["yxcs".index(letter) for letter in axes]
+    found = Samples.from_array(x.transpose(order), direct=x.transpose(order) / 2, axes=axes)
+    np.testing.assert_array_equal(found.read(), x)
+    np.testing.assert_array_equal(found.direct.read(), x / 2)
+
+
+def test_samples_of_one_channel_have_axes_too(x):
+    found = Samples.from_array(x[:, :, 0].transpose(2, 0, 1), axes="syx")
+    np.testing.assert_array_equal(found.read(), x[:, :, :1])
+
+
+@pytest.mark.parametrize("axes", ["yxc", "yxss", "yxcz", "", "YXCS", 3])
+def test_axes_that_are_none_are_refused(x, axes):
+    with pytest.raises(InputError, match="axes must name each axis of the samples once"):
+        Samples.from_array(x, axes=axes)
+
+
+@pytest.mark.parametrize(
+    ("order", "remedy"),
+    [
+        ("yxsc", r"'yxsc' if it is \(y, x, sample, channel\)"),
+        ("syxc", r"'syxc' if \(sample, y, x, channel\)"),
+        ("cyxs", "axes='cyxs'"),
+        ("scyx", "axes='scyx'"),
+    ],
+)
+def test_axes_that_are_probably_in_another_order_are_refused(order, remedy):
+    whole = np.ones((9, 7, 3, 16))
+    with pytest.raises(InputError, match=remedy):
+        Samples.from_array(whole.transpose(["yxcs".index(letter) for letter in order]))
+
+
+def test_few_samples_and_many_channels_are_taken_when_the_axes_are_said(x):
+    for shape in ((4, 6, 3, 2), (4, 6, 31, 64)):
+        with pytest.raises(InputError, match="or 'yxcs' if this is right"):
+            Samples.from_array(np.ones(shape))
+        assert Samples.from_array(np.ones(shape), axes="yxcs").shape == shape
+    with pytest.raises(InputError, match="looks like an image"):
+        Samples.from_array(x[..., 0])
+    assert Samples.from_array(x[..., 0], axes="yxs").shape == (4, 6, 1, 3)
+
+
+def test_names_of_dims_decide(x):
+    named = xr.DataArray(x, dims=DIMS)
+    for order in (DIMS, DIMS[::-1], ("sample", "y", "channel", "x")):
+        found = Samples.from_array(named.transpose(*order), direct=named.transpose(*order) / 2)
+        np.testing.assert_array_equal(found.read(), x)
+        np.testing.assert_array_equal(found.direct.read(), x / 2)
+    one = named.isel(channel=0, drop=True).transpose("sample", "x", "y")
+    np.testing.assert_array_equal(Samples.from_array(one).read(), x[:, :, :1])
+    # Names say that there are 5 channels, or fewer samples than channels.
+    assert Samples.from_array(xr.DataArray(np.ones((2, 2, 5, 2)), dims=DIMS)).shape == (2, 2, 5, 2)
+
+
+def test_names_that_say_nothing_are_refused(x):
+    with pytest.raises(InputError, match="none is called 'sample'"):
+        Samples.from_array(xr.DataArray(x))
+    with pytest.raises(InputError, match="must have the dims y, x, sample and perhaps channel"):
+        Samples.from_array(xr.DataArray(x, dims=("time", "y", "x", "sample")))
+    with pytest.raises(InputError, match=r"leave axes='yxcs' out"):
+        Samples.from_array(xr.DataArray(x, dims=DIMS), axes="yxcs")
+
+
+def test_features_of_other_images_are_refused(x):
+    with pytest.raises(InputError, match=r"feature depth must have shape \(4, 6\)"):
+        Samples.from_array(x, features={"depth": np.ones((6, 4), np.float32)})
+
+
+# --- precision ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("value", [1e-50, -1e-50, 1e39, -1e39])
+def test_what_single_precision_makes_null_or_infinite_is_refused(x, value):
+    wrong = x.astype(np.float64)
+    wrong[1, 2, 0, 3] = value
+    with pytest.raises(
+        InputError, match=re.escape(f"holds {value:g}, but samples are kept in single")
+    ):
+        Samples.from_array(wrong)
+    with pytest.raises(InputError, match="direct holds"):
+        Samples.from_array(x, direct=wrong)
+
+
+def test_what_single_precision_holds_is_kept():
+    values = np.array([0, -0.0, 1e-45, 1e-38, 3e38, np.nan, np.inf, -np.inf])
+    found = Samples.from_array(values.reshape(1, 1, 1, -1)).read()
+    np.testing.assert_array_equal(found.ravel(), values.astype(np.float32))
+
+
+# --- what all functions of arrays share ---------------------------------------------------------
+
+ROWS = {
+    "fit.gamma": lambda x: fit.gamma(x).parameters["shape"],
+    "fit.select": lambda x: fit.select(x).margin,
+    "fit.mixture": lambda x: fit.mixture(x, k=1).log_likelihood,
+    "fit.tail_index": lambda x: fit.tail_index(x).n,
+    "fit.goodness": lambda x: fit.goodness(x, fit.gamma(x), resamples=9).statistic,
+    "modality": lambda x: chd.modality(x).dip,
+    "gaussianity": lambda x: chd.gaussianity(x).p_value,
+    "gaussianity_of_means": lambda x: gaussianity_of_means(x, n_means=8).p_value,
+    "histogram": lambda x: chd.histogram(x, scale="log").counts,
+    "streaming histogram": lambda x: StreamingHistogram(scale="log").update(x).read().counts,
+}
+PIXELS = {
+    "classify": lambda x: chd.classify(x).label,
+    "summary": lambda x: Summary(support=(0, 4)).update(x).read().mean,
+    "profile": lambda x: Profile.of(x, unit=1.0).bins,
+    "Samples": lambda x: Samples.from_array(x).read(),
+}
+FIXED = {
+    name: (lambda x, name=name: estimators.lookup(name)(x))
+    for name in estimators.names("fixed")
+    if not estimators.lookup(name).learns
+}
+TAKING = {**ROWS, **PIXELS, **FIXED}
+
+
+@pytest.mark.parametrize("name", TAKING)
+def test_masked_samples_are_bad(x, name):
+    hidden = np.random.default_rng(1).random((HEIGHT, WIDTH, 1, SPP)) < 0.02
+    masked = np.ma.masked_array(x, np.broadcast_to(hidden, x.shape))
+    expected = TAKING[name](np.where(hidden, np.nan, x))
+    found = TAKING[name](masked)
+    np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
+    assert not isinstance(found, np.ma.MaskedArray)
+
+
+@pytest.mark.parametrize("name", TAKING)
+def test_unsigned_integers_are_images_for_a_display(x, name):
+    for dtype in (np.uint8, np.uint16):
+        with pytest.raises(InputError, match="unsigned integers, .* as images for a display do"):
+            TAKING[name]((20 * x).astype(dtype))
+
+
+@pytest.mark.parametrize("name", TAKING)
+def test_dims_may_come_in_any_order(x, name):
+    named = xr.DataArray(x, dims=DIMS).transpose("sample", "channel", "x", "y")
+    np.testing.assert_array_equal(np.asarray(TAKING[name](named)), np.asarray(TAKING[name](x)))
+
+
+def test_learned_estimators_take_the_same_arrays(x):
+    rng = np.random.default_rng(3)
+    image = rng.gamma(0.9, size=(12, 12, 3, 64)).astype(np.float32)
+    model = Progressive().train(Samples.from_array(image), iterations=3, progress=False)
+    named = xr.DataArray(image, dims=DIMS).transpose("sample", "channel", "x", "y")
+    expected = model.predict(image)
+    np.testing.assert_array_equal(model.predict(named), expected)
+    hidden = np.zeros(image.shape, bool)
+    hidden[..., 5] = True
+    bad = np.where(hidden, np.nan, image)
+    found = model.predict(np.ma.masked_array(image, hidden))
+    np.testing.assert_array_equal(found, model.predict(bad))
+    with pytest.raises(InputError, match="unsigned integers"):
+        model.predict(image.astype(np.uint8))
