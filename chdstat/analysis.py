@@ -46,7 +46,10 @@ __all__ = ["analyze", "save"]
 _TRANSFORMS: tuple[Transform, ...] = ("log", "sqrt", "linear")
 _TESTS: tuple[TestName, ...] = tuple(TESTS)
 _TEST_OF_MEANS: TestName = "shapiro-wilk"
-_COMMENT = "where tail_variance_suspect, the moments behind this may be infinite: do not trust it"
+_COMMENT = (
+    "where tail_variance_suspect, the moments behind this may be infinite: do not trust it; "
+    "where tail_variance_unidentified, the samples cannot tell"
+)
 
 
 def analyze(

@@ -56,6 +56,8 @@ class Overview:
     doubtful_variance
         Share of the pixel channels with an estimated tail index of at least 1/2, beyond which the
         variance of a generalised Pareto tail is infinite.
+    unidentified_variance
+        Share of those whose samples cannot tell whether their variance is finite.
     modes
         Share of the pixel channels with 1, 2, 3 modes of log radiance, by their number.
     n_needed
@@ -82,6 +84,7 @@ class Overview:
     patterns: dict[str, float]
     label_agreement: float
     doubtful_variance: float
+    unidentified_variance: float
     modes: dict[int, float]
     n_needed: dict[int | str, float]
     averages: dict[int, float]
@@ -109,7 +112,7 @@ def overview(found: xr.Dataset) -> Overview:
     log = found[["normality_p_value", "normality_rejected", "normality_skewness"]].sel(_TEST)
     distance = found["best_goodness_effect"].sel(fit_test="kolmogorov-smirnov")
     null = found["null_share"].values
-    tail = found["tail_index"].values
+    known = found["tail_index"].notnull()
     averages, skewness, predicted = _averages(found)
     return Overview(
         pixels=int(found.sizes["y"] * found.sizes["x"]),
@@ -126,7 +129,8 @@ def overview(found: xr.Dataset) -> Overview:
         log_skewness=_quartiles(log["normality_skewness"].values),
         patterns={p.name: float(found[p.name].mean()) for p in PATTERNS},
         label_agreement=float(found["label_agreement"].attrs["kappa"]),
-        doubtful_variance=_share(tail >= 0.5, np.isfinite(tail)),
+        doubtful_variance=_share(found["tail_variance_suspect"], known),
+        unidentified_variance=_share(found["tail_variance_unidentified"], known),
         modes=_counted(found["modality_modes"].values, missing=0),
         n_needed=_n_needed(found),
         averages=averages,

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import is_bad, luminance
+from chdstat._reasons import Reason
 from chdstat.errors import InputError
 from chdstat.estimators import registry
 from chdstat.explorer.images import Overall
@@ -125,6 +126,13 @@ MAPS: dict[str, MapKind] = {
         MapKind("relative_error", "Standard error over mean", _OVER_MEAN, log=True, limits=(-3, 0)),
         MapKind("bad_count", "Bad samples", "samples"),
         MapKind("tail_index", "Tail index", "generalised Pareto ξ, luminance", limits=(-0.5, 1)),
+        MapKind(
+            "finite_variance",
+            "Is the variance finite?",
+            "by the tail of luminance",
+            {0: "suspect", 1: "samples cannot tell", 2: "yes"},
+            ordered=True,
+        ),
         MapKind("best_family", "Best family", "by BIC, luminance", dict(enumerate(SELECTED))),
         MapKind(
             "pattern",
@@ -215,6 +223,10 @@ def _value(name: str, block: Image) -> npt.NDArray[Any]:
     part = luminance_part(block)
     if name == "tail_index":
         return tail_of_part(part).xi
+    if name == "finite_variance":
+        tail = tail_of_part(part)
+        verdict = np.where(tail.variance_suspect, 0.0, np.where(tail.variance_trusted, 2.0, 1.0))
+        return np.where(tail.reason == Reason.OK, verdict, np.nan)
     best = select_part(part, [FAMILIES[family] for family in SELECTED]).best
     return np.where(best < 0, np.nan, best)
 

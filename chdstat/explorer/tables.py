@@ -13,6 +13,7 @@ from chdstat.differences import Difference
 from chdstat.explorer.fitness import Fitness
 from chdstat.explorer.judged import Estimate
 from chdstat.explorer.measured import Measured
+from chdstat.fit.tail_results import Tail
 from chdstat.normality import MORE_THAN_TESTED
 from chdstat.patterns import PATTERNS, Label
 from chdstat.reporting.text import NAMES, number, percent
@@ -45,6 +46,7 @@ def statistics(place: Measured) -> Table:
             *(_with_interval(x, i) for x, i in zip(tail.xi, tail.interval, strict=True)),
         ],
         _row("p of a gamma tail", tail.p_exponential, _p),
+        ["finite variance", *(_is_finite(tail, i) for i in range(len(place.names)))],
         ["modes", *(str(int(m)) if m else "—" for m in modes.modes)],
         _row("dip of log", modes.dip),
         _row("p of one mode (dip)", modes.dip_p_value, _p),
@@ -186,6 +188,14 @@ def _family(place: Measured, row: int) -> str:
     if name:
         return NAMES.get(name, name)
     return Reason(int(place.selection.reason[row])).name.lower().replace("_", " ")
+
+
+def _is_finite(tail: Tail, row: int) -> str:
+    if tail.reason[row] != Reason.OK:
+        return "—"
+    if tail.variance_unidentified[row]:
+        return "not identified"
+    return "yes" if tail.variance_trusted[row] else "suspect"
 
 
 def _parameters(place: Measured, row: int) -> str:

@@ -169,7 +169,7 @@ def _qq(view: View, series: Sequence[Series]) -> Panel:
 
 def _running(series: Sequence[Series]) -> Panel:
     areas, lines = [], []
-    suspect = False
+    tails = []
     for s in series:
         at, means, errors = s.measured.running()
         if not at.size:
@@ -179,8 +179,12 @@ def _running(series: Sequence[Series]) -> Panel:
             band = np.concatenate([mean - error, (mean + error)[::-1]])
             areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color, name=s.name))
         lines.append(Trace(at, mean, s.color, "dashed" if s.other else "solid", 1.6, s.name))
-        suspect |= bool(s.measured.tail.variance_suspect[s.row])
-    doubt = " · tail index ≥ ½: do not trust it" if suspect else ""
+        tails.append((s.measured.tail, s.row))
+    doubt = ""
+    if any(tail.variance_suspect[row] for tail, row in tails):
+        doubt = " · tail index ≥ ½: do not trust it"
+    elif any(tail.variance_unidentified[row] for tail, row in tails):
+        doubt = " · samples cannot tell whether the variance is finite"
     return Panel(areas, lines, notes=[f"95 % interval of the mean{doubt}"])
 
 

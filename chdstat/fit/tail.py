@@ -17,10 +17,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from chdstat._arrays import spans
 from chdstat._positive import Counts, Floats, Mask, PositivePart
 from chdstat._reasons import Reason
 from chdstat.errors import InputError
 from chdstat.fit._excesses import MINIMUM_EXCESSES, Fitted, candidates, hill_tail, pareto_tail
+from chdstat.fit._gamma import gamma_shape
 from chdstat.fit.tail_results import Tail, finish_tail, tail_variables
 from chdstat.samples import Mapped, Samples
 
@@ -48,6 +50,11 @@ _LIGHT_LEVEL = 0.06
 """Share of exponential samples whose variance is not trusted, for the sake of rare heavy tails."""
 _LEAST_SCORE = -3.0
 """A bounded tail at one threshold does not make up for more than so much evidence at another."""
+
+_FEW, _WIDEST = 512, 2.5
+"""Of fewer samples, both looks at the tail see nearly the same ones, and the scatter of all has a
+say: of gamma samples, whatever their shape, it is not above this many standardised units in 96 %,
+as simulated for the shapes 0.3 to 5 and 128 to 384 samples."""
 
 _LOG_SHARES = np.log([0.01, 0.02, 0.05, 0.1, 0.2, 0.3])
 _LOG_VARIANCES = np.log(special.polygamma(1, [1.0, 0.7, 0.5, 0.3, 0.2, 0.15, 0.1]))
@@ -136,11 +143,12 @@ def tail_index(
     8192, and 76 to 80 % for a heavy tail of a tenth of 512 samples, as the body biases xi towards
     0. It does **not** cover the index of a tail that is rarer than the threshold: of 1 % with index
     1 among exponential samples, the index is 0.3 to 0.4 and the interval holds 1 next to never.
-    ``xi_far``, of the 28 largest samples, sees such tails, and ``variance_trusted`` asks it: where
-    20 samples or more are of a tail of index 1, at least 95 % of pixels are *not identified* or
-    suspect, while 90 % and more of exponential, uniform and gamma pixels stay trusted from 512
-    samples on (of gamma shapes below 0.5 from 2048 on). Log-normal and Weibull samples with tails
-    heavier than a gamma distribution's often are not identified, although their variance is finite.
+    ``xi_far``, of the 28 largest samples, sees such tails, and ``variance_trusted`` asks it, and,
+    of fewer than 512 samples, whether they scatter more than gamma ones: where 20 samples or more
+    are of a tail of index 1, at least 95 % of pixels are *not identified* or suspect, while 90 %
+    and more of exponential, uniform and gamma pixels stay trusted from 512 samples on (of gamma
+    shapes below 0.5 from 2048 on). Log-normal and Weibull samples with tails heavier than a gamma
+    distribution's often are not identified, although their variance is finite.
     Hill's interval is one for pure power laws only: with an offset, as generalised Pareto samples
     have, it is too high at any threshold within the samples.
 
@@ -207,6 +215,7 @@ def tail_of_part(
     light = _is_light(of_gamma, (found.first_xi, k[..., 0]), (far.xi, far.n))
     suspect = np.asarray(found.xi >= 0.5)
     trusted = np.asarray((interval[..., 1] < 0.5) & light)
+    trusted[trusted] = ~_scatters(part, trusted)
     return Tail(
         xi=found.xi,
         standard_error=_deviation(found.xi) / root,
@@ -343,6 +352,26 @@ def _is_light(of_gamma: _Reference, *looks: tuple[Floats, Counts]) -> Mask:
             shared = np.sqrt(np.minimum(k, other) / np.maximum(np.maximum(k, other), 1))
             variance += (k * other) ** 0.25 * shared
     return np.asarray(total <= -special.ndtri(_LIGHT_LEVEL) * np.sqrt(variance))
+
+
+def _scatters(part: PositivePart, rows: Mask) -> Mask:
+    """Say which of the rows have few samples, which vary more than gamma ones, shape (row,).
+
+    The logarithm of their squared coefficient of variation, over that of the likeliest gamma
+    distribution, has nearly the same error for all shapes if it is multiplied by the root of n
+    times the shape.
+    """
+    n, statistics = part.n[rows], part.log_statistics
+    mean, gap = (np.asarray(v)[rows] for v in (statistics.mean, statistics.gap))
+    shape, _ = gamma_shape(gap)
+    excess = np.full(len(n), -np.inf)
+    few = np.flatnonzero(n < _FEW)
+    x, positive = part.x[rows], part.positive[rows]
+    for piece in spans(len(few), _FEW):
+        at = few[piece]
+        ratio = np.where(positive[at], x[at], mean[at, np.newaxis]) / mean[at, np.newaxis]
+        excess[at] = np.log(np.sum((ratio - 1) ** 2, axis=-1) / n[at] * shape[at])
+    return np.asarray(excess * np.sqrt(n * shape) > _WIDEST)
 
 
 def _deviation(xi: Floats) -> Floats:

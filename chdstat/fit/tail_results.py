@@ -38,7 +38,7 @@ _LABELS = {
     "tail_hill_interval": ("interval of the Hill estimate", "1"),
     "tail_hill_n": ("samples of the Hill estimate", "1"),
     "tail_variance_suspect": ("xi >= 1/2: do not trust the sample variance", "1"),
-    "tail_variance_trusted": ("xi < 1/2 at every threshold", "1"),
+    "tail_variance_trusted": ("no look at the tail speaks against a finite variance", "1"),
     "tail_variance_unidentified": ("the samples cannot tell whether the variance is finite", "1"),
 }
 _INTERVALS = ("tail_interval", "tail_interval_far", "tail_hill_interval")
@@ -77,7 +77,8 @@ class Tail:
         is any error bar made of it.
     variance_trusted
         Where the upper end of the interval is below 1/2, and neither the largest candidate nor the
-        `FAR` largest samples are heavier than those of a gamma distribution.
+        `FAR` largest samples are heavier than those of a gamma distribution; nor do fewer than 512
+        samples vary more than those of one.
     variance_unidentified
         Where neither holds: the samples cannot tell whether their variance is finite.
     reason

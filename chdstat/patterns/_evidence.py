@@ -45,6 +45,8 @@ class Evidence:
     tail_index, tail_index_se, tail_interval, tail_p_value
         Generalised Pareto tail index, its standard error, its interval, shape (..., 2), and the
         one-sided p-value of a tail no heavier than that of a gamma distribution.
+    variance_unidentified
+        Where the samples cannot tell whether their variance is finite.
     modes
         Modes of the log density; 0 where they could not be counted.
     ashman_d, ashman_d_se
@@ -72,6 +74,7 @@ class Evidence:
     tail_index_se: Floats
     tail_interval: Floats
     tail_p_value: Floats
+    variance_unidentified: Mask
     modes: npt.NDArray[np.int8]
     ashman_d: Floats
     ashman_d_se: Floats
@@ -149,6 +152,7 @@ def _measure(
         tail_index_se=np.asarray(tail.standard_error),
         tail_interval=tail.interval,
         tail_p_value=tail.p_exponential,
+        variance_unidentified=tail.variance_unidentified,
         modes=modes.modes,
         ashman_d=np.take_along_axis(modes.ashman_d, widest, axis=-1),
         ashman_d_se=np.take_along_axis(modes.ashman_d_se, widest, axis=-1),

@@ -94,6 +94,9 @@ class Patterns:
         Kolmogorov's distance between the samples and the better of gamma and log-normal.
     long_tail_se
         Standard error of the tail index.
+    variance_unidentified
+        Where the samples cannot tell whether their variance is finite: no long tail is then no
+        promise of a short one.
     body_tail_index
         Tail index that excesses over the quantile 0.9 of the better of gamma and log-normal show.
     label
@@ -111,6 +114,7 @@ class Patterns:
     luminance_family: npt.NDArray[np.int8]
     misfit: Floats
     long_tail_se: Floats
+    variance_unidentified: Mask
     body_tail_index: Floats
     label: npt.NDArray[np.int8]
     reason: npt.NDArray[np.int8]
@@ -242,6 +246,7 @@ def patterns_of_part(
         luminance_family=evidence.family,
         misfit=evidence.misfit,
         long_tail_se=evidence.tail_index_se,
+        variance_unidentified=evidence.variance_unidentified,
         body_tail_index=evidence.body_index,
         label=_label(flags, reason, _is_known(evidence)),
         reason=reason,
@@ -319,6 +324,7 @@ _OTHERS = {
     "luminance_family": "family of luminance with the smallest BIC",
     "misfit": "Kolmogorov distance to the better of gamma and log-normal",
     "long_tail_se": "standard error of the tail index of luminance",
+    "variance_unidentified": "the samples cannot tell whether the variance is finite",
     "body_tail_index": "tail index of the better of gamma and log-normal above its quantile 0.9",
     "label": "what the pixel is first of all",
     "reason": "why there is no positive part to look at",

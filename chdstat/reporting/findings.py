@@ -136,7 +136,8 @@ def _tails(scene: Overview) -> Finding:
         question,
         f"{percent(long)} of the pixels have a long tail. In {percent(scene.doubtful_variance)} of "
         "the pixel channels the tail index is estimated at 1/2 or more, where the variance of such "
-        "a tail, and every error bar that rests on it, is not to be trusted.",
+        "a tail, and every error bar that rests on it, is not to be trusted; in "
+        f"{percent(scene.unidentified_variance)} the samples cannot tell whether it is finite.",
         percent(long),
     )
 

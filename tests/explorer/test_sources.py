@@ -156,8 +156,12 @@ def test_maps_say_what_the_library_says(flames):
     labels = classify(flames, progress=False)["label"]
     np.testing.assert_array_equal(walk(source, "pattern", ignore).values, labels)
     part = luminance_part(flames.read()[3:5])
-    tail = walk(source, "tail_index", ignore).values
-    np.testing.assert_allclose(tail[3:5], tail_of_part(part).xi, rtol=1e-6)
+    tail, found = tail_of_part(part), walk(source, "tail_index", ignore).values
+    np.testing.assert_allclose(found[3:5], tail.xi, rtol=1e-6)
+    finite = walk(source, "finite_variance", ignore).values[3:5]
+    np.testing.assert_array_equal(finite == 2, tail.variance_trusted)
+    np.testing.assert_array_equal(finite == 1, tail.variance_unidentified)
+    np.testing.assert_array_equal(np.isnan(finite), tail.reason != 0)
 
 
 def test_an_unknown_map_is_refused():

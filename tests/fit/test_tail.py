@@ -187,6 +187,7 @@ def contaminated(body, share, shape, seed):
     [
         (stats.expon(), 0.01, 2048),
         (stats.expon(), 0.1, 512),
+        (stats.expon(), 0.1, 256),
         (stats.lognorm(0.5), 0.03, 1024),
         (stats.halfnorm(), 0.01, 2048),
     ],

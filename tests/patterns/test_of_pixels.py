@@ -206,6 +206,20 @@ def test_a_body_can_have_a_long_tail():
     assert few.flags["lognormal_like"].mean() < 0.1
 
 
+def test_what_the_samples_cannot_tell_is_said():
+    """Of a rare tail of index 1: not long, not short. 96 % of 40 were measured; below 30: 1e-6."""
+    rng = np.random.default_rng(61)
+    x = rng.exponential(size=(40, 1, 8192))
+    rare = rng.random(x.shape) < 0.003
+    x[rare] = 5 + rng.pareto(1.0, size=np.count_nonzero(rare))
+    found = chd.classify(x)
+    assert found.variance_unidentified.sum() >= 30
+    image = chd.classify(chd.Samples.from_array(x.reshape(5, 8, 1, 8192)), progress=False)
+    unidentified = image["variance_unidentified"]
+    np.testing.assert_array_equal(unidentified.values.ravel(), found.variance_unidentified)
+    assert "cannot tell" in unidentified.attrs["long_name"]
+
+
 def test_results_that_are_there_are_not_computed_again():
     part = luminance_part(
         clear_cases(np.random.default_rng(6), 5)[Label.FIREFLY_DOMINATED][:, None]
