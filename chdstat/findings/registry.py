@@ -19,6 +19,7 @@ from chdstat.findings import (
     nulls,
     path_lengths,
     penumbrae,
+    reduction,
     reflections,
     scene_shapes,
     textures,
@@ -40,7 +41,7 @@ class Claim:
     Attributes
     ----------
     number, name
-        1 to 15, and a few words.
+        1 to 16, and a few words.
     claim
         One sentence.
     spp
@@ -199,6 +200,14 @@ FINDINGS = (
         _SHAPES,
         learning.measure,
     ),
+    Claim(
+        16,
+        "reduction to the mean",
+        "Where samples show no pattern, the learned model gracefully reduces to their mean: equal "
+        "samples keep their value, neither the order of samples nor the unit of radiance matters.",
+        _MOMENTS,
+        reduction.measure,
+    ),
 )
 """The claims of Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte
 Carlo variance reduction", in the order of the study."""
@@ -244,6 +253,6 @@ def find(evidence: Evidence, *, others: Sequence[Evidence] = ()) -> list[Finding
     >>> samples = chd.simulate("gamma", size=(8, 8), spp=16)
     >>> found = find(Evidence("simulated", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),)))
     >>> len(found), found[1].verdict, found[1].reason
-    (15, 'cannot tell', 'Needs 128 spp, has 16.')
+    (16, 'cannot tell', 'Needs 128 spp, has 16.')
     """
     return [claim.find(evidence, others) for claim in FINDINGS]

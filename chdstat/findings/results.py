@@ -163,7 +163,7 @@ class Finding:
     Attributes
     ----------
     number, name
-        Which claim, 1 to 15.
+        Which claim, 1 to 16.
     scene
         Of which scene, or which scenes.
     claim

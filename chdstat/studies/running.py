@@ -33,7 +33,7 @@ _log = logging.getLogger("chdstat")
 
 T = TypeVar("T")
 
-_ONCE = frozenset({14, 15})
+_ONCE = frozenset({14, 15, 16})
 """Claims that need the whole analysis or a training: no other seed repeats them."""
 _OPPOSITE = {"supported", "not supported"}
 
@@ -102,7 +102,7 @@ def study(
     >>> samples = chd.simulate("gamma", size=(8, 8), spp=128)
     >>> found = study(samples, folder=None, estimators=["mean"])
     >>> found.table()[0]["claim"], len(found.scenes[0].findings)
-    ('nulls', 13)
+    ('nulls', 14)
     """
     asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     given = {name: value for name, value in asked.items() if value is not None}

@@ -8,12 +8,15 @@ import importlib.util
 import os
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from chdstat.findings import FINDINGS
+import chdstat as chd
+from chdstat.estimators import lookup, names
+from chdstat.findings import FINDINGS, Evidence
 
 WORLDS = int(os.environ.get("CHDSTAT_WORLDS", "50"))
 
@@ -117,3 +120,31 @@ def test_two_modes_across_a_penumbra_are_found():
     found = verdicts(6, worlds.penumbra(True), count=max(WORLDS // 5, 1))
     told("6, two modes", found)
     assert found["supported"] >= 0.9
+
+
+MINIBATCHES = {"elek2019": 10_000}
+"""Of the paper's network; the others take a twentieth."""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("as_benchmark")
+def test_reduction_to_the_mean():
+    """Every learned estimator of the registry: constants, order and unit, a row each."""
+    samples = chd.render("cornell-box", spp=128, size=(48, 48), backend="scalar", direct=True)
+    models = {
+        name: lookup(name).train(samples, iterations=MINIBATCHES.get(name, 500), progress=False)
+        for name in names("learned")
+        if name != "self_trained"  # trains anew with every call
+    }
+    compared = chd.compare(samples, ["mean", "median_of_means"], progress=False)
+    compared = replace(compared, estimators=("mean", *models, "self_trained"), models=models)
+    found = BY_NUMBER[16].find(Evidence("cornell-box", samples, comparison=compared))
+    for name, one in {"elek2019": found, **found.beside}.items():
+        values = [part.statistic.value for part in one.parts]
+        row = "constants {:.2g}, order {:.2g}, unit {:.2g}".format(*values)
+        print(f"\n  16, {name}: {one.verdict}; largest deviation: {row}", end="")
+        print(
+            f"; reversed, {one.details['change_over_step_by_order']['reversed']:.2g} steps", end=""
+        )
+    assert found.verdict == "not supported"
+    assert {one.verdict for one in found.beside.values()} == {"supported"}

@@ -326,6 +326,20 @@ def _history(rng, good):
     )
 
 
+def reduced(power: float) -> World:
+    """Return a comparison with a model that says the mean to a power, which 1 leaves as it is."""
+
+    def world(rng, spp):
+        scene = evidence(image(rng.gamma(2, size=size(spp))))
+        found = chd.compare(scene.samples, ["mean"], progress=False)
+        model = SimpleNamespace(predict=lambda x: np.asarray(x.mean(axis=-1)) ** power)
+        models = {"elek2019": model}
+        comparison = replace(found, estimators=("mean", *models), models=models)
+        return [replace(scene, comparison=comparison)]
+
+    return world
+
+
 TRUE: dict[int, World] = {
     1: nulls(0.6),
     2: diffuse(8),
@@ -342,6 +356,7 @@ TRUE: dict[int, World] = {
     13: broken_assumptions,
     14: families("gamma", 2),
     15: learned(True),
+    16: reduced(1),
 }
 FALSE: dict[int, World] = {
     1: nulls(0.2),
@@ -359,6 +374,7 @@ FALSE: dict[int, World] = {
     13: kept_assumptions,
     14: families("lognormal", 0, 0.8),
     15: learned(False),
+    16: reduced(0.99),
 }
 
 # --- one part false at a time -------------------------------------------------------------------

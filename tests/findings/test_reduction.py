@@ -1,0 +1,260 @@
+"""Reduction to the mean: known answers of estimators that keep it, and of some that do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.estimators import MLP, Progressive, Stream, lookup, names, self_trained
+from chdstat.findings import FINDINGS, Evidence
+from chdstat.findings.reduction import FACTORS, LEVELS, ROUNDING
+
+CLAIM = FINDINGS[15]
+N, EDGE = 32, 16
+
+
+def pixels(seed=0, n=N, edge=EDGE):
+    """Return an image of null-heavy exponential samples, brighter from row to row."""
+    rng = np.random.default_rng(seed)
+    light = np.geomspace(0.05, 20, edge)[:, None, None, None] * np.array([[1.0], [0.6], [0.3]])
+    x = light * rng.exponential(size=(edge, edge, 1, n)) * (rng.random((edge, edge, 1, n)) < 0.6)
+    return x.astype(np.float32)
+
+
+def features(edge=EDGE):
+    rng = np.random.default_rng(5)
+    vectors = {name: rng.random((edge, edge, 3)) for name in ("albedo", "normal", "position")}
+    found = vectors | {"depth": rng.uniform(1, 2, (edge, edge))}
+    return {name: image.astype(np.float32) for name, image in found.items()}
+
+
+@pytest.fixture(scope="module")
+def samples():
+    x = pixels(n=128)
+    return chd.Samples.from_array(x, features=features(), direct=x / 2)
+
+
+@pytest.fixture(scope="module")
+def comparison(samples):
+    return chd.compare(samples, ["mean", "median_of_means"], n=N, progress=False)
+
+
+@pytest.fixture(scope="module")
+def ask(samples, comparison):
+    """Return what asks functions of samples (y, x, channel, sample), as models by name."""
+
+    def asked(functions, using=samples):
+        models = {
+            name: SimpleNamespace(predict=lambda x, *, call=function, **_: call(x))
+            for name, function in functions.items()
+        }
+        found = replace(comparison, estimators=("mean", *models), models=models)
+        return CLAIM.find(Evidence("noise", using, comparison=found))
+
+    return asked
+
+
+def mean(x):
+    return x.mean(axis=-1, dtype=np.float64)
+
+
+def first_weighs_more(x):
+    return np.average(x, axis=-1, weights=np.where(np.arange(x.shape[-1]) == 0, 2, 1))
+
+
+KNOWN = {
+    # what it is, whether constants are kept, order and unit do not matter
+    "mean": (mean, (True, True, True)),
+    "largest": (lambda x: x.max(axis=-1), (True, True, True)),
+    "dark": (lambda x: 0.999 * mean(x), (False, True, True)),
+    "dark where it is bright": (lambda x: np.minimum(mean(x), 5e3), (False, True, False)),
+    "reads the order": (first_weighs_more, (True, False, True)),
+    "reads the unit": (lambda x: np.log(np.exp(np.minimum(x, 50)).mean(axis=-1)), (0, 1, 0)),
+    "trained in one unit": (lambda x: mean(x) + 0.1, (False, True, False)),
+    "lost": (lambda x: mean(x) * np.nan, (False, False, False)),
+}
+
+
+@pytest.mark.parametrize("name", KNOWN)
+def test_an_estimator_of_which_the_answer_is_known(ask, name):
+    function, expected = KNOWN[name]
+    found = ask({"elek2019": function})
+    verdicts = [part.verdict == "supported" for part in found.parts]
+    assert verdicts == [bool(kept) for kept in expected], found.reason
+    assert found.verdict == ("supported" if all(expected) else "not supported")
+
+
+def test_the_deviation_of_constants_is_the_one_that_was_made(ask):
+    found = ask({"elek2019": lambda x: 1.25 * mean(x)})
+    assert found.parts[0].statistic.value == pytest.approx(0.25)
+    assert found.details["deviation_by_radiance"].keys() == {f"{level:g}" for level in LEVELS}
+
+
+def test_a_change_of_the_order_is_told_in_steps_from_the_mean(ask):
+    """Of two times the mean less the first sample, reversing moves the last in its place."""
+    found = ask({"elek2019": lambda x: 2 * mean(x) - x[..., 0]})
+    assert 0.5 < found.details["change_over_step_by_order"]["reversed"] < 2
+    assert found.parts[0].verdict == "supported"
+    assert found.parts[1].verdict == "not supported"
+
+
+def test_the_verdict_is_of_the_papers_model_and_others_stand_beside_it(ask):
+    found = ask({"elek2019": first_weighs_more, "progressive": mean})
+    assert (found.verdict, found.beside["progressive"].verdict) == ("not supported", "supported")
+    assert found.reason.startswith("For elek2019: ")
+    assert set(found.exhibit.series) == {"elek2019", "progressive"}
+    alone = ask({"progressive": mean})
+    assert alone.verdict == "cannot tell"
+    assert "needs the paper's model" in alone.reason.lower()
+    assert alone.beside["progressive"].verdict == "supported"
+
+
+def test_without_a_comparison_or_good_samples_there_is_no_telling(ask, samples):
+    assert "comparison" in CLAIM.find(Evidence("noise", samples)).reason
+    bad = chd.Samples.from_array(samples.read() * np.nan)
+    assert "bad samples" in ask({"elek2019": mean}, using=bad).reason
+    both = samples.read() * np.where(np.arange(EDGE) % 2, 1e36, 1e-37)[:, None, None]
+    wide = ask({"elek2019": mean}, using=chd.Samples.from_array(both))
+    assert "1024" in wide.reason
+    assert len(wide.parts) == 2
+
+
+def test_bad_samples_in_some_pixels_do_not_decide(ask, samples):
+    x = samples.read().copy()
+    x[3, 4, :, 5] = np.nan
+    found = ask({"elek2019": lambda x: np.nanmean(x, axis=-1)}, using=chd.Samples.from_array(x))
+    assert found.verdict == "supported"
+
+
+# --- the estimators that are there --------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def trained(samples):
+    """Return all learned estimators of the registry, trained a little, and the paper's network."""
+    models, iterations = {}, {"elek2019": 200}
+    for name in names("learned"):
+        entry = lookup(name)
+        if name != "self_trained":
+            count = iterations.get(name, 30)
+            models[name] = entry.train(samples, iterations=count, progress=False)
+    return models
+
+
+def test_ours_reduces_to_the_mean_and_the_papers_network_does_not(samples, comparison, trained):
+    both = replace(comparison, estimators=("mean", *trained), models=trained)
+    found = CLAIM.find(Evidence("noise", samples, comparison=both))
+    assert found.verdict == "not supported"
+    assert [part.verdict for part in found.parts] == ["not supported"] * 3
+    assert set(found.beside) == set(trained) - {"elek2019"}
+    for name, ours in found.beside.items():
+        assert ours.verdict == "supported", (name, ours.reason)
+        assert ours.parts[0].statistic.value == 0
+        assert isinstance(trained[name], Progressive)
+
+
+INPUTS = {
+    "samples": (),
+    "features": ("features",),
+    "direct": ("direct",),
+    "neighbours": ("neighbours",),
+    "neighbours and features": ("neighbours", "features"),
+}
+
+
+@pytest.fixture(scope="module", params=INPUTS)
+def ours(request, samples):
+    """Return each configuration of our estimator as a function of samples, trained a little."""
+    inputs = INPUTS[request.param]
+    model = Progressive(inputs=inputs)
+    model.train(samples, iterations=100 if "neighbours" in inputs else 30, progress=False)
+
+    def estimate(x, **more):
+        options = {"features": features()} if "features" in inputs else {}
+        options |= {"direct": x / 2} if "direct" in inputs else {}
+        return model.estimate(x, **options, **more)
+
+    return estimate
+
+
+def assert_close(found, first, *, factor=1.0, tolerance=2e-5):
+    """Compare estimates relative to themselves, and the ends of intervals to the upper one.
+
+    The ends are cubes of what the network says.
+    """
+    for name, size, times in (("radiance", "radiance", 1), ("low", "high", 5), ("high", "high", 5)):
+        change = np.abs(getattr(found, name) - getattr(first, name) * np.float32(factor))
+        most = times * tolerance * np.abs(getattr(first, size)) * np.float32(factor)
+        assert (change <= most).all(), name
+
+
+@pytest.mark.parametrize("balance", [0.0, 0.5, 1.0])
+def test_constant_images_are_kept_exactly(ours, balance):
+    for level in LEVELS:
+        x = np.full((EDGE, EDGE, 3, N), level, np.float32)
+        assert (ours(x, balance=balance).radiance == np.float32(level)).all()
+        # The unit of the image that it is a part of, if it is told, changes nothing either.
+        assert (ours(x, balance=balance, unit=0.3).radiance == np.float32(level)).all()
+
+
+def test_pixels_of_one_light_are_kept_among_noisy_ones(ours):
+    x = pixels(3)
+    x[::2] = np.geomspace(1e-4, 1e4, EDGE)[:, None, None]
+    expected = np.broadcast_to(x[::2, :, :, 0], (EDGE // 2, EDGE, 3))
+    np.testing.assert_array_equal(ours(x).radiance[::2], expected)
+
+
+def test_the_order_of_the_samples_does_not_matter(ours):
+    x = pixels(3)
+    first = ours(x)
+    assert np.abs(first.radiance - mean(x)).max() > 0.01 * x.mean()  # or nothing was asked
+    places = np.random.default_rng(0).random((EDGE, EDGE, 1, N)).argsort(axis=-1)
+    for other in (x[..., ::-1], np.take_along_axis(x, places, axis=-1)):
+        found = ours(other)
+        np.testing.assert_allclose(found.certainty, first.certainty, rtol=2e-5)
+        assert_close(found, first)
+
+
+@pytest.mark.parametrize("factor", [*FACTORS, 1e-3, 1e3, np.pi])
+def test_estimates_scale_with_the_unit(ours, factor):
+    x = pixels(3)
+    first, found = ours(x), ours(x * np.float32(factor))
+    assert_close(found, first, factor=factor, tolerance=0 if factor in FACTORS else 2e-5)
+
+
+def test_a_stream_keeps_constants_and_reads_no_order(samples):
+    model = Progressive().train(samples, iterations=30, progress=False)
+
+    def streamed(x):
+        stream = Stream(model, unit=1.0)
+        for part in np.split(x, 4, axis=-1):
+            stream.update(part)
+        return stream.estimate().radiance
+
+    for level in LEVELS:
+        assert (streamed(np.full((4, 4, 3, N), level, np.float32)) == np.float32(level)).all()
+    x = pixels(3)
+    np.testing.assert_allclose(streamed(x[..., ::-1]), streamed(x), rtol=2e-5, atol=1e-6)
+
+
+def test_the_self_trained_estimate_reads_no_order_and_follows_the_unit():
+    x = pixels(3, edge=8)
+    first = self_trained(x, iterations=5)
+    np.testing.assert_array_equal(self_trained(x[..., ::-1], iterations=5), first)
+    np.testing.assert_array_equal(self_trained(x * np.float32(1024), iterations=5), first * 1024)
+    for level in (LEVELS[0], LEVELS[-1]):
+        constant = np.full((8, 8, 3, N), level, np.float32)
+        assert (self_trained(constant, iterations=5) == np.float32(level)).all()
+
+
+def test_the_control_moves_and_the_tolerance_is_tight():
+    """A network that reads the order is not within the tolerance by chance."""
+    assert ROUNDING < 1e-3
+    model = MLP.preset("elek2019")
+    model.train(chd.Samples.from_array(pixels(n=128)), iterations=200, progress=False)
+    x = pixels(3)
+    assert np.abs(model.predict(x[..., ::-1]) - model.predict(x)).max() > 1e-2
