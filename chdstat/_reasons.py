@@ -26,7 +26,8 @@ class Reason(enum.IntEnum):
     ALL_BAD = 5
     """Every sample is NaN or infinite."""
     AT_LIMIT = 6
-    """The likelihood has no maximum: it rises towards a limit of the family."""
+    """The likelihood has no maximum: it rises towards a limit of the family. Of Burr, that is the
+    Weibull distribution; of the generalised Pareto, one that ends at the largest sample."""
     NONE_POSITIVE = 7
     """No sample is positive, and some are negative: they have no logarithm."""
     TIED = 8
@@ -35,6 +36,8 @@ class Reason(enum.IntEnum):
     """No test was asked for: there is a statistic and no p-value."""
     FEW_REPLICATES = 10
     """Fewer than half of the bootstrap replicates could be fitted: they are no p-value."""
+    AT_PARETO_LIMIT = 11
+    """No Burr distribution is as likely as a power law that begins at the smallest sample."""
 
 
 def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:

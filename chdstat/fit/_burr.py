@@ -6,6 +6,7 @@ import numpy as np
 from scipy import special, stats
 
 from chdstat._positive import Floats, Mask
+from chdstat._reasons import Reason
 from chdstat._routes import Part
 from chdstat.fit._family import RADIANCE, Estimate, Family, Parameters, summed
 from chdstat.fit._newton import Surface, climb
@@ -29,9 +30,10 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
     With v = c (log x - log scale), rho is v at the log mean, and d is profiled out: ``1 / d =
     mean log(1 + e^v)``. As d and the scale go to infinity together, which is the Weibull limit, q
     goes to 0 and the profile stays smooth: where it rises all the way to q = 0 there is no Burr
-    distribution of maximum likelihood (Shao 2004, doi:10.1016/S0167-9473(02)00367-5).
+    distribution of maximum likelihood (Shao 2004, doi:10.1016/S0167-9473(02)00367-5). Nor is there
+    one where c goes to infinity while c d stays: to a power law above the smallest sample.
     """
-    c, d, scale, c_error, d_error, scale_error, converged, at_limit = climb(
+    c, d, scale, c_error, d_error, scale_error, converged, limit = climb(
         part,
         _profile,
         start=_start,
@@ -45,7 +47,7 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
         parameters={"c": c, "d": d, "scale": scale},
         standard_errors={"c": c_error, "d": d_error, "scale": scale_error},
         converged=converged == 1,
-        at_limit=at_limit == 1,
+        limit=np.nan_to_num(limit).astype(np.int8),
     )
 
 
@@ -57,7 +59,7 @@ def _coordinates(part: Part, near: Parameters) -> tuple[Floats, Floats]:
 
 
 def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
-    """Return parameters, standard errors, convergence, and where it is at a limit, (8, row)."""
+    """Return parameters, standard errors, convergence, and the code of a limit, (8, row)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         c, rho = np.exp(at[0]), _log_expm1(at[1])
         level, rest = _logistic(points, c, rho)
@@ -65,12 +67,14 @@ def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
         scale = np.exp(points.log_mean - rho / c)
         errors = _standard_errors(points, rest, c, d, rho)
         errors[2] *= scale
-        # A maximum at the floor is the Weibull limit. Where the search does not end, c grows
-        # without bound if the power law above the smallest sample is likelier than what it reached.
+        # A maximum at the floor is the Weibull limit. Wherever the search ends, it is a local one
+        # if the power law above the smallest sample, to which c grows without bound, is likelier.
         reached = at[0] + rho - np.log(level) - level
-        at_limit = np.where(converged, at[1] <= 2 * _LEAST, _power_law(points) >= reached)
-        interior = ~at_limit & np.isfinite(errors).all(axis=0)
-    return np.stack([c, d, scale, *errors, converged & interior, at_limit])
+        weibull, power_law = converged & (at[1] <= 2 * _LEAST), _power_law(points) >= reached
+        limit = np.where(weibull, Reason.AT_LIMIT, Reason.OK)
+        limit = np.where(power_law, Reason.AT_PARETO_LIMIT, limit)
+        interior = (limit == Reason.OK) & np.isfinite(errors).all(axis=0)
+    return np.stack([c, d, scale, *errors, converged & interior, limit])
 
 
 def _power_law(points: Points) -> Floats:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from chdstat._positive import Floats, Mask
 from chdstat._routes import Part
@@ -26,13 +27,14 @@ RADIANCE = "W sr-1 m-2"
 class Estimate:
     """Parameters and standard errors by name, and where the estimate is a maximum.
 
-    `at_limit` says where there is none, for the likelihood rises towards a limit of the family.
+    `limit` says where there is none, for the likelihood rises towards a limit of the family: the
+    `Reason` code of that limit, and 0 elsewhere.
     """
 
     parameters: Parameters
     standard_errors: Parameters
     converged: Mask
-    at_limit: Mask | None = None
+    limit: npt.NDArray[np.int8] | None = None
 
 
 @dataclass(frozen=True)

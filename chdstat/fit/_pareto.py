@@ -6,6 +6,7 @@ import numpy as np
 from scipy import stats
 
 from chdstat._positive import Floats, Mask
+from chdstat._reasons import Reason
 from chdstat._routes import Part
 from chdstat.fit._family import RADIANCE, Estimate, Family, Parameters, summed
 from chdstat.fit._newton import Surface, climb
@@ -31,7 +32,7 @@ def _estimate(part: Part, _near: Parameters | None) -> Estimate:
     to -1 / max x, where xi < -1: what is looked for is the local maximum above that
     (doi:10.1080/00401706.1993.10485040).
     """
-    xi, scale, converged, at_limit = climb(
+    xi, scale, converged, limit = climb(
         part, _profile, start=_best_of_grid, finish=_finish, names=4, minimum=PARETO.minimum
     )
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -41,11 +42,13 @@ def _estimate(part: Part, _near: Parameters | None) -> Estimate:
             "xi": regular / np.sqrt(part.n),
             "scale": scale * np.sqrt(2 * regular / part.n),
         }
-    return Estimate({"xi": xi, "scale": scale}, errors, converged == 1, at_limit == 1)
+    return Estimate(
+        {"xi": xi, "scale": scale}, errors, converged == 1, np.nan_to_num(limit).astype(np.int8)
+    )
 
 
 def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
-    """Return xi, scale, convergence and where there is no maximum, shape (4, row)."""
+    """Return xi, scale, convergence and the code of where there is no maximum, shape (4, row)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         u = np.expm1(at[0])
         relative, _, _ = _moments(points, _ratio(points), u)
@@ -55,7 +58,8 @@ def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
         bounded = np.zeros_like(converged) if points.single else at[0] < _AT_EDGE
         converged = (converged | bounded) & (xi > -1)
     # A search that meets xi = -1 cannot end: beyond, the likelihood has no bound.
-    return np.stack([xi, scale, converged, ~converged & (xi < _LEAST)])
+    limit = np.where(~converged & (xi < _LEAST), Reason.AT_LIMIT, Reason.OK)
+    return np.stack([xi, scale, converged, limit])
 
 
 def _best_of_grid(points: Points) -> Floats:

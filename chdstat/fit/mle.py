@@ -228,10 +228,13 @@ def burr() -> None:
     """Fit a zero-inflated Burr XII distribution: a body of any width, a power tail.
 
     ``f(x) = (c d / s) (x/s)^(c-1) (1 + (x/s)^c)^(-d-1)``, known to economists as Singh-Maddala; its
-    tail index is ``1 / (c d)``. As d grows without bound it becomes a Weibull distribution. Where
-    the samples are likeliest there, or at the other end, there is no maximum: the row is NaN with
-    the reason `AT_LIMIT`, and the Weibull fit is the answer. Standard errors are those of the
-    observed information.
+    tail index is ``1 / (c d)``. It has two limits, where rows are NaN with a reason of their own.
+    As d grows without bound, it becomes a Weibull distribution: where the likelihood rises towards
+    that, the reason is `AT_LIMIT`, and the Weibull fit is the answer. As c grows without bound and
+    c d does not, it becomes a power law that begins at the smallest sample: where that is likelier
+    than any, as it is above a floor of ambient light, the reason is `AT_PARETO_LIMIT`, and no
+    family of this library is the answer; `chdstat.fit.tail_index` has the index of the tail.
+    Standard errors are those of the observed information.
 
     References
     ----------
@@ -315,8 +318,9 @@ def estimate_part(
     reason = part.reason(family.minimum)
     failed = (reason == Reason.OK) & ~estimate.converged
     reason[failed] = Reason.NOT_CONVERGED
-    if estimate.at_limit is not None:
-        reason[failed & estimate.at_limit] = Reason.AT_LIMIT
+    if estimate.limit is not None:
+        at_limit = failed & (estimate.limit != Reason.OK)
+        reason[at_limit] = estimate.limit[at_limit]
     ok = np.asarray(reason == Reason.OK)
     kept = Estimate(
         parameters=_keep(estimate.parameters, ok),

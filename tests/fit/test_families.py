@@ -68,9 +68,43 @@ def test_burr_ends_where_weibull_begins():
 
 
 def test_burr_ends_where_a_power_law_has_an_edge():
-    """Samples from 1 on, likeliest at 1: no Burr distribution is as likely as that jump."""
-    x = 1 + np.random.default_rng(4).pareto(2.0, size=(50, 200))
-    assert (chd.fit.burr(x).reason == Reason.AT_LIMIT).all()
+    """Samples from 1 on, likeliest at 1: no Burr distribution is as likely as that jump.
+
+    That limit has a code of its own: there, the Weibull fit is not the answer.
+    """
+    x = 1 + np.random.default_rng(4).pareto(2.0, size=(50, 512))
+    assert (chd.fit.burr(x).reason == Reason.AT_PARETO_LIMIT).all()
+    assert (_power_law(x) - chd.fit.weibull(x).log_likelihood > 200).all()
+
+
+def _power_law(x):
+    """Return the likelihood of Pareto's distribution above the smallest sample, the limit."""
+    index = 1 / np.log(x / x.min(axis=-1, keepdims=True)).mean(axis=-1)
+    return x.shape[-1] * (np.log(index) - 1) - np.log(x).sum(axis=-1)
+
+
+@pytest.mark.parametrize("samples", [10, 512])
+@pytest.mark.parametrize("law", ["floor", "lognormal", "gamma", "heaps"])
+def test_burr_is_told_from_both_its_limits(law, samples):
+    """OK only where no limit is likelier, and each limit only where the other one is not."""
+    rng = np.random.default_rng(8)
+    size = (200, samples)
+    x = {
+        "floor": lambda: 1 + rng.exponential(size=size),
+        "lognormal": lambda: rng.lognormal(size=size),
+        "gamma": lambda: rng.gamma(2, size=size),
+        "heaps": lambda: rng.gamma(20, size=size) * np.where(rng.random(size) < 0.5, 1, 50),
+    }[law]()
+    burr, weibull, power_law = chd.fit.burr(x), chd.fit.weibull(x), _power_law(x)
+    fine, light, edge = (
+        burr.reason == r for r in (Reason.OK, Reason.AT_LIMIT, Reason.AT_PARETO_LIMIT)
+    )
+    limits = np.maximum(power_law, weibull.log_likelihood)
+    assert (burr.log_likelihood >= limits - 1e-6)[fine].all()
+    assert (weibull.log_likelihood >= power_law - 1e-3 * samples)[light].all()
+    assert (power_law >= weibull.log_likelihood - 1e-3 * samples)[edge].all()
+    if samples == 10 or law == "floor":
+        assert light.any() or edge.any()
 
 
 def test_burr_with_the_shape_of_weibull_has_its_tail():

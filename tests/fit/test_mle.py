@@ -151,7 +151,7 @@ def test_unusable_pixels_are_data(family):
     x = np.array([[0.0] * 8, [np.nan] * 8, [0, 0, 0, 0, 0, 0, 0, 3], [2] * 8, last])
     fit = chd.fit.fit(x, family)
     # The six samples of the last row are likeliest where Burr becomes a power law with an edge.
-    last_one = Reason.AT_LIMIT if family == "burr" else Reason.OK
+    last_one = Reason.AT_PARETO_LIMIT if family == "burr" else Reason.OK
     expected = [Reason.ALL_NULL, Reason.ALL_BAD, Reason.TOO_FEW, Reason.CONSTANT, last_one]
     np.testing.assert_array_equal(fit.reason, expected)
     for value in (*fit.parameters.values(), fit.log_likelihood, fit.bic):
