@@ -20,7 +20,7 @@ from scipy import ndimage
 from chdstat.capture import scene_integrator
 from chdstat.errors import InputError
 from chdstat.samples import Samples
-from chdstat.scenes import BUILTIN, Scene
+from chdstat.scenes import BUILTIN, REMAKES, Scene
 from chdstat.scenes.files import is_file
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ __all__ = [
     "load_recipe",
     "own_recipe",
     "regions_of",
+    "remake_of",
 ]
 
 SCHEMA = 1
@@ -190,6 +191,16 @@ def regions_of(samples: Samples) -> tuple[Region, ...]:
     """Return the regions of samples of a built-in scene in the view of its recipe, else none."""
     recipe = own_recipe(samples.name, str(samples.attrs.get("scene_source")))
     return recipe.regions if recipe and recipe.shows(*samples.shape[:2]) else ()
+
+
+def remake_of(samples: Samples) -> str:
+    """Return the name of the paper's scene that samples of a built-in one are a remake of, or "".
+
+    What is said of the remake need not hold of the scene of Elek, Thomas and Forbes 2019, which has
+    other geometry and materials.
+    """
+    built_in = samples.attrs.get("scene_source") == "chdstat"
+    return REMAKES.get(samples.name, "") if built_in else ""
 
 
 def find_recipe(scene: str) -> Recipe | None:

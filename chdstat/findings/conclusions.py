@@ -68,15 +68,20 @@ class Conclusion:
 
 
 def conclude(
-    found: Conclusion, *, number: int, name: str, claim: str, scene: str, spp: int
+    found: Conclusion,
+    *,
+    number: int,
+    name: str,
+    claim: str,
+    scene: str,
+    spp: int,
+    about: str = "",
 ) -> Finding:
     """Make a finding of what was measured."""
     part = found.deciding
+    asked: Any = {"number": number, "name": name, "claim": claim, "scene": scene, "about": about}
     return Finding(
-        number=number,
-        name=name,
-        scene=scene,
-        claim=claim,
+        **asked,
         statistic=part.statistic if part else Statistic(name, math.nan),
         interval=(part.low, part.high, part.level) if part else (math.nan, math.nan, LEVEL),
         p_value=found.p_value,
@@ -85,10 +90,7 @@ def conclude(
         parts=found.parts,
         details=found.details,
         exhibit=found.exhibit,
-        beside={
-            other: conclude(c, number=number, name=name, claim=claim, scene=scene, spp=spp)
-            for other, c in found.beside.items()
-        },
+        beside={other: conclude(c, spp=spp, **asked) for other, c in found.beside.items()},
     )
 
 

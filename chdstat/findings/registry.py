@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,9 +27,15 @@ from chdstat.findings import (
 from chdstat.findings.conclusions import Conclusion, conclude
 from chdstat.findings.evidence import Evidence
 from chdstat.findings.results import Finding
+from chdstat.recipes import remake_of
 
 __all__ = ["FINDINGS", "Claim", "find"]
 
+_IMAGE = "this image: other views of the scene, or other scenes, may differ"
+_TWO_RENDERS = "this view, rendered twice: other views of the scene, or other scenes, may differ"
+_IMAGES = "these images, one of each scene: other views of the scenes may differ"
+_TRAINED = "this training on this image, judged on its other pixels: other scenes may differ"
+_NETWORK = "this training on this image: the network itself, whatever the scene shows"
 _MOMENTS, _SHAPES, _BATCHES = 32, 128, 384
 """Samples per pixel for shares; for shapes and moments of logarithms; for twelve batches of 32."""
 
@@ -52,6 +58,8 @@ class Claim:
         Whether it compares scenes.
     paired
         Whether it compares renders of one scene.
+    about
+        What a verdict is about: its intervals say how the numbers vary over parts of the image.
     """
 
     number: int
@@ -61,6 +69,7 @@ class Claim:
     measure: Callable[[Evidence], Conclusion] | Callable[[Sequence[Evidence]], Conclusion]
     across: bool = False
     paired: bool = False
+    about: str = _IMAGE
 
     @property
     def alone(self) -> bool:
@@ -78,8 +87,21 @@ class Claim:
             found = self.measure(given)
         scene = ", ".join(e.name for e in used)
         return conclude(
-            found, number=self.number, name=self.name, claim=self.claim, scene=scene, spp=spp
+            found,
+            number=self.number,
+            name=self.name,
+            claim=self.claim,
+            scene=scene,
+            spp=spp,
+            about=" ".join([f"About {self.about}.", *_remakes(used)]),
         )
+
+
+def _remakes(evidences: Sequence[Evidence]) -> Iterator[str]:
+    """Say which scenes are not those of the paper, though they look like them."""
+    for evidence in evidences:
+        if original := remake_of(evidence.samples):
+            yield f"{evidence.name} is a remake of the paper's {original}, not that scene."
 
 
 FINDINGS = (
@@ -153,6 +175,7 @@ FINDINGS = (
         _SHAPES,
         path_lengths.measure,
         paired=True,
+        about=_TWO_RENDERS,
     ),
     Claim(
         10,
@@ -168,6 +191,7 @@ FINDINGS = (
         _SHAPES,
         complexity.measure,
         across=True,
+        about=_IMAGES,
     ),
     Claim(
         12,
@@ -176,6 +200,7 @@ FINDINGS = (
         _SHAPES,
         scene_shapes.measure,
         across=True,
+        about=_IMAGES,
     ),
     Claim(
         13,
@@ -199,6 +224,7 @@ FINDINGS = (
         "in training, and gives a denoiser a better start.",
         _SHAPES,
         learning.measure,
+        about=_TRAINED,
     ),
     Claim(
         16,
@@ -207,6 +233,7 @@ FINDINGS = (
         "samples keep their value, neither the order of samples nor the unit of radiance matters.",
         _MOMENTS,
         reduction.measure,
+        about=_NETWORK,
     ),
 )
 """The claims of Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte
@@ -220,8 +247,10 @@ def find(evidence: Evidence, *, others: Sequence[Evidence] = ()) -> list[Finding
     the claim states, *not supported* where that of any part lies wholly outside, and else there is
     no telling. Regions that show one phenomenon are taken together, each as a stratum of its own.
     Intervals are of a bootstrap over blocks of pixels; those of the parts of one claim
-    hold together at 95 % (Bonferroni). Each claim is a question of its own, so that nothing is
-    corrected between claims: each has its own chance of 5 % of a wrong verdict.
+    hold together at 95 % (Bonferroni). A verdict is about the image at hand, or what was trained on
+    it; `Finding.about` says which, and whether the scene is a remake of the paper's. Each claim is
+    a question of its own, so that nothing is corrected between claims: each has its own chance of
+    5 % of a wrong verdict.
 
     Parameters
     ----------

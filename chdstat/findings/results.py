@@ -187,6 +187,9 @@ class Finding:
     beside
         The same asked of what the claim is not about, by name, such as of another estimator; the
         verdict does not rest on it.
+    about
+        What the verdict is about, in sentences: this image or this model, and not the scene; and
+        which scenes are remakes of the paper's.
     """
 
     number: int
@@ -202,6 +205,7 @@ class Finding:
     details: Mapping[str, Any] = field(default_factory=dict)
     exhibit: Exhibit = field(default_factory=lambda: Exhibit("curves"))
     beside: Mapping[str, Finding] = field(default_factory=dict)
+    about: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the exhibit, ready for JSON; what is not finite is None."""
@@ -211,6 +215,7 @@ class Finding:
             "name": self.name,
             "scene": self.scene,
             "claim": self.claim,
+            "about": self.about,
             "statistic": plain(vars(self.statistic)),
             "interval": {"low": plain(low), "high": plain(high), "level": plain(level)},
             "p_value": plain(self.p_value),

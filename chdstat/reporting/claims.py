@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from chdstat import viz
-from chdstat.findings import Claim, Finding, Part
+from chdstat.findings import FINDINGS, Claim, Finding, Part
+from chdstat.recipes import remake_of
 from chdstat.reporting.text import NAMES, number
+from chdstat.samples import Samples
 from chdstat.viz.claims import VERDICTS
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ __all__ = [
     "claim_figures",
     "exhibits",
     "finding_content",
+    "remake_note",
 ]
 
 _TINY = 1e-4
@@ -32,6 +35,20 @@ _TINY = 1e-4
 def chips() -> dict[str, dict[str, str]]:
     """Return colour and mark of each verdict."""
     return {verdict: {"color": c, "mark": m} for verdict, (c, m) in VERDICTS.items()}
+
+
+def remake_note(samples: Iterable[Samples]) -> str:
+    """Return a note on the scenes that are remakes of the paper's; "" where none is."""
+    found = {s.name: original for s in samples if (original := remake_of(s))}
+    if not found:
+        return ""
+    listed = ", ".join(f"{name} (of {original})" for name, original in found.items())
+    one = len(found) == 1
+    return (
+        f"{'A remake' if one else 'Remakes'} of the paper's scene{'s' * (not one)}: {listed}. "
+        f"{'It was' if one else 'They were'} made for this library after the paper's figures, with "
+        f"other geometry and materials: what holds here need not hold of the paper's own."
+    )
 
 
 def asked(found: Mapping[str, Finding]) -> dict[str, Finding]:
@@ -61,6 +78,7 @@ def claim_content(claim: Claim, found: Mapping[str, Finding]) -> dict[str, Any]:
         "number": claim.number,
         "name": claim.name,
         "claim": claim.claim,
+        "about": f"About {claim.about}.",
         "method": (inspect.getdoc(claim.measure) or "").splitlines()[0],
         "rows": _rows(asked(found)),
         "null_hypothesis": next(filter(None, hypotheses), ""),
@@ -100,6 +118,7 @@ def finding_content(finding: Finding) -> dict[str, Any]:
         "number": finding.number,
         "name": finding.name,
         "claim": finding.claim,
+        "about": next(f"About {c.about}." for c in FINDINGS if c.number == finding.number),
         "verdict": finding.verdict,
         "parts": [_part_content(part) for part in finding.parts],
         "needs": finding.reason if finding.verdict == "cannot tell" else "",

@@ -16,7 +16,7 @@ from chdstat.findings import FINDINGS, Evidence, Finding
 from chdstat.overviews import Overview, pooled_shares
 from chdstat.patterns import PATTERNS
 from chdstat.reporting import figures
-from chdstat.reporting.claims import chips, exhibits, finding_content
+from chdstat.reporting.claims import chips, exhibits, finding_content, remake_note
 from chdstat.reporting.findings import findings
 from chdstat.reporting.scene_figures import panels_of, scene_figures
 from chdstat.reporting.self_training import SelfTraining
@@ -105,6 +105,7 @@ def document(study: Study) -> Document:
         "verdicts": chips(),
         "claims": [finding_content(finding) for finding in study.claims],
         "unasked": _unasked(study.claims),
+        "remake": remake_note([study.samples]),
     }
     drawn: dict[str, Figure] = {
         "maps": figures.maps(study.dataset),

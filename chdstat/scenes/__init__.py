@@ -16,7 +16,7 @@ from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import is_file
 from chdstat.scenes.scene import Scene
 
-__all__ = ["BUILTIN", "Scene", "load_scene"]
+__all__ = ["BUILTIN", "REMAKES", "Scene", "load_scene"]
 
 BUILTIN: dict[str, str] = {
     "bathroom": "A closed room lit through one window: nulls, long tails, a penumbra, a mirror.",
@@ -29,6 +29,13 @@ BUILTIN: dict[str, str] = {
     "night-room": "The same living room by night, two lamps with paper shades: mostly nulls.",
 }
 """Names of the built-in scenes and what each shows; one module each, dashes as underscores."""
+REMAKES = {
+    "bathroom": "Bathroom",
+    "day-room": "WhiteRoom",
+    "night-room": "NightRoom",
+    "gallery": "MeasureOne",
+}
+"""Built-in scenes that were made after one of Elek, Thomas and Forbes 2019, and that one's name."""
 
 
 def load_scene(source: str | Path | Mapping[str, Any] | Scene, **parameters: object) -> Scene:

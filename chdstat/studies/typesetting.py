@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from chdstat._core.files import scratch
 from chdstat.findings import FINDINGS, Claim, Finding
-from chdstat.reporting.claims import chips, claim_content, claim_figures
+from chdstat.recipes import remake_of
+from chdstat.reporting.claims import chips, claim_content, claim_figures, remake_note
 from chdstat.reporting.scene_figures import panels_of, scene_figures
 from chdstat.reporting.text import number, percent
 from chdstat.reporting.typeset import Document, typeset
@@ -49,6 +50,7 @@ def document(study: Study) -> Document:
         "counts": _counts(study),
         "provenance": {k: str(v) for k, v in study.provenance.items()},
         "repeated": any(scene.repeated for scene in study.scenes),
+        "remakes": remake_note(scene.evidence.samples for scene in study.scenes),
     }
     return Document("study.typ", content, drawn)
 
@@ -76,6 +78,7 @@ def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
     return {
         "name": scene.name,
         "about": BUILTIN.get(scene.name, ""),
+        "remake_of": remake_of(samples),
         "prefix": f"scene{index}-",
         "size": f"{width} × {height}",
         "spp": spp,

@@ -333,3 +333,33 @@ def test_hostile_samples_are_data(name):
         assert {f.verdict for f in found} == {"cannot tell"}
     if name == "negative":
         assert not any(f.verdict == "supported" for f in found)
+
+
+# --- what a verdict is about --------------------------------------------------------------------
+
+
+def named(name, source, x=None):
+    """Return samples of a scene of that name, from this library or from a file."""
+    x = np.random.default_rng(0).gamma(2, size=(6, 6, 1, 64)) if x is None else x
+    return chd.Samples.from_array(x, scene=name, scene_source=source)
+
+
+def test_every_finding_says_whether_it_is_about_this_image_or_what_learned_from_it():
+    found = find(Evidence("box", named("box", "box.xml")))
+    words = {9: "this view, rendered twice", 11: "these images", 12: "these images"}
+    words |= {15: "this training on this image", 16: "this training on this image"}
+    for f in found:
+        assert f.about.startswith(f"About {words.get(f.number, 'this image')}"), f.about
+        assert f.to_dict()["about"] == f.about
+
+
+@pytest.mark.parametrize("number", BY_NUMBER)
+def test_no_claim_is_made_of_the_papers_room_where_the_scene_is_a_remake(number):
+    claim = BY_NUMBER[number]
+    remake = Evidence("bathroom", named("bathroom", "chdstat"))
+    own = Evidence("bathroom", named("bathroom", "/scenes/bathroom/scene.xml"))
+    other = Evidence("fog", named("fog", "chdstat"))
+    sentence = "bathroom is a remake of the paper's Bathroom, not that scene."
+    assert claim.find(remake, [other]).about.endswith(sentence)
+    assert "remake" not in claim.find(own, [other]).about
+    assert ("remake" in claim.find(other, [remake]).about) == claim.across

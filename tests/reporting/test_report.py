@@ -16,10 +16,11 @@ from chdstat.reporting.text import between, number, percent
 FIXED = ("mean", "median_of_means")
 
 
-def text_of(path):
+def text_of(path, last=None):
     pdf = pypdfium2.PdfDocument(path)
     try:
-        text = " ".join(page.get_textpage().get_text_range() for page in pdf)
+        pages = [pdf[i] for i in range(len(pdf))][:last]
+        text = " ".join(page.get_textpage().get_text_range() for page in pages)
         return " ".join(text.split())
     finally:
         pdf.close()
@@ -46,6 +47,20 @@ def test_a_report_has_all_its_parts(radiance, tmp_path):
     assert "median of means" in text
     assert path.stat().st_size < 5e6
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(("source", "remake"), [("chdstat", True), ("bathroom.xml", False)])
+def test_a_report_says_first_and_beside_the_claims_that_a_scene_is_a_remake(
+    radiance, tmp_path, source, remake
+):
+    samples = chd.Samples.from_array(radiance[:8, :8], scene="bathroom", scene_source=source)
+    path = chd.report(samples, tmp_path / "bathroom.pdf", estimators=FIXED)
+    note = "A remake of the paper's scene: bathroom (of Bathroom)."
+    assert (note in text_of(path, last=1)) == remake
+    whole = text_of(path)
+    assert whole.count(note) == 2 * remake
+    assert ("The paper’s claims" in whole.split(note)[1]) if remake else True
+    assert "About this image: other views of the scene, or other scenes, may differ." in whole
 
 
 @pytest.mark.parametrize(

@@ -37,10 +37,11 @@ rectangle = [0.3, 0.3, 0.7, 0.7]
 """
 
 
-def text_of(path):
+def text_of(path, last=None):
     pdf = pypdfium2.PdfDocument(path)
     try:
-        return " ".join(" ".join(p.get_textpage().get_text_range() for p in pdf).split())
+        pages = [pdf[i] for i in range(len(pdf))][:last]
+        return " ".join(" ".join(p.get_textpage().get_text_range() for p in pages).split())
     finally:
         pdf.close()
 
@@ -160,6 +161,19 @@ def test_the_pdf_has_all_claims_and_all_scenes(found, tmp_path):
     for part in ("cornell-box", "noise", "Verdicts", "cannot tell", "Method and limits"):
         assert part in text
     assert list(tmp_path.iterdir()) == [tmp_path / "study.pdf"]
+
+
+def test_the_pdf_says_first_and_beside_the_verdicts_which_scenes_are_remakes(tmp_path):
+    x = noise("bathroom", shape=(8, 8, 3, 64)).read()
+    samples = chd.Samples.from_array(x, scene="bathroom", scene_source="chdstat")
+    found = study([samples, noise("noise", shape=(8, 8, 3, 64))], folder=None, estimators=["mean"])
+    path = found.save_pdf(tmp_path / "study.pdf")
+    assert "A remake of the paper's scene: bathroom (of Bathroom)." in text_of(path, last=1)
+    text = text_of(path)
+    assert "bathroom*, noise" in text
+    assert "noise*" not in text
+    assert "A remake of the paper’s Bathroom, not that scene." in text
+    assert text.count("About this image") > 10
 
 
 HOPELESS = {
