@@ -106,6 +106,12 @@ def asked_for(name: str, state: Any, sensor: int) -> Asked:
         message = f"sensor must be below {len(sensors)}, the sensors of {name!r}, got {sensor}"
         raise InputError(message)
     chosen = sensors[sensor]
+    if chosen.props.plugin_name() == "irradiancemeter":
+        message = (
+            "sensor 'irradiancemeter' measures what falls on a shape, and sees no image; use one "
+            "that does, such as perspective"
+        )
+        raise RenderError(message)
     notes = []
     if len(sensors) > 1:
         number = f"sensor {sensor}" + (f" ({chosen.props.id()!r})" if chosen.props.id() else "")

@@ -157,6 +157,11 @@ def test_the_sensor_that_is_asked_for_sees_the_image(tmp_path, caplog):
         render(two_sensors(), sensor=2)
 
 
+def test_a_sensor_without_an_image_is_refused():
+    with pytest.raises(RenderError, match="'irradiancemeter' .* sees no image; .* perspective"):
+        render({**box(), "sensor": {"type": "irradiancemeter"}})
+
+
 # --- wrappers -----------------------------------------------------------------------------------
 
 

@@ -82,20 +82,26 @@ class Page:
     ) -> None:
         self._document, self._size, self._channels = document, size, channels
         self._numbers = itertools.count(1)
+        with document.models.freeze():  # else, all models are gathered anew after each change
+            self._fill(titles)
+            document.title = f"{heading} · chdstat"
+            document.template = _template()
+            document.template_variables.update(
+                _variables(titles, size, channels, heading, maps, errors)
+            )
+            self._wire()
+
+    def _fill(self, titles: Sequence[str]) -> None:
         self.inbox = TextInput(name="inbox", visible=False)
         self.outbox = TextInput(name="outbox", visible=False)
-        self._linked = Linked.of(*size)
-        self._pictures = [Picture(f"picture{i}", size, self._linked) for i in range(len(titles))]
+        self._linked = Linked.of(*self._size)
+        self._pictures = [
+            Picture(f"picture{i}", self._size, self._linked) for i in range(len(titles))
+        ]
         self._panels = {name: PanelPlot(name) for name in _PANELS}
         roots = [p.figure for p in self._pictures] + [p.figure for p in self._panels.values()]
         for root in (*roots, self.inbox, self.outbox):
-            document.add_root(root)
-        document.title = f"{heading} · chdstat"
-        document.template = _template()
-        document.template_variables.update(
-            _variables(titles, size, channels, heading, maps, errors)
-        )
-        self._wire()
+            self._document.add_root(root)
 
     # --- what is shown --------------------------------------------------------------------------
 

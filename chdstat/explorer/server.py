@@ -23,6 +23,7 @@ from chdstat.models import AnyModel
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:
+    from bokeh.application.handlers.handler import Handler
     from bokeh.document import Document
     from bokeh.server.server import Server
 
@@ -223,12 +224,13 @@ def _bound(shared: Shared, port: int) -> Server:
 
     Only pages that it served itself may open a websocket: Bokeh refuses every other origin.
     """
+    from bokeh.application.application import Application
     from bokeh.server.server import Server
 
     logging.getLogger("bokeh").setLevel(logging.ERROR)
     _check_port(port)
     server = Server(
-        {"/": lambda document: _open(document, shared)},
+        {"/": Application(_pages(shared))},
         port=port,
         address=_ADDRESS,
         check_unused_sessions_milliseconds=5000,
@@ -241,6 +243,25 @@ def _bound(shared: Shared, port: int) -> Server:
     )
     _refuse_other_hosts(server._tornado)
     return server
+
+
+def _pages(shared: Shared) -> Handler:
+    """Return what fills new pages one at a time, in a thread: the pages that are there go on."""
+    from bokeh.application.handlers.handler import Handler
+
+    class Pages(Handler):  # type: ignore[misc]
+        def __init__(self) -> None:
+            super().__init__()
+            self._turn = asyncio.Lock()
+
+        async def on_session_created(self, session_context: Any) -> None:
+            async with self._turn:
+                await asyncio.to_thread(_open, session_context._document, shared)
+
+        def modify_document(self, doc: Document) -> None:
+            """Do nothing: it is filled by now."""
+
+    return Pages()
 
 
 def _refuse_other_hosts(application: Any) -> None:

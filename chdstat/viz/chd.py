@@ -72,7 +72,7 @@ class Panel:
     note: str = ""
 
 
-def chd_axes(axes: Axes, curves: Mapping[str, Curve], *, scale: Scale) -> None:
+def chd_axes(axes: Axes, curves: Histogram | Mapping[str, Curve], *, scale: Scale) -> None:
     """Draw the histograms of all channels into one panel.
 
     Parameters
@@ -80,10 +80,25 @@ def chd_axes(axes: Axes, curves: Mapping[str, Curve], *, scale: Scale) -> None:
     axes
         Where to draw.
     curves
-        By channel name; R, G and B have their colours.
+        What `chdstat.histogram` returns for one pixel, of shape (channel, bin) or (bin,); or curves
+        by channel name. R, G and B, which three channels are, have their colours.
     scale
         "linear", or "log" for a log10 axis of radiance.
+
+    Raises
+    ------
+    InputError
+        If a histogram has another scale, or is not one of a single pixel.
+
+    Examples
+    --------
+    >>> from chdstat import histogram
+    >>> samples = np.random.default_rng(0).gamma(1.0, size=(3, 256))
+    >>> axes = Figure().subplots()
+    >>> chd_axes(axes, histogram(samples, scale="log"), scale="log")
     """
+    if isinstance(curves, Histogram):
+        curves = _curves(curves, scale)
     for i, (channel, curve) in enumerate(curves.items()):
         color = _color(channel, i)
         if np.isfinite(curve.edges).all() and np.isfinite(curve.density).all():
@@ -104,6 +119,19 @@ def chd_axes(axes: Axes, curves: Mapping[str, Curve], *, scale: Scale) -> None:
     axes.set_ylim(bottom=0)
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
+
+
+def _curves(histogram: Histogram, scale: Scale) -> dict[str, Curve]:
+    """Return the curves of the channels of a pixel."""
+    if histogram.scale != scale or histogram.counts.ndim > 2:
+        message = (
+            f"expected a {scale} histogram of one pixel, shape (channel, bin), got a "
+            f"{histogram.scale} one of shape {histogram.counts.shape}"
+        )
+        raise InputError(message)
+    parts = list(zip(np.atleast_2d(histogram.edges), np.atleast_2d(histogram.density), strict=True))
+    names = "RGB" if len(parts) == 3 else [f"channel{i}" for i in range(len(parts))]
+    return {name: Curve(*part) for name, part in zip(names, parts, strict=True)}
 
 
 def _color(channel: str, place: int) -> str:

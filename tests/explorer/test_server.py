@@ -11,6 +11,7 @@ import subprocess
 import sys
 import threading
 import urllib.request
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ import pytest
 import chdstat as chd
 from chdstat._store import Store
 from chdstat.errors import InputError, StoreError
-from chdstat.explorer import explore
+from chdstat.explorer import explore, server
 from chdstat.explorer.page import _web
 from chdstat.explorer.palette import (
     BLENDED,
@@ -32,14 +33,14 @@ from chdstat.explorer.palette import (
 
 
 def page(url):
-    with urllib.request.urlopen(url, timeout=10) as answer:
+    with urllib.request.urlopen(url, timeout=120) as answer:
         return answer.read().decode()
 
 
 def handshake(explorer, origin):
     """Ask for the websocket as a browser would that shows a page of this origin; the status."""
     token = page(explorer.url).split('"token":"')[1].split('"')[0]
-    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=120)
     headers = {
         "Origin": origin,
         "Upgrade": "websocket",
@@ -54,7 +55,7 @@ def handshake(explorer, origin):
 
 
 def status(explorer, host):
-    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=120)
     with contextlib.closing(connection):
         connection.request("GET", "/", headers={"Host": host})
         return connection.getresponse().status
@@ -93,6 +94,25 @@ def test_only_this_machine_is_served(explored, store_path):
         probe.settimeout(1)
         # Another address of the loopback network stands for any other interface.
         assert probe.connect_ex(("127.0.0.2", explorer.port)) != 0
+
+
+def test_a_page_that_is_built_holds_up_no_other(explored, store_path, monkeypatch):
+    explorer = explored(store_path)
+    begun, go_on, build = threading.Event(), threading.Event(), server._open
+
+    def slow(*arguments):
+        begun.set()
+        assert go_on.wait(60)
+        build(*arguments)
+
+    monkeypatch.setattr(server, "_open", slow)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(page, explorer.url)
+        assert begun.wait(60)
+        assert "Bokeh" in page(explorer.url + "static/js/bokeh.min.js")
+        assert not waiting.done()
+        go_on.set()
+        assert "<title>box.zarr" in waiting.result()
 
 
 def test_a_page_needs_nothing_from_the_net(explored, store_path):

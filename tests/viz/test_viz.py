@@ -5,6 +5,7 @@ from __future__ import annotations
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy import stats
 
 from chdstat import viz
@@ -55,6 +56,26 @@ def test_marks_are_numbered_and_magnified(image):
     figure = viz.with_marks(image, marks)
     assert len(figure.axes) == 9
     assert {f"{i + 1} m{i}" for i in range(8)} <= texts(figure)
+
+
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_chd_axes_draws_what_histogram_returns(scale):
+    x = np.random.default_rng(1).gamma(1.0, size=(3, 64))
+    one, same, gray = Figure().subplots(1, 3)
+    found = histogram(x, scale=scale)
+    viz.chd_axes(one, found, scale=scale)
+    curves = {c: viz.Curve(found.edges[i], found.density[i]) for i, c in enumerate("RGB")}
+    viz.chd_axes(same, curves, scale=scale)
+    drawn, expected = ([p.get_data().values for p in a.patches] for a in (one, same))
+    np.testing.assert_array_equal(drawn, expected)
+    assert [p.get_edgecolor() for p in one.patches] == [p.get_edgecolor() for p in same.patches]
+    viz.chd_axes(gray, histogram(x[0], scale=scale), scale=scale)
+    np.testing.assert_allclose(gray.patches[0].get_data().values, found.density[0])
+    other = "log" if scale == "linear" else "linear"
+    with pytest.raises(InputError, match=f"expected a {other} histogram of one pixel"):
+        viz.chd_axes(one, found, scale=other)
+    with pytest.raises(InputError, match="one pixel, .* got"):
+        viz.chd_axes(one, histogram(x[np.newaxis], scale=scale), scale=scale)
 
 
 def test_chd_grid_shows_every_panel():
