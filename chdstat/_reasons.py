@@ -38,6 +38,8 @@ class Reason(enum.IntEnum):
     """Fewer than half of the bootstrap replicates could be fitted: they are no p-value."""
     AT_PARETO_LIMIT = 11
     """No Burr distribution is as likely as a power law that begins at the smallest sample."""
+    UNIDENTIFIED = 12
+    """The samples cannot tell: the answer rests on a tail that may be too heavy for it."""
 
 
 def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:

@@ -123,8 +123,9 @@ def analyze(
     merged = xr.merge(
         [summary, *parts], compat="override", combine_attrs="drop_conflicts", join="override"
     )
-    if "averages_n_predicted" in merged:
-        merged["averages_n_predicted"].attrs["comment"] = _COMMENT
+    if "averages_predicted_kurtosis" in merged:
+        for name in ("skewness", "kurtosis"):
+            merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
     return merged.assign_attrs(samples.attrs)
 
 
@@ -209,7 +210,9 @@ def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list
         sizes = sizes_of_means(spp, test=_TEST_OF_MEANS)
         stages.append(
             _Stage(
-                lambda t: means_variables(means_of_block(t.block, sizes, test=_TEST_OF_MEANS)),
+                lambda t: means_variables(
+                    means_of_block(t.block, sizes, test=_TEST_OF_MEANS, tail=t.of_channels(t.tail))
+                ),
                 lambda d: finish_means(d, sizes, n_means=N_MEANS, test=_TEST_OF_MEANS),
                 "averages_",
             )

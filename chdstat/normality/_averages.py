@@ -9,9 +9,11 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import spans
-from chdstat._positive import CONSTANT_SPREAD, Counts, Floats, Mask
+from chdstat._positive import CONSTANT_SPREAD, Counts, Floats, Mask, PositivePart
 from chdstat._reasons import Reason
+from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.normality._cascade import Averages, cascade, shapes
+from chdstat.normality._predicted import predict
 from chdstat.normality._tests import NormalityTest, TestName, run_tests
 
 __all__ = [
@@ -19,7 +21,6 @@ __all__ = [
     "UNTESTED",
     "TestedAverages",
     "n_needed",
-    "n_predicted",
     "run_on_averages",
     "skewness_ratio",
 ]
@@ -60,10 +61,13 @@ class GaussianityOfMeans:
         largest N still are told from Gaussian, 0 where there is no answer. Where all averages are
         Gaussian, it is 1 with a probability of at least 1 - `alpha`: the level of each test is
         `alpha` over the number of sizes.
-    n_predicted
+    n_predicted, n_predicted_interval
         Smallest N, tested or not, at which the predicted skewness and kurtosis fall below two
         standard errors of those of `n_means` Gaussian averages, ``2 sqrt(6 / n_means)`` and
-        ``2 sqrt(24 / n_means)``, shape (...); NaN where there is no answer.
+        ``2 sqrt(24 / n_means)``, shape (...), and its 95 % interval, shape (..., 2). NaN where
+        there is no answer, or where the samples do not identify their kurtosis.
+    n_predicted_reason
+        `Reason` codes of these two, shape (...).
     reason
         `Reason` codes, shape (..., size).
     """
@@ -81,6 +85,8 @@ class GaussianityOfMeans:
     skewness_ratio: Floats
     n_needed: Counts
     n_predicted: Floats
+    n_predicted_interval: Floats
+    n_predicted_reason: npt.NDArray[np.int8]
     reason: npt.NDArray[np.int8]
 
 
@@ -113,8 +119,10 @@ def gaussianity_of_rows(
     n_means: int,
     test: NormalityTest,
     alpha: float,
+    tail: Tail | None = None,
 ) -> GaussianityOfMeans:
     """Test averages of samples, shape (..., sample), and tell the N needed and predicted."""
+    predictions = predict(x, bad, tail or tail_of_part(PositivePart.of(x, bad=bad)), n_means)
     found = run_on_averages(x, bad, sizes, n_means, test)
     root = np.sqrt(sizes)
     predicted = found.skewness_of_samples[..., np.newaxis] / root
@@ -132,7 +140,9 @@ def gaussianity_of_rows(
         skewness_ratio=skewness_ratio(found, predicted),
         # Bonferroni over the sizes: else each further one would be a chance to fail.
         n_needed=n_needed(found.p_value * len(sizes) <= alpha, found.reason, found.varied, sizes),
-        n_predicted=n_predicted(found, n_means),
+        n_predicted=predictions.n,
+        n_predicted_interval=predictions.interval,
+        n_predicted_reason=predictions.reason,
         reason=found.reason,
     )
 
@@ -172,16 +182,6 @@ def skewness_ratio(found: TestedAverages, predicted: Floats) -> Floats:
     with np.errstate(all="ignore"):
         clear = np.abs(found.skewness_of_samples) > 2 * np.sqrt(6 / found.n)
         return np.where(clear[..., np.newaxis], found.skewness / predicted, np.nan)
-
-
-def n_predicted(found: TestedAverages, n_means: int) -> Floats:
-    """Return the N at which both predictions lie within two standard errors.
-
-    Under normality, the variances are 6 / n_means and 24 / n_means (Cramer 1946, section 29.3).
-    """
-    by_skewness = found.skewness_of_samples**2 / (4 * 6 / n_means)
-    by_kurtosis = np.abs(found.kurtosis_of_samples) / (2 * np.sqrt(24 / n_means))
-    return np.asarray(np.maximum(1, np.ceil(np.maximum(by_skewness, by_kurtosis))))
 
 
 def n_needed(told: Mask, reason: npt.NDArray[np.int8], varied: Mask, sizes: Counts) -> Counts:

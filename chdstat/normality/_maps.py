@@ -23,6 +23,8 @@ _LABELS = {
     "predicted_kurtosis": "excess kurtosis of averages of independent samples",
     "skewness_ratio": "skewness of averages over what independent samples predict",
     "n_predicted": "samples per average whose predicted shape cannot be told from Gaussian",
+    "n_predicted_interval": "95 % interval of n_predicted",
+    "n_predicted_reason": "why there is no n_predicted",
     "n": "samples that were tested",
     "q_value": "q-value of normality over the image",
     "rejected": "1 where not Gaussian, at the false discovery rate of the dataset",

@@ -15,7 +15,9 @@ import numpy.typing as npt
 
 from chdstat._arrays import as_samples, is_bad
 from chdstat._positive import Counts
+from chdstat._reasons import flag_attributes
 from chdstat.errors import InputError
+from chdstat.fit.tail import Tail
 from chdstat.normality._averages import (
     MORE_THAN_TESTED,
     UNTESTED,
@@ -90,11 +92,16 @@ def gaussianity_of_means(
     which is the question of whoever looks at so many; more averages need a larger N. Where the
     tested averages are all equal although the samples are not, they count as told from Gaussian.
 
-    Skewness and kurtosis of the samples, and with them the prediction, assume finite moments. Where
-    the tail index is 1/2 or more (`chdstat.fit.tail_index`), the variance of the CHD is infinite
-    or its estimate not to be trusted: averages then never turn Gaussian, and the prediction grows
-    with the number of samples instead of settling. Skewness is infinite from 1/3 on, kurtosis from
-    1/4 on.
+    Skewness and kurtosis of the samples assume finite moments. Where the tail index is 1/2 or more
+    (`chdstat.fit.tail_index`), the variance of the CHD is infinite: averages then never turn
+    Gaussian. Skewness is infinite from 1/3 on, kurtosis from 1/4 on. Below, both are mostly too
+    small, for they rest on rare bright samples. So N is predicted only where the interval of the
+    tail index ends below 1/4 and the variance is trusted, else the reason is `UNIDENTIFIED`; the
+    upper end of the interval of N counts the tail as heavy as that of its index allows. The
+    interval holds the N of the distribution, or there is none, in 92 % and more of exponential,
+    gamma, log-normal, Weibull, uniform and generalised Pareto pixels with 512 to 8192 samples. Of
+    exponential pixels, 60 % have a prediction with 512 samples and 92 % with 2048; of log-normal
+    ones with sigma = 1, next to none.
 
     Parameters
     ----------
@@ -181,15 +188,21 @@ def means_of_block(
     n_means: int = N_MEANS,
     test: TestName = "shapiro-wilk",
     alpha: float = 0.05,
+    tail: Tail | None = None,
 ) -> GaussianityOfMeans:
-    """Test the averages of pixels, shape (..., channel, sample); a bad channel spoils a sample."""
+    """Test the averages of pixels, shape (..., channel, sample); a bad channel spoils a sample.
+
+    `tail` is that of the same samples, for whoever has it.
+    """
     bad = np.broadcast_to(is_bad(block).any(axis=-2, keepdims=True), block.shape)
-    return gaussianity_of_rows(block, bad, sizes, n_means, TESTS[test], alpha)
+    return gaussianity_of_rows(block, bad, sizes, n_means, TESTS[test], alpha, tail)
 
 
 def means_variables(result: GaussianityOfMeans) -> Mapped:
     """Return the variables of a block; `finish_means` adds `n_needed`, which needs the image."""
-    dims = dict.fromkeys(_BY_SIZE, ("channel", "size")) | {"n_predicted": ("channel",)}
+    dims: dict[str, tuple[str, ...]] = dict.fromkeys(_BY_SIZE, ("channel", "size"))
+    dims |= dict.fromkeys(("n_predicted", "n_predicted_reason"), ("channel",))
+    dims["n_predicted_interval"] = ("channel", "bound")
     return {name: (after, getattr(result, name)) for name, after in dims.items()}
 
 
@@ -208,7 +221,7 @@ def finish_means(
     needed = n_needed(
         (rejected == 1).transpose(*dims, "size").to_numpy(),
         dataset["reason"].transpose(*dims, "size").to_numpy(),
-        dataset["n_predicted"].transpose(*dims).notnull().to_numpy(),
+        dataset["predicted_skewness"].notnull().any("size").transpose(*dims).to_numpy(),
         sizes,
     )
     dataset["n_needed"] = (
@@ -221,10 +234,13 @@ def finish_means(
             "flag_meanings": "more_than_tested untested",
         },
     )
-    for name in ("predicted_skewness", "predicted_kurtosis", "skewness_ratio", "n_predicted"):
+    for name in ("predicted_skewness", "predicted_kurtosis", "skewness_ratio"):
         dataset[name].attrs["comment"] = _ASSUMES
+    dataset["n_predicted"].attrs["comment"] = "NaN where n_predicted_reason says why"
+    dataset["n_predicted_reason"].attrs.update(flag_attributes())
     size = ("size", sizes, {"long_name": "samples per average", "units": "1"})
-    return dataset.assign_coords(size=size).assign_attrs(n_means=n_means)
+    bound = np.array(["low", "high"], dtype=object)
+    return dataset.assign_coords(size=size, bound=bound).assign_attrs(n_means=n_means)
 
 
 _ASSUMES = "assumes finite moments; not to be trusted where the tail index is 1/2 or more"

@@ -142,8 +142,9 @@ figure
 # The averages keep the promise, as far as few averages of many samples can show it, but it is a
 # slow one: the skewness for 64 samples is an eighth of that for one. How many samples does an
 # average need until 128 such averages can no longer be told from Gaussian? What is predicted
-# follows from the skewness and kurtosis of single samples.
+# follows from the skewness and kurtosis of single samples, where these are identified.
 
 for name, needed, predicted in zip(names, means.n_needed, means.n_predicted, strict=True):
     told = f"more than {means.sizes[-1]}" if needed == MORE_THAN_TESTED else str(needed)
-    print(f"{name:16} needs {told}; the central limit theorem predicts {predicted:.0f}")
+    expected = f"predicts {predicted:.0f}" if predicted > 0 else "cannot tell"
+    print(f"{name:16} needs {told}; the central limit theorem {expected}")

@@ -124,8 +124,9 @@ def test_n_needed_grows_with_skewness_as_predicted():
     x = rng.gamma(np.array([0.25, 1.0, 4.0])[:, np.newaxis, np.newaxis], size=(3, 300, 4096))
     means = gaussianity_of_means(x)
     # Skewness binds the prediction: 4 / k over 4 * 6 / 32, but for the bias of sample skewness.
-    predicted = np.median(means.n_predicted, axis=-1)
+    predicted = np.nanmedian(means.n_predicted, axis=-1)
     np.testing.assert_allclose(predicted, [22, 6, 2], atol=3)
+    assert (means.n_predicted_reason == Reason.OK).mean() > 0.85
     middle = np.median(means.n_needed, axis=-1)
     assert middle[0] >= 4 * middle[1] >= 8 * middle[2]
 
@@ -143,16 +144,54 @@ def test_the_prediction_is_kept_by_independent_samples():
     assert np.isnan(gaussianity_of_means(gaussian, sizes=[2]).skewness_ratio).mean() > 0.9
 
 
-def test_the_prediction_settles_unless_the_variance_is_infinite():
-    # Tail index 0.6: the more samples, the larger the predicted N; a gamma's stays what it is.
+SHAPES = (stats.skew, stats.kurtosis)
+LAWS = {
+    "exponential": (stats.expon(), 0.9),
+    "gamma": (stats.gamma(2), 0.9),
+    "narrow log-normal": (stats.lognorm(0.5), 0.5),
+    "log-normal": (stats.lognorm(1), 0.0),
+    "wide log-normal": (stats.lognorm(1.5), 0.0),
+    "uniform": (stats.uniform(), 0.99),
+    "clamped": (stats.norm(3, 1), 0.9),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_prediction_has_an_interval_that_holds_it_or_there_is_none(name):
+    """Of 300 pixels, 93 % and more hold it or have none (measured); 87 % are 4 deviations fewer.
+
+    Of the two wider log-normal distributions, N is 65 and 5817, and was predicted as 31 and 133.
+    """
+    law, answered = LAWS[name]
+    skewness, kurtosis = (float(v) for v in law.stats("sk"))
+    x = law.rvs((300, 2048), random_state=np.random.default_rng(24))
+    if name == "clamped":
+        x = np.clip(x, 1, 3.5)
+        skewness, kurtosis = (
+            f(np.clip(law.rvs(4_000_000, random_state=1), 1, 3.5)) for f in SHAPES
+        )
+    truth = np.ceil(max(1, skewness**2 / (4 * 6 / 32), abs(kurtosis) / (2 * np.sqrt(24 / 32))))
+    means = gaussianity_of_means(x, sizes=[1])
+    known = means.n_predicted_reason == Reason.OK
+    low, high = means.n_predicted_interval.T
+    assert ((low <= truth) & (truth <= high) | ~known).mean() >= 0.87
+    assert known.mean() >= answered
+    assert (low <= means.n_predicted)[known].all()
+    assert (means.n_predicted <= high)[known].all()
+    np.testing.assert_array_equal(np.isnan(means.n_predicted), ~known)
+    assert set(means.n_predicted_reason[~known]) <= {Reason.UNIDENTIFIED}
+    assert (known.mean() < 0.05) == ("log" in name and "narrow" not in name)
+
+
+@pytest.mark.parametrize("index", [0.3, 0.6, 1.0])
+def test_nothing_is_predicted_of_infinite_moments(index):
+    """Nor of a rare tail of index 1: 96 % and more have no answer (measured); below 92 %: 1e-4."""
     rng = np.random.default_rng(24)
-    heavy, light = rng.random((400, 8192)) ** -0.6, rng.gamma(1.0, size=(400, 8192))
-
-    def predicted(x, spp):
-        return np.median(gaussianity_of_means(x[:, :spp], sizes=[1]).n_predicted)
-
-    assert predicted(heavy, 8192) > 4 * predicted(heavy, 512)
-    assert predicted(light, 8192) < 1.5 * predicted(light, 512)
+    x = np.expm1(index * rng.exponential(size=(300, 2048)))
+    if index == 1.0:
+        x = np.where(rng.random(x.shape) < 0.01, 5 + x, rng.exponential(size=x.shape))
+    reason = gaussianity_of_means(x, sizes=[1]).n_predicted_reason
+    assert (reason == Reason.UNIDENTIFIED).mean() > 0.92
 
 
 def test_pixels_without_an_answer():
@@ -166,7 +205,11 @@ def test_pixels_without_an_answer():
     # A firefly behind the tested averages: these are equal, which no Gaussian's are.
     assert means.reason[3, 0] == Reason.ALL_NULL
     assert means.n_needed[3] == MORE_THAN_TESTED
-    assert means.n_predicted[3] > 100
+    # One sample of 256 that is not 0 says next to nothing of their skewness: no N is predicted.
+    assert means.n_predicted_reason[3] == Reason.TOO_FEW
+    expected = [Reason.ALL_NULL, Reason.CONSTANT, Reason.ALL_BAD]
+    np.testing.assert_array_equal(means.n_predicted_reason[:3], expected)
+    assert np.isnan(means.n_predicted_interval[:4]).all()
     assert means.n_needed[4] >= 1
 
 
@@ -193,7 +236,11 @@ def test_n_needed_over_an_image_is_corrected_for_the_image():
     assert (needed[0] != 1).mean() > 0.8
     told = dataset["rejected"].isel(channel=0).to_numpy() == 1
     np.testing.assert_array_equal(needed == -1, told[..., -1])
-    assert "tail index" in dataset["n_predicted"].attrs["comment"]
+    assert "tail index" in dataset["predicted_skewness"].attrs["comment"]
+    assert dataset["n_predicted_interval"].dims == ("y", "x", "channel", "bound")
+    known = dataset["n_predicted_reason"] == Reason.OK
+    np.testing.assert_array_equal(dataset["n_predicted"].notnull(), known)
+    assert known[2:].mean() > 0.9
     for variable in dataset.data_vars.values():
         assert {"long_name", "units"} <= set(variable.attrs)
 

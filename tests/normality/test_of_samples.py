@@ -104,7 +104,8 @@ def test_false_discoveries_keep_to_their_rate():
     exceeds 5 % with probability 4e-5, for three tests 1.2e-4.
     """
     radiance, other = _image_of_four_to_one(np.random.default_rng(15), 20, 200)
-    found = chd.gaussianity(chd.Samples.from_array(radiance), test=ALL, progress=False)
+    samples = chd.Samples.from_array(radiance, axes="yxcs")
+    found = chd.gaussianity(samples, test=ALL, progress=False)
     assert found["rejected"].dims == ("y", "x", "channel", "test")
     rejected = found["rejected"].to_numpy()
     discoveries = rejected.sum(axis=(0, 1))
