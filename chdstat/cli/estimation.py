@@ -212,10 +212,11 @@ def compare(
 ) -> None:
     """Compare estimators on held-out pixels: errors, bias and fireflies."""
     import chdstat
-    from chdstat.reporting.comparison_files import save_comparison, unused_folder
+    from chdstat._core.files import unused
+    from chdstat.reporting.comparison_files import save_comparison
 
     if out is not None:
-        unused_folder(out)  # refused before the work, not after
+        unused(out)  # refused before the work, not after
     samples = chdstat.open(store)
     settings = given(estimators=estimator, seed=seed, max_batches=max_batches)
     sizes = chdstat.comparison.curve_sizes(samples, **given(estimators=estimator)) if curve else ()

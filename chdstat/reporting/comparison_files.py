@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
+from chdstat._core.files import replacing, unused
 from chdstat.analysis import save
 from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.errors import StoreError
@@ -15,16 +13,13 @@ from chdstat.estimators import MLP, Progressive
 from chdstat.reporting import figures
 from chdstat.viz.lettering import spelt
 
-__all__ = ["save_comparison", "unused_folder"]
-
-
-_NUMBERS = "comparison.json"
+__all__ = ["save_comparison"]
 
 
 def save_comparison(
     found: Comparison, folder: str | Path, *, curve: ErrorCurve | None = None
 ) -> list[Path]:
-    """Write a comparison to a folder that has none yet.
+    """Write a comparison to a new folder, which is there when it is complete.
 
     ``comparison.json`` holds every measure, ``comparison.zarr`` the estimates and errors as maps,
     one PDF each figure, ``<name>.safetensors`` each estimator that was trained.
@@ -34,7 +29,7 @@ def save_comparison(
     found
         What `chdstat.compare` found.
     folder
-        Where to; made if it is not there.
+        Where to; nothing may be there.
     curve
         What `chdstat.error_curve` found, to go with it.
 
@@ -46,43 +41,23 @@ def save_comparison(
     Raises
     ------
     StoreError
-        If a comparison is there already, or something cannot be written.
+        If something is there already, or cannot be written.
     """
-    target = unused_folder(folder)
-    numbers = target / _NUMBERS
+    target = unused(folder)
     content = found.to_dict() | ({} if curve is None else {"curve": curve.to_dict()})
     try:
-        target.mkdir(parents=True, exist_ok=True)
-        numbers.write_text(json.dumps(content, indent=2, allow_nan=False), encoding="utf-8")
-        drawn = _save_figures(figures.of_comparison(found, curve), target)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(target, folder=True) as partial:
+            text = json.dumps(content, indent=2, allow_nan=False)
+            (partial / "comparison.json").write_text(text, encoding="utf-8")
+            save(found.to_dataset(), partial / "comparison.zarr")
+            with spelt():
+                for name, figure in figures.of_comparison(found, curve).items():
+                    figure.savefig(partial / f"{name}.pdf", metadata={"CreationDate": None})
+            for name, model in found.models.items():
+                if isinstance(model, (MLP, Progressive)):
+                    model.save(partial / f"{name}.safetensors")
     except OSError as error:
         message = f"cannot write to {target}: {error.strerror or error}"
         raise StoreError(message) from error
-    maps = save(found.to_dataset(), target / "comparison.zarr")
-    return [numbers, maps, *drawn, *_save_models(found, target)]
-
-
-def unused_folder(folder: str | Path) -> Path:
-    """Return a folder to write to, or raise StoreError if a comparison is there already."""
-    target = Path(folder)
-    if (target / _NUMBERS).exists():
-        message = f"{target} holds a comparison; nothing was overwritten. Give another folder"
-        raise StoreError(message)
-    return target
-
-
-def _save_figures(drawn: Mapping[str, Figure], target: Path) -> list[Path]:
-    paths = {target / f"{name}.pdf": figure for name, figure in drawn.items()}
-    with spelt():
-        for path, figure in paths.items():
-            figure.savefig(path, metadata={"CreationDate": None})
-    return list(paths)
-
-
-def _save_models(found: Comparison, target: Path) -> list[Path]:
-    trained = {
-        name: model for name, model in found.models.items() if isinstance(model, (MLP, Progressive))
-    }
-    for name, model in trained.items():
-        model.save(target / f"{name}.safetensors")
-    return [target / f"{name}.safetensors" for name in trained]
+    return sorted(target.iterdir())
