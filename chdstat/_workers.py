@@ -12,6 +12,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
 
+from chdstat.errors import InputError
+
 __all__ = ["cores", "in_order", "memory"]
 
 Item = TypeVar("Item")
@@ -34,6 +36,30 @@ def memory() -> int | None:
         return None
     limit = _container_limit()
     return total if limit is None else min(limit, total)
+
+
+def check_memory(needed: float, what: str, advice: str) -> None:
+    """Refuse what the memory of the machine cannot hold, in words and before the work.
+
+    Raises
+    ------
+    InputError
+        If more bytes are needed than there are in all; more than that would not be known to fail.
+
+    Examples
+    --------
+    >>> check_memory(1e18, "the samples", "use fewer")  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    chdstat.errors.InputError: the samples take 1e+09 GB of memory, of which there are ...
+    """
+    there = memory()
+    if there is not None and needed > there:
+        message = (
+            f"{what} take {needed / 1e9:.3g} GB of memory, of which there are {there / 1e9:.3g}; "
+            f"{advice}"
+        )
+        raise InputError(message)
 
 
 def in_order(

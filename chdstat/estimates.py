@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 import chdstat
 from chdstat._core.files import checked_target
+from chdstat._workers import check_memory
 from chdstat.comparison.denoising import check_denoiser, through_denoiser
 from chdstat.errors import InputError
 from chdstat.estimators import Estimates, Progressive, Stream
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 
 __all__ = ["estimate", "write_estimates"]
 
+_COPIES = 1.6
+"""Memory that an estimate takes, over that of its samples (measured: 1.55)."""
 _USUAL_CHANNELS = (1, 3)
 """Numbers of channels that EXR has names for."""
 
@@ -88,8 +91,8 @@ def estimate(
     Raises
     ------
     InputError
-        If the samples are too few, the model does not fit them, an option is out of range, or Open
-        Image Denoise is wanted and missing.
+        If the samples are too few, or more than the memory of this machine holds, the model does
+        not fit them, an option is out of range, or Open Image Denoise is wanted and missing.
     StoreError
         If the model cannot be read.
 
@@ -276,6 +279,11 @@ def _of_samples(
     samples: Samples, model: AnyModel | None, asked: Mapping[str, float], training: dict[str, Any]
 ) -> _Start:
     own = model
+    check_memory(
+        _COPIES * samples.nbytes,
+        f"the {samples.spp} spp of an estimate and what it computes of them",
+        "use fewer, by spp or --spp, or estimate from render_batches or with --while-rendering",
+    )
     if own is None:
         seen: tuple[Input, ...] = ("features",) if samples.features else ()
         own = train_model(samples, inputs=seen, reference=False, **training)

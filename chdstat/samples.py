@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._arrays import as_samples, spans
-from chdstat._workers import in_order
+from chdstat._workers import check_memory, in_order
 from chdstat.errors import InputError, StoreError
 from chdstat.progress import track
 
@@ -31,6 +31,8 @@ __all__ = ["Samples", "checked", "inspect", "open"]
 _MAP_BYTES = 16 * 2**20
 """Size of the block that `Samples.map` hands out at most, unless 16 x 16 pixels are larger."""
 _MEMORY_TILE, _MEMORY_BATCH = 64, 64
+_ALWAYS_HELD = 2**26
+"""Bytes that are read without a look at how much memory there is."""
 _MOST_CHANNELS = 4
 """More than these are probably samples, unless the caller says that they are channels."""
 
@@ -211,12 +213,19 @@ class Samples:
 
         Raises
         ------
+        InputError
+            If it is more than the memory of this machine holds.
         StoreError
             If the store on disk is damaged.
         """
-        height, width, _, spp = self.shape
+        height, width, channels, spp = self.shape
         ys, xs, ss = (slice(*s.indices(n)) for s, n in ((ys, height), (xs, width), (ss, spp)))
         if self._store is not None:
+            lengths = (len(range(s.start, s.stop, s.step)) for s in (ys, xs, ss))
+            size = 4 * channels * math.prod(lengths)
+            if size > _ALWAYS_HELD:
+                advice = "read them in parts, such as read(ys, xs), or walk through blocks()"
+                check_memory(size, "these samples", advice)
             return self._store.read(ys, xs, ss)
         return self._array[ys, xs, :, ss]  # type: ignore[index]
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat import _workers
 from chdstat.errors import InputError, StoreError
 from chdstat.estimates import estimate, write_estimates
 from chdstat.io import read_exr
@@ -23,6 +24,14 @@ def picture(spp=16, channels=3, features=False):
     x = rng.lognormal(size=(16, 20, 1, 1)) * rng.gamma(0.7, size=(16, 20, channels, spp))
     known = {"albedo": np.full((16, 20, 3), 0.5)} if features else None
     return chd.Samples.from_array(x, features=known, scene="made up")
+
+
+def test_samples_that_memory_cannot_hold_are_refused_in_words(monkeypatch):
+    samples = picture(spp=64)
+    monkeypatch.setattr(_workers, "memory", lambda: 1.5 * samples.nbytes)
+    with pytest.raises(InputError, match=r"64 spp.* GB of memory, of which there are .*--spp"):
+        estimate(samples, **QUICK)
+    estimate(samples, spp=32, **QUICK)
 
 
 @pytest.fixture(scope="module")

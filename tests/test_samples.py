@@ -233,3 +233,16 @@ def test_what_is_no_samples_is_refused_with_advice(ask):
         ask("a.zarr")
     with pytest.raises(InputError, match="got ndarray; Samples.from_array makes them of an array"):
         ask(np.ones((2, 2, 3, 64)))
+
+
+def test_a_read_that_memory_cannot_hold_is_refused_in_words(tmp_path, monkeypatch):
+    store = Store.create(tmp_path / "s.zarr", height=2, width=2, channels=3, spp=70, attrs={})
+    for chunk in store.pending():
+        store.write(chunk, np.ones((2, 2, 3, chunk.shape[2]), np.float32))
+    samples = chd.open(tmp_path / "s.zarr")
+    monkeypatch.setattr("chdstat.samples._ALWAYS_HELD", 0)
+    monkeypatch.setattr("chdstat._workers.memory", lambda: samples.nbytes - 1)
+    with pytest.raises(InputError, match=r"these samples take .* of memory, .*blocks\(\)"):
+        samples.read()
+    assert samples.read(slice(0, 1)).shape == (1, 2, 3, 70)
+    assert samples[1, 1].shape == (3, 70)
