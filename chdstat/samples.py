@@ -183,6 +183,26 @@ class Samples:
         """
         return self._direct
 
+    def shares_numbers_with(self, other: Samples) -> bool:
+        """Return whether sample i of a pixel was drawn with the random numbers of the other's.
+
+        So it is of renders of equal seed and size by one kind of backend, whatever their scenes or
+        integrators: their noise is correlated, and what compares them compares pairs of samples.
+        Samples that do not say their seed are taken for independent.
+
+        Examples
+        --------
+        >>> one, same, other = (Samples.from_array(np.ones((4, 4, 8)), seed=s) for s in (0, 0, 7))
+        >>> one.shares_numbers_with(same), one.shares_numbers_with(other)
+        (True, False)
+        """
+        if self._attrs.get("seed") is None or self.shape[:2] != other.shape[:2]:
+            return False
+        # What compiles draws in wavefronts, with numbers of their own.
+        kinds = {s.attrs.get("backend") == "scalar" for s in (self, other)}
+        named = ("seed", "streams")
+        return len(kinds) == 1 and all(self._attrs.get(n) == other.attrs.get(n) for n in named)
+
     def __repr__(self) -> str:
         height, width, channels, spp = self.shape
         where = f"at {self.path}" if self.path else "in memory"

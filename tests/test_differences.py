@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import stats
 
+import chdstat as chd
 from chdstat.differences import difference
 from chdstat.errors import InputError
 
@@ -78,3 +81,175 @@ def test_radiance_of_any_size_is_compared():
 def test_a_shuffle_is_needed():
     with pytest.raises(InputError, match="replicates must be at least 1, got 0"):
         difference(gamma(), gamma(), replicates=0)
+
+
+# --- renders that share random numbers ----------------------------------------------------------
+
+
+def renders(rng, shape=(24, 24), channels=1, spp=128, correlation=0.9, null=0.3):
+    """Return log-normal samples of two images with nulls, of which those of a pixel are pairs."""
+    size = (*shape, channels, spp)
+    shared, *both = rng.normal(size=(3, *size))
+    found = [
+        np.exp(0.5 * (np.sqrt(correlation) * shared + np.sqrt(1 - correlation) * own))
+        for own in both
+    ]
+    dark = rng.random((*shape, 1, spp)) < null
+    return [np.where(dark, 0, x).astype(np.float32) for x in found]
+
+
+def stores(arrays, *seeds, **attrs):
+    return [chd.Samples.from_array(x, seed=s, **attrs) for x, s in zip(arrays, seeds, strict=True)]
+
+
+def distance_to_uniform(p, **options):
+    return float(stats.kstest(np.ravel(p), "uniform", **options).statistic)
+
+
+def test_pairs_are_compared_by_students_test():
+    a, b = (x[3, 4] for x in renders(np.random.default_rng(0), channels=3, spp=200))
+    found = difference(a, b, paired=True)
+    exact = stats.ttest_rel(b.astype(float), a.astype(float), axis=1)
+    np.testing.assert_allclose(found.mean_t, exact.statistic)
+    np.testing.assert_allclose(found.mean_p_value, exact.pvalue)
+    assert found.paired
+    assert not difference(a, b).paired  # arrays do not say their seeds
+    for name in ("distance", "wasserstein", "mean_difference"):
+        np.testing.assert_allclose(getattr(found, name), getattr(difference(a, b), name))
+
+
+def test_pairs_change_sides_in_every_way():
+    """Of four pairs, eight ways of sixteen are as far apart as all on one side."""
+    a = np.array([[1.0, 2, 3, 4]])
+    found = difference(a, a + 10, paired=True, replicates=4000)
+    assert found.p_value == pytest.approx(2 / 16, abs=0.02)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.5, 0.95])
+def test_equal_seeds_are_told_and_p_values_are_uniform(correlation):
+    """Of 576 pixels: a KS distance above .068 has a probability of 1 %.
+
+    Those of distances are in steps, the coarser the more pairs are equal: none may be too small.
+    """
+    rng = np.random.default_rng(8)
+    a, b = renders(rng, correlation=correlation)
+    found = difference(*stores((a, b), 0, 0))
+    assert found.paired
+    assert distance_to_uniform(found.mean_p_value) < 0.068
+    assert distance_to_uniform(found.p_value, alternative="greater") < 0.068
+
+
+def test_taken_for_independent_correlated_renders_are_never_told_apart():
+    """The control: Welch's test of the same samples is useless."""
+    a, b = renders(np.random.default_rng(8), correlation=0.95)
+    found = difference(*stores((a, b), 0, 0), paired=False)
+    assert distance_to_uniform(found.mean_p_value) > 0.2
+    assert (found.p_value < 0.05).mean() < 0.01
+
+
+def test_other_seeds_are_independent():
+    rng = np.random.default_rng(9)
+    (a, _), (b, _) = renders(rng), renders(rng)
+    found = difference(*stores((a, b), 0, 7))
+    assert not found.paired
+    assert distance_to_uniform(found.mean_p_value) < 0.068
+    assert distance_to_uniform(found.p_value, alternative="greater") < 0.068
+
+
+def test_pairs_find_smaller_differences():
+    a, b = renders(np.random.default_rng(2), correlation=0.95)
+    one, two = stores((a, 1.03 * b), 0, 0)
+    powers = [(difference(one, two, paired=p).mean_p_value < 0.05).mean() for p in (None, False)]
+    assert powers[0] > 3 * powers[1]
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_an_image_is_compared_as_its_pixels_are(paired):
+    """Also where some samples are bad, and whatever the other pixels are."""
+    a, b = renders(np.random.default_rng(1), shape=(3, 5), channels=3, spp=40)
+    a[1, 2, 0, 7], b[0, 3, 2, :4], a[2, 2] = np.nan, np.inf, np.nan
+    found = difference(*stores((a, b), 0, 0), paired=paired, replicates=50)
+    assert found.distance.shape == found.mean_p_value.shape == (3, 5, 3)
+    assert found.p_value.shape == found.n[0].shape == (3, 5)
+    assert np.isnan(found.p_value[2, 2])
+    for y, x in np.ndindex(3, 5):
+        alone = difference(a[y, x], b[y, x], paired=paired, replicates=50)
+        for name in ("distance", "wasserstein", "p_value", "mean_t", "mean_p_value"):
+            np.testing.assert_allclose(getattr(found, name)[y, x], getattr(alone, name), 1e-9)
+        assert (found.n[0][y, x], found.n[1][y, x]) == alone.n
+
+
+def test_of_unequal_numbers_the_common_ones_are_pairs():
+    a, b = renders(np.random.default_rng(1), shape=(2, 3), spp=64)
+    found = difference(*stores((a[..., :48], b), 0, 0))
+    assert (found.n[0] == 48).all()
+    np.testing.assert_allclose(
+        found.mean_t, difference(*stores((a[..., :48], b[..., :48]), 0, 0)).mean_t
+    )
+
+
+def test_a_render_compared_with_itself_is_not_different():
+    a, _ = renders(np.random.default_rng(1), shape=(2, 3))
+    found = difference(*stores((a, a), 0, 0))
+    assert (found.distance == 0).all()
+    assert (found.p_value == 1).all()
+    assert np.isnan(found.mean_p_value).all()  # without scatter there is nothing to test
+
+
+def test_samples_share_numbers_by_seed_size_and_kind_of_backend():
+    x = np.ones((4, 4, 8))
+    one = chd.Samples.from_array(x, seed=3, backend="llvm")
+    for shares, other in (
+        (True, chd.Samples.from_array(x, seed=3, backend="cuda", scene="other")),
+        (True, chd.Samples.from_array(x[..., :5], seed=3, backend="llvm")),
+        (False, chd.Samples.from_array(x, seed=4, backend="llvm")),
+        (False, chd.Samples.from_array(x, seed=3, backend="scalar")),
+        (False, chd.Samples.from_array(x[:2], seed=3, backend="llvm")),
+        (False, chd.Samples.from_array(x, backend="llvm")),
+        (False, chd.Samples.from_array(x, seed=3, backend="llvm", streams=1)),
+    ):
+        assert one.shares_numbers_with(other) == other.shares_numbers_with(one) == shares
+
+
+def test_what_cannot_be_compared_is_refused_in_words():
+    x = np.ones((4, 4, 3, 8))
+    samples = chd.Samples.from_array(x)
+    with pytest.raises(InputError, match="as many pixels"):
+        difference(samples, chd.Samples.from_array(x[:2]))
+    with pytest.raises(InputError, match="one of each"):
+        difference(samples, x)
+    with pytest.raises(InputError, match="pairs need as many samples of both, got 8 and 5"):
+        difference(x[0, 0], x[0, 0, :, :5], paired=True)
+
+
+@pytest.mark.slow
+def test_renders_of_one_seed_by_two_integrators_have_uniform_p_values_in_pairs(capsys):
+    """Path tracing with and without early Russian roulette: equal means, other samples.
+
+    Run with ``pytest -s -m slow tests/test_differences.py``: it prints the distance of the p-values
+    of equal means, in pixels whose samples scatter, to a uniform distribution.
+    """
+    plain = chd.load_scene("cornell-box")
+    kind = {**plain.source["integrator"], "rr_depth": 1}
+    roulette = replace(plain, source={**plain.source, "integrator": kind})
+    options = {"spp": 256, "size": (32, 32), "backend": "scalar"}
+    one = chd.render(plain, **options, seed=0)
+    for seed in (0, 7):
+        two = chd.render(roulette, **options, seed=seed)
+        correlations = [
+            np.corrcoef(one[y, x][1], two[y, x][1])[0, 1] for y in range(32) for x in range(32)
+        ]
+        found = {p: difference(one, two, paired=p, replicates=19) for p in (None, False)}
+        told = {
+            "as the seeds say": found[None].mean_p_value[..., 1],
+            "taken for independent": found[False].mean_p_value[..., 1],
+        }
+        with capsys.disabled():
+            print(f"\n  seeds 0 and {seed}, correlation {np.nanmedian(correlations):.2f}")
+            for name, p in told.items():
+                p = p[np.isfinite(p)]
+                below = (p < 0.05).mean()
+                print(f"    {name}: KS distance {distance_to_uniform(p):.3f}, p < .05 {below:.1%}")
+        assert found[None].paired == (seed == 0)
+        p = told["as the seeds say"]
+        assert distance_to_uniform(p[np.isfinite(p)]) < 0.07

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.differences import difference
+from chdstat.differences import Difference, difference
 from chdstat.explorer import tables
 from chdstat.explorer.exports import Shown
 from chdstat.explorer.fitness import fitness
@@ -138,10 +138,28 @@ class Answers:
             "estimates": self._table(estimates, place, view),
         }
         if self._shared.other is not None:
-            apart = difference(_channels(place), _channels(answer.others[view.active]))
+            apart = self._apart(shown.keys[view.active], place, answer.others[view.active])
             names = (self._shared.source.name, self._shared.other.name)
             found["compared"] = tables.compared(apart, self._shared.source.channels, names)
         return Told(found, estimates)
+
+    def _apart(self, key: tuple[int, ...], place: Measured, other: Measured) -> Difference:
+        """Compare a place of the two stores, in pairs where these share random numbers."""
+        source, second = self._shared.source, self._shared.other
+        one, two = _channels(place), _channels(other)
+        if (
+            second is None
+            or not isinstance(source, StoreSource)
+            or not source.samples.shares_numbers_with(second.samples)
+        ):
+            return difference(one, two)
+        spp = min(source.samples.spp, second.samples.spp)
+        if len(key) == 2:
+            return difference(one[:, :spp], two[:, :spp], paired=True)
+        if one.shape != two.shape:  # as many of each pixel, so that pairs stay together
+            box = (key[0], key[1], key[2], key[3])
+            one, two = source.region(box, spp), second.region(box, spp)
+        return difference(one, two, paired=True)
 
     def afterthought(self, answer: Answer, told: Told, step: Callable[[], None]) -> tables.Table:
         """Return the table of estimates with the slow ones, and those that look around.
@@ -199,17 +217,24 @@ class Answers:
         return sum(place.rows.nbytes for place in self._places.values())
 
     def _reference(self, key: tuple[int, ...], place: Measured) -> npt.NDArray[np.float64] | None:
-        if self._shared.reference is None or len(key) != 2:
+        reference = self._shared.reference
+        if reference is None or len(key) != 2:
             return None
-        true = Measured(self._shared.reference.pixel(key[0], key[1]), place.channels)
+        x = reference.pixel(key[0], key[1])[:, self._shared.first_of_reference :]
+        if not x.shape[1]:
+            return None
+        true = Measured(x, place.channels)
         return true.moments.seen(true.moments.mean)[: len(place.channels)]
 
     def _table(
         self, found: Sequence[Estimate], place: Measured, view: View, more: str = ""
     ) -> tables.Table:
         note = "error against the mean of the other samples, which no batch contains"
-        if self._shared.reference is not None:
-            note = f"error against {self._shared.reference.name}"
+        reference, first = self._shared.reference, self._shared.first_of_reference
+        if reference is not None and first < reference.samples.spp:
+            note = f"error against {reference.name}"
+            # The first ones share their random numbers with what is judged.
+            note += f" from sample {first} on" if first else ""
         return tables.estimates(found, place.channels, _batch(view), note + more)
 
 

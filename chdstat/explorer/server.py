@@ -172,10 +172,12 @@ def explore(
         A store or its path, samples in memory, or anything that `chdstat.load_scene` takes: a scene
         is drawn coarsely, and each pixel sampled when it is picked.
     other
-        A second store of as many pixels, to be compared with.
+        A second store of as many pixels, to be compared with; in pairs of samples where both were
+        rendered with the same seed, and so with the same random numbers.
     reference
         A store of the same scene with more samples: errors of estimators are measured against it,
-        instead of against the samples that an estimate does not see.
+        instead of against the samples that an estimate does not see. If it has the seed of the
+        source, its first samples are those of the source, and only the further ones count.
     models
         Trained estimators, or their files: shown among the estimates, with certainty and interval
         where they say them.

@@ -95,6 +95,19 @@ class Shared:
         known = overall is not None and np.isfinite(overall.mean).any()
         return overall.unit if overall is not None and known else None
 
+    @property
+    def first_of_reference(self) -> int:
+        """First sample of the reference that has random numbers of its own.
+
+        In a reference of the seed of the source, the noise of those before is that of the source:
+        errors against them would be too small.
+        """
+        source, reference = self.source, self.reference
+        if reference is None or not isinstance(source, StoreSource):
+            return 0
+        shared = source.samples.shares_numbers_with(reference.samples)
+        return source.samples.spp if shared else 0
+
     def start(self) -> None:
         """Show the first picture, then begin to improve it."""
         quick_names()

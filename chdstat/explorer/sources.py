@@ -154,10 +154,13 @@ class StoreSource:
         xs = slice(left, min(width, x + radius + 1))
         return self.read(ys, xs, slice(0, spp)), (y - top, x - left), (ys, xs)
 
-    def region(self, box: Box) -> Image:
-        """Return pooled samples of a region, as many of each pixel, shape (channel, sample)."""
+    def region(self, box: Box, spp: int | None = None) -> Image:
+        """Return pooled samples of a region, as many of each pixel, shape (channel, sample).
+
+        Of the first `spp` samples of each pixel; None pools from all.
+        """
         top, left, bottom, right = box
-        each, step = pooled(bottom - top, right - left, self.samples.spp)
+        each, step = pooled(bottom - top, right - left, spp or self.samples.spp)
         parts = []
         for start in range(top, bottom, BLOCK * step):
             rows = slice(start, min(start + BLOCK * step, bottom))

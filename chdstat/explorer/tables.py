@@ -146,8 +146,12 @@ def compared(found: Difference, channels: Sequence[str], names: tuple[str, str])
         ["  p of equal means", *(_p(v) for v in found.mean_p_value)],
     ]
     note = (
-        f"p of equal CHDs, all channels together: {_p(found.p_value)} (permutation test; "
-        f"{found.n[0]} and {found.n[1]} samples)"
+        f"p of equal CHDs, all channels together: {_p(float(found.p_value))} (permutation test; "
+        + (
+            f"{found.n[0]} pairs of samples with the same random numbers)"
+            if found.paired
+            else f"{found.n[0]} and {found.n[1]} samples)"
+        )
     )
     return {
         "title": f"{names[1]} against {names[0]}",

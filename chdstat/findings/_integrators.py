@@ -15,11 +15,13 @@ import numpy.typing as npt
 from chdstat._arrays import generator, spans
 from chdstat.atlases._shapes import WIDTH, of_histograms
 from chdstat.findings.log_chds import LogChds, squared_distance
+from chdstat.samples import Samples
+from chdstat.summary import summarize
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["permuted", "squares", "thinned"]
+__all__ = ["permuted", "squares", "squares_of_pairs", "thinned"]
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -67,6 +69,37 @@ def squares(one: xr.Dataset, two: xr.Dataset, *, seed: int = 0) -> Floats:
         _halves(d, thinned(c, fewer, rng), rng) for d, c in zip(datasets, counts, strict=True)
     ]
     return squared_distance(*halves, width=WIDTH).ravel()
+
+
+def squares_of_pairs(one: Samples, two: Samples, *, seed: int = 0) -> Floats:
+    """Return squared distances of renders that share random numbers, shape (pixel,).
+
+    As `squares`, but a half is every other sample of both: of halves drawn from each render apart,
+    the first of one would be correlated with the second of the other, and distances be too small.
+    """
+    rng, spp, middle = generator(seed), min(one.spp, two.spp), one.shape[2] // 2
+    halves = []
+    for first in (0, 1):
+        datasets = [_every_other(samples, first, spp, middle) for samples in (one, two)]
+        counts = [d["log_counts"].to_numpy().astype(np.int64) for d in datasets]
+        fewer = np.minimum(*(c.sum(axis=-1) for c in counts))
+        halves.append(
+            [
+                of_histograms(_with_counts(d, thinned(c, fewer, rng)), rng).whole.cumulative
+                for d, c in zip(datasets, counts, strict=True)
+            ]
+        )
+    chds = [
+        LogChds(np.stack(pair, axis=-2).astype(np.float64)) for pair in zip(*halves, strict=True)
+    ]
+    return squared_distance(*chds, width=WIDTH).ravel()
+
+
+def _every_other(samples: Samples, first: int, spp: int, channel: int) -> xr.Dataset:
+    """Return the log histograms of every other sample of a channel."""
+    x = samples.read(ss=slice(0, spp))[:, :, channel : channel + 1, first::2]
+    half = Samples.from_array(np.ascontiguousarray(x), axes="yxcs")
+    return summarize(half, progress=False)[list(_HISTOGRAM)]
 
 
 def thinned(counts: Ints, n: Ints, rng: np.random.Generator) -> Ints:
@@ -130,8 +163,11 @@ def permuted(squared: Sequence[Floats], *, seed: int = 0) -> float:
     return (1 + reached) / (1 + _PERMUTATIONS)
 
 
+def _with_counts(dataset: xr.Dataset, counts: Ints) -> xr.Dataset:
+    return dataset.assign(log_counts=(dataset["log_counts"].dims, counts))
+
+
 def _halves(dataset: xr.Dataset, counts: Ints, rng: np.random.Generator) -> LogChds:
-    changed = dataset.assign(log_counts=(dataset["log_counts"].dims, counts))
-    one, two = of_histograms(changed, rng).halves
+    one, two = of_histograms(_with_counts(dataset, counts), rng).halves
     halves = np.stack([one.cumulative, two.cumulative], axis=-2)
     return LogChds(halves.astype(np.float64))

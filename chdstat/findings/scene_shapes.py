@@ -5,22 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat.findings._equal import common_count, drawn
-from chdstat.findings._integrators import permuted, squares
+from chdstat.findings._integrators import permuted, squares, squares_of_pairs
 from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.evidence import Evidence
 from chdstat.findings.log_chds import EDGES, aligned
 from chdstat.findings.resampling import Blocks, Spread, interval_of, mean_of
 from chdstat.findings.results import Exhibit, Part
 from chdstat.summary import summarize
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = ["DIFFERENT", "measure", "tells_apart"]
 
@@ -156,9 +153,9 @@ def _between_integrators(evidences: Sequence[Evidence], level: float) -> _Differ
     """Compare the shapes that two integrators give each pixel."""
     found: dict[str, tuple[Floats, Blocks]] = {}
     for evidence in evidences:
-        theirs = _other_summary(evidence)
-        if theirs is not None and theirs["count"].shape == evidence.samples.shape[:2]:
-            found[evidence.name] = squares(evidence.summary, theirs), evidence.whole().blocks
+        apart = _squares(evidence)
+        if apart is not None:
+            found[evidence.name] = apart, evidence.whole().blocks
     if not found:
         return _Difference(Spread.unknown(level=level), math.nan, {})
     each = {name: permuted([values]) for name, (values, _) in found.items()}
@@ -167,10 +164,17 @@ def _between_integrators(evidences: Sequence[Evidence], level: float) -> _Differ
     return _Difference(spread.root(), permuted(values), each)
 
 
-def _other_summary(evidence: Evidence) -> xr.Dataset | None:
-    if evidence.integrator is None:
-        return evidence.shorter_summary
-    return summarize(evidence.integrator, progress=False)
+def _squares(evidence: Evidence) -> Floats | None:
+    """Return squared distances to the other render of the view; None where sizes differ."""
+    other = evidence.integrator or evidence.shorter
+    if other is None or other.shape[:2] != evidence.samples.shape[:2]:
+        return None
+    if evidence.samples.shares_numbers_with(other):
+        return squares_of_pairs(evidence.samples, other)
+    theirs = evidence.shorter_summary if other is evidence.shorter else None
+    if theirs is None:
+        theirs = summarize(other, progress=False)
+    return squares(evidence.summary, theirs)
 
 
 def _exhibit(evidences: Sequence[Evidence], looks: Sequence[tuple[Floats, Blocks]]) -> Exhibit:

@@ -15,10 +15,10 @@ from statsmodels.stats.multitest import multipletests
 
 import chdstat as chd
 from chdstat._multiplicity import holm
-from chdstat.findings import Evidence, Part, Statistic
+from chdstat.findings import FINDINGS, Evidence, Part, Statistic
 from chdstat.findings._explained import explained_by_features
 from chdstat.findings._growth import growing, with_room
-from chdstat.findings._integrators import permuted, squares
+from chdstat.findings._integrators import permuted, squares, squares_of_pairs
 from chdstat.findings._uniformity import uniformity
 from chdstat.findings.complexity import rank_correlation, scene_complexity
 from chdstat.findings.conclusions import Conclusion, conclude, level_of
@@ -214,6 +214,44 @@ def test_integrators_of_other_shapes_are_told_apart():
     # Of log-normals, at the mean of their spreads in decades: nearly quadratic in their difference.
     expected = 0.3**2 * sigma.mean() / np.log(10) / (4 * np.sqrt(np.pi))
     assert np.nanmean(squared) == pytest.approx(expected, rel=0.35)
+
+
+def sharing(rng, sigmas, correlation, spp=256, edge=12):
+    """Return two renders of log-normal samples with the same random numbers, and one seed."""
+    shared, *both = rng.normal(size=(3, edge, edge, 1, spp))
+    logs = [np.sqrt(correlation) * shared + np.sqrt(1 - correlation) * own for own in both]
+    return [
+        chd.Samples.from_array(np.exp(sigma * x), seed=1)
+        for sigma, x in zip(sigmas, logs, strict=True)
+    ]
+
+
+def test_integrators_that_share_random_numbers_are_compared_in_pairs():
+    """30 p-values as above; of halves drawn apart, squared distances are far below 0."""
+    rng = np.random.default_rng(1)
+    p, wrong = [], []
+    for _ in range(30):
+        one, two = sharing(rng, (0.8, 0.8), 0.8)
+        p.append(permuted([squares_of_pairs(one, two)]))
+        summaries = (chd.summarize(x, progress=False) for x in (one, two))
+        wrong.append(permuted([squares(*summaries)]))
+    assert np.sum(np.array(p) < 0.05) < 7
+    assert abs(np.mean(p) - 0.5) < 0.18
+    assert np.mean(wrong) > 0.9
+    squared = squares_of_pairs(*sharing(rng, (0.8, 1.04), 0.8))
+    assert permuted([squared]) == 0.001
+    expected = 0.3**2 * 0.8 / np.log(10) / (4 * np.sqrt(np.pi))
+    assert np.nanmean(squared) == pytest.approx(expected, rel=0.35)
+
+
+@pytest.mark.parametrize("what", ["integrator", "shorter"])
+def test_the_finding_on_integrators_reads_the_seeds(what):
+    one, two = sharing(np.random.default_rng(2), (0.8, 0.8), 0.9)
+    apart = chd.Samples.from_array(two.read(), seed=2)
+    claim = FINDINGS[11]
+    same = claim.find(Evidence("one", one, **{what: two}), [])
+    assert 0.01 < same.p_value < 0.99
+    assert claim.find(Evidence("one", one, **{what: apart}), []).p_value > 0.99  # told wrongly
 
 
 def test_what_has_no_shape_is_no_difference():

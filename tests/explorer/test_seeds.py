@@ -1,0 +1,81 @@
+"""Seeds: stores that share random numbers are compared in pairs, and judge by others' noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.explorer.answers import Answers
+from chdstat.explorer.opening import opened
+from chdstat.explorer.view import View
+
+EDGE = 8
+
+
+def noise(seed, spp=128):
+    return np.random.default_rng(seed).gamma(1.0, size=(EDGE, EDGE, 3, spp)).astype(np.float32)
+
+
+def held(x, seed):
+    return chd.Samples.from_array(x, seed=seed, scene="noise")
+
+
+@pytest.fixture
+def told():
+    """Return what tells the tables of a view of two stores."""
+    shared = []
+
+    def asked(view, source, other=None, reference=None):
+        shared.append(opened(source, other, reference))
+        answers = Answers(shared[-1])
+        return answers.told(answers.answer(view)).tables
+
+    yield asked
+    for one in shared:
+        one.stop()
+
+
+PIXEL, REGION = View(pixels=((3, 4),)), View(region=(1, 1, 6, 7))
+
+
+@pytest.mark.parametrize("view", [PIXEL, REGION])
+@pytest.mark.parametrize(("seed", "paired"), [(0, True), (7, False)])
+@pytest.mark.parametrize("spp", [128, 96])
+def test_stores_of_one_seed_are_compared_in_pairs(told, view, seed, paired, spp):
+    x = noise(1)
+    other = (x * noise(2) ** 0.1)[..., :spp]
+    table = told(view, held(x, 0), held(other, seed))["compared"]
+    assert ("pairs of samples with the same random numbers" in table["note"]) == paired
+    if paired:
+        pairs = spp if view is PIXEL else spp * 30
+        assert f"{pairs} pairs" in table["note"]
+
+
+def test_pairs_of_a_region_are_of_one_pixel_and_one_sample(told):
+    """Twice as bright in every sample: pairs differ by less than their samples do."""
+    x = np.exp(noise(1))
+    t = {}
+    for seed in (0, 7):
+        table = told(REGION, held(x, 0), held(1.01 * x[..., :96], seed))["compared"]
+        row = next(row for row in table["rows"] if "standard error" in row[0])
+        t[seed] = abs(float(row[1].replace("−", "-")))
+    assert t[0] > 10 * t[7]
+
+
+def test_a_reference_of_the_same_seed_counts_from_where_its_noise_is_its_own(told):
+    x = noise(1, spp=512)
+    source, same = held(x[..., :128], 0), held(x, 0)
+    note = told(PIXEL, source, reference=same)["estimates"]["note"]
+    assert "from sample 128 on" in note
+    own = held(x[..., 128:], 5)
+    expected = told(PIXEL, source, reference=own)["estimates"]
+    assert told(PIXEL, source, reference=same)["estimates"]["rows"] == expected["rows"]
+    assert "from sample" not in expected["note"]
+
+
+def test_a_reference_without_noise_of_its_own_is_none(told):
+    source = held(noise(1), 0)
+    found = told(PIXEL, source, reference=source)["estimates"]
+    assert "which no batch contains" in found["note"]
+    assert found["rows"] == told(PIXEL, source)["estimates"]["rows"]
