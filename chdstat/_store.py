@@ -939,6 +939,9 @@ def _put(file: Path, content: bytes) -> None:
 
 def _check_free(path: Path) -> None:
     """Refuse a folder with anything in it but what a killed maker of a store leaves."""
+    if Store.exists(path):
+        message = f"{path} was made by another process just now; run the command again to go on"
+        raise StoreError(message)
     for name in _listed(path):
         if name != _LOCK and not (name.startswith(".zarr.") and ".partial" in name):
             raise _occupied(path)
