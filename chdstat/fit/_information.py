@@ -12,7 +12,7 @@ from chdstat.fit._cells import Cells
 from chdstat.fit._em import responsibilities
 from chdstat.fit._grounds import Solution
 
-__all__ = ["standard_errors"]
+__all__ = ["covariance", "standard_errors"]
 
 _SMALLEST = 1e-150
 _WORST = 1e-12
@@ -27,16 +27,10 @@ def standard_errors(solution: Solution, cells: Cells) -> dict[str, Floats]:
     with the mean scores of the cells. NaN where it is singular.
     """
     k = solution.state.shape[1]
-    belonging = responsibilities(cells, solution.family, solution.state)
-    share = belonging / np.maximum(cells.count, 1)
-    scores = np.stack(
-        [*_weight_scores(solution, share), *_parameter_scores(solution, cells, share)]
-    )
-    information = np.einsum("irc,jrc,rc->rij", scores, scores, cells.count, optimize=True)
-    covariance = _inverse(information)
+    found = covariance(solution, cells)
     with np.errstate(invalid="ignore", over="ignore"):
-        own = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-        weights = np.sqrt(covariance[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
+        own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1))
+        weights = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
     first, second = own[:, k - 1 : 2 * k - 1], own[:, 2 * k - 1 :]
     last = np.where(k > 1, weights, 0.0)[:, np.newaxis]
     errors = {"weight": np.concatenate([own[:, : k - 1], last], axis=-1)}
@@ -45,6 +39,21 @@ def standard_errors(solution: Solution, cells: Cells) -> dict[str, Floats]:
     _, log_mean, log_shape = solution.state
     scale = np.exp(log_mean - log_shape + solution.origin).T
     return errors | {"shape": first, "scale": second * scale}
+
+
+def covariance(solution: Solution, cells: Cells) -> Floats:
+    """Return the covariance that the information gives, shape (row, parameter, parameter).
+
+    Parameters are all weights but the last; mu of each component, then log sigma; or shape, then
+    log scale.
+    """
+    belonging = responsibilities(cells, solution.family, solution.state)
+    share = belonging / np.maximum(cells.count, 1)
+    scores = np.stack(
+        [*_weight_scores(solution, share), *_parameter_scores(solution, cells, share)]
+    )
+    information = np.einsum("irc,jrc,rc->rij", scores, scores, cells.count, optimize=True)
+    return _inverse(information)
 
 
 def _weight_scores(solution: Solution, share: Floats) -> Iterator[Floats]:

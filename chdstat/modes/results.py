@@ -70,8 +70,10 @@ class Modality:
         beyond the modes there are.
     ashman_d, ashman_d_se
         ``sqrt(2) |m1 - m2| / sqrt(s1^2 + s2^2)`` of neighbouring modes, with means and standard
-        deviations of log radiance, shape (..., 2), and its standard error; above 2, the two are
-        cleanly apart.
+        deviations of log radiance, shape (..., 2), and its standard error, from the information of
+        the mixture; NaN where a mode is too narrow for one. Above 2, the two are cleanly apart.
+        ``1.96`` errors hold the separation of true mixtures in 90 % and more of those that are
+        found.
     delta_bic
         BIC of the best distribution of one mode minus that of the best mixture of two or more
         components: positive where a mixture is better, for tails and skewed shapes, too, which are

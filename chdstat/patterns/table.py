@@ -144,7 +144,11 @@ def _separation(widest: int) -> Callable[[Evidence], Floats]:
 
 
 def _separation_interval(widest: int) -> Callable[[Evidence], Floats]:
-    return lambda e: _around(e.ashman_d[..., widest], e.ashman_d_se[..., widest])
+    def interval(e: Evidence) -> Floats:
+        ends = _around(e.ashman_d[..., widest], e.ashman_d_se[..., widest])
+        return np.maximum(ends, 0)
+
+    return interval
 
 
 def _is_described(e: Evidence, t: Thresholds) -> Mask:

@@ -259,6 +259,21 @@ def test_places_weights_and_separation_of_two():
     assert z.std() == pytest.approx(1, abs=0.25)
 
 
+@pytest.mark.parametrize(("separation", "weight"), [(4.0, 0.5), (4.0, 0.1), (3.0, 0.5)])
+@pytest.mark.parametrize("spp", [128, 512])
+def test_interval_of_the_separation_holds_it(separation, weight, spp):
+    """92 to 97 % of those found are held (measured); it were 68 to 92 %. 5 % fewer: below 1e-3."""
+    rng = np.random.default_rng(29)
+    x = np.exp(rng.normal(size=(400, spp)) + separation * (rng.random((400, spp)) < weight))
+    result = chd.modality(x)
+    two = result.modes == 2
+    d, error = result.ashman_d[two, 0], result.ashman_d_se[two, 0]
+    known = np.isfinite(error)
+    assert known.mean() > 0.9
+    assert (d > 0).all()
+    assert (np.abs(d - separation)[known] < 1.96 * error[known]).mean() > 0.87
+
+
 def test_one_mode_has_a_place_and_no_separation():
     result = chd.modality(np.random.default_rng(7).lognormal(2.0, 0.7, size=(20, 512)))
     np.testing.assert_allclose(result.places[:, 0], 2 * DECADES, atol=0.1)
