@@ -9,6 +9,7 @@ import operator
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from types import FrameType
 from typing import Any, SupportsIndex
 
 import numpy as np
@@ -18,6 +19,7 @@ from chdstat.errors import InputError, LeftOutWarning
 
 __all__ = [
     "LUMINANCE",
+    "LeftOut",
     "all_good",
     "as_pixels",
     "as_samples",
@@ -28,7 +30,6 @@ __all__ = [
     "luminance",
     "spans",
     "warn_left_out",
-    "warn_of_bad",
     "whole",
 ]
 
@@ -173,23 +174,88 @@ def all_good(x: npt.NDArray[np.floating[Any]]) -> bool:
     return x.size == 0 or bool(x.min() > -np.inf and x.max() < np.inf)
 
 
-def warn_left_out(count: float, total: float, what: str) -> None:
-    """Warn the caller of the library where more than 1 % of something was left out.
+class LeftOut:
+    """Counts the samples that a function leaves out, to warn of them where they are many.
 
     Parameters
     ----------
-    count, total
-        How many were left out, of how many.
-    what
-        The rest of a sentence that begins with "3.2 % of the ".
+    logarithms
+        Whether the function needs logarithms, which negative samples have none of.
+
+    Examples
+    --------
+    >>> left_out = LeftOut()
+    >>> left_out.see(np.array([1.0, np.nan, 2.0]))
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     left_out.warn()
+    >>> print(caught[0].message)
+    33.3 % of the samples (1 of 3) are bad and were left out: 1 NaN or masked, 0 infinite
     """
-    if not count > _TOLERATED * total:
+
+    def __init__(self, *, logarithms: bool = False) -> None:
+        self._logarithms = logarithms
+        # Samples, bad ones, those with NaN, with infinite channels; values, negative values. A list
+        # may grow in several threads.
+        self._counts: list[tuple[int, ...]] = []
+
+    def see(self, x: npt.NDArray[np.floating[Any]], *, channel_axis: int | None = None) -> None:
+        """Count samples (..., sample); whole ones where there is an axis of channels."""
+        axes = () if channel_axis is None else (channel_axis,)
+        samples = x.size if channel_axis is None else x.size // max(1, x.shape[channel_axis])
+        masks: list[npt.NDArray[np.bool_]] = []
+        if not all_good(x):
+            masks = [mask(x) for mask in (is_bad, np.isnan, np.isinf)]
+        bad = [int(mask.any(axis=axes).sum()) for mask in masks] or [0, 0, 0]
+        negative = 0
+        if self._logarithms and x.size and not x.min() >= 0:
+            negative = int(((x < 0) & np.isfinite(x)).sum())
+        self._counts.append((samples, *bad, x.size, negative))
+
+    def warn(self) -> None:
+        """Warn the caller of the library where more than 1 % of the samples were left out."""
+        if not self._counts:
+            return
+        samples, bad, nan, infinite, values, negative = map(sum, zip(*self._counts, strict=True))
+        if bad > _TOLERATED * samples:
+            _warn(bad, samples, f"bad and were left out: {nan} NaN or masked, {infinite} infinite")
+        if negative > _TOLERATED * values:
+            _warn(negative, values, "negative and were left out: they have no logarithm")
+
+
+def warn_left_out(
+    x: npt.NDArray[np.floating[Any]],
+    *,
+    channel_axis: int | None = None,
+    logarithms: bool = False,
+    within: str | tuple[str, ...] = "",
+) -> None:
+    """Warn where a function leaves out more than 1 % of samples; see `LeftOut`.
+
+    `within` names parts of the library, of which the others warn of a whole image themselves:
+    what they hand over of it, pixel by pixel or batch by batch, makes no further warning.
+    """
+    *inside, _ = _callers(sys._getframe(1))
+    if within and any(not frame.f_globals["__name__"].startswith(within) for frame in inside):
         return
-    frame, level = sys._getframe(1), 2
-    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] == "chdstat":
-        frame, level = frame.f_back, level + 1
-    message = f"{100 * count / total:.1f} % of the {what}"
+    left_out = LeftOut(logarithms=logarithms)
+    left_out.see(x, channel_axis=channel_axis)
+    left_out.warn()
+
+
+def _warn(count: int, total: int, what: str) -> None:
+    """Warn whoever called the library."""
+    level = 1 + len(_callers(sys._getframe(1)))
+    message = f"{100 * count / total:.1f} % of the samples ({count} of {total}) are {what}"
     warnings.warn(message, LeftOutWarning, stacklevel=level)
+
+
+def _callers(frame: FrameType) -> list[FrameType]:
+    """Return a frame and those that called it, up to the first that is not of the library."""
+    found = [frame]
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] == "chdstat":
+        frame = frame.f_back
+        found.append(frame)
+    return found
 
 
 def is_null(x: npt.NDArray[np.floating[Any]], *, channel_axis: int = -2) -> npt.NDArray[np.bool_]:
@@ -254,11 +320,6 @@ def spans(length: int, step: int) -> Iterator[slice]:
     """
     for start in range(0, length, step):
         yield slice(start, min(start + step, length))
-
-
-def warn_of_bad(count: float, total: float) -> None:
-    """Warn the caller of the library where more than 1 % of the samples are bad."""
-    warn_left_out(count, total, "samples are bad (NaN, infinite or masked) and were left out")
 
 
 def _in_order(x: Any, name: str) -> Any:

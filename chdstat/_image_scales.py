@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels, is_bad, spans
+from chdstat._arrays import LeftOut, as_pixels, is_bad, spans
 from chdstat.errors import InputError
 
 __all__ = [
@@ -156,8 +156,11 @@ def mean_radiance(samples: npt.ArrayLike | _Image) -> float:
     """
     if isinstance(samples, _Image):
         sums = RadianceSums(samples.shape[:2])
+        left_out = LeftOut()
         for ys, xs, _, block in samples.blocks():
+            left_out.see(block, channel_axis=-2)
             sums.add(block, (ys, xs))
+        left_out.warn()
         return sums.mean()
     x = as_pixels(samples, name="samples")
     flat = x.reshape(-1, *x.shape[-2:])

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad, is_null, luminance, spans
+from chdstat._arrays import as_samples, is_bad, is_null, luminance, spans, warn_left_out
 from chdstat._reasons import Reason
 from chdstat.errors import InputError
 
@@ -76,6 +76,10 @@ class LogStatistics:
         return np.asarray((self.n > 0) & (self.log_variance <= CONSTANT_SPREAD**2))
 
 
+_USERS = tuple(f"chdstat.{part}" for part in ("_positive", "_routes", "fit", "modes", "normality"))
+"""What takes samples of a user and splits them."""
+
+
 @dataclass(frozen=True)
 class PositivePart:
     """Samples with the mask of those that are good, not null and larger than 0.
@@ -124,6 +128,13 @@ class PositivePart:
         n_negative = _count((x < 0) & good & ~null) if some else np.zeros_like(n)
         n_zero = np.asarray(x.shape[-1] - n - n_null - n_negative - n_bad, dtype=np.int64)
         return cls(x, positive, n, n_null, n_zero, n_negative, n_bad)
+
+    @classmethod
+    def given(cls, x: npt.ArrayLike, *, null: npt.ArrayLike | None = None) -> PositivePart:
+        """Split samples that a user gives, and warn where many of them are left out."""
+        part = cls.of(x, null=null)
+        warn_left_out(part.x, logarithms=True, within=_USERS)
+        return part
 
     @classmethod
     def of_pixels(

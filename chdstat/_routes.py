@@ -72,6 +72,7 @@ def run(
     if isinstance(x, Samples):
         return x.map(
             lambda block: variables(of_part(PositivePart.of_pixels(block))),
+            logarithms=True,
             description=description,
             progress=progress,
         )
@@ -79,7 +80,7 @@ def run(
         return of_part(BinnedPart.of(x))
     if dataset is not None:
         return _dataset(dataset, variables(of_part(BinnedPart.of_dataset(dataset))))
-    return of_part(PositivePart.of(cast("npt.ArrayLike", x), null=null))
+    return of_part(PositivePart.given(cast("npt.ArrayLike", x), null=null))
 
 
 def _dataset(source: xr.Dataset, variables: Mapped) -> xr.Dataset:

@@ -5,13 +5,14 @@ Use `Samples.map` where a function needs all samples of a pixel at once, this wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._arrays import LeftOut
 from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
@@ -48,8 +49,17 @@ def reduce_tiles(
     xarray.Dataset
         The variables over the whole image, with y, x and channel coordinates.
     """
+    left_out = LeftOut()
+
+    def seen(walk: Iterable[tuple[slice, slice, slice, npt.NDArray[np.float32]]]) -> Blocks:
+        for *_, block in walk:
+            left_out.see(block, channel_axis=-2)
+            yield block
+
     parts = (
-        (ys, xs, function(ys, xs, (block for *_, block in walk)))
+        (ys, xs, function(ys, xs, seen(walk)))
         for (ys, xs), walk in groupby(samples.blocks(), key=lambda block: block[:2])
     )
-    return samples.assemble(parts, description=description, progress=progress)
+    dataset = samples.assemble(parts, description=description, progress=progress)
+    left_out.warn()
+    return dataset

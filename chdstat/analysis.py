@@ -117,7 +117,7 @@ def analyze(
             for name, variable in stage.measure(tile).items()
         }
 
-    found = samples.map(of_block, description="analysing", progress=progress)
+    found = samples.map(of_block, logarithms=True, description="analysing", progress=progress)
     parts = [stage.finished(found, f"{i}/") for i, stage in enumerate(stages)]
     # The parts count the same samples; the summary's word on nulls and bad samples stands.
     merged = xr.merge(

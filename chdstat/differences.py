@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._arrays import generator, is_bad, spans
+from chdstat._arrays import LeftOut, as_samples, generator, is_bad, spans, warn_left_out
 from chdstat.errors import InputError
 from chdstat.samples import Samples
 
@@ -146,11 +146,13 @@ def difference(
     if isinstance(a, Samples) or isinstance(b, Samples):
         message = "expected two arrays or two Samples, got one of each; read() returns an array"
         raise InputError(message)
-    one, two = (np.atleast_2d(np.asarray(x, np.float64)) for x in (a, b))
+    one, two = (np.atleast_2d(as_samples(x, minimum=0)).astype(np.float64) for x in (a, b))
     _check_alike(one.shape[:-1], two.shape[:-1])
     if paired and one.shape != two.shape:
         message = f"pairs need as many samples of both, got {one.shape[-1]} and {two.shape[-1]}"
         raise InputError(message)
+    for x in (one, two):
+        warn_left_out(x, channel_axis=-2)
     return _of_pixels(one, two, bool(paired), replicates, seed)
 
 
@@ -171,16 +173,13 @@ def _of_images(
     count = min(a.spp, b.spp)
     most = slice(0, count) if pairs else slice(None)
     rows = max(1, _AT_ONCE // (a.shape[1] * a.shape[2] * (a.spp + b.spp)))
-    parts = [
-        _of_pixels(
-            a.read(ys, ss=most).astype(np.float64),
-            b.read(ys, ss=most).astype(np.float64),
-            pairs,
-            replicates,
-            seed,
-        )
-        for ys in spans(a.shape[0], rows)
-    ]
+    left_out, parts = LeftOut(), []
+    for ys in spans(a.shape[0], rows):
+        read = [x.read(ys, ss=most).astype(np.float64) for x in (a, b)]
+        for x in read:
+            left_out.see(x, channel_axis=-2)
+        parts.append(_of_pixels(read[0], read[1], pairs, replicates, seed))
+    left_out.warn()
     joined = {
         f.name: np.concatenate([getattr(part, f.name) for part in parts])
         for f in fields(Difference)

@@ -28,7 +28,7 @@ class InputError(ChdstatError, ValueError):
 
 
 class LeftOutWarning(UserWarning):
-    """More than 1 % of the samples, or of the batches, were left out of a result."""
+    """More than 1 % of the samples were left out of a result: bad ones, or negative ones."""
 
 
 class SceneError(ChdstatError):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._arrays import as_samples, warn_left_out
 from chdstat._binning import (
     LOG_SUPPORT,
     SCALES,
@@ -228,7 +228,10 @@ def histogram(
     """
     if not isinstance(x, Samples):
         stream = StreamingHistogram(scale=scale, bins=bins, support=support)
-        return stream.update(x, null=null, bad=bad).read()
+        array = as_samples(x)
+        if bad is None:
+            warn_left_out(array)
+        return stream.update(array, null=null, bad=bad).read()
     if null is not None or bad is not None:
         message = "null and bad are for arrays: Samples know which samples are null or bad"
         raise InputError(message)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, spans
+from chdstat._arrays import LeftOut, as_samples, spans
 from chdstat._workers import check_memory, in_order
 from chdstat.errors import InputError, StoreError
 from chdstat.progress import track
@@ -300,6 +300,7 @@ class Samples:
         self,
         function: Callable[[npt.NDArray[np.float32]], Mapped],
         *,
+        logarithms: bool = False,
         description: str = "analysing",
         progress: bool | None = None,
     ) -> xr.Dataset:
@@ -313,6 +314,9 @@ class Samples:
             Takes samples (y, x, channel, sample) of a tile; returns, by variable name, the names
             of the dims that follow (y, x) and an array of shape (y, x, ...). It must not depend
             on the order of the tiles.
+        logarithms
+            Whether it leaves negative samples out; where more than 1 % are left out, as bad ones
+            are in any case, a `chdstat.errors.LeftOutWarning` says so.
         description
             What the progress bar says.
         progress
@@ -328,8 +332,17 @@ class Samples:
         while edge > 16 and edge * edge * channels * spp * 4 > _MAP_BYTES:
             edge //= 2
         tiles = itertools.product(spans(height, edge), spans(width, edge))
-        parts = in_order(lambda tile: (*tile, function(self.read(*tile))), tiles)
-        return self.assemble(parts, description=description, progress=progress)
+        left_out = LeftOut(logarithms=logarithms)
+
+        def of_tile(tile: tuple[slice, slice]) -> tuple[slice, slice, Mapped]:
+            block = self.read(*tile)
+            left_out.see(block, channel_axis=-2)
+            return (*tile, function(block))
+
+        parts = in_order(of_tile, tiles)
+        dataset = self.assemble(parts, description=description, progress=progress)
+        left_out.warn()
+        return dataset
 
     def assemble(
         self,

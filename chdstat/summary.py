@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels, warn_of_bad
+from chdstat._arrays import as_pixels
 from chdstat._batches import Batches
 from chdstat._binning import SCALES, Counts, Floats, GivenSupport, Mask, sample_masks, tile_support
 from chdstat._moments import Moments
@@ -306,12 +306,11 @@ def summarize(
             summary.update(block)
         return _variables(summary.read())
 
-    height, width, _, spp = checked(samples).shape
+    spp = checked(samples).spp
     # A run of the batches alone says how they will end, and refuses wrong options at once.
     batches = Batches((), size=batch_size, limit=max_batches)
     batches.update(np.zeros(spp))
     dataset = reduce_tiles(samples, of_tile, description="summarising", progress=progress)
-    warn_of_bad(int(dataset["bad_count"].sum()), height * width * spp)
     return _label(dataset, batches)
 
 

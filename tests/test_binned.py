@@ -21,6 +21,7 @@ def test_log_statistics_agree_with_those_of_the_samples():
     np.testing.assert_allclose(binned.mean, exact.mean, rtol=5e-3)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_the_counts_are_those_of_the_samples():
     x = np.array([0, 0, 1e-7, 0.5, 2, 3e6, np.nan, -1])
     part = BinnedPart.of(histogram(x))
@@ -29,6 +30,7 @@ def test_the_counts_are_those_of_the_samples():
     assert part.counts[-1] == 1
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize(
     ("x", "reason"),
     [

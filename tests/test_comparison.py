@@ -234,6 +234,7 @@ def test_a_picture_that_trained_everywhere_cannot_judge():
         chd.compare(samples, ["elek2019"], model=model)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_a_picture_of_bad_samples_cannot_judge():
     with pytest.raises(InputError, match="every sample"):
         chd.compare(chd.Samples.from_array(np.full((2, 2, 3, 64), np.nan)), ["mean"])

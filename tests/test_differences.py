@@ -64,6 +64,7 @@ def test_channels_must_agree():
         difference(gamma(), gamma()[:1])
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_without_good_samples_there_is_nothing_to_say():
     bad = np.full((3, 8), np.nan)
     found = difference(gamma(), bad)
@@ -163,6 +164,7 @@ def test_pairs_find_smaller_differences():
     assert powers[0] > 3 * powers[1]
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("paired", [False, True])
 def test_an_image_is_compared_as_its_pixels_are(paired):
     """Also where some samples are bad, and whatever the other pixels are."""

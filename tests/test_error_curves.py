@@ -117,6 +117,7 @@ def test_what_has_no_curve_is_refused(names, options, match):
         error_curve(picture(), names, **options)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_bad_samples_have_no_curve():
     x = np.ones((2, 2, 3, 64))
     x[..., ::32] = np.inf

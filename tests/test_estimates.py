@@ -23,7 +23,7 @@ def picture(spp=16, channels=3, features=False):
     rng = np.random.default_rng(0)
     x = rng.lognormal(size=(16, 20, 1, 1)) * rng.gamma(0.7, size=(16, 20, channels, spp))
     known = {"albedo": np.full((16, 20, 3), 0.5)} if features else None
-    return chd.Samples.from_array(x, features=known, scene="made up")
+    return chd.Samples.from_array(x, features=known, axes="yxcs", scene="made up")
 
 
 def test_samples_that_memory_cannot_hold_are_refused_in_words(monkeypatch):

@@ -80,6 +80,7 @@ def _arrays(result: Any, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
         yield path, np.asarray(result)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_a_batch_of_hard_pixels(name, dtype):
@@ -94,6 +95,7 @@ def test_a_batch_of_hard_pixels(name, dtype):
     assert (together.reason[0] == Reason.OK).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("row", ROWS)
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_a_pixel_is_the_same_alone_and_in_a_batch(name, row):

@@ -76,6 +76,7 @@ def test_density_without_samples_is_nan():
     assert np.isnan(histogram([0.0, 0.0]).density).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_linear_support_spans_the_first_fifty_padded_by_a_quarter():
     x = np.concatenate([[0.0, np.nan, 3.0, 5.0], np.full(46, 4.0), [1000.0]])
     support = linear_support(x)
@@ -100,6 +101,7 @@ def test_one_value_gets_a_support_around_it():
     assert h.counts.sum() == 2
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_no_support_is_data_with_a_reason():
     late = np.zeros((4, 60))
     late[:, 55] = 2

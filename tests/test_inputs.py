@@ -1,6 +1,7 @@
 """Input: axes by name, masks, integers and precision; whatever array is taken, the same holds."""
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat import estimators, fit
-from chdstat.errors import InputError
+from chdstat.errors import InputError, LeftOutWarning
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.histograms import StreamingHistogram
@@ -148,12 +149,21 @@ FIXED = {
 TAKING = {**ROWS, **PIXELS, **FIXED}
 
 
+def _warned(name, given):
+    """Return what a function makes of samples of which 2 % are bad, and tells so."""
+    if name in ("Samples", "summary", "profile", "streaming histogram"):
+        return TAKING[name](given)  # leave nothing out, or are a part of what does
+    with pytest.warns(
+        LeftOutWarning, match=r"[12]\.\d % of the samples .* are bad and were left out"
+    ):
+        return TAKING[name](given)
+
+
 @pytest.mark.parametrize("name", TAKING)
 def test_masked_samples_are_bad(x, name):
     hidden = np.random.default_rng(1).random((HEIGHT, WIDTH, 1, SPP)) < 0.02
     masked = np.ma.masked_array(x, np.broadcast_to(hidden, x.shape))
-    expected = TAKING[name](np.where(hidden, np.nan, x))
-    found = TAKING[name](masked)
+    expected, found = (_warned(name, given) for given in (np.where(hidden, np.nan, x), masked))
     np.testing.assert_array_equal(np.asarray(found), np.asarray(expected))
     assert not isinstance(found, np.ma.MaskedArray)
 
@@ -181,7 +191,83 @@ def test_learned_estimators_take_the_same_arrays(x):
     hidden = np.zeros(image.shape, bool)
     hidden[..., 5] = True
     bad = np.where(hidden, np.nan, image)
-    found = model.predict(np.ma.masked_array(image, hidden))
-    np.testing.assert_array_equal(found, model.predict(bad))
+    with pytest.warns(LeftOutWarning, match=r"1\.6 % of the samples \(144 of 9216\) are bad"):
+        found = model.predict(np.ma.masked_array(image, hidden))
+    with pytest.warns(LeftOutWarning):
+        np.testing.assert_array_equal(found, model.predict(bad))
     with pytest.raises(InputError, match="unsigned integers"):
         model.predict(image.astype(np.uint8))
+
+
+# --- what is left out ---------------------------------------------------------------------------
+
+IMAGE = {
+    "summarize": chd.summarize,
+    "classify": chd.classify,
+    "fit.gamma": fit.gamma,
+    "fit.tail_index": fit.tail_index,
+    "modality": chd.modality,
+    "gaussianity": chd.gaussianity,
+    "gaussianity_of_means": lambda s: gaussianity_of_means(s, n_means=8),
+    "histogram": chd.histogram,
+    "compare": lambda s: chd.compare(s, ["mean"], n=4),
+    "analyze": lambda s: chd.analyze(s, progress=False),
+    "train": lambda s: Progressive().train(s, sizes=(4,), iterations=2, progress=False),
+    "train without a reference": lambda s: Progressive().train(
+        s, reference=False, iterations=2, progress=False
+    ),
+}
+LOGARITHMIC = ("classify", "fit.gamma", "fit.tail_index", "modality", "gaussianity", "analyze")
+
+
+@pytest.fixture(scope="module")
+def large():
+    return np.random.default_rng(2).gamma(0.9, size=(12, 12, 3, SPP)).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", IMAGE)
+def test_more_than_a_hundredth_left_out_is_told_with_its_reason(large, name):
+    bad = large.copy()
+    bad[:, 0, 0, :12], bad[0, :, 1, 20], bad[1, :, 2, 20] = np.nan, np.inf, -np.inf
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        IMAGE[name](Samples.from_array(bad))
+    told = {str(w.message) for w in caught if w.category is LeftOutWarning}
+    (said,) = told
+    assert said == (
+        "3.6 % of the samples (168 of 4608) are bad and were left out: "
+        "144 NaN or masked, 24 infinite"
+    )
+    assert {w.filename for w in caught if w.category is LeftOutWarning} == {__file__}
+
+
+@pytest.mark.parametrize("name", IMAGE)
+def test_a_hundredth_is_tolerated(large, name):
+    few = large.copy()
+    few[:11, :4, 0, 3] = np.nan  # 44 of 4608
+    few[:12, 8:, 1, 1] *= -1  # 48 of 13824 values
+    IMAGE[name](Samples.from_array(few))
+
+
+@pytest.mark.parametrize("name", IMAGE)
+def test_negative_samples_are_left_out_of_logarithms_alone(large, name):
+    signed = large.copy()
+    signed[..., 2, ::8] *= -1
+    image = Samples.from_array(signed)
+    if name not in LOGARITHMIC:
+        IMAGE[name](image)
+        return
+    said = r"4\.2 % of the samples \(576 of 13824\) are negative and were left out"
+    with pytest.warns(LeftOutWarning, match=said):
+        IMAGE[name](image)
+
+
+def test_arrays_tell_negative_samples_too(x):
+    signed = np.where(np.arange(SPP) % 8 == 0, -x, x)
+    for name in ("fit.gamma", "fit.mixture", "fit.tail_index", "modality", "gaussianity"):
+        with pytest.warns(LeftOutWarning, match=r"12\.5 % of the samples .* are negative"):
+            ROWS[name](signed)
+    with pytest.warns(LeftOutWarning, match="negative"):
+        chd.classify(signed)
+    ROWS["gaussianity_of_means"](signed)
+    estimators.mean(signed)

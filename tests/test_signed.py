@@ -132,6 +132,7 @@ def test_profiles_keep_their_energy():
     assert (only.bins[0].tolist(), only.mean().tolist()) == ([1.0, -2.0], [-1 / 3])
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_fits_are_of_the_positive_samples_and_count_the_others():
     found = chd.fit.gamma(NOISY)
     expected = chd.fit.gamma(np.where(NOISY > 0, NOISY, 0))
@@ -141,6 +142,7 @@ def test_fits_are_of_the_positive_samples_and_count_the_others():
     assert (total == SPP).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_a_pixel_of_negative_samples_says_why_it_has_no_fit():
     assert chd.fit.lognormal([-1.0, -2.0, 0.0]).reason == Reason.NONE_POSITIVE
     assert chd.modality([-1.0] * 64).reason == Reason.NONE_POSITIVE

@@ -5,12 +5,13 @@ from __future__ import annotations
 import logging
 import reprlib
 import sys
-from typing import Annotated
+import warnings
+from typing import Annotated, TextIO
 
 import typer
 
 from chdstat import __version__
-from chdstat.errors import ChdstatError
+from chdstat.errors import ChdstatError, LeftOutWarning
 
 __all__ = ["app", "main"]
 
@@ -46,6 +47,7 @@ def _options(
 def main() -> None:
     """Run the command line; errors that a user can act on end without a traceback."""
     logging.basicConfig(format="chdstat: %(message)s", level=logging.WARNING)
+    warnings.showwarning = _show_warning
     try:
         app()
     except ChdstatError as error:
@@ -63,6 +65,20 @@ def main() -> None:
         _fail(f"{error.strerror or error}: {name}".rstrip(": "), 1)
     except MemoryError:
         _fail("out of memory; use a smaller --size or --spp, or keep samples in a store", 1)
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Print a warning of ours as a line of its own, without the place of its code."""
+    text = warnings.formatwarning(message, category, filename, lineno, line)
+    ours = issubclass(category, LeftOutWarning)
+    typer.echo(f"chdstat: {message}" if ours else text.rstrip(), file=file, err=True)
 
 
 def _fail(message: str, code: int) -> None:

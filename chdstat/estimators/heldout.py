@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import generator, is_bad
+from chdstat._arrays import LeftOut, generator, is_bad
 from chdstat.errors import InputError
 from chdstat.samples import Samples
 
@@ -61,10 +61,13 @@ class Totals:
         height, width, channels, _ = samples.shape
         total = np.zeros((height, width, channels))
         count = np.zeros((height, width), np.int64)
+        left_out = LeftOut()
         for ys, xs, _, block in samples.blocks():
+            left_out.see(block, channel_axis=-2)
             bad = np.asarray(is_bad(block).any(axis=2))
             total[ys, xs] += _sum_of_good(block, bad)
             count[ys, xs] += (~bad).sum(axis=-1)
+        left_out.warn()
         return cls(total, count)
 
     def __getitem__(self, pixels: Any) -> Totals:

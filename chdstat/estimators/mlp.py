@@ -19,7 +19,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import all_good, as_samples, is_bad
+from chdstat._arrays import all_good, as_samples, is_bad, warn_left_out
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators._modelfile import read_model, write_model
 from chdstat.estimators.classical import mean_of_good
@@ -156,6 +156,7 @@ class MLP:
             If the last axis does not hold exactly `inputs` samples, or nothing was trained yet.
         """
         samples = as_samples(x)
+        warn_left_out(samples, within="chdstat.estimators")
         if samples.shape[-1] != self.inputs:
             message = (
                 f"{self.name} takes exactly {self.inputs} samples on the last axis, "

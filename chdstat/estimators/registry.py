@@ -11,14 +11,15 @@ returns a `Model`. Both are found by name with `lookup`; `chdstat.compare` takes
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels, as_samples
+from chdstat._arrays import as_pixels, as_samples, warn_left_out
 from chdstat.errors import InputError
 
 __all__ = [
@@ -33,6 +34,8 @@ __all__ = [
 ]
 
 Array = npt.NDArray[Any]
+_PART = "chdstat.estimators"
+
 Function = TypeVar("Function", bound=Callable[..., Array])
 
 
@@ -187,9 +190,17 @@ def register(
     """
 
     def enter(function: Function) -> Function:
+        whole_samples = joint_channels or uses_neighbours
+
+        @functools.wraps(function)
+        def warning(x: npt.ArrayLike, *args: Any, **options: Any) -> Any:
+            given = as_pixels(x) if whole_samples else as_samples(x)
+            warn_left_out(given, channel_axis=-2 if whole_samples else None, within=_PART)
+            return function(given, *args, **options)
+
         flags = uses_neighbours, joint_channels, uses_features, learns, uses_direct
-        _enter(Estimator(name, function, source, minimum_samples, *flags))
-        return function
+        _enter(Estimator(name, warning, source, minimum_samples, *flags))
+        return cast("Function", warning)
 
     return enter
 

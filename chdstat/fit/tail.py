@@ -183,14 +183,16 @@ def tail_index(
     """
     _check(share, tested, level)
     if not isinstance(x, Samples):
-        part = PositivePart.of(x, null=null)
+        part = PositivePart.given(x, null=null)
         return tail_of_part(part, share=share, tested=tested, level=level)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         part = PositivePart.of_pixels(block)
         return tail_variables(tail_of_part(part, share=share, tested=tested, level=level))
 
-    return finish_tail(x.map(of_block, description="measuring tails", progress=progress))
+    return finish_tail(
+        x.map(of_block, logarithms=True, description="measuring tails", progress=progress)
+    )
 
 
 def tail_of_part(

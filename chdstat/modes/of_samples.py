@@ -96,7 +96,7 @@ def modality(
     (2, 1e-05, array([0.5, 0.5, nan]))
     """
     if not isinstance(x, Samples):
-        part = PositivePart.of(x, null=null)
+        part = PositivePart.given(x, null=null)
         return modality_of_part(part)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
@@ -104,7 +104,9 @@ def modality(
         result = modality_of_part(part)
         return modality_variables(result)
 
-    return finish_modality(x.map(of_block, description="counting modes", progress=progress))
+    return finish_modality(
+        x.map(of_block, logarithms=True, description="counting modes", progress=progress)
+    )
 
 
 def modality_of_part(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples, is_bad
+from chdstat._arrays import as_samples, is_bad, warn_left_out
 from chdstat._positive import Counts
 from chdstat._reasons import flag_attributes
 from chdstat.errors import InputError
@@ -154,6 +154,7 @@ def gaussianity_of_means(
         chosen = sizes_of_means(x.spp, n_means, sizes=sizes, test=test)
         return _of_image(x, chosen, n_means, test, alpha, progress)
     array = as_samples(x)
+    warn_left_out(array)
     chosen = sizes_of_means(array.shape[-1], n_means, sizes=sizes, test=test)
     return gaussianity_of_rows(array, is_bad(array), chosen, n_means, TESTS[test], alpha)
 

@@ -159,12 +159,12 @@ def gaussianity(
     _check_names(test, TESTS, "test")
     check_level(alpha)
     if not isinstance(x, Samples):
-        return _of_part(PositivePart.of(x, null=null), transform, test)
+        return _of_part(PositivePart.given(x, null=null), transform, test)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         return gaussianity_variables(_of_part(PositivePart.of_pixels(block), transform, test))
 
-    dataset = x.map(of_block, description="testing normality", progress=progress)
+    dataset = x.map(of_block, logarithms=True, description="testing normality", progress=progress)
     return finish_gaussianity(dataset, transform=transform, test=test, alpha=alpha)
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels
+from chdstat._arrays import as_pixels, warn_left_out
 from chdstat._multiplicity import q_values
 from chdstat._positive import Floats, Mask, PositivePart
 from chdstat._reasons import Reason, flag_attributes
@@ -182,12 +182,14 @@ def classify(
     """
     thresholds = thresholds or Thresholds()
     if not isinstance(x, Samples):
-        return patterns_of_part(luminance_part(x), thresholds)
+        pixels = as_pixels(x)
+        warn_left_out(pixels, channel_axis=-2, logarithms=True)
+        return patterns_of_part(luminance_part(pixels), thresholds)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         return patterns_variables(patterns_of_part(luminance_part(block), thresholds))
 
-    dataset = x.map(of_block, description="classifying", progress=progress)
+    dataset = x.map(of_block, logarithms=True, description="classifying", progress=progress)
     return finish_patterns(dataset, thresholds)
 
 

@@ -133,6 +133,7 @@ def test_the_unit_makes_thresholds_relative():
     assert estimators.zirr2018(x) != pytest.approx(found, rel=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_a_sample_with_one_bad_channel_is_left_out_as_a_whole():
     x = picture(3, (1, 1, 3, 8))
     spoilt = x.copy()

@@ -63,6 +63,7 @@ def test_dim_samples_are_no_outliers():
     assert estimators.decoro2010(x) == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_bad_samples_confirm_nothing_and_are_left_out():
     x = np.ones((3, 3, 3, 8))
     x[1, 1, :, 0] = 900.0

@@ -69,6 +69,7 @@ def test_a_bad_sample_is_kept_out_as_a_whole_and_its_batch_has_no_reference(samp
     assert np.isfinite(totals.mean_without(second)).sum() == 6 * 5 * 3 - 3
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_a_pixel_without_a_good_sample_is_nan():
     totals = Totals.of(chd.Samples.from_array(np.full((1, 2, 3, 8), np.nan)))
     assert np.isnan(totals.mean()).all()

@@ -99,6 +99,7 @@ def test_estimates_lie_within_the_samples(name):
     assert (estimate <= x.max(axis=-1)).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("name", NAMES)
 @settings(max_examples=25, deadline=None)
 @given(
@@ -116,6 +117,7 @@ def test_it_is_finite_exactly_where_the_mean_is(name, x):
     assert (np.isfinite(ENTRIES[name](x)) == finite).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_bad_samples_are_left_out(name):
     x = pictures(shape=(3, 3, 3, 33))

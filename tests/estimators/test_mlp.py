@@ -96,6 +96,7 @@ def test_leading_axes_are_a_batch(trained):
     assert trained.predict(np.empty((0, 32))).shape == (0,)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_a_bad_sample_counts_as_the_mean_of_the_others(trained):
     x = np.random.default_rng(0).gamma(1, size=32)
     filled = x.copy()
@@ -125,6 +126,7 @@ def test_fireflies_beyond_all_bounds_leave_a_finite_network():
     assert np.isfinite(model.predict(x[..., :32])).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_batches_with_bad_samples_do_not_train_and_are_counted():
     x = picture(spp=64).read().copy()
     x[:, :, 1, 40] = np.nan

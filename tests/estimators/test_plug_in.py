@@ -75,6 +75,7 @@ def test_a_mixture_of_gamma_components_has_the_sample_mean():
     assert chd.fit.mixture(x, family="gamma").mean() == pytest.approx(x.mean(axis=-1), rel=1e-2)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize(
     "row",
     [
@@ -100,6 +101,7 @@ def test_few_samples_and_ties_have_an_estimate(n):
     assert (found >= 0).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_without_samples_there_is_none():
     x = np.full((2, 3, 4), np.nan)
     x[0] = 1.0

@@ -45,11 +45,13 @@ samples = hnp.arrays(
 )
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @given(samples)
 def test_it_is_finite_exactly_where_the_mean_is(x):
     assert np.isfinite(estimators.median_of_means(x)) == np.isfinite(estimators.mean(x))
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @given(samples, st.floats(1e-3, 1e3))
 def test_scaling_the_radiance_scales_the_estimate(x, factor):
     scaled = estimators.median_of_means(factor * x)
@@ -103,6 +105,7 @@ def test_clean_buckets_give_adaptive_gmon_their_mean_and_not_their_median():
     assert estimators.gmon_adaptive(x) != pytest.approx(estimators.median_of_means(x), rel=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("name", ["median_of_means", "gmon_binary", "gmon_adaptive"])
 def test_a_bucket_without_a_good_sample_is_left_out(name):
     x = np.random.default_rng(7).gamma(2, size=(4, 33))

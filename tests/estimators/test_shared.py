@@ -80,6 +80,7 @@ def test_histograms_are_those_of_the_published_code():
     assert found.sum(axis=-1) == pytest.approx(16)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("threshold", [0.4, 0.7])
 def test_delbracio_shares_what_the_formula_says(threshold):
     x = picture(2, (5, 6, 2, 16))
@@ -241,6 +242,7 @@ def rms(values):
     return np.sqrt((values**2).mean())
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("function", ALL)
 def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(function):
     x = picture(12, (6, 6, 3, 16))
@@ -256,6 +258,7 @@ def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(function):
     assert (found[elsewhere] < 20).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("function", [shared.sakai2024, alike.shared_patches, alike.shared_shape])
 def test_one_good_sample_is_not_compared(function):
     x = picture(13, (5, 5, 3, 16))

@@ -311,6 +311,7 @@ def test_radiance_scales_and_nulls_take_no_part():
         np.testing.assert_allclose(found.statistic, alone.statistic, rtol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_unusable_pixels_are_data():
     rng = np.random.default_rng(84)
     few = np.where(np.arange(100) < 5, rng.random(100), 0)

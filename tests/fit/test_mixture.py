@@ -282,6 +282,7 @@ def test_an_atom_is_a_component_at_the_least_spread():
     np.testing.assert_allclose(result.parameters["mu"][:, 1], 0, atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("family", FAMILIES)
 @pytest.mark.parametrize("criterion", ["bic", "held_out"])
 def test_pixels_without_a_mixture_are_data(family, criterion):
@@ -301,6 +302,7 @@ def test_pixels_without_a_mixture_are_data(family, criterion):
     assert np.isnan(result.rvs(3, seed=1)[1]).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("family", FAMILIES)
 def test_extreme_radiance(family):
     rng = np.random.default_rng(19)

@@ -145,6 +145,7 @@ def test_float32_equals_float64(family):
         np.testing.assert_allclose(single.parameters[name], value, rtol=1e-9)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("family", FAMILY_NAMES)
 def test_unusable_pixels_are_data(family):
     last = [1, 2, 30, 1.5, 1.7, 2.2, -1, np.inf]
@@ -163,6 +164,7 @@ def test_unusable_pixels_are_data(family):
     assert np.isnan(fit.cdf([1.0])[:4]).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_null_share_has_wilsons_interval():
     x = np.concatenate([np.zeros(13), np.random.default_rng(11).gamma(1, size=27)])
     fit = chd.fit.gamma(x)

@@ -366,6 +366,7 @@ def test_nulls_do_not_make_modes_harder_to_find():
     np.testing.assert_allclose(beside.delta_bic, alone.delta_bic, rtol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_unusable_pixels_are_data():
     few = np.where(np.arange(40) < 10, np.linspace(1, 2, 40), 0)
     result = chd.modality(np.stack([np.zeros(40), np.full(40, np.nan), few, np.ones(40)]))

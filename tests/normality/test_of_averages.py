@@ -65,6 +65,7 @@ def test_gaussian_averages_are_rejected_at_the_level():
     np.testing.assert_allclose(rejected, 0.05, atol=0.025)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_averages_hold_nulls_but_no_bad_samples():
     rng = np.random.default_rng(11)
     x = np.where(rng.random(128) < 0.5, 0, rng.gamma(2.0, size=128))
@@ -194,6 +195,7 @@ def test_nothing_is_predicted_of_infinite_moments(index):
     assert (reason == Reason.UNIDENTIFIED).mean() > 0.92
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_pixels_without_an_answer():
     rng = np.random.default_rng(20)
     late = np.zeros(256)

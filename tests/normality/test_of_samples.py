@@ -60,6 +60,7 @@ def test_radiance_scales_nothing():
         np.testing.assert_allclose(many.statistic, one.statistic, rtol=1e-8)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_unusable_pixels_are_data():
     x = np.array([[0.0] * 30, [np.nan] * 30, [1.0] * 3 + [0.0] * 27, [5.0] * 30])
     result = chd.gaussianity(x)

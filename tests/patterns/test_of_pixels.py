@@ -235,6 +235,7 @@ def test_results_that_are_there_are_not_computed_again():
         np.testing.assert_array_equal(shared.statistics[name], value)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_a_coloured_sample_is_no_null_and_a_bad_channel_spoils_it():
     rng = np.random.default_rng(7)
     x = gray(rng.gamma(2.0, size=(1, SPP)))

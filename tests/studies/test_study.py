@@ -190,7 +190,7 @@ def test_hopeless_samples_give_a_study_that_cannot_tell():
     samples = [
         chd.Samples.from_array(f(x), axes="yxcs", scene=name) for name, f in HOPELESS.items()
     ]
-    with pytest.warns(LeftOutWarning, match=r"100\.0 % of the samples are bad"):
+    with pytest.warns(LeftOutWarning, match=r"100\.0 % of the samples .* are bad"):
         hopeless = study(samples, folder=None, estimators=("mean",))
     assert hopeless.names == tuple(HOPELESS)
     for scene in hopeless.scenes:

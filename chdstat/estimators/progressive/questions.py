@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels
+from chdstat._arrays import as_pixels, warn_left_out
 from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.inputs import InputConfig
@@ -68,6 +68,7 @@ class Question:
             range.
         """
         samples = as_pixels(x)
+        warn_left_out(samples, channel_axis=-2, within="chdstat.estimators")
         check_asked(channels, samples.shape[-2], balance)
         part = inputs.direct_of(direct, samples.shape)
         measured = mean_radiance(samples) if unit is None else unit

@@ -76,6 +76,7 @@ def test_it_repeats_with_its_seed(picture):
     assert (first != other).any()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_features_are_optional_and_bad_samples_no_obstacle(picture):
     x = picture(8, 8, seed=6).x.copy()
     x[0, 0] = np.nan
@@ -85,6 +86,7 @@ def test_features_are_optional_and_bad_samples_no_obstacle(picture):
     assert np.isfinite(found[1:]).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize(
     ("x", "match"),
     [

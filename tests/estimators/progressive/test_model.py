@@ -126,6 +126,7 @@ def wild(x):
     return x
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("unit", [None, 1.0, 1e-30])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("balance", BALANCES)
@@ -140,6 +141,7 @@ def test_no_estimate_is_nan_where_the_mean_is_finite(trained, fresh, unit, dtype
     assert (found.certainty[:, 4] == 0).all()
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_no_estimate_of_one_that_looks_around_is_nan_either(alone, smooth):
     x = wild(smooth.x)
     features = {name: field[:, :12] for name, field in smooth.samples.features.items()}

@@ -209,6 +209,7 @@ def test_what_moves_nothing_or_the_wrong_way_is_not_trusted():
     assert share_of(x, lambda half: 2 * half.mean(axis=-1)) < 0.05
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_trust_does_not_depend_on_the_unit_or_on_bad_pixels(foreign):
     x = varied().read(ss=slice(0, 16))
     for balance in (0, 1):

@@ -156,6 +156,7 @@ def test_pixels_that_trained_are_exposed_and_others_left(picture):
     assert len(alone.train_pixels) == 256
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_pixels_with_a_bad_sample_do_not_train_and_are_counted(picture):
     x = picture(8, 16, seed=0).x.copy()
     x[2:4, :, 1, 5] = np.nan
@@ -222,6 +223,7 @@ def test_it_says_how_many_samples_it_needs(reference):
         Progressive().train(few, reference=reference, progress=False)
 
 
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("reference", [True, False])
 @pytest.mark.parametrize("x", [np.full((4, 4, 3, 16), np.nan), np.ones((1, 1, 3, 16))])
 def test_it_says_that_too_few_pixels_are_good(x, reference):
