@@ -18,7 +18,7 @@ from chdstat.estimators.heldout import Totals, direct_of, draw_pixels, judging_p
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup
 from chdstat.samples import Samples
 
-__all__ = ["Contestants", "Given", "options_of", "totals_of"]
+__all__ = ["Contestants", "Given", "totals_of"]
 
 Array = npt.NDArray[Any]
 Given = Model | Mapping[str, Model] | None
@@ -125,7 +125,7 @@ class Contestants:
                 else _uncertain(self._called(entry.entry))
             )
             return partial(entry, estimate, self.features)
-        options = options_of(entry, self.features)
+        options = _options(entry, self.features)
         if isinstance(entry, LearnedEstimator):
             return partial(self.models[entry.name].predict, **options)
         return partial(entry, **options)
@@ -133,7 +133,7 @@ class Contestants:
     def _certain(self, entry: Estimator | LearnedEstimator) -> Callable[..., tuple[Array, Array]]:
         """Return a function from samples to estimates and their certainty."""
         model: Any = self.models[entry.name]
-        options = options_of(entry, self.features)
+        options = _options(entry, self.features)
 
         def estimate(x: npt.ArrayLike, **more: Any) -> tuple[Array, Array]:
             found = model.estimate(x, **options, **more)
@@ -223,9 +223,7 @@ def _seen(model: Model, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     return model.train_pixels if model.train_shape == shape else np.zeros((0, 2), np.int64)
 
 
-def options_of(
-    entry: Estimator | LearnedEstimator, features: Mapping[str, Array]
-) -> dict[str, Any]:
+def _options(entry: Estimator | LearnedEstimator, features: Mapping[str, Array]) -> dict[str, Any]:
     """Return what an estimator is called with beside the samples."""
     options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
     return options | ({"features": features} if entry.uses_features and features else {})

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import all_good, is_bad, spans
+from chdstat._arrays import all_good, generator, is_bad, spans
 from chdstat.errors import InputError
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "check_share",
     "estimate_rows",
     "median_of_sorted",
+    "reordered",
     "row_sums",
 ]
 
@@ -116,3 +117,34 @@ def _scaled(
     unit = np.ldexp(1.0, exponent - 1)
     relative /= unit[:, np.newaxis]
     return np.asarray(kernel(relative, *(other / unit for other in beside)) * unit)
+
+
+def reordered(
+    x: npt.NDArray[np.floating[Any]], *beside: npt.NDArray[np.floating[Any]]
+) -> list[npt.NDArray[np.floating[Any]]]:
+    """Return samples (..., channel, sample) in a random order that theirs does not change.
+
+    What splits samples by their places then finds the same parts in whatever order they come, and
+    in whatever unit. They are sorted, and then shuffled in each pixel: the parts would else be of
+    bright samples, or of dark ones.
+
+    Parameters
+    ----------
+    x, beside
+        Arrays of one shape, which come into one order.
+
+    Examples
+    --------
+    >>> one, two = (reordered(np.array([[3.0, 1.0, 2.0][::step]]))[0] for step in (1, -1))
+    >>> bool((one == two).all())
+    True
+    """
+    arrays = [array.reshape(-1, *array.shape[-2:]) for array in (x, *beside)]
+    ordered, rng = [np.empty_like(array) for array in arrays], generator(0)
+    for part in spans(len(arrays[0]), max(1, _CHUNK // x.shape[-1])):
+        keys = np.concatenate([array[part] for array in arrays], axis=1)
+        rank = np.lexsort(np.moveaxis(keys, 1, 0), axis=-1)
+        places = np.take_along_axis(rank, rng.random(rank.shape).argsort(axis=-1), axis=-1)
+        for array, own in zip(arrays, ordered, strict=True):
+            own[part] = np.take_along_axis(array[part], places[:, np.newaxis], axis=-1)
+    return [own.reshape(array.shape) for own, array in zip(ordered, (x, *beside), strict=True)]

@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from chdstat._arrays import generator, is_bad
 from chdstat.comparison import Comparison
-from chdstat.comparison._contestants import options_of
-from chdstat.estimators import lookup, names
+from chdstat.estimators import LearnedEstimator, lookup, names
 from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.evidence import Evidence
 from chdstat.findings.learning import PAPER
@@ -150,7 +149,9 @@ def _function(
     entry = lookup(name) if name in names() else None
     model = comparison.models.get(name)
     function: Any = entry if model is None else model.predict
-    options = {} if entry is None else options_of(entry, features)
+    options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
+    if entry is not None and entry.uses_features and features:
+        options["features"] = features
 
     def estimate(x: Array, direct: Array | None) -> Floats:
         more = {"direct": direct} if entry is not None and entry.uses_direct else {}

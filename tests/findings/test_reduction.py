@@ -176,7 +176,7 @@ def ours(request, samples):
     def estimate(x, **more):
         options = {"features": features()} if "features" in inputs else {}
         options |= {"direct": x / 2} if "direct" in inputs else {}
-        return model.estimate(x, **options, **more)
+        return model.estimate(x, **{"trust": 1.0, **options, **more})
 
     return estimate
 
@@ -217,6 +217,24 @@ def test_the_order_of_the_samples_does_not_matter(ours):
         found = ours(other)
         np.testing.assert_allclose(found.certainty, first.certainty, rtol=2e-5)
         assert_close(found, first)
+
+
+@pytest.mark.parametrize("name", ["neighbours and features", "direct"])
+def test_trust_in_a_network_reads_no_order_and_no_unit(samples, name):
+    """Measured between halves of the samples, which are the same halves in any order."""
+    inputs = INPUTS[name]
+    model = Progressive(inputs=inputs).train(samples, iterations=100, progress=False)
+    x = samples.read()[..., :N]
+
+    def trust(x):
+        options = {"features": features()} if "features" in inputs else {}
+        return model.trust(x, **options, **({"direct": x / 2} if "direct" in inputs else {}))
+
+    first = trust(x)
+    assert 0 < first <= 1
+    assert trust(x[..., ::-1]) == first
+    for factor in FACTORS:
+        assert trust(x * np.float32(factor)) == first
 
 
 @pytest.mark.parametrize("factor", [*FACTORS, 1e-3, 1e3, np.pi])

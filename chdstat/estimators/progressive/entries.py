@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels, generator
+from chdstat._arrays import as_pixels
+from chdstat.estimators._rows import reordered
 from chdstat.estimators.progressive.first_hit import Features
 from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.registry import LearnedEstimator, register, register_learned
@@ -107,21 +108,7 @@ def self_trained(
     (16, 16, 3)
     """
     samples = as_pixels(x, minimum=2, image=True)
-    picture = Samples.from_array(_reordered(samples), features=features, axes="yxcs")
+    picture = Samples.from_array(reordered(samples)[0], features=features, axes="yxcs")
     model = Progressive(inputs=["features", "neighbours"] if features else ["neighbours"])
     model.train(picture, seed=seed, iterations=iterations, progress=progress)
     return model.predict(picture.read(), features=features)
-
-
-def _reordered(x: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return samples (y, x, channel, sample) in an order that does not depend on theirs.
-
-    They are sorted, and then shuffled in each pixel: splits, which take the same places of all
-    pixels, would else be of bright samples or of dark ones.
-    """
-    ordered, rng = np.empty_like(x), generator(0)
-    for row, own in zip(x, ordered, strict=True):
-        rank = np.lexsort(np.moveaxis(row, 1, 0), axis=-1)
-        places = np.take_along_axis(rank, rng.random(rank.shape).argsort(axis=-1), axis=-1)
-        own[:] = np.take_along_axis(row, places[:, np.newaxis], axis=-1)
-    return ordered

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from chdstat._arrays import generator
 from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
+from chdstat.estimators._rows import reordered
 from chdstat.estimators.heldout import direct_of
 from chdstat.estimators.progressive.application import Alike, apply, with_constants, with_means
 from chdstat.estimators.progressive.inputs import Input, InputConfig
@@ -459,13 +460,16 @@ class Progressive:
             )
             raise InputError(message)
         powers = [p for p, part in ((0, 1 - asked.balance), (1, asked.balance)) if part > 0]
+        samples, *direct = reordered(
+            asked.samples, *([] if asked.direct is None else [asked.direct])
+        )
         return paying_share(
-            asked.samples,
+            samples,
             lambda half, direct=None: (
                 self._answer(asked.of_part(half, direct), 1.0, level=None).radiance
             ),
             powers=powers,
             floor=FLOOR,
             unit=asked.unit,
-            direct=asked.direct,
+            direct=direct[0] if direct else None,
         )
