@@ -164,7 +164,7 @@ class _Reader:
                 parser.ParseFile(stream)
         except OSError as error:
             raise self._unreadable(path, error.strerror) from error
-        except expat.ExpatError as error:
+        except (expat.ExpatError, LookupError, ValueError) as error:  # the latter two: its encoding
             raise self._unreadable(path, f"no well-formed XML in UTF-8, {error}") from error
 
     def _unreadable(self, path: Path, why: str | None) -> SceneError:
