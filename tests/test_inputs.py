@@ -9,6 +9,8 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat import estimators, fit
+from chdstat._store import Store
+from chdstat.cli import main
 from chdstat.errors import InputError, LeftOutWarning
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive.profiles import Profile
@@ -271,3 +273,22 @@ def test_arrays_tell_negative_samples_too(x):
         chd.classify(signed)
     ROWS["gaussianity_of_means"](signed)
     estimators.mean(signed)
+
+
+@pytest.mark.filterwarnings("default::chdstat.errors.LeftOutWarning")
+def test_a_command_prints_one_line_of_it(large, tmp_path, monkeypatch, capsys):
+    path = tmp_path / "s.zarr"
+    bad = large.copy()
+    bad[:, :, :, :8] = np.inf
+    store = Store.create(path, height=12, width=12, channels=3, spp=SPP, attrs={"scene": "made up"})
+    for chunk in store.pending():
+        store.write(chunk, bad[chunk.ys, chunk.xs, :, chunk.ss])
+    monkeypatch.setattr("sys.argv", ["chdstat", "analyze", str(path)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    said = [line for line in capsys.readouterr().err.splitlines() if line]
+    assert said == [
+        "chdstat: 25.0 % of the samples (1152 of 4608) are bad and were left out: "
+        "0 NaN or masked, 1152 infinite"
+    ]

@@ -6,6 +6,7 @@ import logging
 import reprlib
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Annotated, TextIO
 
 import typer
@@ -47,7 +48,7 @@ def _options(
 def main() -> None:
     """Run the command line; errors that a user can act on end without a traceback."""
     logging.basicConfig(format="chdstat: %(message)s", level=logging.WARNING)
-    warnings.showwarning = _show_warning
+    warnings.showwarning = _shown_once()
     try:
         app()
     except ChdstatError as error:
@@ -67,18 +68,26 @@ def main() -> None:
         _fail("out of memory; use a smaller --size or --spp, or keep samples in a store", 1)
 
 
-def _show_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
-) -> None:
-    """Print a warning of ours as a line of its own, without the place of its code."""
-    text = warnings.formatwarning(message, category, filename, lineno, line)
-    ours = issubclass(category, LeftOutWarning)
-    typer.echo(f"chdstat: {message}" if ours else text.rstrip(), file=file, err=True)
+def _shown_once() -> Callable[..., None]:
+    """Return what prints warnings, once each, those of ours without the place of their code."""
+    shown: set[str] = set()
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        text = warnings.formatwarning(message, category, filename, lineno, line).rstrip()
+        if issubclass(category, LeftOutWarning):
+            text = f"chdstat: {message}"
+        if text not in shown:
+            typer.echo(text, file=file, err=True)
+        shown.add(text)
+
+    return show
 
 
 def _fail(message: str, code: int) -> None:
