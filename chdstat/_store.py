@@ -10,12 +10,12 @@ Layout of the group::
     .lock               while a process writes
 
 **A chunk** is a tile of 64 x 64 pixels times a batch of 64 samples: one file, replaced as a whole.
-Inside it is a shard of zarr: blocks of 16 x 16 pixels, each compressed with a checksum, so that a
-single pixel is read without its tile. The file ends in a *label*, which zarr does not look at: the
-identity of the store whose samples these are, which chunk, how many samples of each pixel, and the
-checksum of all that is before it. What is read has its label checked first, so no file counts in
-another place than its own, nor an older file for a newer one. Two stores of one identity hold equal
-chunks, as samples depend on nothing else.
+Inside it is a shard of zarr: blocks of 16 x 16 pixels, each compressed with a checksum, so that
+zarr reads a single pixel without its tile (1024 spp in 19 ms of processor time). The file ends in a
+*label*, which zarr does not look at: the identity of the store whose samples these are, which
+chunk, how many samples of each pixel, and the checksum of all that is before it. What is read has
+its label checked first, so no file counts in another place than its own, nor an older file for a
+newer one. Two stores of one identity hold equal chunks, as samples depend on nothing else.
 
 **The manifest** is the attribute of that name: shape, identity, the samples that every pixel is
 known to have, the checksum of each feature, whether there is a direct part, and a checksum of all
@@ -655,13 +655,15 @@ class _FirstStore(Store):
                 and all(type(n) is int and n > 0 for n in shape)
                 and shape[2] <= _MOST_CHANNELS
                 and shape[3] <= attributes["spp"]
-                and stored.shape == _grid(shape)
+                and stored.shape[:2] == _grid(shape)[:2]
+                and stored.shape[2] >= _grid(shape)[2]  # it grew before the samples did
+                and not np.any(stored[..., _grid(shape)[2] :])
                 and isinstance(attributes.get("integrator", {}), dict)
             )
             if not agrees:
                 message = "its attributes, samples and ledger disagree"
                 raise _DamageError(message)
-            ledger = np.asarray(stored[...], dtype=np.int32)
+            ledger = np.asarray(stored[..., : _grid(shape)[2]], dtype=np.int32)
             manifest = {"features": {name: {} for name in names}, "direct": False}
             store = cls(path, shape, ledger, {**attributes, "manifest": manifest})
             for chunk in store._chunks(_ALL, _ALL, _ALL):

@@ -626,6 +626,14 @@ def test_a_conversion_that_stops_leaves_nothing(ball, monkeypatch):
     convert("ball.zarr", "new.zarr")
 
 
+def test_a_store_of_the_first_schema_that_was_killed_while_it_grew_is_read(old):
+    path, x = old
+    group = zarr.open_group(path, mode="r+")
+    group.attrs["spp"] = 300
+    group["ledger"].resize((1, 2, 5))
+    assert np.array_equal(chd.open(path).read(), x)
+
+
 @pytest.mark.parametrize(
     ("name", "change"),
     [

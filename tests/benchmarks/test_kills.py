@@ -1,0 +1,220 @@
+"""Kills: what is run again after one gives the same files to the bit, and nothing is left over.
+
+``--benchmark-only -s`` kills commands at 100 random moments between the first sign of progress and
+the end of the work, and before 50 random accesses to files, and prints the table; a few kills run
+with the other tests. CHDSTAT_KILLS changes their number.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+COUNT = int(os.environ.get("CHDSTAT_KILLS", "100"))
+BOX = ("cornell-box", "--size", "66x5", "--backend", "scalar")
+COMMANDS = {
+    "render": ("render", *BOX, "--direct", "--spp", "300", "-o", "new.zarr"),
+    "append": ("render", *BOX, "--direct", "--spp", "400", "-o", "box.zarr"),
+    "analyze": ("analyze", "small.zarr", "-o", "maps.zarr"),
+    "estimate": ("estimate", "small.zarr", "-o", "box.exr", "--iterations", "30"),
+    "train": ("train", "small.zarr", "-o", "b.safetensors", "--features", "--iterations", "200"),
+    "study": (
+        *("study", "cornell-box", "--folder", "kept", "--json", "found.json", "--spp", "64"),
+        *("--size", "8x6", "--backend", "scalar", "-e", "mean", "-e", "elek2019"),
+    ),
+}
+SETUP = (
+    ("render", *BOX, "--direct", "--spp", "70", "-o", "box.zarr"),
+    ("render", *BOX, "--size", "7x5", "--spp", "70", "-o", "small.zarr"),
+)
+LONGEST = 300
+
+
+@dataclass
+class Ended:
+    """How a run went: its exit status, and seconds from the first sign of progress to its end."""
+
+    status: int
+    seconds: float
+
+
+class Runner:
+    """Runs commands, each in a process of its own."""
+
+    def __init__(self) -> None:
+        server = Path(__file__).parent / "kill_server.py"
+        self.process = subprocess.Popen(
+            [sys.executable, server], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
+        )
+        self.screen, self.tty = os.openpty()
+
+    def close(self) -> None:
+        self.process.stdin.close()
+        self.process.wait()
+        self.process.stdout.close()
+        os.close(self.screen)
+        os.close(self.tty)
+
+    def run(
+        self,
+        arguments: tuple[str, ...],
+        folder: Path,
+        *,
+        events: int | None = None,
+        after: float = LONGEST,
+    ) -> Ended:
+        """Run a command; kill it so many seconds after it has shown that it works."""
+        (folder / "tmp").mkdir(exist_ok=True)
+        job = {
+            "arguments": arguments,
+            "folder": str(folder),
+            "tty": os.ttyname(self.tty),
+            "events": events,
+        }
+        self.process.stdin.write(json.dumps(job).encode() + b"\n")
+        child = int(self.process.stdout.readline())
+        shown, start, killed = b"", time.monotonic(), False
+        first = None
+        while True:
+            now = time.monotonic()
+            ready, _, _ = select.select([self.screen, self.process.stdout], [], [], 0.002)
+            if self.screen in ready:
+                shown += os.read(self.screen, 65536)
+                if first is None and b"%" in shown:
+                    first = now
+            elif self.process.stdout in ready:
+                status = int(self.process.stdout.readline())
+                if status not in (0, -signal.SIGKILL):
+                    print(shown.decode(errors="replace"))
+                return Ended(status, now - (first or start))
+            if not killed and (now - start > LONGEST or (first and now - first >= after)):
+                os.kill(child, signal.SIGKILL)
+                killed = True
+
+
+def tree(folder: Path) -> dict[str, str]:
+    """Return the checksums of all files, by name; folders have none."""
+    return {
+        path.relative_to(folder).as_posix(): ""
+        if path.is_dir()
+        else hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+    }
+
+
+class Campaign:
+    """Undisturbed runs, and killed ones to compare with them."""
+
+    def __init__(self, folder: Path, runner: Runner) -> None:
+        self.folder, self.runner = folder, runner
+        self.start = self.place("start")
+        for arguments in SETUP:
+            assert self.runner.run(arguments, self.start).status == 0
+        self.right: dict[str, dict[str, str]] = {}
+        self.seconds: dict[str, float] = {}
+        self.events: dict[str, int] = {}
+
+    def place(self, name: str) -> Path:
+        """Return the folder to run in, with what is there at the start."""
+        place = self.folder / "run"
+        shutil.rmtree(place, ignore_errors=True)
+        if name == "start":
+            start = self.folder / "start"
+            start.mkdir()
+            return start
+        shutil.copytree(self.start, place)
+        return place
+
+    def learn(self, name: str) -> None:
+        """Run a command undisturbed."""
+        place = self.place(name)
+        ended = self.runner.run(COMMANDS[name], place)
+        assert ended.status == 0
+        self.right[name], self.seconds[name] = tree(place), ended.seconds
+        self.events[name] = int(Path(f"{place}.events").read_text())
+
+    def killed(self, name: str, rng: np.random.Generator, *, at: str) -> str:
+        """Kill a command at a random moment or access to a file, run it again, and look."""
+        if name not in self.right:
+            self.learn(name)
+        while True:
+            place = self.place(name)
+            moment = (
+                {"after": rng.uniform(0, self.seconds[name])}
+                if at == "moment"
+                else {"events": int(rng.integers(1, self.events[name] + 1))}
+            )
+            status = self.runner.run(COMMANDS[name], place, **moment).status
+            if status == -signal.SIGKILL and tree(place) != self.right[name]:
+                break  # in time
+        status = self.runner.run(COMMANDS[name], place).status
+        if status:
+            return "refused"
+        found, right = tree(place), self.right[name]
+        differing = sorted(name for name, _ in found.items() ^ right.items())
+        if differing:
+            print(f"{name}, killed {moment}: {', '.join(differing[:6])}")
+        return (
+            "left over" if found.keys() - right.keys() else "other files" if differing else "same"
+        )
+
+
+FATES = ("same", "other files", "left over", "refused")
+
+
+def table(fates: Counter[tuple[str, str, str]]) -> str:
+    lines = [f"{'killed at a random':20}{'command':12}" + "".join(f"{f:>13}" for f in FATES)]
+    for at, name in sorted({key[:2] for key in fates}):
+        counts = "".join(f"{fates[at, name, fate]:13}" for fate in FATES)
+        lines.append(f"{at:20}{name:12}{counts}")
+    return "\n".join(lines)
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    runner = Runner()
+    yield Campaign(tmp_path, runner)
+    runner.close()
+
+
+def kill(
+    campaign: Campaign, names: list[str], count: int, at: str, seed: int
+) -> Counter[tuple[str, str, str]]:
+    rng, fates = np.random.default_rng(seed), Counter[tuple[str, str, str]]()
+    for number in range(count):
+        name = names[number % len(names)]
+        fates[at, name, campaign.killed(name, rng, at=at)] += 1
+    return fates
+
+
+@pytest.mark.slow
+def test_some_kills(campaign):
+    names = ["render", "append", "analyze"]
+    fates = kill(campaign, names, 3, "moment", 1) + kill(campaign, names, 3, "access", 2)
+    assert sum(fates.values()) == sum(n for key, n in fates.items() if key[2] == "same") == 6
+
+
+@pytest.mark.slow
+def test_all_kills(as_benchmark, campaign):
+    # A study takes longest, and is what the others are.
+    names = [name for name in COMMANDS if name != "study"] * 2 + ["study"]
+    start = time.monotonic()
+    fates = kill(campaign, names, COUNT, "moment", 0) + kill(
+        campaign, names, COUNT // 2, "access", 1
+    )
+    print(f"\n{sum(fates.values())} kills in {time.monotonic() - start:.0f} s")
+    print(table(fates))
+    assert {key[2] for key in fates} == {"same"}
