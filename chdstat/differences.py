@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._arrays import LeftOut, as_samples, generator, is_bad, spans, warn_left_out
+from chdstat._arrays import LeftOut, as_samples, generator, is_bad, spans, warn_left_out, whole
 from chdstat.errors import InputError
 from chdstat.samples import Samples
 
@@ -137,9 +137,7 @@ def difference(
     >>> found.paired, found.p_value.shape
     (True, (2, 2))
     """
-    if replicates < 1:
-        message = f"replicates must be at least 1, got {replicates}"
-        raise InputError(message)
+    replicates = whole("replicates", replicates, least=1)
     if isinstance(a, Samples) and isinstance(b, Samples):
         _check_alike(a.shape[:3], b.shape[:3])
         return _of_images(a, b, paired, replicates, seed)

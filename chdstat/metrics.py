@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import generator, spans
+from chdstat._arrays import generator, spans, whole
 from chdstat.errors import InputError
 
 __all__ = [
@@ -302,9 +302,7 @@ def _check_bootstrap(data: Array, *, replicates: int, level: float) -> None:
     if data.ndim == 0 or data.shape[0] == 0:
         message = f"bootstrap needs pixels on the first axis, got shape {data.shape}"
         raise InputError(message)
-    if replicates < 2:
-        message = f"bootstrap needs at least 2 replicates, got {replicates}"
-        raise InputError(message)
+    whole("replicates", replicates, least=2)
     if not 0 < level < 1:
         message = f"level must lie between 0 and 1, such as 0.95; got {level}"
         raise InputError(message)

@@ -82,6 +82,8 @@ def test_radiance_of_any_size_is_compared():
 def test_a_shuffle_is_needed():
     with pytest.raises(InputError, match="replicates must be at least 1, got 0"):
         difference(gamma(), gamma(), replicates=0)
+    with pytest.raises(InputError, match="replicates must be a whole number, got 9.5"):
+        difference(gamma(), gamma(), replicates=9.5)
 
 
 # --- renders that share random numbers ----------------------------------------------------------

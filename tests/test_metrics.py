@@ -100,7 +100,8 @@ def test_bootstrap_covers_a_ratio_as_often_as_it_says(level, most):
     [
         (np.empty((0, 3)), {}, "needs pixels"),
         (1.0, {}, "needs pixels"),
-        ([1.0], {"replicates": 1}, "2 replicates"),
+        ([1.0], {"replicates": 1}, "replicates must be at least 2, got 1"),
+        ([1.0], {"replicates": 9.5}, "replicates must be a whole number, got 9.5"),
         ([1.0], {"level": 95}, "between 0 and 1"),
     ],
 )

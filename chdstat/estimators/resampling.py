@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._arrays import as_samples, whole
 from chdstat.errors import InputError
 from chdstat.estimators._rows import Floats, estimate_rows, median_of_sorted
 from chdstat.estimators.m_estimators import huber
@@ -71,11 +71,9 @@ def jung2015(
     >>> float(x.mean()), bool(jung2015(x) < x.mean())
     (584.5, True)
     """
-    if resamples < 1 or location not in ("median", "huber"):
-        message = (
-            "resamples must be at least 1 and location 'median' or 'huber', "
-            f"got {resamples} and {location!r}"
-        )
+    resamples, seed = whole("resamples", resamples, least=1), whole("seed", seed, least=0)
+    if location not in ("median", "huber"):
+        message = f"location must be 'median' or 'huber', got {location!r}"
         raise InputError(message)
 
     def kernel(rows: Floats) -> Floats:

@@ -197,5 +197,6 @@ BURR = Family(
     log_density=_log_density,
     distribution=lambda p: stats.burr12(p["c"], p["d"], scale=p["scale"]),
     mean=_mean,
+    errors_from={"c": 60, "d": 60, "scale": 60},
 )
 """``f(x) = (c d / s) (x/s)^(c-1) (1 + (x/s)^c)^(-d-1)``."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,9 @@ class Family:
         SciPy's frozen distribution with given parameters, which may be arrays.
     mean
         Expectation at given parameters; None where SciPy's will do.
+    errors_from
+        Positive samples from which on 1.96 standard errors hold the truth in nine of ten cases, by
+        the name of the parameter, where it is more than the fit needs. Simulated.
     """
 
     name: str
@@ -68,6 +71,7 @@ class Family:
     log_density: LogDensity
     distribution: Callable[[Parameters], Any]
     mean: Callable[[Parameters], Floats] | None = None
+    errors_from: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def minimum(self) -> int:

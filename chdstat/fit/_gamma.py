@@ -94,5 +94,6 @@ GAMMA = Family(
     log_likelihood=_log_likelihood,
     log_density=_log_density,
     distribution=lambda p: stats.gamma(p["shape"], scale=p["scale"]),
+    errors_from={"scale": 60},
 )
 """``f(x) = x^(k-1) exp(-x/s) / (Gamma(k) s^k)``."""

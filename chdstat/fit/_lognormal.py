@@ -50,5 +50,6 @@ LOGNORMAL = Family(
     log_likelihood=_log_likelihood,
     log_density=_log_density,
     distribution=lambda p: stats.lognorm(p["sigma"], scale=np.exp(p["mu"])),
+    errors_from={"mu": 12, "sigma": 20},
 )
 """``log x`` is Gaussian with mean mu and standard deviation sigma; natural logarithms."""

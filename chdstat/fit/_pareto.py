@@ -20,6 +20,8 @@ _LEAST = -0.99
 """Below, a search that does not end was on its way past xi = -1."""
 _AT_EDGE = -6.0
 """Below this s, the support ends within 0.3 % of the largest x, and the profile is flat."""
+_LEAST_ERROR = 0.9
+"""Of xi, times the root of n: as of `chdstat.fit.tail_index`."""
 _SMALL = 1e-2
 _TERMS = 9
 """Terms of the series about xi = 0; the first left out is below double precision."""
@@ -39,7 +41,8 @@ def _estimate(part: Part, _near: Parameters | None) -> Estimate:
         # Smith 1987, doi:10.1214/aos/1176350499; from xi = -1/2 down they hold no more.
         regular = np.where(xi > -0.5, 1 + xi, np.nan)
         errors = {
-            "xi": regular / np.sqrt(part.n),
+            # For bounded tails, the errors in samples do not fall as those in theory do.
+            "xi": np.maximum(regular, _LEAST_ERROR) / np.sqrt(part.n),
             "scale": scale * np.sqrt(2 * regular / part.n),
         }
     return Estimate(
@@ -140,5 +143,6 @@ PARETO = Family(
     log_likelihood=summed(_log_density),
     log_density=_log_density,
     distribution=lambda p: stats.genpareto(p["xi"], scale=p["scale"]),
+    errors_from={"xi": 128, "scale": 128},
 )
 """``P(X > x) = (1 + xi x / scale)^(-1/xi)``."""

@@ -86,5 +86,6 @@ WEIBULL = Family(
     log_likelihood=summed(_log_density),
     log_density=_log_density,
     distribution=lambda p: stats.weibull_min(p["shape"], scale=p["scale"]),
+    errors_from={"scale": 20},
 )
 """``f(x) = (k/s) (x/s)^(k-1) exp(-(x/s)^k)``."""

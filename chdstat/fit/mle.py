@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._multiplicity import wilson
-from chdstat._positive import Floats, Mask
+from chdstat._positive import Counts, Floats, Mask
 from chdstat._reasons import Reason
 from chdstat._routes import Part, Source, run
 from chdstat.fit.families import Estimate, Family, Parameters, get_family
@@ -259,7 +259,8 @@ def pareto() -> None:
 
     ``P(X > x) = (1 + xi x / scale)^(-1/xi)``: excesses over a threshold, or a CHD whose density
     falls from the start. From xi = -1/2 down the standard errors are NaN, since the likelihood is
-    not regular there; below -1 it has no maximum, and the reason is `AT_LIMIT`.
+    not regular there; below -1 it has no maximum, and the reason is `AT_LIMIT`. That of xi is
+    ``max(1 + xi, 0.9) / sqrt(n)``, and there is none below 128 samples: it would be too small.
 
     References
     ----------
@@ -303,7 +304,18 @@ def fit_part(part: Part, family: Family) -> Fit:
         bic=bic,
         converged=estimate.converged,
         reason=reason,
+        error_reason=_why_no_errors(part.n, reason, family, estimate.standard_errors),
     )
+
+
+def _why_no_errors(
+    n: Counts, reason: npt.NDArray[np.int8], family: Family, errors: Parameters
+) -> npt.NDArray[np.int8]:
+    """Return the code of why one or more standard errors are NaN, shape (...)."""
+    none = np.isnan(list(errors.values())).any(axis=0)
+    few = n < max(family.errors_from.values(), default=0)
+    why = np.where(few, Reason.TOO_FEW, np.where(none, Reason.NOT_REGULAR, Reason.OK))
+    return np.asarray(np.where(reason == Reason.OK, why, reason), dtype=np.int8)
 
 
 def estimate_part(
@@ -324,7 +336,10 @@ def estimate_part(
     ok = np.asarray(reason == Reason.OK)
     kept = Estimate(
         parameters=_keep(estimate.parameters, ok),
-        standard_errors=_keep(estimate.standard_errors, ok),
+        standard_errors={
+            name: np.where(ok & (part.n >= family.errors_from.get(name, 0)), value, np.nan)
+            for name, value in estimate.standard_errors.items()
+        },
         converged=ok,
     )
     return kept, reason

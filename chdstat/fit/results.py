@@ -64,6 +64,9 @@ class Fit:
         Whether the estimate met its tolerance.
     reason
         `Reason` codes.
+    error_reason
+        `Reason` codes of why one or more standard errors are NaN: as `reason`; `TOO_FEW` samples
+        for them to hold, fewer than `Family.errors_from`; or `NOT_REGULAR`.
     """
 
     family: str
@@ -81,6 +84,7 @@ class Fit:
     bic: Floats
     converged: Mask
     reason: npt.NDArray[np.int8]
+    error_reason: npt.NDArray[np.int8]
 
     @property
     def zero_share(self) -> Floats:
@@ -155,6 +159,7 @@ def fit_variables(fit: Fit) -> Mapped:
     states = {
         f"{fit.family}_converged": fit.converged,
         f"{fit.family}_reason": fit.reason,
+        f"{fit.family}_error_reason": fit.error_reason,
     }
     shared = {name: getattr(fit, name) for name in SHARED}
     variables = estimates | errors | own | states | shared
@@ -177,6 +182,9 @@ def label_fit(dataset: xr.Dataset, family: str) -> xr.Dataset:
     dataset[f"{family}_converged"].attrs.update(long_name=f"{family} fit converged", units="1")
     dataset[f"{family}_reason"].attrs.update(
         long_name=f"why there is no {family} fit", units="1", **flag_attributes()
+    )
+    dataset[f"{family}_error_reason"].attrs.update(
+        long_name=f"why {family} has no standard errors", units="1", **flag_attributes()
     )
     return dataset.assign_coords(bound=np.array(["low", "high"], dtype=object))
 

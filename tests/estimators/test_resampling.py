@@ -44,7 +44,16 @@ def test_the_seed_decides_and_repeats():
     assert (estimators.jung2015(x, seed=1) != first).any()
 
 
-@pytest.mark.parametrize("options", [{"resamples": 0}, {"location": "mode"}])
-def test_options_out_of_range_are_refused(options):
-    with pytest.raises(InputError, match="'median' or 'huber'"):
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"resamples": 0}, "resamples must be at least 1, got 0"),
+        ({"resamples": 9.5}, "resamples must be a whole number, got 9.5"),
+        ({"seed": -1}, "seed must be at least 0, got -1"),
+        ({"seed": 0.5}, "seed must be a whole number, got 0.5"),
+        ({"location": "mode"}, "'median' or 'huber'"),
+    ],
+)
+def test_options_out_of_range_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
         estimators.jung2015(np.ones(32), **options)

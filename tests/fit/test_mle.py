@@ -278,3 +278,49 @@ def test_wrong_input_is_refused():
         chd.fit.fit([1.0, 2.0], "cauchy")
     with pytest.raises(InputError, match="broadcastable"):
         chd.fit.gamma([1.0, 2.0], null=[True, False, True])
+
+
+ERRORS = {
+    "pareto": [(stats.genpareto(xi), {"xi": xi, "scale": 1.0}) for xi in (-0.2, 0.0, 0.5)],
+    "gamma": [(stats.gamma(k), {"shape": k, "scale": 1.0}) for k in (0.3, 1.0, 5.0)],
+    "weibull": [(stats.weibull_min(0.5), {"shape": 0.5, "scale": 1.0})],
+    "lognormal": [(stats.lognorm(1.0), {"mu": 0.0, "sigma": 1.0})],
+    "burr": [(stats.burr12(2.0, 1.5), {"c": 2.0, "d": 1.5, "scale": 1.0})],
+}
+
+
+@pytest.mark.parametrize("samples", [8, 20, 64, 128])
+@pytest.mark.parametrize("family", ERRORS)
+def test_standard_errors_hold_at_small_n_or_are_not_there(family, samples):
+    """They hold 1.96 times in 88 % and more (measured); 4 deviations of 600 rows are 5 %.
+
+    Of 8 to 128 samples, they held xi = -0.2 in 67 to 86 %, and a gamma scale in 73 to 93 %.
+    """
+    for law, truth in ERRORS[family]:
+        x = law.rvs((600, samples), random_state=np.random.default_rng(71))
+        fit = chd.fit.fit(x, family)
+        ok = fit.reason == Reason.OK
+        for name, value in truth.items():
+            error = fit.standard_errors[name]
+            known = np.isfinite(error)
+            if known.any():
+                z = (fit.parameters[name][known] - value) / error[known]
+                assert (np.abs(z) < 1.96).mean() > 0.83, (family, name)
+            assert (fit.error_reason[ok & ~known] != Reason.OK).all()
+        np.testing.assert_array_equal(fit.error_reason[~ok], fit.reason[~ok])
+        if samples == 128:
+            assert (fit.error_reason == Reason.OK).mean() > 0.98
+
+
+def test_why_there_are_no_standard_errors():
+    x = stats.genpareto(-0.7).rvs((30, 400), random_state=np.random.default_rng(72))
+    fit = chd.fit.pareto(x)
+    below = (fit.parameters["xi"] <= -0.5) & (fit.reason == Reason.OK)
+    assert below.sum() > 20
+    assert (fit.error_reason[below] == Reason.NOT_REGULAR).all()
+    few = chd.fit.pareto(x[:, :50])
+    ok = few.reason == Reason.OK
+    assert ok.sum() > 10
+    assert (few.error_reason[ok] == Reason.TOO_FEW).all()
+    image = chd.fit.fit(chd.Samples.from_array(x.reshape(5, 6, 1, 400)), "pareto", progress=False)
+    np.testing.assert_array_equal(image["pareto_error_reason"].values.ravel(), fit.error_reason)
