@@ -150,10 +150,10 @@ def as_pixels(
     array = as_samples(x, minimum=minimum, name=name)
     if hasattr(x, "dims") and "channel" not in x.dims:
         array = array[..., np.newaxis, :]
-    if image and array.ndim != 4:
+    if image and (array.ndim != 4 or 0 in array.shape):
         message = f"{name} must be an image of shape (y, x, channel, sample), got {array.shape}"
         raise InputError(message)
-    if array.ndim < 2:
+    if array.ndim < 2 or array.shape[-2] == 0:
         message = f"{name} must have shape (..., channel, sample), got {array.shape}"
         raise InputError(message)
     return array
@@ -341,7 +341,7 @@ def _unmasked(x: Any, name: str) -> npt.NDArray[Any]:
     """Return an array, with NaN for the samples that a masked array hides."""
     try:
         array = np.asarray(x)
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         message = f"{name} must be an array, with as many samples in every row: {error}"
         raise InputError(message) from error
     if isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x) and array.dtype.kind in "fi":

@@ -205,7 +205,7 @@ class Table:
         zeros = np.zeros((len(rows), 1), block.dtype)
         self._counts[np.arange(len(rows)), self._slots(zeros, slice(None))[:, 0]] -= nulls.ravel()
         self.null_count += nulls
-        if not block.min() >= 0:
+        if not block.min(initial=0) >= 0:
             negative = block < 0 if bad is None else (block < 0) & ~bad
             self.negative += np.count_nonzero(negative, axis=-1)
         self.n += n
@@ -229,7 +229,7 @@ class Table:
 
     def counts(self) -> Counts:
         """Return a copy of the counts, shape (..., slot)."""
-        return self._counts.reshape(*self.support.low.shape, -1).copy()
+        return self._counts.reshape(*self.support.low.shape, self._counts.shape[-1]).copy()
 
     def _count(self, x: npt.NDArray[Any], part: slice, bad: Mask | None) -> None:
         slots = self._slots(x, part, bad)

@@ -144,7 +144,7 @@ def difference(
     if isinstance(a, Samples) or isinstance(b, Samples):
         message = "expected two arrays or two Samples, got one of each; read() returns an array"
         raise InputError(message)
-    one, two = (np.atleast_2d(as_samples(x, minimum=0)).astype(np.float64) for x in (a, b))
+    one, two = (np.atleast_2d(as_samples(x)).astype(np.float64) for x in (a, b))
     _check_alike(one.shape[:-1], two.shape[:-1])
     if paired and one.shape != two.shape:
         message = f"pairs need as many samples of both, got {one.shape[-1]} and {two.shape[-1]}"
@@ -155,6 +155,9 @@ def difference(
 
 
 def _check_alike(one: tuple[int, ...], two: tuple[int, ...]) -> None:
+    if 0 in one:
+        message = f"expected pixels with channels, got shape {one} before the samples"
+        raise InputError(message)
     if one[-1] != two[-1]:
         message = f"expected as many channels in both, got {one[-1]} and {two[-1]}"
         raise InputError(message)

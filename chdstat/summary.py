@@ -245,9 +245,6 @@ class Summary:
         )
 
     def _check(self, x: npt.NDArray[Any]) -> None:
-        if x.shape[-2] == 0:
-            message = f"block must have a channel, shape (..., channel, sample), got {x.shape}"
-            raise InputError(message)
         if self.shape not in (None, x.shape[:-1]):
             message = (
                 f"every block must have the shape of the first before its samples, {self.shape}, "
@@ -324,7 +321,7 @@ def _count_flags(x: npt.NDArray[Any], null: Mask, bad: Mask | None) -> dict[str,
         flags["bad_count"] = count(bad)
         flags["nan_count"] = count(np.isnan(x))
         flags["inf_count"] = count(np.isinf(x))
-    if not x.min() >= 0:
+    if not x.min(initial=0) >= 0:
         flags["negative_count"] = count(x < 0 if bad is None else (x < 0) & ~bad)
     return flags
 

@@ -1,5 +1,6 @@
 """Input: axes by name, masks, integers and precision; whatever array is taken, the same holds."""
 
+import contextlib
 import re
 import warnings
 
@@ -292,3 +293,22 @@ def test_a_command_prints_one_line_of_it(large, tmp_path, monkeypatch, capsys):
         "chdstat: 25.0 % of the samples (1152 of 4608) are bad and were left out: "
         "0 NaN or masked, 1152 infinite"
     ]
+
+
+# --- arrays of nothing --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", TAKING)
+def test_no_pixels_have_no_results_or_are_refused_in_words(name):
+    for shape in ((0, 3, 16), (0, 2, 3, 16), (2, 3, 0, 16), (2, 3, 3, 0)):
+        with contextlib.suppress(InputError):
+            assert np.size(TAKING[name](np.zeros(shape))) == 0
+
+
+@pytest.mark.parametrize("name", TAKING)
+def test_what_is_no_array_is_refused_in_words(x, name):
+    for nothing in (None, "x", [[1, 2], [3]], x > 1, x * 1j, xr.Dataset({"x": (DIMS, x)}), 3.0):
+        if isinstance(nothing, xr.Dataset) and name.startswith("fit."):
+            continue  # takes log histograms of an image
+        with pytest.raises(InputError):
+            TAKING[name](nothing)

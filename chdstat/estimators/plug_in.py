@@ -177,4 +177,4 @@ def _mean_of_fit(
     # A very wide log-normal has no finite mean in doubles; then the sample mean stands.
     with np.errstate(over="ignore", invalid="ignore"):
         mean = fit(np.maximum(samples, 0)).mean()
-        return mean if samples.min() >= 0 else mean + mean_of_good(np.minimum(samples, 0))
+        return mean if samples.min(initial=0) >= 0 else mean + mean_of_good(np.minimum(samples, 0))

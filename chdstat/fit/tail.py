@@ -201,7 +201,7 @@ def tail_of_part(
     """Estimate the tail index of samples that are already split."""
     reason = part.reason()
     k = candidates(part.n.ravel(), None if share == "auto" else share)
-    k = k.reshape(*part.n.shape, -1)
+    k = k.reshape(*part.n.shape, k.shape[-1])
     reason[(reason == Reason.OK) & (k[..., 0] < MINIMUM_EXCESSES)] = Reason.TOO_FEW
     reason[(reason == Reason.OK) & _tied(part)] = Reason.TIED
     usable = np.asarray(reason == Reason.OK)
