@@ -147,6 +147,10 @@ def chunk_grid(height: int, width: int, spp: int) -> Iterator[Chunk]:
         yield Chunk(b, ty, tx, ys, xs, ss)
 
 
+class _WriteError(StoreError):
+    """The system does not let a store be written to."""
+
+
 class _DamageError(ValueError):
     """What is wrong with a file."""
 
@@ -732,7 +736,7 @@ def convert(old: Path, new: Path, told: Mapping[str, Any]) -> None:
         message = f"{old} is of schema {SCHEMA_VERSION} already: there is nothing to convert"
         raise StoreError(message)
     direct = store.direct()
-    with _writing(new):
+    try:
         new.parent.mkdir(parents=True, exist_ok=True)
         with (
             replacing(unused(new), folder=True) as partial,
@@ -741,6 +745,10 @@ def convert(old: Path, new: Path, told: Mapping[str, Any]) -> None:
             if direct is not None:
                 _converted(direct, partial / DIRECT, told).close()
                 made.update(direct=True)
+    except (_WriteError, OSError) as error:
+        cause: Any = error.__cause__ if isinstance(error, _WriteError) else error
+        message = f"cannot write to {new}: {cause.strerror or cause}; nothing was kept of it"
+        raise StoreError(message) from error
 
 
 def _converted(old: Store, path: Path, told: Mapping[str, Any]) -> Store:
@@ -970,7 +978,7 @@ def _writing(path: Path) -> Iterator[None]:
             f"cannot write to {path}: {error.strerror or error}. "
             "What is stored is kept; run the same command again to resume"
         )
-        raise StoreError(message) from error
+        raise _WriteError(message) from error
 
 
 def _brief(error: BaseException) -> str:

@@ -156,7 +156,11 @@ def _dataset(
     found = work()
     if place is not None:
         _forget_others(place)
-        save(found, place)
+        try:
+            save(found, place)
+        except StoreError:
+            if not place.exists():  # else another study has kept the same
+                raise
     return found
 
 
