@@ -66,7 +66,8 @@ def estimate(
         The picture; or a rendering, as `chdstat.render_batches` makes it: then nothing is kept of
         its batches but what the estimate needs, in memory that does not grow with `spp`.
     model
-        A trained estimator, or the file that one was saved to; None trains one.
+        A trained estimator, or the file that one was saved to; None trains one. One of another
+        scene is followed as far as it pays, which is measured on these samples.
     spp
         Use the first so many samples; None uses all.
     balance
@@ -291,7 +292,9 @@ def _of_samples(
     direct = (
         direct_of(samples).read() if isinstance(own, Progressive) and own.inputs.direct else None
     )
-    found = _ask(own, picture, samples.features, direct, **asked)
+    known = model is None or (isinstance(own, Progressive) and own.trained_on(samples.attrs))
+    trust = 1.0 if known else None
+    found = _ask(own, picture, samples.features, direct, trust=trust, **asked)
     where = "on these samples, without a reference"
     return _Start(own, own.provenance, where, found, mean_of_good(picture))
 
@@ -362,10 +365,17 @@ def _ask(
     *,
     balance: float,
     level: float,
+    trust: float | None,
 ) -> Estimates:
     if isinstance(model, Progressive):
-        given = features if model.inputs.features else None
-        return model.estimate(picture, features=given, direct=direct, balance=balance, level=level)
+        return model.estimate(
+            picture,
+            features=features if model.inputs.features else None,
+            direct=direct,
+            balance=balance,
+            level=level,
+            trust=trust,
+        )
     radiance = model.predict(picture)
     unknown = np.full_like(radiance, np.nan)
     return Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)

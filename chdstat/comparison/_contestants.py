@@ -15,6 +15,7 @@ from chdstat.comparison._tally import Directed, Function
 from chdstat.comparison.denoising import Denoised, variants
 from chdstat.errors import InputError
 from chdstat.estimators.heldout import Totals, direct_of, draw_pixels, judging_pixels
+from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup
 from chdstat.samples import Samples
 
@@ -42,6 +43,8 @@ class Contestants:
         Pixels that no training draws, shape (y, x), whoever takes part.
     direct
         Whether the direct part of the samples is known.
+    foreign
+        Those of the models that did not train on this scene, by name.
     """
 
     entries: Mapping[str, Entry]
@@ -49,6 +52,7 @@ class Contestants:
     features: Mapping[str, Array]
     judging: npt.NDArray[np.bool_]
     direct: bool
+    foreign: frozenset[str] = frozenset()
 
     @classmethod
     def of(
@@ -74,7 +78,12 @@ class Contestants:
         direct = samples.direct
         known = direct is not None and direct.spp >= samples.spp
         judging = judging_pixels(samples.shape[:2], seed=seed)
-        return cls(entries, models, samples.features, judging, known)
+        foreign = frozenset(
+            name
+            for name, entry in learned.items()
+            if entry.train in given and not _trained_on(given[entry.train], samples)
+        )
+        return cls(entries, models, samples.features, judging, known, foreign)
 
     def with_denoised(self) -> Contestants:
         """Enter all of them once more, followed by the denoiser, at the end."""
@@ -125,15 +134,25 @@ class Contestants:
                 else _uncertain(self._called(entry.entry))
             )
             return partial(entry, estimate, self.features)
-        options = _options(entry, self.features)
+        options = self._options(entry)
         if isinstance(entry, LearnedEstimator):
             return partial(self.models[entry.name].predict, **options)
         return partial(entry, **options)
 
+    def _options(self, entry: Estimator | LearnedEstimator) -> dict[str, Any]:
+        """Return what an estimator is called with beside the samples."""
+        options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
+        if entry.uses_features and self.features:
+            options["features"] = self.features
+        own = entry.name not in self.foreign
+        if own and isinstance(self.models.get(entry.name), Progressive):
+            options["trust"] = 1.0
+        return options
+
     def _certain(self, entry: Estimator | LearnedEstimator) -> Callable[..., tuple[Array, Array]]:
         """Return a function from samples to estimates and their certainty."""
         model: Any = self.models[entry.name]
-        options = _options(entry, self.features)
+        options = self._options(entry)
 
         def estimate(x: npt.ArrayLike, **more: Any) -> tuple[Array, Array]:
             found = model.estimate(x, **options, **more)
@@ -223,10 +242,8 @@ def _seen(model: Model, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     return model.train_pixels if model.train_shape == shape else np.zeros((0, 2), np.int64)
 
 
-def _options(entry: Estimator | LearnedEstimator, features: Mapping[str, Array]) -> dict[str, Any]:
-    """Return what an estimator is called with beside the samples."""
-    options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
-    return options | ({"features": features} if entry.uses_features and features else {})
+def _trained_on(model: Model, samples: Samples) -> bool:
+    return isinstance(model, Progressive) and model.trained_on(samples.attrs)
 
 
 def _uncertain(function: Callable[..., Array]) -> Callable[..., tuple[Array, None]]:

@@ -7,7 +7,7 @@ estimate is close to that of `chdstat.estimate`, not the same to the bit.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,8 @@ __all__ = ["Learner", "judged_learners", "learners"]
 
 _RADIUS = 24
 """Pixels to each side that a model sees, where it looks around."""
+_PART = 256
+"""Side of the part of an image that tells how far a model is followed."""
 _MOST_AROUND = 4
 """Batches of a model that looks around."""
 
@@ -43,6 +45,28 @@ class Learner:
 
     name: str
     model: AnyModel
+    _trust: dict[tuple[int, int], float] = field(default_factory=dict, repr=False)
+
+    def trust(self, source: StoreSource, n: int) -> float:
+        """Return how far it pays on an image to follow it, from n samples of each pixel.
+
+        It is measured once, on a part of a large image: 1 where it was trained on the scene.
+        """
+        samples = source.samples
+        if not isinstance(self.model, Progressive) or self.model.trained_on(samples.attrs):
+            return 1.0
+        key = id(samples), n
+        if key not in self._trust:
+            ys, xs = (
+                slice((k - _PART) // 2, (k + _PART) // 2) if k > _PART else slice(None)
+                for k in samples.shape[:2]
+            )
+            features = {name: own[ys, xs] for name, own in samples.features.items()}
+            self._trust[key] = self.model.trust(
+                samples.read(ys, xs, slice(n)),
+                features=features if self.model.inputs.features else None,
+            )
+        return self._trust[key]
 
     @property
     def looks_around(self) -> bool:
@@ -114,30 +138,38 @@ def judged_learners(
             if source is None or len(place) != 2:
                 continue
             some = batches.first(_MOST_AROUND)
-            says = _around(learner.model, some, source, (place[0], place[1]), unit)
+            says = _around(learner, some, source, (place[0], place[1]), unit)
         else:
             some = batches
-            says = _alone(learner.model, some.x, unit)
+            says = _alone(learner, some.x, source, unit)
         if says is not None:
             estimates.append(_judged(learner.name, says, some))
     return estimates
 
 
-def _alone(model: AnyModel, x: Image, unit: float | None) -> Estimates | None:
+def _alone(
+    learner: Learner, x: Image, source: StoreSource | None, unit: float | None
+) -> Estimates | None:
     """Ask about batches (batch, channel, sample), each for itself."""
+    model = learner.model
     if isinstance(model, MLP):
         if x.shape[-1] != model.inputs:
             return None
         radiance = model.predict(x)
         nothing = np.full_like(radiance, np.nan)
         return Estimates(radiance, nothing[..., 0], nothing, nothing, float("nan"))
-    return model.estimate(x, unit=unit) if x.shape[-2] == model.channels else None
+    if x.shape[-2] != model.channels:
+        return None
+    # Without an image, what the place tells must do.
+    trust = model.trust(x, unit=unit) if source is None else learner.trust(source, x.shape[-1])
+    return model.estimate(x, unit=unit, trust=trust)
 
 
 def _around(
-    model: AnyModel, some: Batches, source: StoreSource, place: tuple[int, int], unit: float | None
+    learner: Learner, some: Batches, source: StoreSource, place: tuple[int, int], unit: float | None
 ) -> Estimates | None:
     """Ask about a part of the picture, batch by batch, and keep what is said of its middle."""
+    model = learner.model
     known = set(source.samples.features)
     if isinstance(model, MLP) or some.x.shape[-2] != model.channels:
         return None
@@ -146,11 +178,13 @@ def _around(
     count, _, n = some.x.shape
     window, (y, x), (ys, xs) = source.around(*place, count * n, radius=_RADIUS)
     features = {name: field[ys, xs] for name, field in source.samples.features.items()}
+    trust = learner.trust(source, n)
     found = [
         model.estimate(
             np.ascontiguousarray(window[..., i * n : (i + 1) * n]),
             features=features if model.inputs.features else None,
             unit=unit,
+            trust=trust,
         )
         for i in range(count)
     ]

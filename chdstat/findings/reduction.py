@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from chdstat._arrays import generator, is_bad
 from chdstat.comparison import Comparison
-from chdstat.estimators import LearnedEstimator, lookup, names
+from chdstat.estimators import LearnedEstimator, Progressive, lookup, names
 from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.evidence import Evidence
 from chdstat.findings.learning import PAPER
@@ -152,6 +152,8 @@ def _function(
     options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
     if entry is not None and entry.uses_features and features:
         options["features"] = features
+    if isinstance(model, Progressive):
+        options["trust"] = 1.0  # the network itself is asked
 
     def estimate(x: Array, direct: Array | None) -> Floats:
         more = {"direct": direct} if entry is not None and entry.uses_direct else {}

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -86,7 +87,7 @@ class SelfTraining:
         )
         ours = Estimator(
             "self_trained",
-            model.predict,
+            partial(model.predict, trust=1.0),
             "this library",
             joint_channels=True,
             uses_neighbours=True,
@@ -94,14 +95,17 @@ class SelfTraining:
         )
         found = compare(samples, ["mean", ours], n=_SPP, max_batches=1, progress=progress)
         first = samples.read(ss=slice(0, comparison.n))
-        by_level = {level: model.estimate(few, features=features, level=level) for level in LEVELS}
+        by_level = {
+            level: model.estimate(few, features=features, level=level, trust=1.0)
+            for level in LEVELS
+        }
         return cls(
             comparison=found,
             estimates=by_level[0.9],
             coverage={
                 f"{_SPP} spp, without a reference": coverage(by_level.__getitem__, found),
                 f"{comparison.n} spp, with one": coverage(
-                    lambda level: supervised.estimate(first, level=level), comparison
+                    lambda level: supervised.estimate(first, level=level, trust=1.0), comparison
                 ),
             },
             iterations=int(model.history.iteration[-1]),

@@ -63,18 +63,16 @@ def apply(
     """
     import torch
 
-    from chdstat.estimators.progressive.doubt import Doubted
     from chdstat.estimators.progressive.network import device
     from chdstat.estimators.progressive.training import look, threads
+    from chdstat.estimators.progressive.trust import Trusted
 
     rows, channels = int(np.prod(shape)), learned.network.shape.channels
     radiance = np.empty((rows, channels), np.float32)
     low, high = (np.full_like(radiance, np.nan) for _ in range(2))
     certainty = np.empty(rows, np.float32)
     place = device()
-    network: Any = learned.network.to(place)
-    if learned.trust < 1:
-        network = Doubted(network, learned.trust)
+    network = Trusted(learned.network.to(place), learned.trust)
 
     def enter(part: slice) -> None:
         profile = profile_of(part)

@@ -32,7 +32,7 @@ def causes_of(answer: Answer, profile: Profile, aim: int) -> Floats:
         t.cpu().numpy().astype(np.float64)
         for t in (answer.estimate[:, aim], answer.mean, answer.certainty[:, aim, None])
     )
-    noise = _variance_of_mean(profile, mean)
+    noise = profile.variance_of_mean() / np.float64(profile.unit) ** 2
     causes = (
         np.full_like(estimate, DARK**2),
         estimate**2,
@@ -42,18 +42,3 @@ def causes_of(answer: Answer, profile: Profile, aim: int) -> Floats:
         certainty**2 * mean**2,
     )
     return np.stack(causes, axis=-1)
-
-
-def _variance_of_mean(profile: Profile, mean: Floats) -> Floats:
-    """Return the variance of the mean as far as octaves tell, shape (row, channel).
-
-    Of parts it is the sum of theirs: profiles do not tell how these go together.
-    """
-    count = np.maximum(profile.count, 1)[:, np.newaxis].astype(np.float64)
-    weight, radiance = profile.bins[..., :1], profile.bins[..., 1:].astype(np.float64)
-    squares = radiance**2 / np.where(weight > 0, weight, np.inf)
-    within = mean**2
-    if profile.parts > 1:
-        of_parts = np.stack(np.split(radiance, profile.parts, axis=1)).sum(axis=2)
-        within = ((of_parts / count) ** 2).sum(axis=0)
-    return np.asarray(np.maximum(squares.sum(axis=1) / count - within, 0) / count)

@@ -21,11 +21,12 @@ from chdstat.errors import InputError
 from chdstat.estimators.progressive.buckets import BUCKETS, BucketParts, Buckets
 from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.lessons import Lesson, Material, Scenery
+from chdstat.estimators.progressive.marks import Marks
 from chdstat.estimators.progressive.provenance import Origin, provenance_of
-from chdstat.estimators.progressive.results import Learned
+from chdstat.estimators.progressive.results import Learned, Trust
 from chdstat.estimators.progressive.shapes import Shape
 from chdstat.estimators.progressive.spread import Spread
-from chdstat.estimators.progressive.teaching import doubted
+from chdstat.estimators.progressive.teaching import trusted
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
@@ -195,7 +196,7 @@ class Course:
         watching = np.flatnonzero(pixels < self._watching)
         rng = generator(self._seed).spawn(1)[0]
         judged = replace(material, lesson=few)
-        believed, trust = doubted(network, judged, watching, rng)
+        believed, trust = trusted(network, judged, watching, rng)
         spread = Spread.learn(believed, judged, pixels=watching, rng=rng)
         return Learned(
             network=copy.deepcopy(network),
@@ -206,10 +207,11 @@ class Course:
             train_shape=self._shape,
             provenance=self._provenance(material, attrs, trust),
             trust=trust,
+            marks=Marks.none(self._buckets.channels),
         )
 
     def _provenance(
-        self, material: Material, attrs: Mapping[str, Any], trust: float
+        self, material: Material, attrs: Mapping[str, Any], trust: Trust
     ) -> dict[str, Any]:
         scene = str(attrs.get("scene", "samples"))
         shape = (*self._shape, self._buckets.channels, self._buckets.dealt)

@@ -111,4 +111,4 @@ def self_trained(
     picture = Samples.from_array(reordered(samples)[0], features=features, axes="yxcs")
     model = Progressive(inputs=["features", "neighbours"] if features else ["neighbours"])
     model.train(picture, seed=seed, iterations=iterations, progress=progress)
-    return model.predict(picture.read(), features=features)
+    return model.predict(picture.read(), features=features, trust=1.0)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,6 @@ import numpy.typing as npt
 from chdstat._arrays import generator
 from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators._rows import reordered
 from chdstat.estimators.heldout import direct_of
 from chdstat.estimators.progressive.application import Alike, apply, with_constants, with_means
 from chdstat.estimators.progressive.inputs import Input, InputConfig
@@ -27,11 +26,12 @@ from chdstat.estimators.progressive.lessons import (
     with_reference,
     without_reference,
 )
+from chdstat.estimators.progressive.marks import Marks
 from chdstat.estimators.progressive.pictures import Scene, chosen_pixels
 from chdstat.estimators.progressive.profiles import Profile
 from chdstat.estimators.progressive.provenance import Origin, provenance_of
 from chdstat.estimators.progressive.questions import Question, check_asked
-from chdstat.estimators.progressive.results import Estimates, Learned
+from chdstat.estimators.progressive.results import Estimates, Learned, Trust
 from chdstat.estimators.progressive.storage import read_learned, write_learned
 from chdstat.estimators.progressive.teaching import teach
 from chdstat.estimators.training import History
@@ -42,7 +42,10 @@ __all__ = ["Progressive"]
 Array = npt.NDArray[Any]
 Features = Mapping[str, Array]
 
-_FEWEST_HALVES = 2
+_MEASURED = 2**14
+"""Pixels that trust is measured on, where each is seen for itself: more tell little more."""
+_FEWEST_HALVES = 4
+"""Samples that trust is measured with: two halves, one of them cut in two."""
 
 
 class Progressive:
@@ -148,6 +151,12 @@ class Progressive:
         """Where it comes from: scene, seed, pixels, iterations, chdstat version."""
         return dict(self._state.provenance)
 
+    def trained_on(self, attrs: Mapping[str, Any]) -> bool:
+        """Return whether a scene that trained it is the one that samples with `attrs` are of."""
+        own = attrs.get("scene_hash")
+        scenes = self.provenance["scenes"]
+        return own is not None and any(s["samples"].get("scene_hash") == own for s in scenes)
+
     def train(
         self,
         samples: Samples | Sequence[Samples],
@@ -236,7 +245,7 @@ class Progressive:
         direct: npt.ArrayLike | None = None,
         balance: float = 0.5,
         unit: float | None = None,
-        trust: float | Literal["halves"] = 1.0,
+        trust: float | None = None,
     ) -> npt.NDArray[np.float32]:
         """Estimate radiance; as `estimate`, without certainty and interval.
 
@@ -257,7 +266,7 @@ class Progressive:
         balance: float = 0.5,
         unit: float | None = None,
         level: float = 0.9,
-        trust: float | Literal["halves"] = 1.0,
+        trust: float | None = None,
     ) -> Estimates:
         """Estimate radiance, with certainty and interval.
 
@@ -279,8 +288,10 @@ class Progressive:
         level
             Probability of the interval.
         trust
-            How far to go from the mean to the estimate, 0 to 1; "halves" measures with `trust` how
-            far it pays on `x`. Useful for a model that was trained on another scene.
+            How far to go from the mean to the estimate, 0 to 1. None follows it on the very
+            samples that trained it, in the order that they were drawn; on another image it is
+            measured how far that pays, as `trust` does. A part of an image, whose `unit` is given,
+            is too little for that, and is taken to be of a scene that trained it.
 
         Raises
         ------
@@ -303,25 +314,18 @@ class Progressive:
         balance: float = 0.5,
         unit: float | None = None,
     ) -> float:
-        r"""Measure how far from the mean to the estimate it pays to go, without a reference.
+        """Measure how far from the mean to the estimate it pays to go, without a reference.
 
-        From one half of each pixel's samples come the mean m and the estimate g, from a quarter an
-        unbiased target t, and from the last quarter the mean s that errors are weighed by:
-
-        .. math:: \alpha = \operatorname{clip}\left(
-            \frac{\sum w (t - m)(g - m)}{\sum w (g - m)^2}, 0, 1\right),
-            \qquad w = (s^2 + 0.01\, u^2)^{-p},
-
-        summed over pixels and channels, u being the unit; one standard error over pixels is taken
-        off before the clip. The power p is 0 where balance is 0, which guards the MSE, and 1 where
-        it is 1, which guards the relMSE; between, the smaller alpha of the two guards both. A model
-        of another scene is then no worse than the mean, but for the noise of alpha that remains. A
+        The estimate from one half of the samples is compared with the other half, under the
+        weights of both squared and relative errors, and the other way round. A share is trusted as
+        far as the comparison does not speak against it and it is better than the mean, a standard
+        error over pixels off. Of fewer than 4 samples nothing is known, and the share is 0. A
         model that was trained on these very samples knows the other half, and is trusted too much.
 
         Parameters
         ----------
         x
-            Samples as for `estimate`, at least 2; the more pixels the better.
+            Samples as for `estimate`; the more pixels the better.
         features, direct, balance, unit
             As for `estimate`.
 
@@ -333,9 +337,9 @@ class Progressive:
         Raises
         ------
         InputError
-            As for `estimate`, or if there is but one sample.
+            As for `estimate`.
         """
-        return self._paying(
+        return self._measured(
             self._asked(x, features=features, direct=direct, balance=balance, unit=unit)
         )
 
@@ -346,6 +350,7 @@ class Progressive:
         features: Features | None = None,
         balance: float = 0.5,
         level: float = 0.9,
+        trust: float = 1.0,
     ) -> Estimates:
         """Estimate from profiles, which `Stream` keeps in place of samples.
 
@@ -354,20 +359,39 @@ class Progressive:
         InputError
             As for `estimate`; or if neighbours are an input, which need samples.
         """
-        shape = self._state.network.shape
-        check_asked(shape.channels, profile.channels, balance)
-        self.inputs.check_profile(profile, shape.parts)
-        pixels = profile.count.shape
-        rows = profile.reshape(-1)
-        return apply(
-            self._state,
-            lambda part: rows[part],
-            self.inputs.scenery(features, pixels, None, described=shape.described),
-            None,
-            shape=pixels,
-            balance=balance,
-            level=level,
+        return self._of_profile(
+            profile, self._state.trust.times(trust), features, balance=balance, level=level
         )
+
+    def trust_between(
+        self,
+        halves: Sequence[Profile],
+        *,
+        features: Features | None = None,
+        balance: float = 0.5,
+    ) -> float:
+        """Measure between profiles of two halves of the samples how far it pays to go, as `trust`.
+
+        Raises
+        ------
+        InputError
+            As for `of_profile`.
+        """
+        from chdstat.estimators.progressive.trust import Move, paying_share
+
+        count = sum(int(half.count.max(initial=0)) for half in halves)
+        if count < _FEWEST_HALVES:
+            return 0.0
+        trust = self._state.trust.fixed(count)
+        found = [
+            self._of_profile(half, trust, features, balance=balance, level=None).radiance
+            for half in halves
+        ]
+        moves = (
+            Move.of_profiles(half, radiance, other)
+            for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
+        )
+        return paying_share(moves, foreign=True)
 
     def save(self, path: str | Path) -> None:
         """Write the trained network and its provenance to a safetensors file.
@@ -424,22 +448,54 @@ class Progressive:
             pictures[0].shape[:2],
             provenance,
             trust,
+            Marks.of(material, pictures[0].shape[2], generator(seed).spawn(2)[1]),
         )
 
     def _asked(self, x: npt.ArrayLike, **given: Any) -> Question:
         return Question.of(x, self.inputs, self.channels, **given)
 
-    def _answer(
-        self, asked: Question, trust: float | Literal["halves"], *, level: float | None
-    ) -> Estimates:
-        share: Any = self._paying(asked) if trust == "halves" else trust
-        if isinstance(share, str) or not 0 <= share <= 1:
-            message = f"trust must lie between 0 and 1, or be 'halves', got {share}"
+    def _answer(self, asked: Question, trust: float | None, *, level: float | None) -> Estimates:
+        if trust is None:
+            known = not asked.whole or self._state.marks.match(
+                asked.samples, self.provenance["scenes"]
+            )
+            share = 1.0 if known else self._measured(asked)
+        elif 0 <= trust <= 1:
+            share = trust
+        else:
+            message = f"trust must lie between 0 and 1, or be None, got {trust}"
             raise InputError(message)
+        return self._estimates(asked, self._state.trust.times(share), level=level)
+
+    def _of_profile(
+        self,
+        profile: Profile,
+        trust: Trust,
+        features: Features | None,
+        *,
+        balance: float,
+        level: float | None,
+    ) -> Estimates:
+        shape = self._state.network.shape
+        check_asked(shape.channels, profile.channels, balance)
+        self.inputs.check_profile(profile, shape.parts)
+        pixels = profile.count.shape
+        rows = profile.reshape(-1)
+        return apply(
+            replace(self._state, trust=trust),
+            lambda part: rows[part],
+            self.inputs.scenery(features, pixels, None, described=shape.described),
+            None,
+            shape=pixels,
+            balance=balance,
+            level=level,
+        )
+
+    def _estimates(self, asked: Question, trust: Trust, *, level: float | None) -> Estimates:
         state = self._state
         scenery, alike = asked.seen(self.inputs, state.network.shape)
         found = apply(
-            replace(state, trust=state.trust * share),
+            replace(state, trust=trust),
             asked.profile,
             scenery,
             alike,
@@ -449,27 +505,20 @@ class Progressive:
         )
         return with_constants(with_means(found, asked.samples), Alike.of(asked.samples))
 
-    def _paying(self, asked: Question) -> float:
-        """Return how far it pays to go from the mean to the answer."""
-        from chdstat.estimators.progressive.doubt import paying_share
-        from chdstat.estimators.progressive.training import FLOOR
+    def _measured(self, asked: Question) -> float:
+        """Return how far it pays to go from the mean to the answer, from halves of the samples."""
+        from chdstat.estimators.progressive.trust import Move, paying_share
 
         if asked.samples.shape[-1] < _FEWEST_HALVES:
-            message = (
-                f"halves need at least {_FEWEST_HALVES} samples, got {asked.samples.shape[-1]}"
-            )
-            raise InputError(message)
-        powers = [p for p, part in ((0, 1 - asked.balance), (1, asked.balance)) if part > 0]
-        samples, *direct = reordered(
-            asked.samples, *([] if asked.direct is None else [asked.direct])
+            return 0.0
+        if not (self.inputs.features or self.inputs.neighbours):
+            asked = asked.some(_MEASURED)
+        halves = asked.halves()
+        # As far as all samples will be trusted, half of them are.
+        trust = self._state.trust.fixed(asked.samples.shape[-1])
+        found = [self._estimates(half, trust, level=None).radiance for half in halves]
+        moves = (
+            Move.between(half.samples, radiance, other.samples, unit=asked.unit)
+            for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
         )
-        return paying_share(
-            samples,
-            lambda half, direct=None: (
-                self._answer(asked.of_part(half, direct), 1.0, level=None).radiance
-            ),
-            powers=powers,
-            floor=FLOOR,
-            unit=asked.unit,
-            direct=direct[0] if direct else None,
-        )
+        return paying_share(moves, foreign=True)

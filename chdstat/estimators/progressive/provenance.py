@@ -9,6 +9,7 @@ from typing import Any, Self
 import chdstat
 from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.lessons import Material
+from chdstat.estimators.progressive.results import Trust
 from chdstat.samples import Samples
 
 __all__ = ["Origin", "provenance_of"]
@@ -57,7 +58,7 @@ def provenance_of(
     *,
     inputs: InputConfig,
     seed: int,
-    trust: float,
+    trust: Trust,
 ) -> dict[str, Any]:
     """Return what is known of a training.
 
@@ -72,7 +73,7 @@ def provenance_of(
     seed
         Of the training.
     trust
-        How far to go from the mean to what the network estimates.
+        How far to go from the mean to what the network estimates; its average is noted.
     """
     scenes = [one.to_dict(used) for one, used in zip(origins, material.parts, strict=True)]
     return {
@@ -87,6 +88,6 @@ def provenance_of(
         "pixels_excluded": material.excluded,
         "sizes": sorted(set(material.lesson.sizes)),
         "iterations": material.lesson.iterations,
-        "trust": trust,
+        "trust": float(trust.shares.mean()),
         "chdstat": chdstat.__version__,
     }

@@ -9,9 +9,10 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels, warn_left_out
+from chdstat._arrays import as_pixels, generator, warn_left_out
 from chdstat._image_scales import mean_radiance
 from chdstat.errors import InputError
+from chdstat.estimators._rows import reordered
 from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.lessons import Scenery, ask
 from chdstat.estimators.progressive.profiles import Profile
@@ -39,6 +40,8 @@ class Question:
         From 0, the least MSE, to 1, the least relMSE.
     unit
         Mean radiance of the picture that the samples belong to.
+    whole
+        Whether they are the picture, in which its unit was measured.
     """
 
     samples: Array
@@ -46,6 +49,7 @@ class Question:
     direct: Array | None
     balance: float
     unit: float
+    whole: bool
 
     @classmethod
     def of(
@@ -72,11 +76,29 @@ class Question:
         check_asked(channels, samples.shape[-2], balance)
         part = inputs.direct_of(direct, samples.shape)
         measured = mean_radiance(samples) if unit is None else unit
-        return cls(samples, features, part, balance, measured)
+        return cls(samples, features, part, balance, measured, whole=unit is None)
 
-    def of_part(self, samples: Array, direct: Array | None) -> Self:
-        """Return the same question about some of the samples."""
-        return replace(self, samples=samples, direct=direct)
+    def halves(self) -> tuple[Self, Self]:
+        """Return the same question about two halves of the samples, whatever their order."""
+        samples, *direct = reordered(self.samples, *([] if self.direct is None else [self.direct]))
+        first, second = (
+            replace(
+                self,
+                samples=samples[..., k::2],
+                direct=direct[0][..., k::2] if direct else None,
+            )
+            for k in range(2)
+        )
+        return first, second
+
+    def some(self, most: int) -> Self:
+        """Return the same question about so many pixels at most, each for itself."""
+        rows = self._rows
+        if len(rows) <= most:
+            return self
+        chosen = np.sort(generator(0).choice(len(rows), most, replace=False))
+        direct = None if self.direct is None else self._flat(self.direct)[chosen]
+        return replace(self, samples=rows[chosen], direct=direct)
 
     @property
     def shape(self) -> tuple[int, ...]:

@@ -8,10 +8,16 @@ from typing import Any
 from chdstat.estimators.progressive.profiles import OCTAVES
 from chdstat.estimators.progressive.surroundings import BANDS, RADII
 
-__all__ = ["AIMS", "Shape"]
+__all__ = ["AIMS", "GROUPS", "LEVELS", "MOST_TRUST", "Shape"]
 
 AIMS = ("mse", "relmse")
 """What the answers of a network minimise."""
+LEVELS = tuple(range(-8, 5, 2))
+"""Levels of the mean, in octaves of the unit, that networks are trusted at."""
+GROUPS = 2 * len(LEVELS)
+"""Groups of pixels that a network is trusted in: of each level, brightened and darkened ones."""
+MOST_TRUST = 1.5
+"""Share of a move at most: beyond 1 where others are held back and the image would lose light."""
 
 
 @dataclass(frozen=True)

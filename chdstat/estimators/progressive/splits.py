@@ -190,6 +190,11 @@ class Splits:
         usable = [split for split in self._prepared if len(split[0]) == n]
         return usable[rng.integers(len(usable))]
 
+    def some(self, count: int, rng: np.random.Generator) -> tuple[Places, Array]:
+        """Draw pixels, and a sample of each, shape (draw, channel)."""
+        rows, places = rng.integers(len(self), size=count), rng.integers(self.spp, size=count)
+        return rows, self._samples[rows, :, places]
+
     def halves(self, part: Part, rng: np.random.Generator) -> Halves:
         """Return the two halves of the other samples, at random."""
         others = rng.permutation(np.setdiff1d(np.arange(self.spp), part.places))

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from chdstat.errors import StoreError
 from chdstat.estimators._modelfile import read_model, write_model
 from chdstat.estimators.progressive.inputs import InputConfig
-from chdstat.estimators.progressive.results import Learned
+from chdstat.estimators.progressive.marks import Marks
+from chdstat.estimators.progressive.results import Learned, Trust
 from chdstat.estimators.progressive.shapes import Shape
 from chdstat.estimators.progressive.spread import Spread
 
@@ -37,13 +38,14 @@ def write_learned(path: str | Path, learned: Learned, inputs: Sequence[str]) -> 
         "inputs": list(inputs),
         "unit": learned.unit,
         "train_shape": learned.train_shape,
-        "trust": learned.trust,
         "provenance": learned.provenance,
     }
     arrays: dict[str, npt.NDArray[Any]] = {
         f"network.{name}": w for name, w in learned.network.to_arrays().items()
     }
     arrays |= {f"spread.{name}": a for name, a in vars(learned.spread).items()}
+    arrays |= {f"trust.{name}": a for name, a in vars(learned.trust).items()}
+    arrays |= {f"marks.{name}": a for name, a in vars(learned.marks).items()}
     arrays |= {"history": learned.history, "train_pixels": learned.train_pixels}
     write_model(Path(path), arrays, about)
 
@@ -60,10 +62,10 @@ def read_learned(path: str | Path) -> tuple[Learned, InputConfig]:
     if about.get("kind") != _KIND:
         message = f"{path} holds a model of kind {about.get('kind')!r}, not {_KIND!r}"
         raise StoreError(message)
-    if "inputs" not in about:
+    if "trust.shares" not in arrays:
         message = (
-            f"{path} was trained by an earlier version, which measured images in another unit; "
-            "train it again"
+            f"{path} was trained by an earlier version, which did not measure how far it pays to "
+            "follow the network; train it again"
         )
         raise StoreError(message)
     try:
@@ -83,11 +85,6 @@ def _learned(arrays: Arrays, about: Mapping[str, Any]) -> Learned:
     if arrays["train_pixels"].shape != (used, 2):
         message = f"its scenes have {used} pixels, got {arrays['train_pixels'].shape}"
         raise ValueError(message)
-    # Files of before networks were doubted say nothing of it.
-    trust = float(about.get("trust", 1.0))
-    if not 0 <= trust <= 1:
-        message = f"its trust must lie between 0 and 1, got {trust}"
-        raise ValueError(message)
     return Learned(
         network=network.eval(),
         spread=Spread(**_below("spread.", arrays)),
@@ -96,7 +93,8 @@ def _learned(arrays: Arrays, about: Mapping[str, Any]) -> Learned:
         train_pixels=arrays["train_pixels"].astype(np.int64, copy=False),
         train_shape=(int(about["train_shape"][0]), int(about["train_shape"][1])),
         provenance=provenance,
-        trust=trust,
+        trust=Trust(**_below("trust.", arrays)),
+        marks=Marks(**_below("marks.", arrays)),
     )
 
 

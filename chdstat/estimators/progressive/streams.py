@@ -30,7 +30,9 @@ class Stream:
 
     A pixel takes 24 octaves of 4 numbers (of RGB), however many samples there are, twice as many
     where the model looks at direct light; of 65,536 pixels eight times as many are kept where it
-    learns, to cut them in two at random.
+    learns, to cut them in two at random. A model of another scene takes three times as
+    many: it is followed as far as one half of the samples says that the other half's estimate
+    pays.
 
     Parameters
     ----------
@@ -41,7 +43,8 @@ class Stream:
         First-hit features of the picture, where it looks at these.
     unit
         Mean radiance of the image, as of `mean_radiance`; None measures it on the first batch with
-        light.
+        light. Given, the pixels may be a part of an image, which tells too little of how far a
+        model of another scene should be followed: it is taken for one of this scene.
     learns
         Whether `learn` is going to train the model on the samples as they arrive, without a
         reference. A model that was trained before goes on from there; until it has learned
@@ -102,7 +105,11 @@ class Stream:
         self._learns, self._seed, self._attrs = learns, seed, dict(attrs or {})
         self._course: Course | None = None
         self._profile: Profile | None = None
+        self._foreign = not (learns or unit is not None or model.trained_on(self._attrs))
+        self._halves: list[Profile] = []
+        """Of every other sample, and of those between, where trust is measured."""
         self._alike: Alike | None = None
+        self._drawn = 0
 
     @property
     def model(self) -> Progressive:
@@ -125,7 +132,7 @@ class Stream:
     @property
     def nbytes(self) -> int:
         """Bytes that are kept."""
-        kept = self._profile, self._course, self._alike
+        kept = self._profile, *self._halves, self._course, self._alike
         return sum(part.nbytes for part in kept if part is not None)
 
     def update(self, x: npt.ArrayLike, direct: npt.ArrayLike | None = None) -> None:
@@ -152,10 +159,16 @@ class Stream:
             if self._learns:
                 self._course = self._new_course(shape, channels, unit)
             self._profile = Profile.empty(shape, channels, unit=unit, parts=self._parts)
+            if self._foreign:
+                self._halves = [
+                    Profile.empty(shape, channels, unit=unit, parts=self._parts) for _ in range(2)
+                ]
         kept = self._profile
         if self._unit is None and not kept.bins.any():
             # Black so far: the unit is that of the first batch with light.
             kept.unit = mean_radiance(samples)
+            for half in self._halves:
+                half.unit = kept.unit
             if self._course is not None:
                 self._course.unit = kept.unit
         if (kept.count.shape, kept.channels) != (shape, channels):
@@ -165,6 +178,12 @@ class Stream:
             )
             raise InputError(message)
         kept.add(Profile.of(samples, unit=kept.unit, direct=part))
+        for first, half in enumerate(self._halves):
+            every = slice((first + self._drawn) % 2, None, 2)
+            own = None if part is None else part[..., every]
+            if samples[..., every].shape[-1]:
+                half.add(Profile.of(samples[..., every], unit=kept.unit, direct=own))
+        self._drawn += samples.shape[-1]
         if self._alike is not None:
             self._alike.add(samples)
         elif samples.shape[-1]:
@@ -201,8 +220,13 @@ class Stream:
         """Return the sample mean so far, shape (..., channel)."""
         return self._state.mean()
 
-    def estimate(self, *, balance: float = 0.5, level: float = 0.9) -> Estimates:
+    def estimate(
+        self, *, balance: float = 0.5, level: float = 0.9, trust: float | None = None
+    ) -> Estimates:
         """Estimate from all samples so far; see `Progressive.estimate`.
+
+        Without `trust`, a model that did not train on the scene that ``attrs`` name is followed as
+        far as it pays.
 
         Before a new model has learned anything it is the mean, its certainty is 0, and nothing is
         said of its error: the ends of the interval, and its level, are NaN.
@@ -210,7 +234,15 @@ class Stream:
         state = self._state
         if self._course is not None and self._course.iterations == 0:
             return _of_nothing(state)
-        found = self.model.of_profile(state, features=self.features, balance=balance, level=level)
+        if trust is None and self._halves:
+            trust = self.model.trust_between(self._halves, features=self.features, balance=balance)
+        found = self.model.of_profile(
+            state,
+            features=self.features,
+            balance=balance,
+            level=level,
+            trust=1.0 if trust is None else trust,
+        )
         return found if self._alike is None else with_constants(found, self._alike)
 
     @property

@@ -10,17 +10,17 @@ import numpy.typing as npt
 from chdstat._arrays import generator
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.lessons import Material
+from chdstat.estimators.progressive.results import Trust
 from chdstat.estimators.progressive.shapes import Shape
 from chdstat.estimators.progressive.spread import Spread
 from chdstat.estimators.progressive.trials import trials_of
 from chdstat.progress import track
 
 if TYPE_CHECKING:
-    from torch import nn
-
     from chdstat.estimators.progressive.network import Network
+    from chdstat.estimators.progressive.trust import Trusted
 
-__all__ = ["doubted", "teach"]
+__all__ = ["teach", "trusted"]
 
 _WATCHING = 0.1
 """Share of the pixels that train nothing, and tell how large the errors are."""
@@ -31,7 +31,7 @@ _FEWEST = 2
 
 def teach(
     material: Material, *, channels: int, seed: int, progress: bool | None
-) -> tuple[Network, float, Spread, npt.NDArray[np.float64]]:
+) -> tuple[Network, Trust, Spread, npt.NDArray[np.float64]]:
     """Train a network; some pixels only watch, and tell how large the errors are.
 
     Parameters
@@ -48,8 +48,8 @@ def teach(
     Returns
     -------
     network : Network
-    trust : float
-        How far to go from the mean to its estimate, 0 to 1; 1 with a reference.
+    trust : Trust
+        How far to go from the mean to its estimate.
     spread : Spread
         Of the errors at this trust.
     history : ndarray
@@ -94,7 +94,7 @@ def teach(
             rng=rng,
             advance=advance,
         )
-    believed, trust = doubted(network, material, order[:watching], rng)
+    believed, trust = trusted(network, material, order[:watching], rng)
     spread = Spread.learn(believed, material, pixels=order[:watching], rng=rng)
     return network, trust, spread, history
 
@@ -106,13 +106,28 @@ def _watching(count: int, *, alone: bool) -> int:
     return max(1, usual, more)
 
 
-def doubted(
-    network: Network, material: Material, watching: npt.NDArray[np.int64], rng: np.random.Generator
-) -> tuple[nn.Module, float]:
+def trusted(
+    network: Network,
+    material: Material,
+    validation: npt.NDArray[np.int64],
+    rng: np.random.Generator,
+) -> tuple[Trusted, Trust]:
     """Return a network that goes as far from the mean as it pays, and how far that is."""
-    if material.lesson.reference:
-        return network, 1.0
-    from chdstat.estimators.progressive.doubt import Doubted, warranted_share
+    from chdstat.estimators.progressive.trust import (
+        Move,
+        Trusted,
+        keeping_mean,
+        paying_share,
+        reference_trust,
+    )
 
-    trust = warranted_share(trials_of(network, material, pixels=watching, rng=rng))
-    return Doubted(network, trust), trust
+    # Rare lamps and fireflies are in all pixels, hardly in a tenth of them.
+    everywhere = trials_of(network, material, pixels=np.arange(len(material.pixels)), rng=rng)
+    if material.lesson.reference:
+        trust = reference_trust(everywhere)
+    else:
+        held_out = trials_of(network, material, pixels=validation, rng=rng)
+        trust = keeping_mean(
+            paying_share(map(Move.of, held_out), foreign=False), map(Move.of, everywhere)
+        )
+    return Trusted(network, trust), trust

@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Trial", "trials_of"]
 
-_DRAWS = 16
-"""Splits of each size."""
+_DRAWS, _TIMES, _SAMPLES = 16, 4, 256
+"""Splits of each size, of each pixel on average, and samples of a pixel in all of these, at least:
+few samples of a lamp or a firefly are noisy."""
 _ROWS = 1024
 _CUTS = 4
 """Ways to cut the other samples in two: together they tell their noise better than one does. With a
@@ -97,9 +98,12 @@ def trials_of(
     pixels: npt.NDArray[np.int64],
     rng: np.random.Generator,
 ) -> list[Trial]:
-    """Return trials of pixels at all sizes of the lesson."""
-    return [
-        Trial.of(network, material, material.splits.draw(pixels, n, _ROWS, rng), rng)
-        for n in sorted(set(material.lesson.sizes))
-        for _ in range(_DRAWS)
-    ]
+    """Return trials of pixels at all sizes of the lesson, of each pixel four or more."""
+    found = []
+    for n in sorted(set(material.lesson.sizes)):
+        drawn, least = 0, _DRAWS
+        while least > 0 or drawn < max(_TIMES, _SAMPLES / n) * len(pixels):
+            part = material.splits.draw(pixels, n, _ROWS, rng)
+            found.append(Trial.of(network, material, part, rng))
+            drawn, least = drawn + len(part.rows), least - 1
+    return found

@@ -70,8 +70,8 @@ def test_a_picture_improves_itself(picture):
 
 
 def test_it_repeats_with_its_seed(picture):
-    source = picture(8, 8, seed=6)
-    first, again, other = (self_trained(source.x, seed=seed, iterations=2) for seed in (0, 0, 1))
+    source = picture(24, 16, seed=6, smooth=True)
+    first, again, other = (self_trained(source.x, seed=seed, iterations=100) for seed in (0, 0, 1))
     assert (first == again).all()
     assert (first != other).any()
 

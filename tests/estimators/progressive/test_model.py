@@ -93,8 +93,8 @@ def test_it_tends_to_the_mean(trained):
 
 
 def test_balance_goes_from_one_answer_to_the_other(trained, fresh):
-    ends = [trained.predict(fresh.x, balance=b) for b in (0.0, 1.0)]
-    middle = trained.predict(fresh.x, balance=0.25)
+    ends = [trained.predict(fresh.x, balance=b, trust=1.0) for b in (0.0, 1.0)]
+    middle = trained.predict(fresh.x, balance=0.25, trust=1.0)
     assert middle == pytest.approx(0.75 * ends[0] + 0.25 * ends[1], rel=1e-4, abs=1e-6)
     assert np.abs(ends[1] - ends[0]).max() > 0
 

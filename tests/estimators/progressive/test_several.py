@@ -5,10 +5,10 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators import Progressive
+from chdstat.estimators import Progressive, Stream
 from chdstat.estimators._modelfile import read_model, write_model
 from chdstat.estimators.heldout import judging_pixels
-from chdstat.estimators.progressive.doubt import paying_share
+from chdstat.estimators.progressive.trust import Move, paying_share
 
 
 def flat(height=24, width=24, spp=64, seed=0):
@@ -60,7 +60,8 @@ def test_each_scene_counts_in_its_own_unit():
 
 def test_both_scenes_teach():
     x = varied(seed=5).read(ss=slice(0, 8))
-    assert not np.array_equal(trained([flat(), varied()]).predict(x), trained(flat()).predict(x))
+    both, one = (trained(scenes).predict(x, trust=1.0) for scenes in ([flat(), varied()], flat()))
+    assert not np.array_equal(both, one)
 
 
 def test_the_scene_with_the_fewest_samples_sets_their_number():
@@ -158,22 +159,31 @@ def test_a_file_whose_pixels_do_not_fit_its_scenes_is_refused(both, tmp_path):
 # --- trust --------------------------------------------------------------------------------------
 
 
-def share_of(samples, estimate, powers=(0.0,)):
-    return paying_share(samples, estimate, powers=powers, floor=0.01, unit=1.0)
+def share_of(samples, estimate):
+    """Return how far a foreign estimate is followed, measured between halves of samples."""
+    halves = samples[..., 0::2], samples[..., 1::2]
+    return paying_share(
+        (
+            Move.between(half, estimate(half), other, unit=1.0)
+            for half, other in zip(halves, halves[::-1], strict=True)
+        ),
+        foreign=True,
+    )
 
 
 @pytest.mark.parametrize("bias", [0.0, 0.2, 1.0])
 def test_the_paying_share_is_that_of_theory(bias):
-    """With variance v of the mean of a half, and an estimate y + b: v / (v + b^2).
+    """With variance v of the mean of a half, and an estimate y + b: v / (v + b^2), 0 below 0.2.
 
-    Its standard error over 40,000 pixels, which is taken off, is below 0.01: a false failure is an
-    event of 4 standard errors.
+    It is the least of several shares, as errors are weighed by several powers of the radiance; that
+    for relative errors presumes more dark pixels than there are, so that it is safe.
     """
     rng = np.random.default_rng(0)
     x = rng.gamma(2, 0.5, (40_000, 1, 16))
     variance = 0.5 / 8
     found = share_of(x, lambda half: np.full(half.shape[:-1], 1 + bias))
-    assert found == pytest.approx(variance / (variance + bias**2), abs=0.05)
+    expected = variance / (variance + bias**2)
+    assert 0.5 * expected < found < expected + 0.01 or (found == 0 and expected < 0.2)
 
 
 @pytest.mark.parametrize("bias", [-0.9, -0.3, 0.05, 0.2, 0.5, 3.0])
@@ -187,7 +197,7 @@ def test_the_mixture_at_all_samples_is_better_than_the_mean(bias):
     x = rng.gamma(2, 0.5, (40_000, 1, 16))
     variance = 0.5 / 16
     share = share_of(x, lambda half: np.full(half.shape[:-1], 1 + bias))
-    assert (1 - share) ** 2 * variance + (share * bias) ** 2 < variance
+    assert (1 - share) ** 2 * variance + (share * bias) ** 2 <= variance
 
 
 def test_what_pays_by_chance_alone_is_mostly_left_alone():
@@ -206,7 +216,7 @@ def test_what_moves_nothing_or_the_wrong_way_is_not_trusted():
     x = varied().read()
     assert share_of(x, lambda half: half.mean(axis=-1)) == 0
     # Away from where the other half will be: twice as far from the middle of the picture.
-    assert share_of(x, lambda half: 2 * half.mean(axis=-1)) < 0.05
+    assert share_of(x, lambda half: 2 * half.mean(axis=-1)) == 0
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
@@ -219,37 +229,44 @@ def test_trust_does_not_depend_on_the_unit_or_on_bad_pixels(foreign):
     assert foreign.trust(broken, unit=3.0) == pytest.approx(foreign.trust(x, unit=3.0))
 
 
-def test_between_the_aims_both_errors_are_guarded():
-    x = varied().read(ss=slice(0, 16))
-
-    def estimate(half):
-        return np.sqrt(half.mean(axis=-1))
-
-    assert share_of(x, estimate, (0, 1)) == min(share_of(x, estimate, (p,)) for p in (0, 1))
-
-
-@pytest.mark.parametrize(("balance", "powers"), [(0, [0]), (0.5, [0, 1]), (1, [1])])
-def test_a_foreign_model_is_no_worse_than_the_mean_with_trust(foreign, balance, powers):
-    """One that learned a constant is much worse without: the negative control."""
+@pytest.mark.parametrize("n", [1, 4, 16])
+@pytest.mark.parametrize("balance", [0, 0.5, 1])
+def test_a_foreign_model_is_no_worse_than_the_mean(foreign, balance, n):
+    """One that learned a constant is much worse when it is followed: the negative control."""
     scene = varied(height=48, width=48, spp=512, seed=3)
-    x, truth = scene.read(ss=slice(0, 16)), scene.read().mean(axis=-1, dtype=np.float64)
-    plain, trusted = (foreign.predict(x, balance=balance, trust=t) for t in (1.0, "halves"))
-    for power in powers:
+    x, truth = scene.read(ss=slice(0, n)), scene.read().mean(axis=-1, dtype=np.float64)
+    followed, found = (foreign.predict(x, balance=balance, trust=t) for t in (1.0, None))
+    worse = []
+    for power in (0, 1):
         weight = (truth**2 + 0.01 * truth.mean() ** 2) ** -float(power)
-        of_mean, without, found = (
+        of_mean, without, ours = (
             (weight * (estimate - truth) ** 2).mean()
-            for estimate in (x.mean(axis=-1), plain, trusted)
+            for estimate in (x.mean(axis=-1), followed, found)
         )
-        assert without > 1.1 * of_mean
-        assert found < 1.01 * of_mean
+        worse.append(without > 1.1 * of_mean)
+        assert ours < 1.02 * of_mean
+    assert any(worse) or n < 16
+
+
+def test_a_model_is_followed_as_far_from_a_store_a_stream_and_an_array(foreign):
+    """All ways to estimate with a model of another scene are guarded alike."""
+    scene = varied(height=48, width=48, spp=16, seed=3)
+    x = scene.read()
+    expected = foreign.predict(x)
+    np.testing.assert_array_equal(chd.estimate(scene, foreign, progress=False).radiance, expected)
+    np.testing.assert_array_equal(foreign.estimate(x).radiance, expected)
+    stream = Stream(foreign)
+    stream.update(x)
+    # Means of octaves tell a little less of the noise than two means of samples do.
+    np.testing.assert_allclose(stream.estimate().radiance, expected, rtol=0.1)
+    plain = foreign.predict(x, trust=1.0)
+    assert abs(stream.estimate(trust=1.0).radiance - plain).max() < 1e-3 * plain.mean()
 
 
 def test_a_model_of_the_same_kind_of_scene_is_trusted(foreign):
     x = flat(height=48, width=48, seed=9).read(ss=slice(0, 16))
     assert foreign.trust(x, balance=0) > 0.8
-    assert ((foreign.predict(x, trust="halves") - 1) ** 2).mean() < 0.7 * (
-        (x.mean(axis=-1) - 1) ** 2
-    ).mean()
+    assert ((foreign.predict(x) - 1) ** 2).mean() < 0.7 * ((x.mean(axis=-1) - 1) ** 2).mean()
 
 
 def test_trust_mixes_with_the_mean(both):
@@ -258,28 +275,31 @@ def test_trust_mixes_with_the_mean(both):
     whole, half, none = (both.estimate(x, trust=t) for t in (1.0, 0.5, 0.0))
     np.testing.assert_allclose(none.radiance, mean, rtol=1e-5)
     np.testing.assert_allclose(half.radiance, (whole.radiance + mean) / 2, rtol=1e-4)
-    np.testing.assert_allclose(half.certainty, whole.certainty / 2, rtol=1e-5)
+    assert (whole.certainty / 2 - 1e-6 <= half.certainty).all()
+    assert (half.certainty <= whole.certainty).all()
+    assert not none.certainty.any()
     assert (none.low <= none.high).all()
     # Where the mean alone counts, its noise still makes an interval.
     assert (none.high - none.low).mean() > 0.1 * mean.mean()
 
 
-def test_halves_measure_and_then_mix(both):
+def test_an_image_is_measured_and_a_part_of_one_is_not(both):
     x = varied(seed=7).read(ss=slice(0, 8))
     share = both.trust(x, balance=0)
     assert 0 <= share <= 1
     np.testing.assert_array_equal(
-        both.predict(x, balance=0, trust="halves"), both.predict(x, balance=0, trust=share)
+        both.predict(x, balance=0), both.predict(x, balance=0, trust=share)
+    )
+    np.testing.assert_array_equal(
+        both.predict(x, balance=0, unit=1.0), both.predict(x, balance=0, unit=1.0, trust=1.0)
     )
 
 
-def test_trust_out_of_range_and_too_few_samples_are_refused(both):
-    x = varied().read(ss=slice(0, 1))
-    with pytest.raises(InputError, match="at least 2 samples, got 1"):
-        both.trust(x)
-    with pytest.raises(InputError, match=r"between 0 and 1, or be 'halves', got 1\.5"):
-        both.predict(x, trust=1.5)
-    with pytest.raises(InputError, match="between 0 and 1, or be 'halves', got half"):
-        both.predict(x, trust="half")
+def test_trust_out_of_range_is_refused_and_few_samples_tell_nothing(both):
+    x = varied().read(ss=slice(0, 3))
+    assert both.trust(x) == 0
+    for wrong in (1.5, -0.1, np.nan):
+        with pytest.raises(InputError, match=r"between 0 and 1, or be None, got"):
+            both.predict(x, trust=wrong)
     with pytest.raises(InputError, match="balance must lie"):
         both.trust(x, balance=2)

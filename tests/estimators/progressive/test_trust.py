@@ -1,51 +1,133 @@
 """Trust without a reference: a network that learned nothing of use leaves the means alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import chdstat as chd
 from chdstat.estimators import Progressive
-from chdstat.estimators.progressive.doubt import warranted_share
-from chdstat.estimators.progressive.trials import Trial
+from chdstat.estimators.progressive.results import Trust
+from chdstat.estimators.progressive.shapes import GROUPS
+from chdstat.estimators.progressive.trust import Move, keeping_mean, paying_share
 
 
-def trials(rng, share, *, pixels=300, draws=4):
-    """Return trials whose moves from the mean have `share` of their length for their best one."""
+def moves(rng, share, *, pixels=300, draws=4):
+    """Return moves from the mean of which `share` of their length would be best."""
     mean = rng.lognormal(size=(pixels, 3))
     move = 0.5 * mean * rng.normal(size=mean.shape)
     found = []
     for _ in range(draws):
         noise = 0.5 * mean * rng.normal(size=mean.shape)
-        found.append(
-            Trial(
-                size=8,
-                rows=np.arange(pixels),
-                estimate=np.stack([np.maximum(mean + move, 0)] * 2),
-                mean=mean,
-                target=mean + share * move + noise,
-                noise=np.zeros_like(mean),
-                causes=np.zeros((2, pixels, 3, 6)),
-            )
-        )
+        target = mean + share * move + noise
+        estimate = np.maximum(mean + move, 0)
+        found.append(Move(np.arange(pixels), mean, estimate, target, (0.5 * mean) ** 2))
     return found
 
 
-def test_what_pays_is_believed_and_what_does_not_is_not():
+def test_what_pays_is_followed_and_what_does_not_is_not():
     rng = np.random.default_rng(0)
-    assert warranted_share(trials(rng, 1.0)) == 1
-    assert warranted_share(trials(rng, 0.4)) == pytest.approx(0.45, abs=0.2)
-    assert warranted_share(trials(rng, 0.0)) == 0
-    assert warranted_share(trials(rng, -1.0)) == 0
+    assert paying_share(moves(rng, 1.0), foreign=False) > 0.9
+    assert paying_share(moves(rng, 0.4), foreign=False) == pytest.approx(0.45, abs=0.2)
+    assert paying_share(moves(rng, 0.4), foreign=True) == pytest.approx(0.35, abs=0.2)
+    for foreign in (False, True):
+        assert paying_share(moves(rng, 0.0), foreign=foreign) == 0
+        assert paying_share(moves(rng, -1.0), foreign=foreign) == 0
 
 
 def test_one_pixel_and_no_move_are_no_evidence():
     rng = np.random.default_rng(1)
-    assert warranted_share(trials(rng, 1.0, pixels=1)) == 0
-    still = [
-        Trial(t.size, t.rows, np.stack([t.mean] * 2), t.mean, t.target, t.noise, t.causes)
-        for t in trials(rng, 1.0)
-    ]
-    assert warranted_share(still) == 0
+    for foreign in (False, True):
+        assert paying_share(moves(rng, 1.0, pixels=1), foreign=foreign) == 0
+        still = [replace(move, estimate=move.mean) for move in moves(rng, 1.0)]
+        assert paying_share(still, foreign=foreign) == 0
+
+
+@pytest.mark.parametrize("scatter", [0.0, 1.0])
+def test_dark_pixels_are_not_brightened_to_the_mean_of_their_like(scatter):
+    """The truths are log-normal about an estimate that is right on average.
+
+    Where they scatter by 1 in the logarithm, the relative error of their mean is larger than that
+    of sample means that scatter by half as much: this is seen in noisy targets alone.
+    """
+    rng = np.random.default_rng(2)
+    truth = np.exp(scatter * rng.normal(size=(20000, 1)) - scatter**2 / 2)
+    mean, target = (truth * rng.gamma(4, 1 / 4, size=truth.shape) for _ in range(2))
+    noise = truth**2 / 4
+    move = Move(np.arange(len(truth)), mean, np.ones_like(truth), target, noise)
+    share = paying_share([move], foreign=False)
+    error = (((mean + share * (1 - mean)) - truth) ** 2 / (truth**2 + 0.01)).mean()
+    of_mean = ((mean - truth) ** 2 / (truth**2 + 0.01)).mean()
+    assert error <= 1.02 * of_mean
+    assert share > 0.9 if scatter == 0 else share < 0.7
+
+
+def test_shares_lie_between_sizes_along_the_logarithm():
+    shares = np.zeros((2, 2, GROUPS))
+    shares[1] = 1
+    trust = Trust(np.array([4.0, 64.0]), shares)
+    assert trust.at(np.array([0, 4, 16, 64, 1000]))[:, 0, 0].tolist() == [0, 0, 0.5, 1, 1]
+    assert trust.fixed(16).at(np.array([1, 1000]))[:, 1, 3].tolist() == [0.5, 0.5]
+
+
+@pytest.mark.parametrize("wrong", [np.full((1, 2, GROUPS), -0.1), np.zeros((2, 2, GROUPS))])
+def test_trust_that_is_none_is_refused(wrong):
+    with pytest.raises(ValueError, match="trust must lie|shares must have shape"):
+        Trust(np.ones(1), wrong)
+
+
+def test_brightened_and_darkened_pixels_are_in_balance():
+    rng = np.random.default_rng(3)
+    mean = rng.exponential(size=(5000, 3))
+    estimate = np.where(mean > 1, mean - 0.3 * (mean - 1), mean + 0.1 * (1 - mean))
+    move = Move(np.arange(5000), mean, estimate, mean, np.zeros_like(mean))
+    trust = keeping_mean(0.8, [move])
+    up, down = trust.shares[0, 0, 0], trust.shares[0, 0, -1]
+    change = (estimate - mean).sum(axis=-1)
+    assert up * change[change > 0].sum() == pytest.approx(-down * change[change < 0].sum())
+    assert down < 0.8 < up <= 1.5
+    only = replace(move, estimate=0.5 * mean)
+    assert not keeping_mean(0.8, [only]).shares.any()
+
+
+def world(name, rng, shape=(48, 48, 1, 512)):
+    """Return samples whose radiance is known, without nulls or mostly nulls, with rare light."""
+    width = shape[1]
+    ramp = np.geomspace(0.1, 2, width)[np.newaxis, :, np.newaxis]
+    independent = rng.lognormal(size=shape[:3])
+    lamps = np.where(rng.random(shape[:3]) < 0.01, 30, 0.3)
+    radiance, samples = {
+        "nulls": (independent, 10 * (rng.random(shape) < 0.1) * rng.exponential(size=shape)),
+        "fireflies": (ramp, 0.5 * rng.exponential(size=shape) + 250 * (rng.random(shape) < 0.002)),
+        "lamps": (lamps, rng.exponential(size=shape)),
+    }[name]
+    return chd.Samples.from_array(radiance[..., np.newaxis] * samples)
+
+
+@pytest.fixture(scope="module", params=["nulls", "fireflies", "lamps"])
+def with_reference(request):
+    """Return a model that was trained with a reference, and its world."""
+    samples = world(request.param, np.random.default_rng(4))
+    return Progressive().train(samples, iterations=300, progress=False), samples
+
+
+def test_with_a_reference_no_error_is_above_the_means_and_the_image_keeps_its_mean(with_reference):
+    model, samples = with_reference
+    truth = samples.read().mean(axis=-1, dtype=np.float64)
+    for n in (4, 16, 64):
+        drift = []
+        for first in range(0, 512 - n, max(n, 32)):
+            x = samples.read(ss=slice(first, first + n))
+            mean = x.mean(axis=-1, dtype=np.float64)
+            found = model.predict(x, trust=1.0).astype(np.float64)
+            drift.append((found.sum() - mean.sum()) / truth.sum())
+            for power in (0, 1):
+                weight = (truth**2 + 0.01 * truth.mean() ** 2) ** -power
+                excess = weight * ((found - truth) ** 2 - (mean - truth) ** 2)
+                error = 2 * excess.std() * np.sqrt(excess.size)
+                assert excess.sum() <= 0.02 * (weight * (mean - truth) ** 2).sum() + error
+        error = 2 * np.std(drift, ddof=1) / np.sqrt(len(drift))
+        assert abs(np.mean(drift)) <= max(0.02, error)
 
 
 @pytest.fixture(scope="module")
@@ -73,18 +155,17 @@ def test_unrelated_pixels_are_not_worse_than_their_means(unrelated, doubted):
     """They are hardly moved, as what a network makes of the pixels around does not pay."""
     x, radiance = unrelated
     of_mean = errors(x.mean(axis=-1), radiance)
-    for found, mean in zip(errors(doubted.predict(x), radiance), of_mean, strict=True):
+    for found, mean in zip(errors(doubted.predict(x, trust=1.0), radiance), of_mean, strict=True):
         assert found < 1.05 * mean
-    trust = doubted.provenance["trust"]
-    assert 0 <= trust < 1
+    assert 0 <= doubted.provenance["trust"] < 1
 
 
 def test_trust_is_saved_and_said(doubted, unrelated, tmp_path):
     x, _ = unrelated
     doubted.save(tmp_path / "model.safetensors")
     again = Progressive.load(tmp_path / "model.safetensors")
-    assert again.provenance["trust"] == doubted.provenance["trust"] == doubted._state.trust
-    first, second = doubted.estimate(x), again.estimate(x)
+    assert again.provenance["trust"] == doubted.provenance["trust"]
+    first, second = (model.estimate(x, trust=1.0) for model in (doubted, again))
     for name in ("radiance", "certainty", "low", "high"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
