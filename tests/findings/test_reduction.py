@@ -184,13 +184,14 @@ def ours(request, samples):
 def assert_close(found, first, *, factor=1.0, tolerance=2e-5):
     """Compare estimates relative to themselves, and the ends of intervals to the upper one.
 
-    The ends are cubes of what the network says, less what counts as dark, 2 % of the image's mean.
+    The ends are cubes of what the network says, times quantiles of up to 18 after so short a
+    training: rounding grows with them.
     """
-    dark = tolerance * 0.02 * first.radiance.mean() * factor
-    for name, size, times in (("radiance", "radiance", 1), ("low", "high", 5), ("high", "high", 5)):
+    ends = ("low", "high", 20), ("high", "high", 20)
+    for name, size, times in (("radiance", "radiance", 1), *ends):
         change = np.abs(getattr(found, name) - getattr(first, name) * np.float32(factor))
         most = times * tolerance * np.abs(getattr(first, size)) * np.float32(factor)
-        assert (change <= most + (dark if name != "radiance" else 0)).all(), name
+        assert (change <= most).all(), name
 
 
 @pytest.mark.parametrize("balance", [0.0, 0.5, 1.0])
