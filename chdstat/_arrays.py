@@ -186,7 +186,7 @@ class LeftOut:
     --------
     >>> left_out = LeftOut()
     >>> left_out.see(np.array([1.0, np.nan, 2.0]))
-    >>> with warnings.catch_warnings(record=True) as caught:
+    >>> with warnings.catch_warnings(record=True, action="always") as caught:
     ...     left_out.warn()
     >>> print(caught[0].message)
     33.3 % of the samples (1 of 3) are bad and were left out: 1 NaN or masked, 0 infinite

@@ -190,7 +190,7 @@ def test_regions_are_those_of_the_view_that_the_recipe_shows():
     assert known is not None
 
     def regions(x, **attrs):
-        return regions_of(chd.Samples.from_array(x, **attrs))
+        return regions_of(chd.Samples.from_array(x, axes="yxcs", **attrs))
 
     assert regions(x, scene="bathroom", scene_source="chdstat") == known.regions
     assert regions(x[:20], scene="bathroom", scene_source="chdstat") == ()
