@@ -19,7 +19,7 @@ from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup
 from chdstat.samples import Samples
 
-__all__ = ["Contestants", "Given", "totals_of"]
+__all__ = ["Contestants", "Given", "options_of", "totals_of"]
 
 Array = npt.NDArray[Any]
 Given = Model | Mapping[str, Model] | None
@@ -141,9 +141,7 @@ class Contestants:
 
     def _options(self, entry: Estimator | LearnedEstimator) -> dict[str, Any]:
         """Return what an estimator is called with beside the samples."""
-        options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
-        if entry.uses_features and self.features:
-            options["features"] = self.features
+        options = options_of(entry, self.features)
         own = entry.name not in self.foreign
         if own and isinstance(self.models.get(entry.name), Progressive):
             options["trust"] = 1.0
@@ -240,6 +238,14 @@ def _seen(model: Model, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     if hasattr(model, "seen"):  # it may have been trained on several images
         return np.asarray(model.seen(shape))
     return model.train_pixels if model.train_shape == shape else np.zeros((0, 2), np.int64)
+
+
+def options_of(
+    entry: Estimator | LearnedEstimator, features: Mapping[str, Array]
+) -> dict[str, Any]:
+    """Return what an estimator is called with beside the samples, on whatever scene."""
+    options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
+    return options | ({"features": features} if entry.uses_features and features else {})
 
 
 def _trained_on(model: Model, samples: Samples) -> bool:

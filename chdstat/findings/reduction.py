@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from chdstat._arrays import generator, is_bad
 from chdstat.comparison import Comparison
-from chdstat.estimators import LearnedEstimator, Progressive, lookup, names
+from chdstat.comparison._contestants import options_of
+from chdstat.estimators import Progressive, lookup, names
 from chdstat.findings.conclusions import Conclusion, level_of
 from chdstat.findings.evidence import Evidence
 from chdstat.findings.learning import PAPER
@@ -149,9 +150,7 @@ def _function(
     entry = lookup(name) if name in names() else None
     model = comparison.models.get(name)
     function: Any = entry if model is None else model.predict
-    options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
-    if entry is not None and entry.uses_features and features:
-        options["features"] = features
+    options = {} if entry is None else options_of(entry, features)
     if isinstance(model, Progressive):
         options["trust"] = 1.0  # the network itself is asked
 

@@ -32,7 +32,7 @@ def causes_of(answer: Answer, profile: Profile, aim: int) -> Floats:
         t.cpu().numpy().astype(np.float64)
         for t in (answer.estimate[:, aim], answer.mean, answer.certainty[:, aim, None])
     )
-    noise = profile.variance_of_mean() / np.float64(profile.unit) ** 2
+    noise = profile.variance_of_mean()
     causes = (
         np.full_like(estimate, DARK**2),
         estimate**2,

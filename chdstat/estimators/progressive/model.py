@@ -289,8 +289,8 @@ class Progressive:
             Probability of the interval.
         trust
             How far to go from the mean to the estimate, 0 to 1. None follows it on the very
-            samples that trained it, in the order that they were drawn; on another image it is
-            measured how far that pays, as `trust` does. A part of an image, whose `unit` is given,
+            samples that trained it; on another image it is measured how far that pays, as `trust`
+            does. A part of an image, whose `unit` is given,
             is too little for that, and is taken to be of a scene that trained it.
 
         Raises

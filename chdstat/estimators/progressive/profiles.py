@@ -142,16 +142,15 @@ class Profile:
     def variance_of_mean(self) -> Floats:
         """Return the variance of the mean as far as octaves tell, shape (..., channel).
 
-        Of parts it is the sum of theirs: profiles do not tell how these go together.
+        It is in squared units of `unit`. Of parts it is the sum of theirs: profiles do not tell
+        how these go together.
         """
         count = np.maximum(self.count, 1)[..., np.newaxis].astype(np.float64)
         weight, radiance = self.bins[..., :1], self.bins[..., 1:].astype(np.float64)
         squares = radiance**2 / np.where(weight > 0, weight, np.inf)
         of_parts = np.stack(np.split(radiance, self.parts, axis=-2)).sum(axis=-2)
         within = ((of_parts / count) ** 2).sum(axis=0)
-        return np.asarray(np.maximum(squares.sum(axis=-2) / count - within, 0) / count) * (
-            self.unit**2
-        )
+        return np.asarray(np.maximum(squares.sum(axis=-2) / count - within, 0) / count)
 
     def reshape(self, *shape: int) -> Self:
         """Return the same profiles with their pixels in another shape."""

@@ -15,10 +15,12 @@ the mean's, and the image keeps its mean radiance.
 
 Without one, `paying_share` is a single share: the largest that the measurement, on pixels that did
 not train the network, does not speak against and that is better than the mean, one standard error
-off. A relative error needs the truth in its denominator. Of noisy targets only the moments of the
-truth are known, and these tell by how much its relative error pulls below the mean (`_pull`).
+off. A relative error needs the truth in its denominator, and targets are too noisy to stand for it:
+radiances take their place that scatter about the estimates as the truths do (`_likely`).
 
-For a model of another scene, the same share is measured on the image at hand, between its halves.
+For a model of another scene, a share is measured on the image at hand, between its halves. Truths
+need not lie about its estimates, so relative errors are judged twice: by the targets, and by how
+far scattered truths pull the best estimate below their mean (`_pull`).
 At half the samples the mean is worse and the share larger; that is safe: with an estimate of
 constant bias b and a mean of variance v at all samples, ``a = 2 v / (2 v + b^2)``, and the mixture
 has the squared error ``v (1 - 4 / (b^2 / v + 2)^2) < v``.
@@ -50,7 +52,8 @@ __all__ = ["Move", "Trusted", "grouped", "keeping_mean", "paying_share", "refere
 _GUARDED = (0.5, 0.75)
 """Powers of the weights of the errors that a trained network shall not make worse: those of its
 loss, since at 0 and 1 few bright or many dark pixels decide, and the measurement is all noise."""
-_FOREIGN = (0.0, 0.5, 0.75)
+_FOREIGN = (0.0, *_GUARDED)
+"""Those for a network of another scene, which is followed only where squared errors fall, too."""
 _LEAST = 0.2
 """Share below which hardly anything is gained."""
 _BRIGHTEST = 3.0
@@ -222,7 +225,7 @@ class Move:
                 (profile.mean(), profile.unit),
                 (estimate, profile.unit),
                 (other.mean(), profile.unit),
-                (other.variance_of_mean(), np.float64(profile.unit) ** 2),
+                (other.variance_of_mean(), 1.0),
             )
         )
         return cls(np.arange(len(mean)), mean, found, target, noise)
@@ -261,7 +264,7 @@ def paying_share(moves: Iterable[Move], *, foreign: bool) -> float:
 
     .. math:: a = \operatorname{clip}(\min(\alpha + s, 2 (\alpha - s)), 0, 1)
 
-    for a network that learned from the image, and :math:`\alpha - s` for a foreign one. It is the
+    for a network that learned from the image, and without :math:`+ s` for a foreign one. It is the
     smallest one for several weights of the errors, and 0 where little is left of it.
 
     Parameters
