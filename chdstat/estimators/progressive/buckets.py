@@ -173,6 +173,11 @@ class BucketParts:
         means = [self._mean(part.rows, half) for half in (one, two)]
         return Halves(np.stack(means), (self._samples(one), self._samples(two)))
 
+    def whole(self, pixels: Places) -> tuple[Profile, npt.NDArray[np.float32]]:
+        """Return the profiles of all samples of some pixels."""
+        profile = self._profile(pixels, np.arange(len(self._sizes)), self.spp)
+        return profile, np.zeros((len(pixels), 0), np.float32)
+
     def _profile(self, rows: Places, places: Places, size: int) -> Profile:
         here = self._pixels[rows]
         bins = self._bins[places[0]].take(here, axis=0)

@@ -245,6 +245,7 @@ def without_reference(
             rows[good],
             unit=scene.unit,
             prepared=[(places, shared[good]) for places, shared in prepared],
+            shared=ask(part)[good] if neighbours else None,
             direct=None if direct is None else direct[good],
         ),
         scenery=scenery_of(features, shape, profile)[good],

@@ -391,7 +391,7 @@ class Progressive:
             Move.of_profiles(half, radiance, other)
             for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
         )
-        return paying_share(moves, foreign=True)
+        return paying_share(moves)
 
     def save(self, path: str | Path) -> None:
         """Write the trained network and its provenance to a safetensors file.
@@ -521,4 +521,4 @@ class Progressive:
             Move.between(half.samples, radiance, other.samples, unit=asked.unit)
             for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
         )
-        return paying_share(moves, foreign=True)
+        return paying_share(moves)

@@ -21,6 +21,8 @@ __all__ = ["Halves", "Part", "Parts", "Splits"]
 
 _SAMPLES = 2**17
 """Samples of a minibatch, at most: of many samples, fewer rows tell as much."""
+_ROUNDING = 1e-12
+"""Part of the squares below which what is left of them is rounding: samples are equal."""
 
 Array = npt.NDArray[np.float32]
 Places = npt.NDArray[np.int64]
@@ -81,6 +83,9 @@ class Parts(Protocol):
     def halves(self, part: Part, rng: np.random.Generator) -> Halves:
         """Return the two halves of the other samples, at random."""
 
+    def whole(self, pixels: npt.NDArray[np.int64]) -> tuple[Profile, Array]:
+        """Return the profiles of all samples of some pixels, and `Part.shared` of these."""
+
 
 @dataclass(frozen=True)
 class Halves:
@@ -124,6 +129,8 @@ class Splits:
     prepared
         Splits to choose from in place of new ones, because much was computed for them: places, and
         what `Part.shared` needs, shape (pixel, channel), radiance.
+    shared
+        The same of all samples; None where nobody asks alike pixels.
     direct
         The direct part of the samples, of their shape: then profiles hold it apart.
     """
@@ -134,9 +141,11 @@ class Splits:
         *,
         unit: float,
         prepared: Sequence[tuple[Places, Array]] = (),
+        shared: Array | None = None,
         direct: Array | None = None,
     ) -> None:
         self._prepared = prepared
+        self._shared = np.zeros((len(samples), 0), np.float32) if shared is None else shared
         self.unit = unit
         self._samples = _in_unit(samples, unit)
         self._flat = self._samples.reshape(-1)
@@ -165,7 +174,9 @@ class Splits:
     def variance(self) -> npt.NDArray[np.float64]:
         """Variance of a sample, in squared units of `unit`, shape (pixel, channel)."""
         squares = np.einsum("rcn,rcn->rc", self._samples, self._samples, dtype=np.float64)
-        return np.asarray(np.maximum(squares - self._total**2 / self.spp, 0) / max(self.spp - 1, 1))
+        around = squares - self._total**2 / self.spp
+        around[around <= _ROUNDING * squares] = 0
+        return np.asarray(around / max(self.spp - 1, 1))
 
     def draw(
         self, pixels: npt.NDArray[np.int64], n: int, rows: int, rng: np.random.Generator
@@ -186,7 +197,7 @@ class Splits:
 
     def _places(self, n: int, rng: np.random.Generator) -> tuple[Places, Array]:
         if not self._prepared:
-            return rng.permutation(self.spp)[:n], np.zeros((len(self), 0), np.float32)
+            return rng.permutation(self.spp)[:n], self._shared
         usable = [split for split in self._prepared if len(split[0]) == n]
         return usable[rng.integers(len(usable))]
 
@@ -201,6 +212,11 @@ class Splits:
         parts = np.array_split(others, 2)
         means = [self._flat.take(self._index(part.rows, p)).mean(-1, np.float64) for p in parts]
         return Halves(np.stack(means), (len(parts[0]), len(parts[1])))
+
+    def whole(self, pixels: Places) -> tuple[Profile, Array]:
+        """Return the profiles of all samples of some pixels, and `Part.shared` of these."""
+        profile = self._profile(self._samples[pixels], pixels, np.arange(self.spp))
+        return profile, self._shared[pixels] / np.float32(self.unit)
 
     def _profile(self, seen: Array, pixels: Places, places: Places) -> Profile:
         direct = None

@@ -13,7 +13,7 @@ from chdstat.estimators.progressive.lessons import Material
 from chdstat.estimators.progressive.results import Trust
 from chdstat.estimators.progressive.shapes import Shape
 from chdstat.estimators.progressive.spread import Spread
-from chdstat.estimators.progressive.trials import trials_of
+from chdstat.estimators.progressive.trials import change_of, trials_of
 from chdstat.progress import track
 
 if TYPE_CHECKING:
@@ -117,17 +117,16 @@ def trusted(
         Move,
         Trusted,
         keeping_mean,
-        paying_share,
+        own_shares,
         reference_trust,
     )
 
-    # Rare lamps and fireflies are in all pixels, hardly in a tenth of them.
-    everywhere = trials_of(network, material, pixels=np.arange(len(material.pixels)), rng=rng)
     if material.lesson.reference:
-        trust = reference_trust(everywhere)
+        # Rare lamps and fireflies are in all pixels, hardly in a tenth of them.
+        pixels = np.arange(len(material.pixels))
+        trust = reference_trust(trials_of(network, material, pixels=pixels, rng=rng))
     else:
         held_out = trials_of(network, material, pixels=validation, rng=rng)
-        trust = keeping_mean(
-            paying_share(map(Move.of, held_out), foreign=False), map(Move.of, everywhere)
-        )
+        shares = own_shares(map(Move.of, held_out))
+        trust = keeping_mean(*shares, change_of(network, material))
     return Trusted(network, trust), trust

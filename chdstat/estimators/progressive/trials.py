@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._arrays import spans
 from chdstat.estimators.progressive.causes import causes_of
 from chdstat.estimators.progressive.lessons import Material
 from chdstat.estimators.progressive.shapes import AIMS
@@ -21,7 +22,7 @@ from chdstat.estimators.progressive.splits import Part
 if TYPE_CHECKING:
     from torch import nn
 
-__all__ = ["Trial", "trials_of"]
+__all__ = ["Trial", "change_of", "trials_of"]
 
 _DRAWS, _TIMES, _SAMPLES = 16, 4, 256
 """Splits of each size, of each pixel on average, and samples of a pixel in all of these, at least:
@@ -107,3 +108,24 @@ def trials_of(
             found.append(Trial.of(network, material, part, rng))
             drawn, least = drawn + len(part.rows), least - 1
     return found
+
+
+def change_of(network: nn.Module, material: Material) -> Floats:
+    """Return what a network adds to the mean of all samples of pixels, shape (pixel, channel).
+
+    It is the mean of what it adds under each aim, in units of the picture's radiance, and nothing
+    where all samples are the same light: there the mean is kept.
+    """
+    import torch
+
+    from chdstat.estimators.progressive.training import look
+
+    splits, found = material.splits, []
+    for block in spans(len(splits), _ROWS):
+        profile, shared = splits.whole(np.arange(block.start, block.stop))
+        with torch.inference_mode():
+            answer = network(look(profile, material.scenery[block], shared, "cpu"))
+        found.append((answer.estimate.mean(dim=1) - answer.mean).numpy().astype(np.float64))
+    noisy = splits.variance.any(axis=-1, keepdims=True)
+    lit = splits.mean.any(axis=-1, keepdims=True)
+    return np.where(noisy | ~lit, np.concatenate(found), 0)

@@ -13,17 +13,18 @@ With a reference, `reference_trust` finds shares for pixels of each brightness, 
 darkened apart: those with the least error among those under which neither MSE nor relMSE exceeds
 the mean's, and the image keeps its mean radiance.
 
-Without one, `paying_share` is a single share: the largest that the measurement, on pixels that did
-not train the network, does not speak against and that is better than the mean, one standard error
-off. A relative error needs the truth in its denominator, and targets are too noisy to stand for it:
-radiances take their place that scatter about the estimates as the truths do (`_likely`).
+Without one, `own_shares` are two, for brightened and for darkened pixels: the largest that the
+measurement, on pixels that did not train the network, does not speak against and that is better
+than the mean, one standard error off. A relative error needs the truth in its denominator, and
+targets are too noisy to stand for it: radiances take their place that scatter about the estimates
+as the truths do (`_likely`). `keeping_mean` then holds back the side that moves more light.
 
-For a model of another scene, a share is measured on the image at hand, between its halves. Truths
-need not lie about its estimates, so relative errors are judged twice: by the targets, and by how
-far scattered truths pull the best estimate below their mean (`_pull`).
-At half the samples the mean is worse and the share larger; that is safe: with an estimate of
-constant bias b and a mean of variance v at all samples, ``a = 2 v / (2 v + b^2)``, and the mixture
-has the squared error ``v (1 - 4 / (b^2 / v + 2)^2) < v``.
+For a model of another scene, `paying_share` is measured on the image at hand, between its halves.
+Truths need not lie about its estimates, so relative errors are judged twice: by the targets, and by
+how far scattered truths pull the best estimate below their mean (`_pull`). At half the samples the
+mean is worse and the share larger; that is safe: with an estimate of constant bias b and a mean of
+variance v at all samples, ``a = 2 v / (2 v + b^2)``, and the mixture has the squared error
+``v (1 - 4 / (b^2 / v + 2)^2) < v``.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 import torch
-from scipy import optimize
+from scipy import optimize, special
 from torch import nn
 
 from chdstat.estimators.classical import mean_of_good
@@ -47,7 +48,15 @@ from chdstat.estimators.progressive.shapes import AIMS, GROUPS, LEVELS, MOST_TRU
 from chdstat.estimators.progressive.training import FLOOR
 from chdstat.estimators.progressive.trials import Trial
 
-__all__ = ["Move", "Trusted", "grouped", "keeping_mean", "paying_share", "reference_trust"]
+__all__ = [
+    "Move",
+    "Trusted",
+    "grouped",
+    "keeping_mean",
+    "own_shares",
+    "paying_share",
+    "reference_trust",
+]
 
 _GUARDED = (0.5, 0.75)
 """Powers of the weights of the errors that a trained network shall not make worse: those of its
@@ -152,7 +161,8 @@ def _best_shares(trials: Sequence[Trial], aim: int) -> Floats:
     shares = _least(gains, aim, radiance / size)
     step = (group @ shares)[:, np.newaxis] * move
     certain = min(
-        _paying(rows, step, target - mean, (target**2 + FLOOR) ** -power) for power in (0.0, 1.0)
+        _paying(rows, step, target - mean, (target**2 + FLOOR) ** -power, 1.0)
+        for power in (0.0, 1.0)
     )
     return shares * certain
 
@@ -212,6 +222,31 @@ class Move:
     noise: Floats
 
     @classmethod
+    def joined(cls, moves: Iterable[Move]) -> Self:
+        """Return all of several as one, those that are not finite or move nothing as means."""
+        arrays = zip(*(vars(move).values() for move in moves), strict=True)
+        rows, mean, found, target, noise = (np.concatenate(parts) for parts in arrays)
+        usable = np.isfinite(found - mean) & np.isfinite(target) & np.isfinite(noise)
+        mean, found, target, noise = (np.where(usable, a, 0) for a in (mean, found, target, noise))
+        same = np.abs(found - mean) <= _SAME * np.abs(mean)
+        return cls(rows, mean, np.where(same, mean, found), target, noise)
+
+    @property
+    def change(self) -> Floats:
+        """What estimates add to means."""
+        return self.estimate - self.mean
+
+    @property
+    def darker(self) -> Floats:
+        """The darker one of estimate and mean."""
+        return np.minimum(self.estimate, self.mean)
+
+    @property
+    def up(self) -> npt.NDArray[np.bool_]:
+        """Which pixels are brightened, in all channels alike, shape (row, channel)."""
+        return np.broadcast_to(self.change.sum(axis=-1, keepdims=True) > 0, self.mean.shape)
+
+    @classmethod
     def of(cls, trial: Trial) -> Self:
         """Return that of a trial, whose estimates without a reference are nearly one."""
         return cls(trial.rows, trial.mean, trial.estimate.mean(axis=0), trial.target, trial.noise)
@@ -257,113 +292,113 @@ class Move:
         return cls(np.arange(len(mean)), mean, found, (parts[0] + parts[1]) / 2, noise)
 
 
-def paying_share(moves: Iterable[Move], *, foreign: bool) -> float:
-    r"""Return how far it pays to move, 0 to 1, as targets without a reference tell.
+def paying_share(moves: Iterable[Move]) -> float:
+    r"""Return how far it pays to follow a network of another scene, 0 to 1.
 
-    With the standard error s over pixels of the share :math:`\alpha`,
-
-    .. math:: a = \operatorname{clip}(\min(\alpha + s, 2 (\alpha - s)), 0, 1)
-
-    for a network that learned from the image, and without :math:`+ s` for a foreign one. It is the
-    smallest one for several weights of the errors, and 0 where little is left of it.
+    With the standard error s over pixels of the share :math:`\alpha`, it is
+    :math:`\min(\alpha, 2 (\alpha - s))`, the smallest one for several weights of the errors, and 0
+    where little is left of it.
 
     Parameters
     ----------
     moves
-        Of pixels that did not train the network.
-    foreign
-        Whether the network learned from other images.
+        Of pixels of the image at hand.
     """
-    rows, mean, found, target, noise = (
-        np.concatenate(parts)
-        for parts in zip(*(vars(move).values() for move in moves), strict=True)
-    )
-    move = np.where(np.abs(found - mean) <= _SAME * np.abs(mean), 0, found - mean)
-    usable = np.isfinite(move) & np.isfinite(target) & np.isfinite(noise)
-    move, target, noise = (np.where(usable, a, 0) for a in (move, target, noise))
-    mean, found = (np.where(usable, a, 0) for a in (mean, found))
-    darker = np.minimum(found, mean)
-    wanted = [(target, darker, power) for power in (_FOREIGN if foreign else _GUARDED)]
-    if foreign:
-        # It is not even presumed that truths lie about the estimates.
-        pull = _pull(rows, move, found, target, noise)
-        wanted += [(target, target, 1.0), (pull * target, pull * found, 1.0)]
-    else:
-        likely = _likely(rows, move, found, target, noise)
-        wanted += [(likely, likely, 1.0)]
-    share = min(
-        _paying(rows, move, truth - mean, (radiance**2 + FLOOR) ** -power, foreign=foreign)
-        for truth, radiance, power in wanted
-    )
-    return share if share >= _LEAST else 0.0
+    all_of_it = Move.joined(moves)
+    target = all_of_it.target
+    # It is not even presumed that truths lie about the estimates.
+    pull = _pull(all_of_it)
+    wanted = [(target, all_of_it.darker, power) for power in _FOREIGN]
+    wanted += [(target, target, 1.0), (pull * target, pull * all_of_it.estimate, 1.0)]
+    return _least_share(all_of_it, wanted, doubt=0.0)
 
 
-def keeping_mean(share: float, moves: Iterable[Move]) -> Trust:
-    """Return trust of about a share, under which brightened and darkened pixels are in balance.
+def own_shares(moves: Iterable[Move]) -> tuple[float, float]:
+    r"""Return how far it pays to brighten and to darken pixels, 0 to 1, without a reference.
 
-    The mean of an image is unbiased. Without a reference a network that has seen few of the rare
-    bright samples takes more radiance from pixels than it gives to others: then the darkened are
-    held back, and the brightened go on.
+    With the standard error s over pixels of the share :math:`\alpha`, it is
+    :math:`\min(\alpha + s, 2 (\alpha - s))`, the smallest one for several weights of the errors,
+    and 0 where little is left of it.
 
     Parameters
     ----------
-    share
-        As of `paying_share`.
     moves
-        Of pixels from all over the image.
+        Of pixels that did not train the network, but are of the same image.
     """
-    parts = [(move.rows, (move.estimate - move.mean).sum(axis=-1)) for move in moves]
-    rows, radiance = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    # Each pixel counts once, however often it was drawn.
-    radiance = radiance / np.bincount(rows)[rows]
+    both = Move.joined(moves)
+    likely = _likely(both)
+    wanted = [(both.target, both.darker, power) for power in _GUARDED]
+    wanted += [(likely, likely, 1.0)]
+    up, down = (_least_share(both, wanted, doubt=1.0, side=side) for side in (both.up, ~both.up))
+    return up, down
+
+
+def keeping_mean(brightened: float, darkened: float, change: Floats) -> Trust:
+    """Return trust of at most these shares under which an image keeps its mean, which is unbiased.
+
+    Parameters
+    ----------
+    brightened, darkened
+        As of `own_shares`.
+    change
+        What the network adds to the mean of all samples of each pixel, shape (pixel, channel).
+    """
+    radiance = change.sum(axis=-1)
     up, down = radiance[radiance > 0].sum(), -radiance[radiance < 0].sum()
-    if not min(up, down) > 0:
+    moved = min(brightened * up, darkened * down)
+    if not moved > 0:
         return Trust.even(0.0)
-    brightened = min(share * np.sqrt(down / up), MOST_TRUST)
-    darkened = min(brightened * up / down, MOST_TRUST)
-    brightened = min(darkened * down / up, MOST_TRUST)
     trust = Trust.even(1.0)
     half = GROUPS // 2
-    return replace(trust, shares=trust.shares * np.repeat([brightened, darkened], half))
+    return replace(trust, shares=trust.shares * np.repeat([moved / up, moved / down], half))
 
 
-def _likely(
-    rows: npt.NDArray[np.int64], move: Floats, found: Floats, target: Floats, noise: Floats
-) -> Floats:
+def _likely(moves: Move) -> Floats:
     """Return radiances that scatter about the estimates as the truths do.
 
-    Targets scatter more than the truths, by their noise, and best guesses of the truths less. With
-    the scatter A of the truths about their estimates, and v of the targets about the truths, what
-    lies between, ``g + (A / (A + v))^(1/2) (t - g)``, scatters as the truths do (Louis 1984,
-    doi:10.1080/01621459.1984.10478062). All is relative to the estimates; A is the covariance of
-    two halves of the targets, bright outliers cut, and one standard error more.
+    Targets scatter more than the truths, by their noise, and best guesses of the truths less, while
+    relative errors hang on the darkest truths (Louis 1984, doi:10.1080/01621459.1984.10478062, asks
+    for such an ensemble). These are log-normal about the estimates, in the order of the targets.
+    The variance of their logarithm is the covariance of two halves of the targets, relative to the
+    estimates and cut at `_BRIGHTEST`, and one standard error more, by the square of what the cut
+    leaves of a relative change.
     """
+    rows, found, target, noise = moves.rows, moves.estimate, moves.target, moves.noise
     scale = np.sqrt(found**2 + FLOOR)
     # Two halves of equal size have this mean and this variance of it.
-    halves = [
-        np.minimum((target + side * np.sqrt(np.maximum(noise, 0))) / scale, _BRIGHTEST)
-        for side in (-1, 1)
-    ]
+    halves = [(target + side * np.sqrt(np.maximum(noise, 0))) / scale for side in (-1, 1)]
     likely = found.copy()
-    for pixels in (move > 0, move < 0):
-        weight = np.where(pixels, (move / scale) ** 2, 0)
+    for pixels in (moves.up, ~moves.up):
+        weight = np.where(pixels, (moves.change / scale) ** 2, 0)
         below = np.bincount(rows, weight.sum(axis=-1))
         if not below.any():
             continue
-        middle = sum((weight * half).sum() for half in halves) / (2 * below.sum())
-        one, other = (half - middle for half in halves)
-        all_of_it = float((weight * (one**2 + other**2)).sum() / (2 * below.sum()))
-        truths, error = ratio(np.bincount(rows, (weight * one * other).sum(axis=-1)), below)
-        truths = float(np.clip(truths + error, 0, all_of_it))
-        targets = truths + (all_of_it - truths) / 2
-        if targets > 0:
-            likely[pixels] += np.sqrt(truths / targets) * (target - found)[pixels]
+        cut = [np.minimum(half, _BRIGHTEST) for half in halves]
+        middle = sum((weight * half).sum() for half in cut) / (2 * below.sum())
+        one, other = (half - middle for half in cut)
+        most = float((weight * (one**2 + other**2)).sum() / (2 * below.sum()))
+        shared, error = ratio(np.bincount(rows, (weight * one * other).sum(axis=-1)), below)
+        # A relative change of the truths changes what is cut by so much.
+        slope = sum((weight * half * (half < _BRIGHTEST)).sum() for half in halves)
+        slope /= 2 * below.sum()
+        if slope > 0:
+            width = float(np.clip(shared + error, 0, most)) / slope**2
+            likely[pixels] *= _log_normal(width, (target / scale)[pixels])
     return likely
 
 
-def _pull(
-    rows: npt.NDArray[np.int64], move: Floats, found: Floats, target: Floats, noise: Floats
-) -> Floats:
+def _log_normal(width: float, like: Floats) -> Floats:
+    """Return log-normal numbers of mean 1, `width` the variance of the logarithm, in order.
+
+    Their order is that of other numbers, of which equal ones are put in order at random.
+    """
+    order = np.random.default_rng(0).permutation(len(like))
+    rank = np.empty(len(like))
+    rank[order[np.argsort(like[order], kind="stable")]] = np.arange(len(like)) + 0.5
+    return np.asarray(np.exp(np.sqrt(width) * special.ndtri(rank / len(like)) - width / 2))
+
+
+def _pull(moves: Move) -> Floats:
     r"""Return the part of the truth's mean that has the least relative error, for each estimate.
 
     Of log-normal truths with the mean y and the variance :math:`c^2 y^2` it is
@@ -372,12 +407,13 @@ def _pull(
     error more; where relative errors have their floor, it counts for less. Darkened pixels are
     only nearer to it: for them it is 1.
     """
+    rows, found, target, noise = moves.rows, moves.estimate, moves.target, moves.noise
     scale = found**2 + FLOOR
-    up = move > 0
-    weight = np.where(up, move**2 / scale, 0)
+    up = moves.change > 0
+    weight = np.where(up, moves.change**2 / scale, 0)
     below = np.bincount(rows, weight.sum(axis=-1))
     if not below.any():
-        return np.ones_like(move)
+        return np.ones_like(found)
     first = float((weight * target / np.sqrt(scale)).sum() / below.sum())
     second, error = ratio(
         np.bincount(rows, (weight * (target**2 - noise) / scale).sum(axis=-1)), below
@@ -386,18 +422,31 @@ def _pull(
     return np.where(up, (1 + scatter * found**2 / scale) ** -2.0, 1.0)
 
 
-def _paying(
-    rows: npt.NDArray[np.int64],
-    move: Floats,
-    wanted: Floats,
-    weight: Floats,
+def _least_share(
+    moves: Move,
+    wanted: Sequence[tuple[Floats, Floats, float]],
     *,
-    foreign: bool = False,
+    doubt: float,
+    side: npt.NDArray[np.bool_] | None = None,
 ) -> float:
-    """Return the share of a move towards what is wanted that pays under weights, 0 to 1."""
+    """Return the smallest share that pays, of those for (truth, radiance, power of its weight)."""
+    change = moves.change if side is None else np.where(side, moves.change, 0)
+    share = min(
+        _paying(moves.rows, change, truth - moves.mean, (radiance**2 + FLOOR) ** -power, doubt)
+        for truth, radiance, power in wanted
+    )
+    return share if share >= _LEAST else 0.0
+
+
+def _paying(
+    rows: npt.NDArray[np.int64], move: Floats, wanted: Floats, weight: Floats, doubt: float = 0.0
+) -> float:
+    """Return the share of a move towards what is wanted that pays under weights, 0 to 1.
+
+    It may be more than what is measured by so many standard errors.
+    """
     along, squares = (
         np.bincount(rows, (weight * move * other).sum(axis=-1)) for other in (wanted, move)
     )
     share, error = ratio(along, squares)
-    most = min(share if foreign else share + error, 2 * (share - error))
-    return float(np.clip(most, 0, 1))
+    return float(np.clip(min(share + doubt * error, 2 * (share - error)), 0, 1))

@@ -163,11 +163,8 @@ def share_of(samples, estimate):
     """Return how far a foreign estimate is followed, measured between halves of samples."""
     halves = samples[..., 0::2], samples[..., 1::2]
     return paying_share(
-        (
-            Move.between(half, estimate(half), other, unit=1.0)
-            for half, other in zip(halves, halves[::-1], strict=True)
-        ),
-        foreign=True,
+        Move.between(half, estimate(half), other, unit=1.0)
+        for half, other in zip(halves, halves[::-1], strict=True)
     )
 
 

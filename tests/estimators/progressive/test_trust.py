@@ -9,7 +9,7 @@ import chdstat as chd
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive.results import Trust
 from chdstat.estimators.progressive.shapes import GROUPS
-from chdstat.estimators.progressive.trust import Move, keeping_mean, paying_share
+from chdstat.estimators.progressive.trust import Move, keeping_mean, own_shares, paying_share
 
 
 def moves(rng, share, *, pixels=300, draws=4):
@@ -27,20 +27,20 @@ def moves(rng, share, *, pixels=300, draws=4):
 
 def test_what_pays_is_followed_and_what_does_not_is_not():
     rng = np.random.default_rng(0)
-    assert paying_share(moves(rng, 1.0), foreign=False) > 0.9
-    assert paying_share(moves(rng, 0.4), foreign=False) == pytest.approx(0.45, abs=0.2)
-    assert paying_share(moves(rng, 0.4), foreign=True) == pytest.approx(0.35, abs=0.2)
-    for foreign in (False, True):
-        assert paying_share(moves(rng, 0.0), foreign=foreign) == 0
-        assert paying_share(moves(rng, -1.0), foreign=foreign) == 0
+    assert min(own_shares(moves(rng, 1.0))) > 0.9
+    assert own_shares(moves(rng, 0.4)) == pytest.approx((0.45, 0.45), abs=0.2)
+    assert paying_share(moves(rng, 0.4)) == pytest.approx(0.35, abs=0.2)
+    for none in (0.0, -1.0):
+        assert own_shares(moves(rng, none)) == (0, 0)
+        assert paying_share(moves(rng, none)) == 0
 
 
 def test_one_pixel_and_no_move_are_no_evidence():
     rng = np.random.default_rng(1)
-    for foreign in (False, True):
-        assert paying_share(moves(rng, 1.0, pixels=1), foreign=foreign) == 0
-        still = [replace(move, estimate=move.mean) for move in moves(rng, 1.0)]
-        assert paying_share(still, foreign=foreign) == 0
+    still = [replace(move, estimate=move.mean) for move in moves(rng, 1.0)]
+    for none in (moves(rng, 1.0, pixels=1), still):
+        assert own_shares(none) == (0, 0)
+        assert paying_share(none) == 0
 
 
 @pytest.mark.parametrize("scatter", [0.0, 1.0])
@@ -55,7 +55,7 @@ def test_dark_pixels_are_not_brightened_to_the_mean_of_their_like(scatter):
     mean, target = (truth * rng.gamma(4, 1 / 4, size=truth.shape) for _ in range(2))
     noise = truth**2 / 4
     move = Move(np.arange(len(truth)), mean, np.ones_like(truth), target, noise)
-    share = paying_share([move], foreign=False)
+    share, _ = own_shares([move])
     error = (((mean + share * (1 - mean)) - truth) ** 2 / (truth**2 + 0.01)).mean()
     of_mean = ((mean - truth) ** 2 / (truth**2 + 0.01)).mean()
     assert error <= 1.02 * of_mean
@@ -79,15 +79,27 @@ def test_trust_that_is_none_is_refused(wrong):
 def test_brightened_and_darkened_pixels_are_in_balance():
     rng = np.random.default_rng(3)
     mean = rng.exponential(size=(5000, 3))
-    estimate = np.where(mean > 1, mean - 0.3 * (mean - 1), mean + 0.1 * (1 - mean))
-    move = Move(np.arange(5000), mean, estimate, mean, np.zeros_like(mean))
-    trust = keeping_mean(0.8, [move])
-    up, down = trust.shares[0, 0, 0], trust.shares[0, 0, -1]
-    change = (estimate - mean).sum(axis=-1)
-    assert up * change[change > 0].sum() == pytest.approx(-down * change[change < 0].sum())
-    assert down < 0.8 < up <= 1.5
-    only = replace(move, estimate=0.5 * mean)
-    assert not keeping_mean(0.8, [only]).shares.any()
+    change = np.where(mean > 1, -0.3 * (mean - 1), 0.1 * (1 - mean))
+    for given in ((0.8, 0.8), (0.2, 0.9), (1.0, 0.1)):
+        trust = keeping_mean(*given, change)
+        up, down = trust.shares[0, 0, 0], trust.shares[0, 0, -1]
+        radiance = change.sum(axis=-1)
+        gained, lost = radiance[radiance > 0].sum(), -radiance[radiance < 0].sum()
+        assert up * gained == pytest.approx(down * lost)
+        assert up == pytest.approx(given[0]) or down == pytest.approx(given[1])
+        assert up <= given[0] + 1e-9
+        assert down <= given[1] + 1e-9
+    assert not keeping_mean(0.8, 0.8, -0.5 * mean).shares.any()
+    assert not keeping_mean(0.8, 0.0, change).shares.any()
+
+
+def test_an_estimate_from_the_samples_that_trained_it_keeps_the_mean_of_the_image():
+    for seed in range(3):
+        samples = world("nulls", np.random.default_rng(seed), (32, 32, 1, 64))
+        for n in (4, 16, 64):
+            few = samples.first(n)
+            found = chd.estimate(few, iterations=60, progress=False).radiance
+            assert found.mean() == pytest.approx(few.read().mean(), rel=1e-4)
 
 
 def world(name, rng, shape=(48, 48, 1, 512)):
