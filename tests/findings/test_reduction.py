@@ -166,12 +166,16 @@ INPUTS = {
 }
 
 
+ITERATIONS = {"neighbours": 300, "neighbours and features": 100}
+"""So many that it pays to follow what was learned; else the estimate is the mean."""
+
+
 @pytest.fixture(scope="module", params=INPUTS)
 def ours(request, samples):
     """Return each configuration of our estimator as a function of samples, trained a little."""
     inputs = INPUTS[request.param]
     model = Progressive(inputs=inputs)
-    model.train(samples, iterations=100 if "neighbours" in inputs else 30, progress=False)
+    model.train(samples, iterations=ITERATIONS.get(request.param, 30), progress=False)
 
     def estimate(x, **more):
         options = {"features": features()} if "features" in inputs else {}
@@ -225,7 +229,8 @@ def test_the_order_of_the_samples_does_not_matter(ours):
 def test_trust_in_a_network_reads_no_order_and_no_unit(samples, name):
     """Measured between halves of the samples, which are the same halves in any order."""
     inputs = INPUTS[name]
-    model = Progressive(inputs=inputs).train(samples, iterations=100, progress=False)
+    model = Progressive(inputs=inputs)
+    model.train(samples, iterations=ITERATIONS.get(name, 100), progress=False)
     x = samples.read()[..., :N]
 
     def trust(x):

@@ -19,6 +19,8 @@ from chdstat.estimators.progressive.results import Estimates, Learned
 from chdstat.estimators.progressive.shapes import AIMS
 
 if TYPE_CHECKING:
+    import torch
+
     from chdstat.estimators.progressive.network import Answer
 
 __all__ = ["Alike", "apply", "with_constants", "with_means"]
@@ -30,6 +32,7 @@ _FEWEST_ALIKE = 2
 """Samples that can be alike."""
 
 Array = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
 
 
 def apply(
@@ -39,6 +42,7 @@ def apply(
     asked: Array | None,
     *,
     shape: tuple[int, ...],
+    share: float,
     balance: float,
     level: float | None,
 ) -> Estimates:
@@ -56,6 +60,8 @@ def apply(
         What alike pixels say, shape (row, channel), in units of the profiles'.
     shape
         Of the pixels that the rows are.
+    share
+        Of the way from the mean to the estimate, 0 to 1.
     balance
         0 for the first of the aims, 1 for the second.
     level
@@ -79,14 +85,16 @@ def apply(
         here = np.zeros((len(profile.count), 0), np.float32) if asked is None else asked[part]
         with torch.inference_mode():
             answer = network(look(profile, scenery[part], here, place))
-            estimate = torch.lerp(answer.estimate[:, 0], answer.estimate[:, 1], balance)
-            trust = torch.lerp(answer.certainty[:, 0], answer.certainty[:, 1], balance)
+            mixed = torch.lerp(answer.estimate[:, 0], answer.estimate[:, 1], balance)
+            estimate = torch.lerp(answer.mean, mixed, share)
+            trust = share * torch.lerp(answer.certainty[:, 0], answer.certainty[:, 1], balance)
         unit, count = np.float32(profile.unit), profile.count
         certainty[part] = trust.cpu().numpy()
         with np.errstate(over="ignore", invalid="ignore"):
             radiance[part] = estimate.cpu().numpy() * unit
             if level is not None:
-                ends = _interval(learned, answer, profile, balance, level)
+                variance = _variance(learned, answer, profile, balance, share)
+                ends = _interval(learned, estimate, variance, profile.count, balance, level)
                 low[part], high[part] = (end * unit for end in ends)
             lost = (count == 0) | ~np.isfinite(radiance[part]).all(axis=-1)
             if lost.any():
@@ -182,16 +190,30 @@ def with_constants(found: Estimates, alike: Alike) -> Estimates:
     return found
 
 
-def _interval(
-    learned: Learned, answer: Answer, profile: Profile, balance: float, level: float
-) -> tuple[Array, Array]:
-    """Return the ends of the interval around the mixed estimate."""
+def _variance(
+    learned: Learned, answer: Answer, profile: Profile, balance: float, share: float
+) -> Floats:
+    """Return the expected squared error, shape (row, channel).
+
+    Where the estimate is not followed all the way, what the mean errs is added for the rest of it.
+    """
     causes = np.stack([causes_of(answer, profile, aim) for aim in range(len(AIMS))])
-    variance = learned.spread.variance(causes, balance)
-    mixed = answer.estimate[:, 0].lerp(answer.estimate[:, 1], balance)
-    estimate = mixed.cpu().numpy().astype(np.float64)
+    rest = (1 - share) * profile.variance_of_mean() if share < 1 else 0
+    return np.asarray(learned.spread.variance(causes, balance) + rest)
+
+
+def _interval(
+    learned: Learned,
+    estimate: torch.Tensor,
+    variance: Floats,
+    count: npt.NDArray[np.int64],
+    balance: float,
+    level: float,
+) -> tuple[Array, Array]:
+    """Return the ends of the interval around an estimate."""
+    middle = estimate.cpu().numpy().astype(np.float64)
     low, high = (
-        learned.spread.quantile(estimate, variance, profile.count, balance=balance, level=tail)
+        learned.spread.quantile(middle, variance, count, balance=balance, level=tail)
         for tail in ((1 - level) / 2, (1 + level) / 2)
     )
     return low.astype(np.float32), high.astype(np.float32)

@@ -360,7 +360,7 @@ class Progressive:
             As for `estimate`; or if neighbours are an input, which need samples.
         """
         return self._of_profile(
-            profile, self._state.trust.times(trust), features, balance=balance, level=level
+            profile, self._state.trust, trust, features, balance=balance, level=level
         )
 
     def trust_between(
@@ -384,7 +384,7 @@ class Progressive:
             return 0.0
         trust = self._state.trust.fixed(count)
         found = [
-            self._of_profile(half, trust, features, balance=balance, level=None).radiance
+            self._of_profile(half, trust, 1.0, features, balance=balance, level=None).radiance
             for half in halves
         ]
         moves = (
@@ -465,12 +465,13 @@ class Progressive:
         else:
             message = f"trust must lie between 0 and 1, or be None, got {trust}"
             raise InputError(message)
-        return self._estimates(asked, self._state.trust.times(share), level=level)
+        return self._estimates(asked, self._state.trust, share, level=level)
 
     def _of_profile(
         self,
         profile: Profile,
         trust: Trust,
+        share: float,
         features: Features | None,
         *,
         balance: float,
@@ -487,11 +488,14 @@ class Progressive:
             self.inputs.scenery(features, pixels, None, described=shape.described),
             None,
             shape=pixels,
+            share=share,
             balance=balance,
             level=level,
         )
 
-    def _estimates(self, asked: Question, trust: Trust, *, level: float | None) -> Estimates:
+    def _estimates(
+        self, asked: Question, trust: Trust, share: float, *, level: float | None
+    ) -> Estimates:
         state = self._state
         scenery, alike = asked.seen(self.inputs, state.network.shape)
         found = apply(
@@ -500,6 +504,7 @@ class Progressive:
             scenery,
             alike,
             shape=asked.shape,
+            share=share,
             balance=asked.balance,
             level=level,
         )
@@ -516,7 +521,7 @@ class Progressive:
         halves = asked.halves()
         # As far as all samples will be trusted, half of them are.
         trust = self._state.trust.fixed(asked.samples.shape[-1])
-        found = [self._estimates(half, trust, level=None).radiance for half in halves]
+        found = [self._estimates(half, trust, 1.0, level=None).radiance for half in halves]
         moves = (
             Move.between(half.samples, radiance, other.samples, unit=asked.unit)
             for half, radiance, other in zip(halves, found, halves[::-1], strict=True)

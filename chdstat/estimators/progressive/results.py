@@ -34,7 +34,8 @@ class Estimates:
         Ends of the interval that contains the radiance with probability `level`, shape (...,
         channel).
     level
-        Probability of the interval.
+        Probability of the interval, on pixels like those that trained the network; of another
+        scene it is not calibrated.
     """
 
     radiance: npt.NDArray[np.float32]
@@ -76,10 +77,6 @@ class Trust:
     def even(cls, share: float) -> Self:
         """Return the same share for all pixels."""
         return cls(np.ones(1), np.full((1, len(AIMS), GROUPS), share))
-
-    def times(self, share: float) -> Self:
-        """Return that of the share of the way."""
-        return replace(self, shares=self.shares * share)
 
     def fixed(self, count: int) -> Self:
         """Return the shares for a number of samples, whatever the number."""

@@ -98,12 +98,16 @@ def trials_of(
     *,
     pixels: npt.NDArray[np.int64],
     rng: np.random.Generator,
+    samples: int = _SAMPLES,
 ) -> list[Trial]:
-    """Return trials of pixels at all sizes of the lesson, of each pixel four or more."""
+    """Return trials of pixels at all sizes of the lesson, four or more of each pixel.
+
+    So many `samples` of a pixel are seen at least in all its trials of a size.
+    """
     found = []
     for n in sorted(set(material.lesson.sizes)):
         drawn, least = 0, _DRAWS
-        while least > 0 or drawn < max(_TIMES, _SAMPLES / n) * len(pixels):
+        while least > 0 or drawn < max(_TIMES, samples / n) * len(pixels):
             part = material.splits.draw(pixels, n, _ROWS, rng)
             found.append(Trial.of(network, material, part, rng))
             drawn, least = drawn + len(part.rows), least - 1

@@ -358,10 +358,10 @@ def _likely(moves: Move) -> Floats:
 
     Targets scatter more than the truths, by their noise, and best guesses of the truths less, while
     relative errors hang on the darkest truths (Louis 1984, doi:10.1080/01621459.1984.10478062, asks
-    for such an ensemble). These are log-normal about the estimates, in the order of the targets.
-    The variance of their logarithm is the covariance of two halves of the targets, relative to the
-    estimates and cut at `_BRIGHTEST`, and one standard error more, by the square of what the cut
-    leaves of a relative change.
+    for such an ensemble). These are log-normal about the estimates, in the order of the targets,
+    which know nothing of the noise of the means. The variance of their logarithm is the covariance
+    of two halves of the targets, relative to the estimates and cut at `_BRIGHTEST`, and one
+    standard error more, by the square of what the cut leaves of a relative change.
     """
     rows, found, target, noise = moves.rows, moves.estimate, moves.target, moves.noise
     scale = np.sqrt(found**2 + FLOOR)

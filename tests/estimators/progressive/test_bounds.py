@@ -6,7 +6,7 @@ import pytest
 from chdstat.estimators.progressive.bounds import USUAL, bounded_weights, ratio
 from chdstat.estimators.progressive.causes import CAUSES
 from chdstat.estimators.progressive.shapes import AIMS
-from chdstat.estimators.progressive.spread import BALANCES, LEVELS, Spread
+from chdstat.estimators.progressive.spread import BALANCES, BRIGHTNESS, LEVELS, Spread
 from chdstat.estimators.progressive.trials import Trial
 
 
@@ -65,7 +65,9 @@ def test_intervals_of_bounded_weights_hold_the_truth():
         found, truth = trials(rng, 0.2, noise=0.1)
         for factor, kept in ((1, shares), (0.25, narrow)):
             weights = np.tile(bounded_weights(found, 0), (2, 1)) * factor
-            spread = Spread(weights, np.empty(0), np.empty((0, len(BALANCES), len(LEVELS))))
+            spread = Spread(
+                weights, np.empty(0), np.empty((0, len(BALANCES), len(BRIGHTNESS), len(LEVELS)))
+            )
             one = found[0]
             variance, count = spread.variance(one.causes, 0.5), np.full(len(truth), 8)
             low, high = (

@@ -1,5 +1,7 @@
 """Several scenes: training on all, and trust in a foreign model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from chdstat.errors import InputError, StoreError
 from chdstat.estimators import Progressive, Stream
 from chdstat.estimators._modelfile import read_model, write_model
 from chdstat.estimators.heldout import judging_pixels
+from chdstat.estimators.progressive.causes import CAUSES
 from chdstat.estimators.progressive.trust import Move, paying_share
 
 
@@ -264,6 +267,20 @@ def test_a_model_of_the_same_kind_of_scene_is_trusted(foreign):
     x = flat(height=48, width=48, seed=9).read(ss=slice(0, 16))
     assert foreign.trust(x, balance=0) > 0.8
     assert ((foreign.predict(x) - 1) ** 2).mean() < 0.7 * ((x.mean(axis=-1) - 1) ** 2).mean()
+
+
+@pytest.mark.parametrize("balance", [0.0, 0.5, 1.0])
+def test_the_interval_of_a_model_that_is_not_followed_is_not_narrower_than_the_means(
+    foreign, balance
+):
+    """What it expects of its own errors may rest on how far it moves, and here it does not."""
+    x = varied(seed=7).read(ss=slice(0, 16))
+    spread = replace(foreign._learned.spread, weights=np.tile(np.eye(CAUSES)[2], (2, 1)))
+    model = Progressive()
+    model._learned = replace(foreign._learned, spread=spread)
+    found = model.estimate(x, balance=balance, trust=0.0)
+    error = x.std(axis=-1, ddof=1) / 4
+    assert np.median((found.high - found.low) / error) > 2.5
 
 
 def test_trust_mixes_with_the_mean(both):

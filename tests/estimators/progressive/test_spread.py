@@ -8,7 +8,7 @@ from scipy import stats
 
 from chdstat.estimators.progressive.causes import CAUSES
 from chdstat.estimators.progressive.splits import Splits
-from chdstat.estimators.progressive.spread import LEVELS, Spread, _calibrate, _weights
+from chdstat.estimators.progressive.spread import BRIGHTNESS, LEVELS, Spread, _calibrate, _weights
 from chdstat.estimators.progressive.trials import Trial
 
 
@@ -60,7 +60,8 @@ def test_causes_get_the_weights_that_they_have():
 def test_levels_beyond_the_calibrated_ones_are_wider_still():
     rng = np.random.default_rng(0)
     weights = np.full((2, CAUSES), 0.05)
-    normal = _calibrate(weights, [trial(rng)])[np.newaxis]
+    one = [trial(rng)]
+    normal = _calibrate(weights, one, one)[np.newaxis]
     spread = Spread(weights, np.array([16.0]), normal)
     estimate, count = np.ones((1, 1)), np.array([16])
     high = [
@@ -74,7 +75,8 @@ def test_calibrated_quantiles_hold_as_often_as_stated():
     """8000 trials calibrate and 8000 judge: a share strays by 0.03 once in a million seeds."""
     rng = np.random.default_rng(1)
     weights = np.tile([1e-4, 0.06, 0.0, 0.02, 0.0, 0.0], (2, 1))  # not the true ones
-    normal = _calibrate(weights, [trial(rng), trial(rng)])[np.newaxis]
+    two = [trial(rng), trial(rng)]
+    normal = _calibrate(weights, two, two)[np.newaxis]
     spread = Spread(weights, np.array([16.0]), normal)
     fresh = trial(rng, 8000)
     variance = spread.variance(fresh.causes, 0.5)
@@ -85,7 +87,9 @@ def test_calibrated_quantiles_hold_as_often_as_stated():
 
 
 def test_without_a_reference_quantiles_are_those_of_a_gamma_distribution():
-    spread = Spread(np.ones((2, CAUSES)), np.empty(0), np.empty((0, 3, len(LEVELS))))
+    spread = Spread(
+        np.ones((2, CAUSES)), np.empty(0), np.empty((0, 3, len(BRIGHTNESS), len(LEVELS)))
+    )
     mean, variance, count = np.full((1, 1), 5.0), np.full((1, 1), 1.0), np.array([16])
     for level in (0.05, 0.5, 0.95):
         found = spread.quantile(mean, variance, count, balance=0.5, level=level)
@@ -93,7 +97,8 @@ def test_without_a_reference_quantiles_are_those_of_a_gamma_distribution():
 
 
 def test_quantiles_between_sizes_and_beyond_them():
-    normal = np.tile(stats.norm.ppf(LEVELS), (2, 3, 1)) * np.array([2, 1])[:, None, None]
+    levels = np.tile(stats.norm.ppf(LEVELS), (2, 3, len(BRIGHTNESS), 1))
+    normal = levels * np.array([2, 1])[:, None, None, None]
     spread = Spread(np.ones((2, CAUSES)), np.array([4.0, 64.0]), normal)
 
     def high(count):
@@ -106,7 +111,9 @@ def test_quantiles_between_sizes_and_beyond_them():
 
 
 def test_quantiles_are_radiance_whatever_the_variance():
-    spread = Spread(np.ones((2, CAUSES)), np.empty(0), np.empty((0, 3, len(LEVELS))))
+    spread = Spread(
+        np.ones((2, CAUSES)), np.empty(0), np.empty((0, 3, len(BRIGHTNESS), len(LEVELS)))
+    )
     estimate = np.array([[0.0, 1e-9, 1.0, 1e20]])
     for variance in (0.0, 1.0, 1e30):
         found = spread.quantile(
@@ -114,3 +121,31 @@ def test_quantiles_are_radiance_whatever_the_variance():
         )
         assert (found >= 0).all()
         assert np.isfinite(found).all()
+
+
+def test_few_bright_pixels_with_other_errors_have_quantiles_of_their_own():
+    """Of 2000 pixels 20 are lamps, whose errors have four times the standard deviation."""
+    rng = np.random.default_rng(2)
+    weights = np.zeros((2, CAUSES))
+    weights[:, 1] = 0.01
+
+    def lit(lamps, times):
+        rows = np.repeat(np.arange(lamps + 1980), times)
+        estimate = np.where(rows < lamps, 16.0, 0.25)[:, np.newaxis]
+        wide = np.where(rows < lamps, 0.4, 0.1)[:, np.newaxis] * estimate
+        truth = rng.gamma(estimate**2 / wide**2, wide**2 / estimate)
+        causes = np.broadcast_to(estimate[..., np.newaxis] ** 2, (2, *estimate.shape, CAUSES))
+        both = np.stack([estimate, estimate])
+        return Trial(16, rows, both, estimate, truth, np.zeros_like(truth), causes)
+
+    spread = Spread(weights, np.array([16.0]), _calibrate(weights, [lit(0, 1)], [lit(20, 4)])[None])
+    fresh = lit(1980, 1)
+    count = np.full(len(fresh.rows), 16)
+    variance = spread.variance(fresh.causes, 0.5)
+    low, high = (
+        spread.quantile(fresh.estimate[0], variance, count, balance=0.5, level=level)
+        for level in (0.05, 0.95)
+    )
+    holds = (low <= fresh.target) & (fresh.target <= high)
+    assert holds[fresh.rows < 1980].mean() > 0.8
+    assert 0.87 < holds[fresh.rows >= 1980].mean() < 0.95

@@ -32,20 +32,22 @@ def test_losses_fall_in_units_of_the_means_and_are_recorded(trained):
     assert late < min(early, 1)
 
 
-def test_intervals_contain_the_radiance_as_often_as_stated(trained, picture):
-    """Of 90 % intervals 85 to 95 % contain it.
+def test_intervals_contain_the_radiance_as_often_as_stated(picture):
+    """Of 90 % intervals 88 to 97 % contain it: what chance may have is added on both sides.
 
-    4800 channels of 1600 independent pixels: the share has a standard error of at most 0.0075 where
-    channels agree, so that a true 90 % strays by 0.05 once in 10^10 seeds.
+    410 pixels calibrate, in about five levels of brightness: by chance that is a standard error of
+    2 to 3 % in each tail, half of which is added. Of five seeds, 93 to 96 % contain it.
     """
+    samples = picture(64, 512, seed=0).samples
+    trained = Progressive().train(samples, sizes=(8, 32), iterations=150, progress=False)
     fresh = picture(40, 32, seed=11)
     for balance in (0.0, 0.5, 1.0):
-        found = trained.estimate(fresh.x, balance=balance)
+        found = trained.estimate(fresh.x, balance=balance, trust=1.0)
         within = (found.low <= fresh.radiance) & (fresh.radiance <= found.high)
-        assert 0.85 < within.mean() < 0.95
-        half = trained.estimate(fresh.x, balance=balance, level=0.5)
+        assert 0.88 < within.mean() < 0.97
+        half = trained.estimate(fresh.x, balance=balance, trust=1.0, level=0.5)
         within = (half.low <= fresh.radiance) & (fresh.radiance <= half.high)
-        assert 0.4 < within.mean() < 0.6
+        assert 0.45 < within.mean() < 0.65
 
 
 def test_the_same_seed_trains_the_same_network_and_another_does_not(picture):
@@ -133,17 +135,18 @@ def test_without_a_reference_the_minimiser_is_the_mean_of_the_targets():
 
 
 def test_without_a_reference_it_beats_the_mean_and_is_little_biased(picture):
-    """A short training of one small picture, seed fixed; measured: 0.42, and 9 % too dark.
+    """A short training of one small image; the image keeps the mean of its samples.
 
-    So few pixels hold few of its fireflies: the average of their means is 6 % too bright. Large
-    pictures are judged by the benchmarks.
+    So few pixels hold few of its fireflies, and so that is 6 % too bright. Large images are judged
+    by the benchmarks.
     """
     source = picture(32, 32, seed=1, smooth=True)
-    model = Progressive(inputs=["features"])
+    model = Progressive(inputs=["features", "neighbours"])
     model.train(source.samples, reference=False, iterations=300, progress=False)
     found = model.predict(source.x, features=source.samples.features)
     assert source.error(found) < 0.6
-    assert abs(source.bias(found)) < 0.15
+    assert source.error(found, relative=True) < 0.6
+    assert found.mean() == pytest.approx(source.x.mean(), rel=1e-4)
 
 
 def test_pixels_that_trained_are_exposed_and_others_left(picture):
