@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import chdstat as chd
-from chdstat.backend import probe
+from chdstat.rendering.backend import probe
 
 _SCENES = "CHDSTAT_SCENES"
 

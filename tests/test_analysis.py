@@ -9,9 +9,8 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat.analysis import save
+from chdstat.analysis import overview, save
 from chdstat.errors import StoreError
-from chdstat.overviews import overview
 
 
 @pytest.fixture(scope="module")

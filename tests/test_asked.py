@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._arrays import luminance
-from chdstat.backend import activate, probe
-from chdstat.capture import scene_integrator, scene_size
+from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
+from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.capture import scene_integrator, scene_size
 from chdstat.scenes import load_scene
 
 WHOLE, CROP = (

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from chdstat import backend
-from chdstat.backend import Verdict, activate, llvm_libraries, probe, resolve
 from chdstat.errors import InputError, RenderError
+from chdstat.rendering import backend
+from chdstat.rendering.backend import Verdict, activate, llvm_libraries, probe, resolve
 
 LIBRARY = "/nowhere/libLLVM.so.99"
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from chdstat import Samples, histogram
-from chdstat._binned import BinnedPart
-from chdstat._positive import PositivePart
-from chdstat._reasons import Reason
-from chdstat._routes import run
+from chdstat._core.positive import PositivePart
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
+from chdstat.summary.dispatch import run
+from chdstat.summary.positive_histogram import BinnedPart
 
 
 def test_log_statistics_agree_with_those_of_the_samples():

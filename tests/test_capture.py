@@ -16,14 +16,15 @@ import pytest
 import zarr
 
 import chdstat as chd
-from chdstat import _store, capture
-from chdstat._arrays import is_bad, luminance
-from chdstat._renderer import Job, Renderer
-from chdstat._sinks import StoreSink
-from chdstat._store import Store, chunk_grid
-from chdstat._streams import max_spp
-from chdstat.backend import activate, probe
+from chdstat._core.arrays import is_bad, luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
+from chdstat.rendering import capture
+from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.seeds import max_spp
+from chdstat.rendering.writers import StoreSink
+from chdstat.samples import store as layout
+from chdstat.samples.store import Store, chunk_grid
 from chdstat.scenes import load_scene
 
 SIZE = (72, 40)
@@ -290,7 +291,7 @@ def test_a_damaged_chunk_is_rendered_again_to_the_same_bits(tmp_path, whole):
 
 def fill_the_disk(patch: pytest.MonkeyPatch, names: str, *, after: int = 0) -> None:
     """Act as if there was no room for more than some of the files of these names."""
-    put, written = _store._put, []
+    put, written = layout._put, []
 
     def full(file: Path, content: bytes) -> None:
         if re.search(names, str(file)):
@@ -299,7 +300,7 @@ def fill_the_disk(patch: pytest.MonkeyPatch, names: str, *, after: int = 0) -> N
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         put(file, content)
 
-    patch.setattr(_store, "_put", full)
+    patch.setattr(layout, "_put", full)
 
 
 def test_a_full_disk_is_reported_and_the_render_resumes(tmp_path, monkeypatch):

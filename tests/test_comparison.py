@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat import metrics
-from chdstat.comparison import MEASURES
-from chdstat.comparison._sums import SUMS, ErrorSums, errors_of
-from chdstat.comparison._tally import Units
+from chdstat.comparison import MEASURES, metrics
+from chdstat.comparison.accumulate import SUMS, ErrorSums, Units, errors_of
 from chdstat.errors import InputError
 from chdstat.estimators import MLP, Estimator, registry
 from chdstat.patterns import Label

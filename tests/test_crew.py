@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat import _crew
-from chdstat._renderer import Job, Renderer
-from chdstat._store import chunk_grid
-from chdstat.backend import probe
 from chdstat.errors import RenderError
+from chdstat.rendering import workers
+from chdstat.rendering.backend import probe
+from chdstat.rendering.renderer import Job, Renderer
+from chdstat.samples.store import Store, chunk_grid
 from chdstat.scenes import load_scene
 
 SETTINGS: dict[str, Any] = {"size": (8, 8), "backend": "scalar"}
@@ -54,7 +54,7 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def test_a_scheduler_without_workers_is_told(monkeypatch):
     from distributed import Client, LocalCluster
 
-    monkeypatch.setattr(_crew, "_PATIENCE", 0.5)
+    monkeypatch.setattr(workers, "_PATIENCE", 0.5)
     with (
         LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster,
         Client(cluster) as client,
@@ -66,7 +66,7 @@ def test_a_scheduler_without_workers_is_told(monkeypatch):
 def test_a_scheduler_that_dies_is_told_and_the_rest_is_kept(tmp_path, monkeypatch):
     from distributed import Client
 
-    out, write = tmp_path / "s.zarr", chd._store.Store.write
+    out, write = tmp_path / "s.zarr", Store.write
     with scheduler(tmp_path) as (child, address), Client(address, timeout="30s") as client:
 
         def fatal(*arguments: Any) -> None:
@@ -74,10 +74,10 @@ def test_a_scheduler_that_dies_is_told_and_the_rest_is_kept(tmp_path, monkeypatc
             child.kill()
 
         with monkeypatch.context() as patch:
-            patch.setattr(chd._store.Store, "write", fatal)
+            patch.setattr(Store, "write", fatal)
             with pytest.raises(RenderError, match="cluster was lost while it rendered; what is"):
                 chd.render("cornell-box", spp=512, out=out, client=client, **SETTINGS)
-    assert 0 < len(chd._store.Store.open(out).pending()) < 8
+    assert 0 < len(Store.open(out).pending()) < 8
     whole = chd.render("cornell-box", spp=512, **SETTINGS).read()
     assert np.array_equal(chd.render("cornell-box", spp=512, out=out, **SETTINGS).read(), whole)
 
@@ -92,16 +92,16 @@ def test_workers_of_other_versions_are_refused():
         wait_for_workers=lambda *_, **__: None, get_versions=lambda **_: answer
     )
     with pytest.raises(RenderError, match=r"tcp://a has other versions .mitsuba 3.7.0, here 3.9.1"):
-        _crew._check_workers(client)
+        workers._check_workers(client)
     answer["workers"]["tcp://a"]["packages"] = packages
-    _crew._check_workers(client)
+    workers._check_workers(client)
 
 
 def test_a_worker_that_reads_another_scene_is_refused():
     job = Job(load_scene("cornell-box"), probe("scalar"), (8, 8))
     identity = Renderer(job).identity
     chunk = next(chunk_grid(8, 8, 1))
-    assert _crew._render_remote(job, identity, chunk).shape == (8, 8, 3, 1)
+    assert workers._render_remote(job, identity, chunk).shape == (8, 8, 3, 1)
     other = {**identity, "scene_hash": "0", "scene_files": {"tex.exr": "0"}}
     with pytest.raises(RenderError, match=r"reads another scene than is read here \(tex.exr"):
-        _crew._render_remote(job, other, chunk)
+        workers._render_remote(job, other, chunk)

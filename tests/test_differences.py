@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat.differences import difference
 from chdstat.errors import InputError
+from chdstat.inference.differences import difference
 
 
 def gamma(spp=512, seed=1, null=0.3):

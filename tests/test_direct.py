@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat import capture
-from chdstat._store import DIRECT, Store
-from chdstat.backend import probe
 from chdstat.errors import InputError, RenderError, StoreError
-from chdstat.models import first_samples
-from chdstat.samples import inspect
+from chdstat.estimators.models import first_samples
+from chdstat.rendering import capture
+from chdstat.rendering.backend import probe
+from chdstat.samples.samples import inspect
+from chdstat.samples.store import DIRECT, Store
 
 BACKENDS = [
     "scalar",

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat import _workers
+from chdstat._core import executor
 from chdstat.errors import InputError, StoreError
-from chdstat.estimates import estimate, write_estimates
+from chdstat.estimators.estimates import estimate, write_estimates
+from chdstat.estimators.models import train_model
 from chdstat.io import read_exr
-from chdstat.models import train_model
 
 QUICK = {"iterations": 5, "progress": False}
 
@@ -28,7 +28,7 @@ def picture(spp=16, channels=3, features=False):
 
 def test_samples_that_memory_cannot_hold_are_refused_in_words(monkeypatch):
     samples = picture(spp=64)
-    monkeypatch.setattr(_workers, "memory", lambda: 1.5 * samples.nbytes)
+    monkeypatch.setattr(executor, "memory", lambda: 1.5 * samples.nbytes)
     with pytest.raises(InputError, match=r"64 spp.* GB of memory, of which there are .*--spp"):
         estimate(samples, **QUICK)
     estimate(samples, spp=32, **QUICK)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.capture import render_batches
 from chdstat.errors import InputError
-from chdstat.estimates import estimate, write_estimates
 from chdstat.estimators import Progressive
+from chdstat.estimators.estimates import estimate, write_estimates
+from chdstat.estimators.models import train_model
 from chdstat.io import read_exr
-from chdstat.models import train_model
+from chdstat.rendering.capture import render_batches
 
 
 def rendering(spp=16, **options):

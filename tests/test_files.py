@@ -15,12 +15,12 @@ import pytest
 
 import chdstat as chd
 from chdstat._core.files import Lock, read_record, replacing, scratch, sweep, write_record
-from chdstat.atlases import Atlas
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
-from chdstat.findings import Evidence, Finding
-from chdstat.findings.registry import find
-from chdstat.recipes import Region
+from chdstat.patterns import Atlas
+from chdstat.rendering.recipes import Region
+from chdstat.studies.claims import Evidence, Finding
+from chdstat.studies.claims.registry import find
 
 
 @pytest.fixture(scope="module")

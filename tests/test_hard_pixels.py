@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._reasons import Reason
-from chdstat.normality import gaussianity_of_means
+from chdstat._core.reasons import Reason
+from chdstat.inference import gaussianity_of_means
 
 N = 96
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chdstat._reasons import Reason
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.histograms import StreamingHistogram, Support, histogram, linear_support
-from chdstat.samples import Samples
+from chdstat.samples.samples import Samples
+from chdstat.summary.histograms import StreamingHistogram, Support, histogram, linear_support
 
 SCALES = ["linear", "log"]
 

@@ -14,7 +14,7 @@ import pytest
 import chdstat as chd
 from chdstat.cli import main
 from chdstat.errors import ChdstatError, InputError, SceneError
-from chdstat.recipes import load_recipe
+from chdstat.rendering.recipes import load_recipe
 
 
 def _hostile() -> Any:

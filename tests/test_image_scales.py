@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._image_scales import RadianceSums
+from chdstat._core.image_scales import RadianceSums
 from chdstat.errors import InputError
 from chdstat.estimators import Progressive, Stream, mean_radiance
 

@@ -10,15 +10,15 @@ import xarray as xr
 
 import chdstat as chd
 from chdstat import estimators, fit
-from chdstat._store import Store
 from chdstat.cli import main
 from chdstat.errors import InputError, LeftOutWarning
 from chdstat.estimators import Progressive
-from chdstat.estimators.progressive.profiles import Profile
-from chdstat.histograms import StreamingHistogram
-from chdstat.normality.of_averages import gaussianity_of_means
-from chdstat.samples import Samples
-from chdstat.summary import Summary
+from chdstat.estimators.progressive.profile import Profile
+from chdstat.inference.normality_of_means import gaussianity_of_means
+from chdstat.samples.samples import Samples
+from chdstat.samples.store import Store
+from chdstat.summary.histograms import StreamingHistogram
+from chdstat.summary.statistics import Summary
 
 HEIGHT, WIDTH, SPP = 4, 6, 32
 DIMS = ("y", "x", "channel", "sample")

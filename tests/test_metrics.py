@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from chdstat import metrics
+from chdstat.comparison import metrics
 from chdstat.errors import InputError
 
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from chdstat._arrays import luminance
-from chdstat._positive import PositivePart
-from chdstat._reasons import Reason
+from chdstat._core.arrays import luminance
+from chdstat._core.positive import PositivePart
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 
 X = np.array(

@@ -10,10 +10,10 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat._reasons import flag_attributes
+from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
 from chdstat.patterns import Label
-from chdstat.recipes import (
+from chdstat.rendering.recipes import (
     PHENOMENA,
     Region,
     check_integrator,

@@ -18,12 +18,12 @@ import pytest
 import scipy.stats
 
 import chdstat as chd
-from chdstat import _streams
-from chdstat._arrays import luminance
-from chdstat._renderer import Job, Renderer
-from chdstat._store import TILE, chunk_grid
-from chdstat._streams import max_spp
-from chdstat.backend import activate, probe
+from chdstat._core.arrays import luminance
+from chdstat.rendering import seeds
+from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.seeds import max_spp
+from chdstat.samples.store import TILE, chunk_grid
 from chdstat.scenes import load_scene
 
 ALPHA = 1e-3
@@ -84,18 +84,18 @@ def agree(p: np.ndarray) -> bool:
 # --- numbering ----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("span", [_streams.CHUNKS, _streams.PIXELS])
+@pytest.mark.parametrize("span", [seeds.CHUNKS, seeds.PIXELS])
 @pytest.mark.parametrize("seed", [0, 1, 12345, 2**40])
 def test_numbers_are_one_to_one(span, seed):
     index = np.array([0, 1, 2, span // 2, span - 1])
-    number = np.array([_streams.number_of(seed, int(i), span) for i in index])
+    number = np.array([seeds.number_of(seed, int(i), span) for i in index])
     assert ((number >= 0) & (number < span)).all()
     assert np.array_equal((number - number[0]) % span, index)
 
 
 def test_passes_are_shuffled_one_to_one():
-    number = np.array([_streams.shuffled(i, seed=7) for i in range(_streams.PASSES)])
-    assert np.array_equal(np.sort(number), np.arange(_streams.PASSES))
+    number = np.array([seeds.shuffled(i, seed=7) for i in range(seeds.PASSES)])
+    assert np.array_equal(np.sort(number), np.arange(seeds.PASSES))
     # Of a random order, ranks of neighbours do not correlate: standard errors .001 and .004. What
     # earlier versions could draw keeps its order, and the rest has one of its own.
     for part, most in ((number[:983_040], 0.004), (number[983_040:], 0.016)):
@@ -105,14 +105,14 @@ def test_passes_are_shuffled_one_to_one():
 
 def test_samples_of_a_seed_are_those_of_earlier_versions():
     # From the numbering of the first stores that have one.
-    assert [_streams.shuffled(i, seed=0) for i in range(3)] == [550_259, 112_832, 199_408]
-    assert [_streams.shuffled(i, seed=1) for i in range(3)] == [195_807, 282_655, 269_606]
+    assert [seeds.shuffled(i, seed=0) for i in range(3)] == [550_259, 112_832, 199_408]
+    assert [seeds.shuffled(i, seed=1) for i in range(3)] == [195_807, 282_655, 269_606]
 
 
 def test_no_two_passes_of_an_image_share_a_stream():
     """Mitsuba seeds pixel i of a pass with the seed times the pixels of the tile, plus i."""
     size, spp = (150, 130), 40
-    streams = _streams.Streams(size, 3)
+    streams = seeds.Streams(size, 3)
     owned = [
         (streams.of_pass(chunk, sample) * chunk.shape[0] * chunk.shape[1] + i) % 2**32
         for chunk in chunk_grid(size[1], size[0], spp)
@@ -120,7 +120,7 @@ def test_no_two_passes_of_an_image_share_a_stream():
         for i in (0, TILE**2 - 1)
     ]
     assert len(set(owned)) == len(owned) == 2 * 9 * spp
-    assert max(owned) < 2**32 - _streams.PIXELS
+    assert max(owned) < 2**32 - seeds.PIXELS
 
 
 def test_the_last_passes_vary_as_independent_ones(streams):
@@ -140,34 +140,34 @@ def test_the_last_passes_vary_as_independent_ones(streams):
 
 def test_seeds_shuffle_passes_independently():
     # 20 000 of 983 040 numbers for each of two seeds: 407 in common by chance, give or take 20.
-    numbers = [{_streams.shuffled(i, seed) for i in range(20_000)} for seed in (0, 1, 2, 3, 2**40)]
+    numbers = [{seeds.shuffled(i, seed) for i in range(20_000)} for seed in (0, 1, 2, 3, 2**40)]
     for one, two in itertools.combinations(numbers, 2):
         assert 300 < len(one & two) < 510
 
 
 def test_a_pass_owns_its_streams_for_every_size_of_a_tile():
     # Mitsuba multiplies the seed by the number of pixels, modulo 2^32.
-    last = _streams.PASSES - 1
+    last = seeds.PASSES - 1
     for pixels in {h * w for h in range(1, 65) for w in range(1, 65)}:
         for number in (0, 1, 77_777, last):
-            seed = _streams.pass_seed(number, pixels)
+            seed = seeds.pass_seed(number, pixels)
             assert 0 <= seed < 2**32
             assert seed * pixels % 2**32 == number * TILE**2
 
 
 def test_passes_chunks_and_single_pixels_share_no_number():
-    assert _streams.PASSES * TILE**2 <= 2**32 - _streams.PIXELS
-    assert _streams.CHUNKS <= 2**32 - _streams.PIXELS
+    assert seeds.PASSES * TILE**2 <= 2**32 - seeds.PIXELS
+    assert seeds.CHUNKS <= 2**32 - seeds.PIXELS
     for seed in (0, 1, 55, 10_945):
         renderer = Renderer(Job(load_scene("cornell-box"), probe("scalar"), (8, 8), seed))
         numbers = [renderer._streams.of_pixel(y, x) for y in range(8) for x in range(8)]
         assert len(set(numbers)) == 64
-        assert 2**32 - _streams.PIXELS <= min(numbers) <= max(numbers) < 2**32
+        assert 2**32 - seeds.PIXELS <= min(numbers) <= max(numbers) < 2**32
 
 
 def test_the_most_samples_before_streams_repeat():
-    assert max_spp("scalar", 64, 64) == _streams.PASSES
-    assert max_spp("scalar", 65, 64) == _streams.PASSES // 2
+    assert max_spp("scalar", 64, 64) == seeds.PASSES
+    assert max_spp("scalar", 65, 64) == seeds.PASSES // 2
     assert max_spp("llvm", 1024, 1024) >= 2**28
     # Enough for a film frame at the 2048 spp of the paper's histograms.
     assert max_spp("scalar", 1920, 1080) == 2048

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chdstat._positive import PositivePart
-from chdstat._rows import take_rows
+from chdstat._core.arrays import take_rows
+from chdstat._core.positive import PositivePart
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.selection import select_part
 

@@ -7,8 +7,8 @@ import pytest
 
 import chdstat as chd
 from chdstat import Samples
-from chdstat._store import Store
 from chdstat.errors import InputError, StoreError
+from chdstat.samples.store import Store
 
 SHAPE = (70, 66, 3, 70)
 
@@ -240,8 +240,8 @@ def test_a_read_that_memory_cannot_hold_is_refused_in_words(tmp_path, monkeypatc
     for chunk in store.pending():
         store.write(chunk, np.ones((2, 2, 3, chunk.shape[2]), np.float32))
     samples = chd.open(tmp_path / "s.zarr")
-    monkeypatch.setattr("chdstat.samples._ALWAYS_HELD", 0)
-    monkeypatch.setattr("chdstat._workers.memory", lambda: samples.nbytes - 1)
+    monkeypatch.setattr("chdstat.samples.samples._ALWAYS_HELD", 0)
+    monkeypatch.setattr("chdstat._core.executor.memory", lambda: samples.nbytes - 1)
     with pytest.raises(InputError, match=r"these samples take .* of memory, .*blocks\(\)"):
         samples.read()
     assert samples.read(slice(0, 1)).shape == (1, 2, 3, 70)

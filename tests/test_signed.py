@@ -10,9 +10,9 @@ import pytest
 
 import chdstat as chd
 from chdstat import estimators
-from chdstat._reasons import Reason
-from chdstat.estimators.heldout import Totals
-from chdstat.histograms import linear_support
+from chdstat._core.reasons import Reason
+from chdstat.estimators.validation import Totals
+from chdstat.summary.histograms import linear_support
 
 SIZE, SPP, N = 12, 128, 32
 

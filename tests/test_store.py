@@ -15,13 +15,13 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 import chdstat as chd
-from chdstat import _store
 from chdstat._core.files import Lock
-from chdstat._store import BATCH, SCHEMA_VERSION, TILE, Store, chunk_grid
-from chdstat.capture import convert
 from chdstat.cli import main
 from chdstat.errors import StoreError
-from chdstat.samples import inspect
+from chdstat.rendering.capture import convert
+from chdstat.samples import store as layout
+from chdstat.samples.samples import inspect
+from chdstat.samples.store import BATCH, SCHEMA_VERSION, TILE, Store, chunk_grid
 
 ALL = slice(None)
 BALL = [
@@ -165,7 +165,7 @@ def test_a_growth_stopped_halfway_goes_on(tmp_path, monkeypatch):
     x = radiance(4, 4, 100)
     path = tmp_path / "s.zarr"
     store = fill(create(path, x[..., :10]), x[..., :10])
-    put = _store._put
+    put = layout._put
 
     def stop_before_radiance(file: Path, content: bytes) -> None:
         if file.parent.name == "radiance":
@@ -173,7 +173,7 @@ def test_a_growth_stopped_halfway_goes_on(tmp_path, monkeypatch):
         put(file, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(_store, "_put", stop_before_radiance)
+        patch.setattr(layout, "_put", stop_before_radiance)
         with pytest.raises(KeyboardInterrupt):
             store.extend(100)
     store.close()
@@ -203,7 +203,7 @@ def test_leftovers_of_a_killed_writer_are_removed(tmp_path):
 
 @pytest.mark.parametrize("stop", ["zarr.json", "features/depth/c/0/0"])
 def test_what_a_stopped_maker_left_is_completed(tmp_path, monkeypatch, stop):
-    path, put = tmp_path / "s.zarr", _store._put
+    path, put = tmp_path / "s.zarr", layout._put
     x, features = radiance(4, 4, 4), {"depth": np.ones((4, 4), np.float32)}
 
     def stopped(file: Path, content: bytes) -> None:
@@ -212,7 +212,7 @@ def test_what_a_stopped_maker_left_is_completed(tmp_path, monkeypatch, stop):
         put(file, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(_store, "_put", stopped)
+        patch.setattr(layout, "_put", stopped)
         with pytest.raises(KeyboardInterrupt):
             create(path, x, features=features)
     assert Store.exists(path) == (stop != "zarr.json")
@@ -461,7 +461,7 @@ def test_a_full_disk_keeps_what_is_stored(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(_store, "_put", full)
+        patch.setattr(layout, "_put", full)
         with pytest.raises(StoreError, match="cannot write to .*No space left.*resume"):
             fill(store, x)
     store.close()

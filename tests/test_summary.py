@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat._arrays import is_bad
-from chdstat._moments import Moments
+from chdstat._core.arrays import is_bad
+from chdstat._core.moments import Moments
 from chdstat.errors import InputError
-from chdstat.histograms import Histogram, linear_support
-from chdstat.samples import Samples
-from chdstat.summary import Summary, summarize
+from chdstat.samples.samples import Samples
+from chdstat.summary.histograms import Histogram, linear_support
+from chdstat.summary.statistics import Summary, summarize
 
 MOMENTS = ("mean", "variance", "skewness", "kurtosis", "minimum", "maximum", "standard_error")
 COUNTS = ("count", "null_count", "bad_count", "nan_count", "inf_count", "negative_count")

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from chdstat._workers import cores, in_order
+from chdstat._core.executor import cores, in_order
 
 
 def test_results_come_in_the_order_of_the_items():

@@ -18,10 +18,9 @@ import textwrap
 from pathlib import Path
 
 import numpy as np
-from scipy import special
-
 from chdstat.normality import _statistics as statistics
 from chdstat.normality._statistics import SCALES
+from scipy import special
 
 SEED = 20240607
 SIZES = (

@@ -8,13 +8,17 @@ over from a process that was killed, and the next one that writes to the same pl
 Records are results, dataclasses of numbers, words and arrays, in an ``.npz`` file: arrays by
 number, and a tree in JSON that says where they belong. Unlike in a pickle nothing in it runs when
 it is read: a folder of renders can be passed on.
+
+Code: what tells this code and its libraries from others, as what they found is kept.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import hashlib
 import importlib
+import importlib.metadata
 import json
 import os
 import shutil
@@ -29,6 +33,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, get_origin
 import numpy as np
 import numpy.typing as npt
 
+import chdstat
 from chdstat.errors import InputError, StoreError
 
 if TYPE_CHECKING:
@@ -38,6 +43,7 @@ __all__ = [
     "Lock",
     "checked_target",
     "checksum",
+    "code_digest",
     "free_disk",
     "read_record",
     "replacing",
@@ -318,7 +324,7 @@ def write_record(path: Path, value: Any) -> Path:
     Examples
     --------
     >>> import tempfile
-    >>> from chdstat.metrics import Interval
+    >>> from chdstat.comparison.metrics import Interval
     >>> found = Interval(*np.arange(8.0).reshape(4, 2))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = write_record(Path(folder, "found.npz"), {"mse": found})
@@ -391,3 +397,25 @@ def _checked(item: Any, kind: Any) -> Any:
 def _refused(item: Any, kind: Any) -> Any:
     message = f"expected {kind}, got {type(item).__name__}"
     raise ValueError(message)
+
+
+_LIBRARIES = ("numpy", "scipy", "scikit-learn", "statsmodels", "diptest", "torch", "pyoidn")
+"""Whose numbers are kept; without the last one, a denoiser, some are missing."""
+
+
+@functools.cache
+def code_digest() -> str:
+    """Return a digest of all code that numbers rest on: what other code computed is not read."""
+    digest = hashlib.sha256(repr([_version(name) for name in _LIBRARIES]).encode())
+    package = Path(chdstat.__file__).parent
+    for path in sorted(package.rglob("*.py")):
+        digest.update(path.relative_to(package).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _version(library: str) -> str:
+    try:
+        return importlib.metadata.version(library)
+    except importlib.metadata.PackageNotFoundError:
+        return ""

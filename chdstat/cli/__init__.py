@@ -4,8 +4,8 @@ from __future__ import annotations
 
 # Importing a module of commands enters them; the order is that of the help.
 # isort: off
-from chdstat.cli._app import app, main
-from chdstat.cli import samples, statistics, estimation, reports
+from chdstat.cli.program import app, main
+from chdstat.cli import samples, estimation, reports
 # isort: on
 
-__all__ = ["app", "estimation", "main", "reports", "samples", "statistics"]
+__all__ = ["app", "estimation", "main", "reports", "samples"]

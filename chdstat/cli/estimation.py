@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chdstat.cli._app import app
-from chdstat.cli._options import (
+from chdstat.cli.options import (
     BackendName,
     Defines,
     Depth,
@@ -26,13 +25,12 @@ from chdstat.cli._options import (
     progress_of,
     samples_of,
 )
-from chdstat.cli._output import print_json, print_rows
+from chdstat.cli.program import app, print_json, print_rows
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.inputs import Input
 
 __all__ = ["compare", "estimate", "train"]
-
 
 _COMPARED = {
     "estimator": "estimator",
@@ -75,7 +73,7 @@ def train(
 ) -> None:
     """Train an estimator on a scene and keep it; of a store, --spp takes the first samples."""
     from chdstat._core.files import checked_target
-    from chdstat.models import check_choice, train_model
+    from chdstat.estimators.models import check_choice, train_model
 
     target = checked_target(out, ".safetensors")  # refused before the work, not after
     wanted: dict[Input, bool] = {"features": features, "direct": direct}
@@ -149,9 +147,9 @@ def estimate(
     its certainty, the ends of its interval, and the mean of the samples.
     """
     from chdstat._core.files import checked_target
-    from chdstat.estimates import write_estimates
     from chdstat.estimators import Progressive
-    from chdstat.models import load_model
+    from chdstat.estimators.estimates import write_estimates
+    from chdstat.estimators.models import load_model
 
     target = checked_target(out, ".exr")  # refused before the work, not after
     trained = None if model is None else load_model(model)
@@ -213,7 +211,7 @@ def compare(
     """Compare estimators on held-out pixels: errors, bias and fireflies."""
     import chdstat
     from chdstat._core.files import unused
-    from chdstat.reporting.comparison_files import save_comparison
+    from chdstat.reporting.figures import save_comparison
 
     if out is not None:
         unused(out)  # refused before the work, not after

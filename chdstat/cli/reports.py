@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from chdstat.cli._app import app
-from chdstat.cli._options import (
+from chdstat.cli.options import (
     BackendName,
     Defines,
     Depth,
@@ -24,7 +23,7 @@ from chdstat.cli._options import (
     size_of,
     source_of,
 )
-from chdstat.cli._output import print_json, print_rows, print_table
+from chdstat.cli.program import app, print_json, print_rows, print_table
 
 __all__ = ["doctor", "explore", "report", "study"]
 
@@ -165,7 +164,7 @@ def doctor(
     as_json: Json = False,
 ) -> None:
     """Say what runs on this machine and why: Mitsuba backends, LLVM, torch, memory, versions."""
-    from chdstat.doctor import examine
+    from chdstat.rendering.backend import examine
 
     found = examine(fresh=fresh)
     if as_json:

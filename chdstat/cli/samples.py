@@ -1,4 +1,7 @@
-"""Samples: the commands that render them and say what is stored."""
+"""Samples: the commands that render them and say what is stored.
+
+Statistics: the commands that say what samples are like.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +10,7 @@ from typing import Annotated
 
 import typer
 
-from chdstat.cli._app import app
-from chdstat.cli._options import (
+from chdstat.cli.options import (
     BackendName,
     Defines,
     Depth,
@@ -25,11 +27,12 @@ from chdstat.cli._options import (
     progress_of,
     scene_of,
     size_of,
+    thresholds_of,
 )
-from chdstat.cli._output import print_json, print_table, say_samples
+from chdstat.cli.program import app, print_json, print_table, say_samples
 from chdstat.errors import ChdstatError
 
-__all__ = ["convert", "info", "render"]
+__all__ = ["analyze", "convert", "info", "render"]
 
 
 @app.command(
@@ -83,7 +86,7 @@ def info(
     as_json: Json = False,
 ) -> None:
     """Say what a store holds, and whether it is complete and sound."""
-    from chdstat.samples import inspect
+    from chdstat.samples.samples import inspect
 
     found = inspect(store, verify=verify)
     if as_json:
@@ -118,7 +121,54 @@ def convert(
 
     The old store stays as it is.
     """
-    from chdstat.capture import convert as converted
+    from chdstat.rendering.capture import convert as converted
 
     of = None if scene is None else scene_of(scene, define)
     say_samples(converted(store, out, scene=of, progress=progress_of(quiet)), as_json)
+
+
+@app.command(epilog="Example: chdstat analyze bathroom.zarr -o bathroom-maps.zarr")
+def analyze(
+    store: StorePath,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", "-o", help="Write all maps to this new zarr store.", show_default=False
+        ),
+    ] = None,
+    threshold: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--threshold",
+            metavar="NAME=VALUE",
+            help="When a pattern counts, such as tail_index=0.3; repeat for more.",
+        ),
+    ] = None,
+    resamples: Annotated[
+        int,
+        typer.Option(min=0, help="Bootstrap replicates of goodness of fit: minutes for an image."),
+    ] = 0,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Say what the sample distributions of a store are: nulls, families, tails, modes, averages."""
+    import chdstat
+    from chdstat._core.files import unused
+    from chdstat.analysis import overview, save
+
+    if out is not None:
+        unused(out)  # refused before the work, not after
+    thresholds = thresholds_of(threshold)
+    dataset = chdstat.analyze(
+        chdstat.open(store),
+        thresholds=thresholds,
+        resamples=resamples,
+        progress=progress_of(quiet),
+    )
+    if out is not None:
+        save(dataset, out)
+    numbers = overview(dataset).to_dict()
+    if as_json:
+        print_json(numbers)
+    else:
+        print_table(numbers)

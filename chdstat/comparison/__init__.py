@@ -8,12 +8,11 @@ same for many n, and returns an `ErrorCurve`. `denoised` puts a denoiser after a
 
 from __future__ import annotations
 
-from chdstat.comparison._sums import MEASURES
+from chdstat.comparison.accumulate import MEASURES
 from chdstat.comparison.curves import ErrorCurve, curve_sizes, error_curve
-from chdstat.comparison.denoising import Denoised, denoised
-from chdstat.comparison.parts import Breakdown, PixelEstimates
-from chdstat.comparison.results import Comparison
 from chdstat.comparison.side_by_side import compare
+from chdstat.comparison.tables import Breakdown, Comparison, PixelEstimates
+from chdstat.estimators.denoising import Denoised, denoised
 
 __all__ = [
     "MEASURES",

@@ -13,23 +13,31 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import whole
-from chdstat.comparison._contestants import Contestants, Given, totals_of
-from chdstat.comparison._entries import DEFAULT, Entry, least_taken, looked_up, resolve, takes
-from chdstat.comparison._sums import MEASURES, stack_intervals
-from chdstat.comparison._tables import (
+from chdstat._core.arrays import whole
+from chdstat.comparison.accumulate import MEASURES, Tally, Units, judge, stack_intervals
+from chdstat.comparison.candidates import (
+    DEFAULT,
+    Contestants,
+    Entry,
+    Given,
+    least_taken,
+    looked_up,
+    resolve,
+    takes,
+    totals_of,
+)
+from chdstat.comparison.metrics import Interval
+from chdstat.comparison.tables import (
     dataset_of,
     interval_variables,
     names_array,
     parts_of,
     ready_for_json,
 )
-from chdstat.comparison._tally import Tally, Units, judge
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import check_spp
 from chdstat.estimators.registry import Model
-from chdstat.metrics import Interval
-from chdstat.samples import Samples, checked
+from chdstat.estimators.validation import check_spp
+from chdstat.samples.samples import Samples, checked
 
 if TYPE_CHECKING:
     import xarray as xr

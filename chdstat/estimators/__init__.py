@@ -26,27 +26,21 @@ from typing import Any
 
 # The order of import is the order of registration.
 # isort: off
-from chdstat.estimators.classical import mean
+from chdstat.estimators.order import mean
 from chdstat.estimators.order import median, trimmed_mean, winsorized_mean
 from chdstat.estimators.m_estimators import catoni, huber, tukey
-from chdstat.estimators.robust import gmon_adaptive, gmon_binary, median_of_means
-from chdstat.estimators.reweight import bayesian_median_of_means, lee_valiant
-from chdstat.estimators.resampling import jung2015
+from chdstat.estimators.buckets import gmon_adaptive, gmon_binary, median_of_means
+from chdstat.estimators.reweighting import bayesian_median_of_means, lee_valiant
+from chdstat.estimators.reweighting import jung2015
 from chdstat.estimators.shrinkage import gmon_shrinkage, james_stein
-from chdstat.estimators.plug_in import gamma_shrinkage, lognormal_shrinkage, mixture_shrinkage
+from chdstat.estimators.shrinkage import gamma_shrinkage, lognormal_shrinkage, mixture_shrinkage
 from chdstat.estimators.cascades import Cascade, zirr2018, zirr2018_pixel
 from chdstat.estimators.density import decoro2010
-from chdstat.estimators.shared import delbracio2014, sakai2024
-from chdstat.estimators.alike import Fireflies, shared_patches, shared_shape
+from chdstat.estimators.neighbourhood import delbracio2014, sakai2024
+from chdstat.estimators.similar_pixels import Fireflies, shared_patches, shared_shape
 from chdstat.estimators.mlp import MLP
-from chdstat.estimators.presets import PRESETS, Preset
-from chdstat.estimators.progressive import (
-    Estimates,
-    Profile,
-    Progressive,
-    Stream,
-    self_trained,
-)
+from chdstat.estimators.training import PRESETS, Preset
+from chdstat.estimators.progressive import Estimates, Profile, Progressive, Stream, self_trained
 from chdstat.estimators.registry import (
     Estimator,
     LearnedEstimator,
@@ -57,7 +51,7 @@ from chdstat.estimators.registry import (
     register_learned,
 )
 from chdstat.estimators.training import History
-from chdstat._image_scales import mean_radiance
+from chdstat._core.image_scales import mean_radiance
 # isort: on
 
 __all__ = [

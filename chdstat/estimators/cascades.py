@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import all_good, as_pixels, is_bad, luminance, spans
-from chdstat._image_scales import exposure_unit
+from chdstat._core.arrays import all_good, as_pixels, is_bad, luminance, spans
+from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import InputError
-from chdstat.estimators._rows import Floats
-from chdstat.estimators.classical import mean_of_good
+from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.registry import register
+from chdstat.estimators.rows import Floats
 
 __all__ = ["BASE", "LAYERS", "Cascade", "layer_weights", "zirr2018", "zirr2018_pixel"]
 

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels, is_bad, spans
-from chdstat._image_scales import exposure_unit
+from chdstat._core.arrays import as_pixels, is_bad, spans
+from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import InputError
-from chdstat.estimators._rows import Floats
-from chdstat.estimators.classical import mean_of_good
+from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.registry import register
+from chdstat.estimators.rows import Floats
 
 __all__ = ["decoro2010", "dense"]
 

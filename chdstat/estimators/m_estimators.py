@@ -14,11 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._core.arrays import as_samples
 from chdstat.errors import InputError
-from chdstat.estimators._roots import balance
-from chdstat.estimators._rows import Floats, estimate_rows, median_of_sorted, row_sums
 from chdstat.estimators.registry import register
+from chdstat.estimators.rows import Floats, balance, estimate_rows, median_of_sorted, row_sums
 
 __all__ = ["catoni", "huber", "tukey"]
 

@@ -19,14 +19,13 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import all_good, as_samples, is_bad, warn_left_out
+from chdstat._core.arrays import all_good, as_samples, is_bad, warn_left_out
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators._modelfile import read_model, write_model
-from chdstat.estimators.classical import mean_of_good
-from chdstat.estimators.presets import PRESETS, Preset
+from chdstat.estimators.model_files import read_model, write_model
+from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.registry import LearnedEstimator, register_learned
-from chdstat.estimators.training import History, Trained, train
-from chdstat.samples import Samples
+from chdstat.estimators.training import PRESETS, History, Preset, Trained, train
+from chdstat.samples.samples import Samples
 
 __all__ = ["MLP"]
 
@@ -223,7 +222,7 @@ class MLP:
         return self._trained
 
     def _predict_rows(self, samples: Array) -> npt.NDArray[np.float32]:
-        from chdstat.estimators._network import evaluate
+        from chdstat.estimators.network import evaluate
 
         if not all_good(samples):
             samples = np.where(is_bad(samples), mean_of_good(samples)[..., np.newaxis], samples)

@@ -1,4 +1,6 @@
-"""Order statistics: estimators that look at the ranks of the samples.
+"""Classical estimators: the sample mean, which every other one is measured against.
+
+Order statistics: estimators that look at the ranks of the samples.
 
 `median` ignores all but the middle, `trimmed_mean` leaves the ends out, `winsorized_mean` pulls
 them in. All treat both ends alike, and radiance is skewed to the right: they come out too dark, and
@@ -12,17 +14,55 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
-from chdstat.estimators._rows import (
-    Floats,
-    check_share,
-    estimate_rows,
-    median_of_sorted,
-    row_sums,
-)
+from chdstat._core.arrays import as_samples, is_bad
 from chdstat.estimators.registry import register
+from chdstat.estimators.rows import Floats, check_share, estimate_rows, median_of_sorted, row_sums
 
-__all__ = ["median", "trimmed_mean", "winsorized_mean"]
+__all__ = ["mean", "mean_of_good", "median", "trimmed_mean", "winsorized_mean"]
+
+
+@register("mean", source="Metropolis and Ulam 1949, doi:10.1080/01621459.1949.10483310")
+def mean(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+    """Sample mean, (1/N) sum x_i: unbiased, and at the mercy of fireflies.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., sample). NaN and infinite samples are left out.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (...), in the unit and dtype of `x`; NaN where no sample is good.
+
+    Raises
+    ------
+    InputError
+        If `x` holds no sample.
+
+    References
+    ----------
+    N. Metropolis and S. Ulam, "The Monte Carlo method", Journal of the American Statistical
+    Association 44(247), 1949, doi:10.1080/01621459.1949.10483310.
+
+    Examples
+    --------
+    >>> float(mean([0.0, 1.0, 5.0]))
+    2.0
+    """
+    samples = as_samples(x)
+    return mean_of_good(samples).astype(samples.dtype)
+
+
+def mean_of_good(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+    """Average the good samples of (..., sample) in float64; NaN where there is none."""
+    with np.errstate(invalid="ignore"):
+        found = np.asarray(x.mean(axis=-1, dtype=np.float64))
+        if np.isfinite(found).all():
+            return found
+        bad = is_bad(x)
+        total = np.where(bad, 0, x).sum(axis=-1, dtype=np.float64)
+        return np.asarray(total / (~bad).sum(axis=-1))
 
 
 @register("median", source="Hampel 1974, doi:10.1080/01621459.1974.10482962")

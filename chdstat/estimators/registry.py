@@ -19,7 +19,7 @@ from typing import Any, Literal, Protocol, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels, as_samples, warn_left_out
+from chdstat._core.arrays import as_pixels, as_samples, warn_left_out
 from chdstat.errors import InputError
 
 __all__ = [

@@ -1,4 +1,7 @@
-"""Training: from a picture's samples to a trained network with its history and provenance."""
+"""Presets: published networks, each a frozen list of choices.
+
+Training: from a picture's samples to a trained network with its history and provenance.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +13,82 @@ import numpy as np
 import numpy.typing as npt
 
 import chdstat
-from chdstat._arrays import generator
+from chdstat._core.arrays import generator
+from chdstat._core.executor import track
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import check_spp, checked_pixels, draw_pixels, training_batches
-from chdstat.estimators.presets import Preset
-from chdstat.progress import track
-from chdstat.samples import Samples
+from chdstat.estimators.validation import (
+    PUBLISHED_PIXELS,
+    check_spp,
+    checked_pixels,
+    draw_pixels,
+    training_batches,
+)
+from chdstat.samples.samples import Samples
 
-__all__ = ["History", "Trained", "train"]
+__all__ = ["PRESETS", "History", "Preset", "Trained", "train"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """How a network is built and trained; what the source leaves open is marked as chosen here.
+
+    Attributes
+    ----------
+    name, source
+        What it is called by, and where it was published.
+    inputs
+        Samples of one channel that go in, in the order drawn.
+    hidden
+        Neurons of each dense layer (ReLU, chosen here); one linear output follows.
+    pixels
+        Pixels drawn for training: 6400 where the image has them and at least a quarter of it
+        remains to judge, 93 x 93 pixels or more; half of a smaller image.
+    validation_share
+        Part of the batches that only watch.
+    iterations
+        Minibatches seen.
+    learning_rate
+        Constant step size.
+    minibatch
+        Rows per iteration, drawn with replacement; chosen here.
+    optimiser
+        Adam with its usual moments (0.9, 0.999); chosen here.
+    initialisation
+        He-uniform matrices, zero biases; chosen here.
+    scaling
+        Radiance is divided by one constant, the mean training reference, and multiplied by it
+        afterwards, so that training does not depend on the unit of radiance; chosen here.
+    """
+
+    name: str
+    source: str
+    inputs: int = 32
+    hidden: tuple[int, ...] = (32, 32, 32)
+    pixels: int = PUBLISHED_PIXELS
+    validation_share: float = 0.1
+    iterations: int = 30_000
+    learning_rate: float = 0.005
+    minibatch: int = 256
+    optimiser: str = "adam"
+    initialisation: str = "he-uniform"
+    scaling: str = "training mean"
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Neurons of every layer, input and output among them."""
+        return (self.inputs, *self.hidden, 1)
+
+
+PRESETS = {
+    preset.name: preset
+    for preset in (
+        Preset(
+            name="elek2019",
+            source="Elek, Thomas and Forbes 2019",
+        ),
+    )
+}
+"""Published networks by name."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +212,7 @@ def _fit(
     progress: bool | None,
 ) -> tuple[list[npt.NDArray[np.float32]], npt.NDArray[np.float64]]:
     """Run the descent on batches (batch, channel, sample) and references (batch, channel)."""
-    from chdstat.estimators._network import TrainingSet, descend, initial_weights
+    from chdstat.estimators.network import TrainingSet, descend, initial_weights
 
     count, channels, n = batches.shape
     order = rng.permutation(count)

@@ -13,12 +13,11 @@ from chdstat import viz
 from chdstat._core.files import scratch
 from chdstat.explorer import tables
 from chdstat.explorer.images import Overall
-from chdstat.explorer.measured import Measured
+from chdstat.explorer.statistics import Measured
 from chdstat.explorer.view import View
 from chdstat.fit import Fit
-from chdstat.reporting.text import NAMES, percent
-from chdstat.reporting.typeset import Document, typeset
-from chdstat.viz.lettering import spelt
+from chdstat.reporting.typst import NAMES, Document, percent, typeset
+from chdstat.viz.styling import spelt
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import is_bad, luminance
-from chdstat._reasons import Reason
+from chdstat._core.arrays import is_bad, luminance
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 from chdstat.estimators import registry
+from chdstat.explorer.estimators import judged_names
 from chdstat.explorer.images import Overall
-from chdstat.explorer.judged import judged_names
 from chdstat.explorer.palette import label_colors
 from chdstat.explorer.sources import StoreSource
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.selection import SELECTED, select_part
 from chdstat.fit.tail import tail_of_part
-from chdstat.normality import MORE_THAN_TESTED, N_MEANS, means_of_block, sizes_of_means
+from chdstat.inference import MORE_THAN_TESTED, N_MEANS, means_of_block, sizes_of_means
 from chdstat.patterns import (
     Label,
     finish_patterns,

@@ -1,14 +1,19 @@
-"""Page: the Bokeh document of the explorer: pictures, panels, and two wires for everything else.
+"""Cargo: panels and colour bars as what travels to the page.
+
+Page: the Bokeh document of the explorer: pictures, panels, and two wires for everything else.
 
 Bokeh draws and carries; the shell around the plots is the HTML page in ``web/``. Each wire is a
 hidden text field: what a person does comes in as JSON, what is said goes out as JSON.
+
+Wire: how other threads reach a page, which only its own thread may touch.
 """
 
 from __future__ import annotations
 
+import base64
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any
@@ -21,11 +26,63 @@ from jinja2 import Environment
 
 from chdstat.explorer.maps import Map, MapKind
 from chdstat.explorer.palette import ramp
+from chdstat.explorer.panels import Panel, Trace, extent
 from chdstat.explorer.plots import Linked, PanelPlot, Picture
 from chdstat.explorer.view import BATCH_SIZES, FAMILIES
-from chdstat.reporting.text import NAMES
+from chdstat.reporting.typst import NAMES
 
-__all__ = ["EXPORTS", "Page"]
+__all__ = ["EXPORTS", "Page", "Wire", "cargo", "colorbar"]
+
+
+def cargo(panels: Mapping[str, Panel]) -> dict[str, Any]:
+    """Return panels as one piece of text: a hundred small arrays would be as many messages.
+
+    All numbers are one array of float64 in base64; traces say how many of them are theirs, x before
+    y.
+    """
+    numbers: list[npt.NDArray[np.float64]] = []
+
+    def packed(traces: Sequence[Trace]) -> list[dict[str, Any]]:
+        for trace in traces:
+            numbers.extend((np.asarray(trace.x, np.float64), np.asarray(trace.y, np.float64)))
+        return [{"n": len(t.x), "color": t.color, "dash": t.dash, "width": t.width} for t in traces]
+
+    found = {
+        name: {
+            "areas": packed(panel.areas),
+            "lines": packed(panel.lines),
+            "marks": {"x": [m[0] for m in panel.marks], "color": [m[1] for m in panel.marks]},
+            "extent": extent(name, panel),
+        }
+        for name, panel in panels.items()
+    }
+    whole = np.concatenate(numbers) if numbers else np.empty(0)
+    return {"panels": found, "numbers": base64.b64encode(whole.tobytes()).decode("ascii")}
+
+
+def colorbar(shown: Map | None) -> dict[str, Any] | None:
+    """Return what the shell needs to draw the scale of a map."""
+    if shown is None:
+        return None
+    kind = shown.kind
+    bar: dict[str, Any] = {"title": kind.title, "unit": kind.unit}
+    if kind.names:
+        codes, counts = np.unique(shown.values[np.isfinite(shown.values)], return_counts=True)
+        share = dict(zip(codes.astype(int).tolist(), counts / max(1, counts.sum()), strict=True))
+        colors = dict(zip(sorted(kind.names), shown.colors, strict=True))
+        texts = {code: NAMES.get(name.replace(" ", "_"), name) for code, name in kind.names.items()}
+        bar["names"] = {str(code): text for code, text in texts.items()}
+        bar["codes"] = [
+            (f"{texts[code]} {100 * share[code]:.0f} %", colors[code])
+            for code in (sorted(share) if kind.ordered else sorted(share, key=lambda c: -share[c]))
+            if code in texts
+        ]
+        return bar
+    low, high = shown.limits
+    bar["ramp"] = ramp()[::16]
+    bar["ticks"] = [f"{low + (high - low) * i / 4:.3g}" for i in range(5)]
+    return bar
+
 
 EXPORTS = ("csv", "npz", "png", "svg", "pdf")
 _PANELS = {
@@ -196,3 +253,49 @@ def _variables(
         "titles": list(titles),
         "panel_titles": _PANELS,
     }
+
+
+class Wire:
+    """One page, until it is gone.
+
+    Parameters
+    ----------
+    document, page
+        The page; what is said and shown goes there.
+    gone
+        Called once, when the page turns out to be gone, or `close` is called.
+    """
+
+    def __init__(self, document: Document, page: Page, gone: Callable[[], None]) -> None:
+        self._document, self._page, self._gone = document, page, gone
+        self.closed = False
+
+    def close(self) -> None:
+        """Carry nothing more."""
+        if not self.closed:
+            self.closed = True
+            self._gone()
+
+    def say(self, *items: Mapping[str, Any]) -> None:
+        """Say something; in the page's own thread."""
+        self._page.say(*items)
+
+    def alert(self, text: str) -> None:
+        """Say what went wrong; in the page's own thread."""
+        self.say({"kind": "alert", "text": text})
+
+    def next(self, callback: Callable[[], None]) -> None:
+        """Call something in the page's own thread, soon."""
+        self._add(self._document.add_next_tick_callback, callback)
+
+    def later(self, callback: Callable[[], None], milliseconds: int) -> None:
+        """Call something in the page's own thread, after a while."""
+        self._add(self._document.add_timeout_callback, callback, milliseconds)
+
+    def _add(self, add: Callable[..., Any], callback: Callable[[], None], *when: int) -> None:
+        if self.closed:
+            return
+        try:
+            add(callback, *when)
+        except (RuntimeError, AttributeError):  # the page is gone, and its document taken apart
+            self.close()

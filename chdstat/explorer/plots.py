@@ -19,8 +19,8 @@ from bokeh.models import (
 )
 from bokeh.plotting import figure
 
-from chdstat.explorer.extents import LOG_X, LOG_Y
 from chdstat.explorer.palette import FAINT, GROUND, LINES, MAP_MISSING, TEXT, ramp
+from chdstat.explorer.panels import LOG_X, LOG_Y
 
 __all__ = ["Linked", "PanelPlot", "Picture"]
 

@@ -16,17 +16,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from chdstat.errors import ChdstatError, InputError
-from chdstat.explorer.opening import Explored, opened
-from chdstat.explorer.shared import Shared
+from chdstat.estimators.models import AnyModel
+from chdstat.explorer.shared import Explored, Shared, opened
 from chdstat.explorer.sources import StoreSource
-from chdstat.models import AnyModel
-from chdstat.samples import Samples
+from chdstat.samples.samples import Samples
 
 if TYPE_CHECKING:
     from bokeh.application.handlers.handler import Handler
     from bokeh.document import Document
     from bokeh.server.server import Server
-
 
 __all__ = ["DEFAULT_PORT", "Explorer", "explore"]
 

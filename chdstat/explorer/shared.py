@@ -1,4 +1,8 @@
-"""Shared: what all pages of one explorer have in common: sources, the picture, maps, threads.
+"""Cache: pictures and maps of a store, kept in the user's cache folder, never beside the store.
+
+Opening: from what a person names to the sources of an explorer.
+
+Shared: what all pages of one explorer have in common: sources, the picture, maps, threads.
 
 Clicks are worked on in one thread, passes over the image in another; a pass stands still while a
 click is being answered. What reads ahead or exports has a third, what is added to an answer a
@@ -7,25 +11,152 @@ fourth.
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import os
 import threading
 import time
-from collections.abc import Callable, Sequence
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from chdstat.errors import ChdstatError
-from chdstat.explorer.cache import kept
-from chdstat.explorer.images import Overall, preview, stream
-from chdstat.explorer.judged import quick_names
-from chdstat.explorer.learned import Learner
-from chdstat.explorer.live import SceneSource
+from chdstat._core.files import code_digest, replacing
+from chdstat.errors import ChdstatError, InputError
+from chdstat.estimators.models import AnyModel
+from chdstat.explorer.estimators import Learner, learners, quick_names
+from chdstat.explorer.images import Overall, SceneSource, preview, stream
 from chdstat.explorer.maps import Map, map_kind, of_overall, walk, with_sizes
 from chdstat.explorer.sources import StoreSource
+from chdstat.samples.samples import Samples
+from chdstat.samples.samples import open as open_store
+from chdstat.scenes import Scene, load_scene
 
-__all__ = ["Shared", "Stopped"]
+__all__ = ["Explored", "Shared", "Stopped", "kept", "opened"]
+
+_MOST_FILES = 64
+
+Arrays = Mapping[str, npt.NDArray[Any]]
+
+
+def kept(samples: Samples, name: str, compute: Callable[[], Arrays]) -> Arrays:
+    """Return arrays from the cache, or compute and keep them.
+
+    A store is known by its path, its spp and when it was last written to; samples in memory are not
+    kept, and what other code computed is not read. A cache that cannot be read or written costs
+    time and is no error.
+
+    Parameters
+    ----------
+    samples
+        What the arrays were computed from.
+    name
+        What they are.
+    compute
+        Returns them, where they are not there.
+    """
+    file = _file(samples, name)
+    if file is None:
+        return compute()
+    try:
+        with np.load(file, allow_pickle=False) as stored:
+            return {key: stored[key] for key in stored.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        arrays = compute()
+    with contextlib.suppress(OSError):
+        _write(file, arrays)
+    return arrays
+
+
+def _file(samples: Samples, name: str) -> Path | None:
+    if samples.path is None:
+        return None
+    path = Path(samples.path).resolve()
+    parts = [path / "zarr.json", path / "radiance" / "zarr.json", *path.glob("ledger/c/**/*")]
+    try:
+        written = max(part.stat().st_mtime_ns for part in parts)
+    except OSError:
+        return None
+    told = f"{path}|{samples.spp}|{written}|{name}|{code_digest()}"
+    key = hashlib.sha256(told.encode()).hexdigest()[:32]
+    return _folder() / f"{key}.npz"
+
+
+def _folder() -> Path:
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "chdstat" / "explorer"
+
+
+def _write(file: Path, arrays: Arrays) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(file) as partial, partial.open("wb") as stream:
+        np.savez(stream, **arrays)  # type: ignore[arg-type]
+    newest = sorted(file.parent.glob("*.npz"), key=lambda f: f.stat().st_mtime, reverse=True)
+    for old in newest[_MOST_FILES:]:
+        old.unlink(missing_ok=True)
+
+
+Explored = str | Path | dict[str, Any] | Scene | Samples
+"""A store or its path, samples in memory, or a scene."""
+
+
+def opened(
+    source: Explored,
+    other: str | Path | Samples | None,
+    reference: str | Path | Samples | None,
+    models: Sequence[AnyModel | str | Path] = (),
+    **options: Any,
+) -> Shared:
+    """Open what is explored, what it is compared with, and trained estimators.
+
+    Raises
+    ------
+    InputError
+        If the stores do not fit each other.
+    StoreError, SceneError, RenderError
+        If something cannot be read or rendered.
+    """
+    trained = learners(models)
+    first = _source(source, **options)
+    second, truth = (None if s is None else _store(s) for s in (other, reference))
+    for store in (second, truth):
+        if store is not None and (store.size, store.channels) != (first.size, first.channels):
+            message = (
+                f"{store.name} must have the size and channels of {first.name}: expected "
+                f"{_sized(first)}, got {_sized(store)}"
+            )
+            raise InputError(message)
+    return Shared(first, second, truth, trained)
+
+
+def _sized(source: StoreSource | SceneSource) -> str:
+    height, width = source.size
+    return f"{width} x {height} pixels and channels {', '.join(source.channels)}"
+
+
+def _source(source: Explored, **options: Any) -> StoreSource | SceneSource:
+    if isinstance(source, Samples) or _is_store(source):
+        return _store(source)
+    return SceneSource(load_scene(source), **options)
+
+
+def _is_store(source: object) -> bool:
+    return isinstance(source, str | Path) and (Path(source) / "zarr.json").is_file()
+
+
+def _store(source: Any) -> StoreSource:
+    samples = source if isinstance(source, Samples) else open_store(source)
+    channels = samples.shape[2]
+    if channels not in {1, 3}:
+        message = f"the explorer shows 1 or 3 channels, got {channels}"
+        raise InputError(message)
+    return StoreSource(samples)
+
 
 _EVERY = 0.4
 """Seconds between two reports of a pass."""

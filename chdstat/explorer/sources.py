@@ -1,6 +1,6 @@
 """Sources: where the samples of a pixel come from, a store that is never loaded as a whole.
 
-`chdstat.explorer.live` has the other kind, a scene that is sampled on demand.
+`chdstat.explorer.images` has the other kind, a scene that is sampled on demand.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import generator, spans
-from chdstat._store import BLOCK
+from chdstat._core.arrays import generator, spans
 from chdstat.errors import ChdstatError, StoreError
 from chdstat.explorer.view import check_pixel
-from chdstat.samples import Samples
-from chdstat.samples import open as open_store
+from chdstat.samples.samples import Samples
+from chdstat.samples.samples import open as open_store
+from chdstat.samples.store import BLOCK
 
 __all__ = ["Source", "StoreSource", "mixed", "pooled"]
 

@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._reasons import Reason
-from chdstat.differences import Difference
-from chdstat.explorer.fitness import Fitness
-from chdstat.explorer.judged import Estimate
-from chdstat.explorer.measured import Measured
-from chdstat.fit.tail_results import Tail
-from chdstat.normality import MORE_THAN_TESTED
+from chdstat._core.reasons import Reason
+from chdstat.explorer.estimators import Estimate
+from chdstat.explorer.statistics import Fitness, Measured
+from chdstat.fit.tail_fits import Tail
+from chdstat.inference import MORE_THAN_TESTED
+from chdstat.inference.differences import Difference
 from chdstat.patterns import PATTERNS, Label
-from chdstat.reporting.text import NAMES, number, percent
+from chdstat.reporting.typst import NAMES, number, percent
 
 __all__ = ["Table", "compared", "estimates", "fitness", "patterns", "statistics"]
 

@@ -7,14 +7,11 @@ the last axis, or a whole `Samples`; families and mixtures can be fitted to log 
 """
 
 from chdstat.fit.families import FAMILIES, Family
-from chdstat.fit.goodness_of_fit import goodness
-from chdstat.fit.goodness_results import Goodness
-from chdstat.fit.mixture_results import Mixture
+from chdstat.fit.goodness_of_fit import Goodness, goodness
 from chdstat.fit.mixtures import mixture
 from chdstat.fit.mle import burr, fit, gamma, lognormal, pareto, weibull
-from chdstat.fit.results import Fit
-from chdstat.fit.selection import HeldOut, Selection, select
-from chdstat.fit.shares import family_shares
+from chdstat.fit.results import Fit, Mixture
+from chdstat.fit.selection import HeldOut, Selection, family_shares, select
 from chdstat.fit.tail import Tail, tail_index
 
 __all__ = [

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy import special, stats
 
-from chdstat._positive import Floats, Mask
-from chdstat._reasons import Reason
-from chdstat._routes import Part
-from chdstat.fit._family import RADIANCE, Estimate, Family, Parameters, summed
-from chdstat.fit._newton import Surface, climb
-from chdstat.fit._points import Points
+from chdstat._core.positive import Floats, Mask
+from chdstat._core.reasons import Reason
+from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, summed
+from chdstat.fit.newton import Surface, climb
+from chdstat.fit.weighted_samples import Points
+from chdstat.summary.dispatch import Part
 
 __all__ = ["BURR"]
 

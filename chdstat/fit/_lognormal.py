@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from chdstat._positive import Floats
-from chdstat._routes import Part
-from chdstat.fit._family import Estimate, Family, Parameters
-from chdstat.fit._points import Points
+from chdstat._core.positive import Floats
+from chdstat.fit.family import Estimate, Family, Parameters
+from chdstat.fit.weighted_samples import Points
+from chdstat.summary.dispatch import Part
 
 __all__ = ["LOGNORMAL"]
 

@@ -11,11 +11,11 @@ from collections.abc import Mapping
 
 from chdstat.errors import InputError
 from chdstat.fit._burr import BURR
-from chdstat.fit._family import Estimate, Family, Parameters
 from chdstat.fit._gamma import GAMMA
 from chdstat.fit._lognormal import LOGNORMAL
 from chdstat.fit._pareto import PARETO
 from chdstat.fit._weibull import WEIBULL
+from chdstat.fit.family import Estimate, Family, Parameters
 
 __all__ = ["FAMILIES", "Estimate", "Family", "Parameters", "get_family"]
 

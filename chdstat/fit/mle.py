@@ -14,14 +14,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._multiplicity import wilson
-from chdstat._positive import Counts, Floats, Mask
-from chdstat._reasons import Reason
-from chdstat._routes import Part, Source, run
+from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.reasons import Reason
+from chdstat._core.resampling import wilson
 from chdstat.fit.families import Estimate, Family, Parameters, get_family
 from chdstat.fit.results import Fit, fit_variables, label_fit
-from chdstat.histograms import Histogram
-from chdstat.samples import Samples
+from chdstat.samples.samples import Samples
+from chdstat.summary.dispatch import Part, Source, run
+from chdstat.summary.histograms import Histogram
 
 if TYPE_CHECKING:
     import xarray as xr

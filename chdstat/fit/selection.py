@@ -1,6 +1,8 @@
 """Selection: which family describes the samples best, and by how much.
 
-Use `select` on samples or log histograms; `chdstat.fit.shares` sums an image up.
+Use `select` on samples or log histograms; `chdstat.fit.selection` sums an image up.
+
+Shares: how many pixels of an image each family describes best.
 """
 
 from __future__ import annotations
@@ -12,16 +14,17 @@ from typing import TYPE_CHECKING, Literal, get_args, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._positive import Floats
-from chdstat._reasons import Reason
-from chdstat._routes import Part, Source, run
+from chdstat._core.positive import Floats
+from chdstat._core.reasons import Reason
+from chdstat._core.resampling import wilson
 from chdstat.errors import InputError
-from chdstat.fit._held_out import HeldOut, held_out_of_part, ranked, vuong
 from chdstat.fit.families import Family, get_family
+from chdstat.fit.held_out import HeldOut, held_out_of_part, ranked, vuong
 from chdstat.fit.mle import fit_part
 from chdstat.fit.results import Fit, fit_variables, label_fit
-from chdstat.histograms import Histogram
-from chdstat.samples import Mapped, Samples
+from chdstat.samples.samples import Mapped, Samples
+from chdstat.summary.dispatch import Part, Source, run
+from chdstat.summary.histograms import Histogram
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -31,6 +34,7 @@ __all__ = [
     "Criterion",
     "HeldOut",
     "Selection",
+    "family_shares",
     "finish_selection",
     "select",
     "select_part",
@@ -290,3 +294,70 @@ def _check(families: Sequence[str | Family], criterion: str) -> list[Family]:
 
 def _texts(names: Sequence[str]) -> npt.NDArray[np.object_]:
     return np.array(list(names), dtype=object)
+
+
+def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.Dataset:
+    """Return the share of pixels that each family describes best, with Wilson's interval.
+
+    The interval takes the pixels for independent; neighbours are not quite, so it is a little too
+    short.
+
+    Parameters
+    ----------
+    dataset
+        Of `select` for an image.
+    variable
+        'best_family' or 'held_out_best_family'.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``family_share`` over (channel, family), among the pixels with any family, its
+        ``family_share_interval`` over (channel, family, bound), and ``n_pixels`` over (channel),
+        how many these are.
+
+    Raises
+    ------
+    InputError
+        If the dataset has no such variable.
+
+    References
+    ----------
+    Wilson, "Probable inference, the law of succession, and statistical inference", 1927,
+    doi:10.1080/01621459.1927.10502953.
+    """
+    import xarray as xr
+
+    if variable not in dataset:
+        message = f"expected the dataset of chdstat.fit.select with {variable}, got one without"
+        raise InputError(message)
+    best = dataset[variable]
+    names = str(best.attrs["flag_meanings"]).split()[1:]
+    counts = np.stack(
+        [(best == index).sum(("y", "x")).to_numpy() for index in range(len(names))], axis=-1
+    )
+    total = counts.sum(axis=-1, keepdims=True)
+    shares = xr.Dataset(
+        {
+            "family_share": (
+                ("channel", "family"),
+                counts / np.where(total > 0, total, np.nan),
+                {"long_name": "share of pixels that a family describes best", "units": "1"},
+            ),
+            "family_share_interval": (
+                ("channel", "family", "bound"),
+                wilson(counts, np.broadcast_to(total, counts.shape)),
+                {"long_name": "Wilson interval of the share of pixels", "units": "1"},
+            ),
+            "n_pixels": (
+                ("channel",),
+                total[:, 0],
+                {"long_name": "pixels with any family", "units": "1"},
+            ),
+        },
+        coords={
+            "family": np.array(names, dtype=object),
+            "bound": np.array(["low", "high"], dtype=object),
+        },
+    )
+    return shares.assign_coords(channel=best["channel"]) if "channel" in best.coords else shares

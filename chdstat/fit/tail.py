@@ -17,14 +17,22 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._arrays import spans
-from chdstat._positive import Counts, Floats, Mask, PositivePart
-from chdstat._reasons import Reason
+from chdstat._core.arrays import spans
+from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.fit._excesses import MINIMUM_EXCESSES, Fitted, candidates, hill_tail, pareto_tail
 from chdstat.fit._gamma import gamma_shape
-from chdstat.fit.tail_results import Tail, finish_tail, tail_variables
-from chdstat.samples import Mapped, Samples
+from chdstat.fit.tail_fits import (
+    MINIMUM_EXCESSES,
+    Fitted,
+    Tail,
+    candidates,
+    finish_tail,
+    hill_tail,
+    pareto_tail,
+    tail_variables,
+)
+from chdstat.samples.samples import Mapped, Samples
 
 if TYPE_CHECKING:
     import xarray as xr

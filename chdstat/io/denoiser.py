@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._image_scales import exposure_unit
+from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import ChdstatError, InputError
 
 __all__ = ["denoise"]

@@ -2,10 +2,20 @@
 
 `PATTERNS` is the table: what a pattern means, its statistic, and the rule that turns it into a flag
 at a threshold. `classify` applies them all to the luminance of each pixel. Flags do not exclude
-each other, but for those that describe a plain body; `Label` says which comes first.
+each other, but for those that describe a plain body; `Label` says which comes first. `atlas` asks
+the image which shapes it has, without labels: pixels that differ only in brightness have the same.
+
+CHDs with known labels measure how well patterns are told: use `CHD` for a distribution of your own,
+`simulate` for an image whose regions have given CHDs, `truth_of` for what is true of that image,
+and `random_chds` for a population. A label is true or false only outside of an indifference zone
+around the threshold that decides it: `truth` lists the zones and gives None inside, and
+`random_chds` draws nothing there.
 """
 
-from chdstat.patterns.of_pixels import (
+from __future__ import annotations
+
+from chdstat.patterns.atlases import Atlas, atlas
+from chdstat.patterns.classification import (
     PATTERNS,
     Agreement,
     Label,
@@ -19,18 +29,52 @@ from chdstat.patterns.of_pixels import (
     patterns_of_part,
     patterns_variables,
 )
+from chdstat.patterns.simulation import (
+    ALIKE,
+    CHD,
+    CHDS,
+    FIREFLY_ZONE,
+    NULL_ZONE,
+    SEPARATION_ZONE,
+    TAIL_ZONE,
+    Component,
+    FlagScore,
+    Truth,
+    flag_scores,
+    random_chds,
+    simulate,
+    truth,
+    truth_of,
+)
 
 __all__ = [
+    "ALIKE",
+    "CHD",
+    "CHDS",
+    "FIREFLY_ZONE",
+    "NULL_ZONE",
     "PATTERNS",
+    "SEPARATION_ZONE",
+    "TAIL_ZONE",
     "Agreement",
+    "Atlas",
+    "Component",
+    "FlagScore",
     "Label",
     "Pattern",
     "Patterns",
     "Thresholds",
+    "Truth",
     "agreement",
+    "atlas",
     "classify",
     "finish_patterns",
+    "flag_scores",
     "luminance_part",
     "patterns_of_part",
     "patterns_variables",
+    "random_chds",
+    "simulate",
+    "truth",
+    "truth_of",
 ]

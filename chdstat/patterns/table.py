@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from chdstat._multiplicity import wilson
-from chdstat._positive import Counts, Floats, Mask
+from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.resampling import wilson
 from chdstat.errors import InputError
-from chdstat.patterns._evidence import Evidence, firefly_limit
+from chdstat.patterns.pixel_statistics import Evidence, firefly_limit
 
 __all__ = ["PATTERNS", "Pattern", "Thresholds"]
 

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from chdstat import viz
-from chdstat.findings import FINDINGS, Claim, Finding, Part
-from chdstat.recipes import remake_of
-from chdstat.reporting.text import NAMES, number
-from chdstat.samples import Samples
+from chdstat.rendering.recipes import remake_of
+from chdstat.reporting.typst import NAMES, number
+from chdstat.samples.samples import Samples
+from chdstat.studies.claims import FINDINGS, Claim, Finding, Part
 from chdstat.viz.claims import VERDICTS
 
 if TYPE_CHECKING:

@@ -9,20 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from chdstat import viz
-from chdstat.atlases import Atlas
+from chdstat.analysis import Overview, pooled_shares
 from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.estimators import MLP
-from chdstat.findings import FINDINGS, Evidence, Finding
-from chdstat.overviews import Overview, pooled_shares
-from chdstat.patterns import PATTERNS
+from chdstat.patterns import PATTERNS, Atlas
 from chdstat.reporting import figures
 from chdstat.reporting.claims import chips, exhibits, finding_content, remake_note
 from chdstat.reporting.findings import findings
-from chdstat.reporting.scene_figures import panels_of, scene_figures
-from chdstat.reporting.self_training import SelfTraining
-from chdstat.reporting.text import NAMES, between, number, percent
-from chdstat.reporting.typeset import Document
-from chdstat.samples import Samples
+from chdstat.reporting.scene_figures import SelfTraining, panels_of, scene_figures
+from chdstat.reporting.typst import NAMES, Document, between, number, percent
+from chdstat.samples.samples import Samples
+from chdstat.studies.claims import FINDINGS, Evidence, Finding
 
 if TYPE_CHECKING:
     import xarray as xr

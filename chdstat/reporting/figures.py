@@ -1,25 +1,32 @@
-"""Figures of the report: results handed to `chdstat.viz`."""
+"""Figures of the report: results handed to `chdstat.viz`.
+
+Comparison files: what a comparison found as numbers, maps and figures in a folder.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat import viz
-from chdstat._arrays import is_bad, is_null
+from chdstat._core.arrays import is_bad, is_null
+from chdstat._core.files import replacing, unused
+from chdstat.analysis import Overview, save
 from chdstat.comparison import Comparison, ErrorCurve
+from chdstat.errors import StoreError
 from chdstat.estimators import MLP, Progressive
 from chdstat.fit import select
-from chdstat.histograms import Histogram, histogram
-from chdstat.normality import MORE_THAN_TESTED
-from chdstat.overviews import Overview
-from chdstat.recipes import Region
-from chdstat.reporting.text import NAMES, percent
-from chdstat.samples import Samples
-from chdstat.viz.style import qualitative
+from chdstat.inference import MORE_THAN_TESTED
+from chdstat.rendering.recipes import Region
+from chdstat.reporting.typst import NAMES, percent
+from chdstat.samples.samples import Samples
+from chdstat.summary.histograms import Histogram, histogram
+from chdstat.viz.styling import qualitative, spelt
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -38,6 +45,7 @@ __all__ = [
     "names_of",
     "of_comparison",
     "panel_of",
+    "save_comparison",
     "training",
 ]
 
@@ -210,3 +218,50 @@ def training(history: History) -> Figure:
             "validation": float(history.validation_baseline[-1]),
         },
     )
+
+
+def save_comparison(
+    found: Comparison, folder: str | Path, *, curve: ErrorCurve | None = None
+) -> list[Path]:
+    """Write a comparison to a new folder, which is there when it is complete.
+
+    ``comparison.json`` holds every measure, ``comparison.zarr`` the estimates and errors as maps,
+    one PDF each figure, ``<name>.safetensors`` each estimator that was trained.
+
+    Parameters
+    ----------
+    found
+        What `chdstat.compare` found.
+    folder
+        Where to; nothing may be there.
+    curve
+        What `chdstat.error_curve` found, to go with it.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    StoreError
+        If something is there already, or cannot be written.
+    """
+    target = unused(folder)
+    content = found.to_dict() | ({} if curve is None else {"curve": curve.to_dict()})
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(target, folder=True) as partial:
+            text = json.dumps(content, indent=2, allow_nan=False)
+            (partial / "comparison.json").write_text(text, encoding="utf-8")
+            save(found.to_dataset(), partial / "comparison.zarr")
+            with spelt():
+                for name, figure in of_comparison(found, curve).items():
+                    figure.savefig(partial / f"{name}.pdf", metadata={"CreationDate": None})
+            for name, model in found.models.items():
+                if isinstance(model, (MLP, Progressive)):
+                    model.save(partial / f"{name}.safetensors")
+    except OSError as error:
+        message = f"cannot write to {target}: {error.strerror or error}"
+        raise StoreError(message) from error
+    return sorted(target.iterdir())

@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from chdstat.atlases import Atlas
+from chdstat.analysis import Overview
 from chdstat.comparison import Comparison
-from chdstat.overviews import Overview
-from chdstat.reporting.self_training import SelfTraining
-from chdstat.reporting.text import NAMES, number, percent
+from chdstat.patterns import Atlas
+from chdstat.reporting.scene_figures import SelfTraining
+from chdstat.reporting.typst import NAMES, number, percent
 
 __all__ = ["Finding", "findings"]
 

@@ -7,19 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from chdstat._core.files import checked_target, scratch
-from chdstat.analysis import analyze
-from chdstat.atlases import Atlas, atlas
-from chdstat.backend import Backend
-from chdstat.capture import refuse_render, render, scene_size
+from chdstat.analysis import analyze, overview
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
-from chdstat.comparison._entries import DEFAULT
+from chdstat.comparison.candidates import DEFAULT
 from chdstat.errors import InputError
 from chdstat.estimators import LearnedEstimator, Progressive, lookup
-from chdstat.estimators.heldout import draw_pixels
-from chdstat.findings import FINDINGS, Evidence
-from chdstat.models import first_samples
-from chdstat.overviews import overview
-from chdstat.recipes import (
+from chdstat.estimators.models import first_samples
+from chdstat.estimators.validation import draw_pixels
+from chdstat.patterns import Atlas, atlas
+from chdstat.rendering.backend import Backend
+from chdstat.rendering.capture import refuse_render, render, scene_size
+from chdstat.rendering.recipes import (
     Region,
     check_integrator,
     choose_regions,
@@ -28,11 +26,12 @@ from chdstat.recipes import (
     regions_of,
 )
 from chdstat.reporting.content import Study, document
-from chdstat.reporting.self_training import SelfTraining
-from chdstat.reporting.typeset import typeset
-from chdstat.samples import Samples
-from chdstat.samples import open as open_samples
+from chdstat.reporting.scene_figures import SelfTraining
+from chdstat.reporting.typst import typeset
+from chdstat.samples.samples import Samples
+from chdstat.samples.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
+from chdstat.studies.claims import FINDINGS, Evidence
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -82,7 +82,7 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene, **parameters: obj
     elif isinstance(source, Mapping):
         scene = Scene("scene", _checked_dict(source))
     elif str(source) in BUILTIN:
-        module = importlib.import_module(f"chdstat.scenes.{str(source).replace('-', '_')}")
+        module = importlib.import_module(f"chdstat.scenes.builtin.{str(source).replace('-', '_')}")
         scene = Scene(str(source), module.build())
     else:
         return Scene(*_checked_file(Path(source)), {k: str(v) for k, v in parameters.items()})

@@ -3,23 +3,28 @@
 A scene is described without Mitsuba (a file and its parameters, or a dict of plain values), so it
 can be hashed, pickled and sent to another process. `Scene.parse` turns the description into
 Mitsuba's parser state, in which the capture code replaces film, sampler and integrator settings.
+
+Transforms for the built-in scenes: (4, 4) matrices that act on columns, in NumPy alone.
+
+Chain them with ``@``: the rightmost acts first.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from chdstat.errors import SceneError
+from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import Description, described, digest_of
 
-__all__ = ["Scene"]
+__all__ = ["Axis", "Scene", "Vector", "look_at", "rotate", "scale", "translate"]
 
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
 """Types whose values are told apart by how they are printed."""
@@ -37,7 +42,7 @@ class Scene:
         A Mitsuba XML file, or a scene dict in Mitsuba's form. In a dict, values are plain:
         matrices are (4, 4) arrays, ``{"type": "mesh", "vertices", "faces", "uv", "bsdf"}`` is a
         triangle mesh, and ``{"type": "bitmap", "data": array}`` an image texture (see
-        `chdstat.scenes.plain`).
+        `chdstat.scenes.loading`).
     parameters
         Values for the ``$name`` parameters of an XML file.
     """
@@ -90,9 +95,9 @@ class Scene:
         SceneError
             If Mitsuba cannot parse the description.
         """
-        from chdstat.scenes import plain
+        from chdstat.scenes import loading
 
-        return plain.parse(self, variant)
+        return loading.parse(self, variant)
 
     def build(self, state: Any) -> Any:
         """Return the Mitsuba scene of a parser state that `parse` gave.
@@ -102,9 +107,9 @@ class Scene:
         SceneError
             If a plugin, a model or a texture is missing or broken.
         """
-        from chdstat.scenes import plain
+        from chdstat.scenes import loading
 
-        return plain.instantiate(self, state)
+        return loading.instantiate(self, state)
 
 
 @contextlib.contextmanager
@@ -151,3 +156,65 @@ def _plain(value: Any) -> Any:
         "another one; describe it by plain values (see chdstat.scenes.Scene)"
     )
     raise SceneError(message)
+
+
+Array = npt.NDArray[np.float64]
+Vector = Sequence[float] | Array
+Axis = Literal["x", "y", "z"]
+
+_AXES: dict[str, int] = {"x": 0, "y": 1, "z": 2}
+
+
+def translate(x: float, y: float, z: float) -> Array:
+    """Return the matrix that moves by (x, y, z)."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def scale(x: float, y: float, z: float) -> Array:
+    """Return the matrix that stretches by (x, y, z)."""
+    return np.diag([x, y, z, 1.0])
+
+
+def rotate(axis: Axis, degrees: float) -> Array:
+    """Return the matrix that turns counterclockwise about a coordinate axis.
+
+    Examples
+    --------
+    >>> (rotate("z", 90.0) @ [1.0, 0.0, 0.0, 1.0]).round(6)
+    array([0., 1., 0., 1.])
+    """
+    first, second = ((_AXES[axis] + k) % 3 for k in (1, 2))
+    angle = np.deg2rad(degrees)
+    matrix = np.eye(4)
+    matrix[first, first] = matrix[second, second] = np.cos(angle)
+    matrix[second, first] = np.sin(angle)
+    matrix[first, second] = -matrix[second, first]
+    return matrix
+
+
+def look_at(origin: Vector, target: Vector, *, up: Vector = (0.0, 0.0, 1.0)) -> Array:
+    """Return the matrix that places a camera or an emitter, whose own view is along +z.
+
+    Raises
+    ------
+    InputError
+        If the view is parallel to `up`.
+    """
+    forward = np.subtract(target, origin)
+    left = np.cross(up, forward)
+    if not left.any():
+        message = f"up must not be parallel to the view {forward.tolist()}, got {up}"
+        raise InputError(message)
+    matrix = np.eye(4)
+    matrix[:3, 0] = _unit(left)
+    matrix[:3, 1] = _unit(np.cross(forward, left))
+    matrix[:3, 2] = _unit(forward)
+    matrix[:3, 3] = origin
+    # Rounded like mesh vertices: it takes part in the scene's identity.
+    return matrix.round(9)
+
+
+def _unit(vector: Array) -> Array:
+    return np.asarray(vector / np.linalg.norm(vector))

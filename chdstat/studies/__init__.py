@@ -6,6 +6,6 @@
 from __future__ import annotations
 
 from chdstat.studies.results import SceneStudy, Study
-from chdstat.studies.running import study
+from chdstat.studies.run import study
 
 __all__ = ["SceneStudy", "Study", "study"]

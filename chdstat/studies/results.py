@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from chdstat._core.files import checked_target, replacing
-from chdstat.atlases import Atlas
+from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
-from chdstat.findings import FINDINGS, Evidence, Finding
-from chdstat.findings.results import plain
-from chdstat.overviews import Overview, overview
-from chdstat.samples import Samples
+from chdstat.patterns import Atlas
+from chdstat.samples.samples import Samples
+from chdstat.studies.claims import FINDINGS, Evidence, Finding
+from chdstat.studies.outcomes import plain
 
 __all__ = ["ACROSS", "SceneStudy", "Study"]
 
@@ -189,6 +189,6 @@ class Study:
         ChdstatError
             If it cannot be typeset or written.
         """
-        from chdstat.studies.typesetting import save_pdf
+        from chdstat.reporting.study_report import save_pdf
 
         return save_pdf(self, checked_target(path, ".pdf"))

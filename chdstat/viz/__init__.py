@@ -7,19 +7,33 @@ colour-blind readers.
 
 from __future__ import annotations
 
-from chdstat.viz.batches import BatchPanel, batch_histograms
-from chdstat.viz.chd import Curve, Panel, chd_axes, chd_grid, fits
-from chdstat.viz.claims import VERDICTS, Measured, claim_intervals, verdict_matrix
-from chdstat.viz.contrasts import firefly_pair, view_pair
-from chdstat.viz.curves import averages, training
-from chdstat.viz.errors import error_curves, pattern_breakdown
-from chdstat.viz.estimates import estimator_measures, pixel_estimates
-from chdstat.viz.exhibits import Display, displays
-from chdstat.viz.image import Mark, pictures, tonemap, with_marks
-from chdstat.viz.maps import categorical_map, coverage, image_map, map_grid, n_needed, value_map
-from chdstat.viz.regions import region_study
-from chdstat.viz.shapes import atlas
-from chdstat.viz.style import CHANNELS, PALETTE, style
+from chdstat.viz.chd import BatchPanel, Curve, Panel, batch_histograms, chd_axes, chd_grid, fits
+from chdstat.viz.claims import (
+    VERDICTS,
+    Display,
+    Measured,
+    claim_intervals,
+    displays,
+    verdict_matrix,
+)
+from chdstat.viz.estimators import (
+    error_curves,
+    estimator_measures,
+    pattern_breakdown,
+    pixel_estimates,
+)
+from chdstat.viz.image import Mark, firefly_pair, pictures, tonemap, view_pair, with_marks
+from chdstat.viz.maps import (
+    atlas,
+    categorical_map,
+    coverage,
+    image_map,
+    map_grid,
+    n_needed,
+    value_map,
+)
+from chdstat.viz.regions import averages, region_study, training
+from chdstat.viz.styling import CHANNELS, PALETTE, style
 
 __all__ = [
     "CHANNELS",

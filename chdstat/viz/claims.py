@@ -1,10 +1,15 @@
-"""Claims: verdicts by scene, and intervals against the ranges that claims state."""
+"""Claims: verdicts by scene, and intervals against the ranges that claims state.
+
+Exhibits: what findings show, as small figures side by side.
+"""
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +19,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from chdstat.errors import InputError
-from chdstat.viz.lettering import verbatim
-from chdstat.viz.style import PALETTE, WIDTH, style
+from chdstat.viz.styling import PALETTE, WIDTH, qualitative, sequential, style, verbatim
 
-__all__ = ["VERDICTS", "Measured", "claim_intervals", "verdict_matrix"]
+__all__ = ["VERDICTS", "Display", "Measured", "claim_intervals", "displays", "verdict_matrix"]
 
 Array = npt.NDArray[Any]
 
@@ -205,3 +209,213 @@ def _span(values: Array, part: Measured) -> tuple[float, float]:
     low, high = float(shown.min()), float(shown.max())
     margin = 0.08 * (high - low) or max(0.1 * abs(high), 0.1)
     return low - margin, high + margin
+
+
+_DASHES = ("-", "--", "-.", ":")
+_MARKERS = "os^Dv<>P"
+_MOST_POINTS = 4000
+_LONG = 26
+_LABEL = 28
+"""Letters of a label along one panel."""
+_LINE = 40
+"""Points of a line that has peaks at all."""
+
+
+@dataclass(frozen=True)
+class Display:
+    """A small figure of a finding.
+
+    Parameters
+    ----------
+    kind
+        "curves", "points", "bars" or "map".
+    series
+        By name: x and y, each of shape (point,); a bar has its value in y; a map its image (y, x).
+    x_label, y_label
+        With their units.
+    title
+        What is shown.
+    """
+
+    kind: Literal["curves", "points", "bars", "map"]
+    series: Mapping[str, tuple[npt.ArrayLike, npt.ArrayLike]] = field(default_factory=dict)
+    x_label: str = ""
+    y_label: str = ""
+    title: str = ""
+
+
+def displays(shown: Sequence[Display], *, columns: int = 4, height: float = 1.45) -> Figure:
+    """Draw the exhibits of several findings, or of one finding in several scenes, side by side.
+
+    Parameters
+    ----------
+    shown
+        What to draw; a legend is drawn once where all have the same series.
+    columns
+        Panels side by side.
+    height
+        Of a panel, in inches.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to draw.
+
+    Examples
+    --------
+    >>> figure = displays([Display("bars", {"wall": ([0], [0.2])}, y_label="share of nulls")])
+    >>> len(figure.axes)
+    1
+    """
+    if not shown:
+        message = "displays needs at least one panel, got none"
+        raise InputError(message)
+    columns = min(columns, len(shown))
+    rows = -(-len(shown) // columns)
+    shared = _shared_series(shown)
+    with style():
+        width = WIDTH if columns > 2 else WIDTH * (0.42 + 0.29 * (columns - 1))
+        figure = Figure(figsize=(width, height * rows + 0.42), layout="constrained")
+        axes = figure.subplots(rows, columns, squeeze=False)
+        for cell in axes.flat[len(shown) :]:
+            cell.set_axis_off()
+        for cell, display in zip(axes.flat, shown, strict=False):
+            _DRAW[display.kind](cell, display)
+            cell.set_title(verbatim(display.title), loc="left", fontsize=8)
+            if not shared and _has_legend(display, len(shown)):
+                cell.legend(fontsize=5.5, handlelength=1.3, labelspacing=0.2, borderaxespad=0.1)
+        _labels(figure, shown)
+        if shared:
+            figure.legend(
+                handles=_handles(shared, shown[0].kind),
+                loc="outside upper center",
+                ncols=len(shared),
+            )
+    return figure
+
+
+def _has_legend(display: Display, panels: int) -> bool:
+    """Say whether there is room to name the series of a panel."""
+    lines = display.kind in {"curves", "points"}
+    return lines and 1 < len(display.series) <= (4 if panels > 1 else 10)
+
+
+def _shared_series(shown: Sequence[Display]) -> list[str]:
+    """Return names of series that all panels share, if they need a legend."""
+    names = {tuple(display.series) for display in shown}
+    kinds = {display.kind for display in shown}
+    if len(names) != 1 or not kinds <= {"curves", "points"}:
+        return []
+    found = list(names.pop())
+    return found if 1 < len(found) <= 6 else []
+
+
+def _handles(names: Sequence[str], kind: str) -> list[Line2D]:
+    return [
+        Line2D([], [], label=verbatim(name), **_look(i, len(names), kind))
+        for i, name in enumerate(names)
+    ]
+
+
+def _labels(figure: Figure, shown: Sequence[Display]) -> None:
+    """Label the axes: once where all panels have the same labels."""
+    labels = {(display.x_label, display.y_label) for display in shown}
+    if len(labels) == 1:
+        x, y = labels.pop()
+        figure.supxlabel(_raised(x), fontsize=8)
+        figure.supylabel(_raised(y), fontsize=8)
+        return
+    for axes, display in zip(figure.axes, shown, strict=False):
+        axes.set_xlabel(_raised(textwrap.fill(display.x_label, _LABEL)))
+        axes.set_ylabel(_raised(textwrap.fill(display.y_label, _LABEL)))
+
+
+def _raised(label: str) -> str:
+    """Return a label with the exponents of its units, as in "m-2" or ")^2", raised."""
+    return re.sub(r"(?<=[a-z])(-\d+)|\^(\d+)", lambda m: f"$^{{{m[1] or m[2]}}}$", label)
+
+
+def _look(place: int, number: int, kind: str) -> dict[str, Any]:
+    color = PALETTE[4] if number == 1 else qualitative(number)[place]
+    if kind == "points":
+        return {"color": color, "marker": _MARKERS[place % len(_MARKERS)], "linestyle": ""}
+    return {"color": color, "linestyle": _DASHES[place % len(_DASHES)]}
+
+
+def _curves(axes: Axes, display: Display) -> None:
+    for i, (name, (x, y)) in enumerate(display.series.items()):
+        axes.plot(
+            x, y, label=verbatim(name), linewidth=1.1, **_look(i, len(display.series), "curves")
+        )
+    _crop(axes, display)
+    _lower(axes, display)
+
+
+def _lower(axes: Axes, display: Display) -> None:
+    """Let no few peaks squeeze all else: they leave the panel at the top."""
+    y = np.concatenate([np.asarray(y, dtype=float) for _, y in display.series.values()])
+    y = y[np.isfinite(y)]
+    if y.size >= _LINE and float(y.max()) > 4 * (usual := float(np.quantile(y, 0.95))) > 0:
+        axes.set_ylim(top=1.6 * usual)
+
+
+def _crop(axes: Axes, display: Display) -> None:
+    """Leave out the ends of the axis over which all curves are flat."""
+    spans = []
+    for x, y in display.series.values():
+        a, b = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+        if b.size < 2:
+            continue
+        moved = np.flatnonzero(np.abs(np.diff(b)) > 2e-3 * np.ptp(b))
+        if moved.size:
+            spans.append((a[moved[0]], a[moved[-1] + 1]))
+    if spans and min(s[0] for s in spans) < max(s[1] for s in spans):
+        axes.set_xlim(min(s[0] for s in spans), max(s[1] for s in spans))
+
+
+def _points(axes: Axes, display: Display) -> None:
+    number = len(display.series)
+    for i, (name, (x, y)) in enumerate(display.series.items()):
+        a, b = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+        step = max(1, -(-len(a) // _MOST_POINTS))
+        few = len(a) < 50
+        axes.plot(
+            a[::step],
+            b[::step],
+            label=verbatim(name),
+            markersize=4.5 if few else 1.3,
+            alpha=1.0 if few else 0.45,
+            markeredgewidth=0,
+            rasterized=len(a) > 500,
+            **_look(i, number, "points"),
+        )
+
+
+def _bars(axes: Axes, display: Display) -> None:
+    names = list(display.series)
+    values = [float(np.asarray(y, dtype=float)[0]) for _, y in display.series.values()]
+    axes.barh(range(len(names)), values, color=PALETTE[1], height=0.7)
+    axes.axvline(0, color="#444444", linewidth=0.6)
+    axes.set_yticks(range(len(names)), [verbatim(_short(n)) for n in names], fontsize=6)
+    axes.invert_yaxis()
+    axes.tick_params(axis="y", length=0)
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= _LONG else f"{name[: _LONG - 1]}…"
+
+
+def _map(axes: Axes, display: Display) -> None:
+    for _, image in display.series.values():
+        values = np.asarray(image, dtype=float)
+        finite = values[np.isfinite(values)]
+        top = float(np.percentile(finite, 99)) if finite.size else 1.0
+        shown = axes.imshow(values, cmap=sequential(), vmin=0, vmax=top or 1.0)
+        bar = axes.figure.colorbar(shown, ax=axes, fraction=0.046, pad=0.03)
+        bar.outline.set_visible(False)
+        bar.ax.tick_params(labelsize=6)
+    axes.set(xticks=[], yticks=[])
+    axes.spines[:].set_visible(False)
+
+
+_DRAW = {"curves": _curves, "points": _points, "bars": _bars, "map": _map}

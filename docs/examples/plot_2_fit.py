@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 import chdstat as chd
 from chdstat import viz
-from chdstat.normality import MORE_THAN_TESTED, gaussianity_of_means
+from chdstat.inference import MORE_THAN_TESTED, gaussianity_of_means
 
 names = ["wall", "vanity", "below the vanity"]
 pixels = [(11, 67), (54, 43), (59, 37)]
@@ -117,7 +117,7 @@ for i, name in enumerate(names):
 # Averages of N samples
 # ---------------------
 #
-# `chdstat.normality.gaussianity_of_means` averages N samples at a time and tests whether the
+# `chdstat.inference.gaussianity_of_means` averages N samples at a time and tests whether the
 # averages are Gaussian. Independent samples promise that the skewness falls as one over the root
 # of N.
 

@@ -19,8 +19,7 @@ from matplotlib.figure import Figure
 
 import chdstat as chd
 from chdstat import viz
-from chdstat.patterns import PATTERNS
-from chdstat.simulation import flag_scores, random_chds
+from chdstat.patterns import PATTERNS, flag_scores, random_chds
 
 samples = chd.render("bathroom", spp=512, size=(64, 64), seed=4, backend="scalar")
 patterns = chd.classify(samples)
@@ -92,7 +91,7 @@ viz.map_grid(
 # How often are the flags right?
 # ------------------------------
 #
-# On a render, nobody knows. `chdstat.simulation.random_chds` draws distributions that have every
+# On a render, nobody knows. `chdstat.patterns.random_chds` draws distributions that have every
 # pattern and their combinations, with a documented zone around each threshold left out, where there
 # is nothing to tell. F1 is the harmonic mean of precision and recall.
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 import chdstat as chd
 from chdstat import viz
-from chdstat.normality import TESTS
+from chdstat.inference import TESTS
 
 rng = np.random.default_rng(5)
 shapes = {
@@ -92,7 +92,7 @@ figure
 # distribution, less so in its tails.
 #
 # So take Shapiro-Wilk where samples are few; it is the default for the averages of
-# `chdstat.normality.gaussianity_of_means`. How many samples give a power of 80 %?
+# `chdstat.inference.gaussianity_of_means`. How many samples give a power of 80 %?
 
 for name, curve in curves.items():
     enough = [sizes[c > 0.8][0] if (c > 0.8).any() else "more" for c in curve.T]
@@ -106,7 +106,7 @@ for name, curve in curves.items():
 # estimated from them; their p-values come from a bootstrap. Again a negative control first: gamma
 # samples, tested as such, are rejected at the level.
 
-from chdstat.fit.goodness_results import FIT_TESTS
+from chdstat.fit.goodness_of_fit import FIT_TESTS
 
 ROWS = 200
 fit_sizes = sizes[:5]

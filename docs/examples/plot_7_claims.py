@@ -2,8 +2,8 @@
 The paper's claims, asked of a scene
 ====================================
 
-Elek, Thomas and Forbes (2019) looked at distributions and described them. `chdstat.findings` turns
-each description into statistics with intervals, and says whether they bear it out.
+Elek, Thomas and Forbes (2019) looked at distributions and described them. `chdstat.studies.claims`
+turns each description into statistics with intervals, and says whether they bear it out.
 """
 
 # %%
@@ -11,14 +11,16 @@ each description into statistics with intervals, and says whether they bear it o
 # --------------------------
 #
 # A built-in scene comes with regions, each inside one phenomenon: a wall lit diffusely, a mirror,
-# the edge of a shadow. For another scene, `chdstat.recipes.choose_regions` finds some.
+# the edge of a shadow. For another scene, `chdstat.rendering.recipes.choose_regions` finds some.
 
 import chdstat as chd
-from chdstat import findings, recipes, viz
+from chdstat import viz
+from chdstat.rendering import recipes
+from chdstat.studies import claims
 
 samples = chd.render("bathroom", spp=512, size=(64, 64), seed=1, backend="scalar")
 regions = recipes.regions_of(samples)
-evidence = findings.Evidence("bathroom", samples, regions)
+evidence = claims.Evidence("bathroom", samples, regions)
 for region in regions[:6]:
     print(f"{region.name:12} {region.phenomenon:16} {region.note}")
 
@@ -30,7 +32,7 @@ for region in regions[:6]:
 # supported where one lies wholly outside. Else there is no telling, and the reason says what is
 # lacking: here another scene, another path length, and a comparison of estimators.
 
-found = findings.find(evidence)
+found = claims.find(evidence)
 for finding in found:
     print(f"{finding.number:2} {finding.name:20} {finding.verdict}")
 

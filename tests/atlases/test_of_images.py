@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from sklearn.metrics import adjusted_rand_score
 
-from chdstat._reasons import Reason
-from chdstat.atlases import Atlas, atlas
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.histograms import histogram
-from chdstat.samples import Samples
+from chdstat.patterns import Atlas, atlas
+from chdstat.samples.samples import Samples
+from chdstat.summary.histograms import histogram
 
 EDGE, SPP = 32, 512
 

@@ -24,10 +24,17 @@ from chdstat.estimators import PRESETS
 # Not Mitsuba: its threads would not come along.
 COSTLY = (
     *("OpenEXR", "cattrs", "dask.array", "rich.progress", "scipy.stats", "sklearn.mixture"),
-    *("sympy", "torch._dynamo", "xarray", "zarr", "chdstat.analysis", "chdstat.estimates"),
-    *("chdstat.estimators._network", "chdstat.estimators.progressive.network"),
+    *(
+        "sympy",
+        "torch._dynamo",
+        "xarray",
+        "zarr",
+        "chdstat.analysis",
+        "chdstat.estimators.estimates",
+    ),
+    *("chdstat.estimators.network", "chdstat.estimators.progressive.network"),
 )
-TIMED = ("chdstat.capture", "chdstat.studies.running")
+TIMED = ("chdstat.rendering.capture", "chdstat.studies.run")
 EVENTS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir")
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import chdstat as chd
-from chdstat._store import Store
+from chdstat.samples.store import Store
 
 EDGE, SPP, MORE, ROUNDS = 128, 1024, 1280, 3
 

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._arrays import luminance
-from chdstat._workers import cores
+from chdstat._core.arrays import luminance
+from chdstat._core.executor import cores
 
 characterize = runpy.run_path(Path(__file__).with_name("obvious_loop.py"))["characterize"]
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat._reasons import Reason
-from chdstat.normality import N_MEANS, gaussianity_of_means
+from chdstat._core.reasons import Reason
+from chdstat.inference import N_MEANS, gaussianity_of_means
 
 ROWS = 400
 LAWS = {

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chdstat import capture
-from chdstat._renderer import Job, Renderer
-from chdstat._sinks import StoreSink, provenance
-from chdstat.backend import activate, probe
+from chdstat.rendering import capture
+from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.writers import StoreSink, provenance
 from chdstat.scenes import Scene, load_scene
 
 SIZE, SPP, ROUNDS = (128, 128), 256, 7

@@ -22,7 +22,7 @@ import psutil
 import pytest
 
 import chdstat as chd
-from chdstat._store import BATCH, TILE, Store, chunk_grid
+from chdstat.samples.store import BATCH, TILE, Store, chunk_grid
 
 SERVE = (
     "import sys\nfrom chdstat.explorer import explore\nexplorer = explore(sys.argv[1])\n"

@@ -16,7 +16,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.estimators import lookup, names
-from chdstat.findings import FINDINGS, Evidence
+from chdstat.studies.claims import FINDINGS, Evidence
 
 WORLDS = int(os.environ.get("CHDSTAT_WORLDS", "50"))
 

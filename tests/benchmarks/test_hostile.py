@@ -37,7 +37,7 @@ def render(path: str) -> None:
 
 def recipe(path: str) -> None:
     import chdstat as chd
-    from chdstat.recipes import load_recipe
+    from chdstat.rendering.recipes import load_recipe
 
     chd.load_scene(load_recipe(path).scene)
 

@@ -24,8 +24,8 @@ import numpy as np
 
 import chdstat as chd
 from chdstat.errors import ChdstatError
-from chdstat.models import load_model, train_model
-from chdstat.samples import inspect
+from chdstat.estimators.models import load_model, train_model
+from chdstat.samples.samples import inspect
 
 SIZE, SPP, LONGEST = (66, 3), 66, 10
 SCENE = {"scene": "cornell-box", "size": SIZE, "backend": "scalar", "progress": False}

@@ -6,9 +6,8 @@ Run with ``pytest --benchmark-only -s tests/benchmarks/test_patterns.py``.
 import numpy as np
 import pytest
 
-from chdstat._positive import PositivePart
-from chdstat.patterns import patterns_of_part
-from chdstat.simulation import flag_scores, random_chds
+from chdstat._core.positive import PositivePart
+from chdstat.patterns import flag_scores, patterns_of_part, random_chds
 
 SAMPLES = (64, 128, 256, 512, 1024, 2048, 4096)
 DEFINITIONS = ("constant", "firefly_dominated")

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat import metrics
-from chdstat._workers import cores
+from chdstat._core.executor import cores
+from chdstat.comparison import metrics
 from chdstat.estimators import Progressive
 from chdstat.io import denoise
 

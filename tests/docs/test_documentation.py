@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 import chdstat as chd
-from chdstat.recipes import PHENOMENA, load_recipe
+from chdstat.rendering.recipes import PHENOMENA, load_recipe
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from chdstat import estimators
-from chdstat._arrays import LUMINANCE
+from chdstat._core.arrays import LUMINANCE
 from chdstat.errors import InputError
 from chdstat.estimators.cascades import BASE, LAYERS, Cascade, layer_weights
 

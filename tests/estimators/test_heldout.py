@@ -5,7 +5,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import (
+from chdstat.estimators.validation import (
     Totals,
     batches,
     check_spp,

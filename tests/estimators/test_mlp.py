@@ -10,9 +10,9 @@ from safetensors.numpy import save_file
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, PRESETS, Preset
-from chdstat.estimators._modelfile import write_model
-from chdstat.estimators._network import RECORD_EVERY, evaluate, initial_weights
-from chdstat.estimators.heldout import draw_pixels
+from chdstat.estimators.model_files import write_model
+from chdstat.estimators.network import RECORD_EVERY, evaluate, initial_weights
+from chdstat.estimators.validation import draw_pixels
 
 
 def picture(height=24, width=24, spp=128, seed=0):

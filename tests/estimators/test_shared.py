@@ -6,12 +6,17 @@ from scipy import stats
 
 from chdstat import estimators
 from chdstat.errors import InputError
-from chdstat.estimators import alike, shared
-from chdstat.estimators._likeness import Picture, corrected_means, histograms, shape_means
-from chdstat.estimators._windows import patch_sum, pool
+from chdstat.estimators import neighbourhood, similar_pixels
+from chdstat.estimators.neighbourhood import patch_sum, pool
+from chdstat.estimators.similarity import Picture, corrected_means, histograms, shape_means
 
-ALL = (shared.delbracio2014, shared.sakai2024, alike.shared_patches, alike.shared_shape)
-AVERAGES = (shared.delbracio2014, shared.sakai2024, alike.shared_patches)
+ALL = (
+    neighbourhood.delbracio2014,
+    neighbourhood.sakai2024,
+    similar_pixels.shared_patches,
+    similar_pixels.shared_shape,
+)
+AVERAGES = (neighbourhood.delbracio2014, neighbourhood.sakai2024, similar_pixels.shared_patches)
 
 
 def picture(seed=0, shape=(9, 11, 3, 16), sigma=1.0):
@@ -52,7 +57,9 @@ def test_sakai_shares_what_the_formula_says(radius):
     x = picture(sigma=0.5)
     x[:, 5:] *= 1.3
     expected, members = sakai_by_hand(x, 0.05, radius)
-    assert shared.sakai2024(x, alpha=0.05, radius=radius) == pytest.approx(expected, rel=1e-12)
+    assert neighbourhood.sakai2024(x, alpha=0.05, radius=radius) == pytest.approx(
+        expected, rel=1e-12
+    )
     sizes = {len(found) for found in members.values()}
     assert radius == 0 or len(sizes) > 3
     assert all(p in members[q] for p, found in members.items() for q in found)
@@ -102,7 +109,7 @@ def test_delbracio_shares_what_the_formula_says(threshold):
                 total += n[k, m] * mean[k, m]
                 weight += n[k, m]
                 shared_pairs += 1
-        found = shared.delbracio2014(x, threshold=threshold, radius=2, patch=0, unit=1.0)
+        found = neighbourhood.delbracio2014(x, threshold=threshold, radius=2, patch=0, unit=1.0)
         assert found[y, column] == pytest.approx(total / weight, rel=1e-12)
     assert 30 < shared_pairs < 400
 
@@ -142,7 +149,7 @@ def test_strips_give_what_the_whole_picture_gives(radius, patch, monkeypatch):
         return pool(weigh, (field,), field, field**2, radius=radius, reach=2 * patch)
 
     whole = work()
-    monkeypatch.setattr("chdstat.estimators._windows._PIXELS", 7)
+    monkeypatch.setattr("chdstat.estimators.neighbourhood._PIXELS", 7)
     assert all(np.array_equal(a, b) for a, b in zip(work(), whole, strict=True))
 
 
@@ -180,9 +187,11 @@ def test_nothing_leaks_across_an_edge(function):
     x[:, 8:] *= 1000 * (rng.random((12, 8, 3, 64)) < 0.5)
     other = x.copy()
     other[:, 8:] = rng.permuted(x[:, 8:], axis=-1)[::-1]
-    options = {"unit": 1.0} if function is shared.delbracio2014 else {}
+    options = {"unit": 1.0} if function is neighbourhood.delbracio2014 else {}
     left, again = function(x, **options)[:, :8], function(other, **options)[:, :8]
-    assert left == pytest.approx(again, rel=5e-3 if function is alike.shared_patches else 1e-9)
+    assert left == pytest.approx(
+        again, rel=5e-3 if function is similar_pixels.shared_patches else 1e-9
+    )
     assert (abs(left / 8 - 1) < 0.3).all()
 
 
@@ -212,17 +221,17 @@ def test_shape_is_shared_and_level_is_not():
     """Scaling one pixel scales its own estimate and moves no other."""
     x = picture(10, (8, 8, 3, 32), sigma=1.5)
     factor = np.random.default_rng(10).lognormal(0, 3, size=(8, 8, 1))
-    found = alike.shared_shape(x * factor[..., np.newaxis])
-    assert found == pytest.approx(factor * alike.shared_shape(x), rel=1e-9)
+    found = similar_pixels.shared_shape(x * factor[..., np.newaxis])
+    assert found == pytest.approx(factor * similar_pixels.shared_shape(x), rel=1e-9)
 
 
 def test_limit_by_shape_moves_no_mean_up_and_is_lifted_by_infinity():
     x = picture(20, (8, 8, 3, 32), sigma=2)
     mean = x.mean(axis=-1)
-    found = alike.shared_shape(x)
+    found = similar_pixels.shared_shape(x)
     assert (found <= mean * (1 + 1e-12)).all()
     assert 0.05 < (found < 0.999 * mean).mean() < 0.8
-    assert alike.shared_shape(x, limit=np.inf) == pytest.approx(mean, rel=1e-12)
+    assert similar_pixels.shared_shape(x, limit=np.inf) == pytest.approx(mean, rel=1e-12)
 
 
 def test_limit_by_shape_has_smaller_errors_whatever_the_levels_around():
@@ -234,7 +243,7 @@ def test_limit_by_shape_has_smaller_errors_whatever_the_levels_around():
     rng = np.random.default_rng(11)
     truth = rng.lognormal(0, 2, size=(24, 24, 1))
     x = truth[..., np.newaxis] * rng.lognormal(-1.125, 1.5, size=(24, 24, 3, 32))
-    found, mean = (rms(f(x) / truth - 1) for f in (alike.shared_shape, estimators.mean))
+    found, mean = (rms(f(x) / truth - 1) for f in (similar_pixels.shared_shape, estimators.mean))
     assert found < 0.95 * mean
 
 
@@ -259,12 +268,15 @@ def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(function):
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-@pytest.mark.parametrize("function", [shared.sakai2024, alike.shared_patches, alike.shared_shape])
+@pytest.mark.parametrize(
+    "function",
+    [neighbourhood.sakai2024, similar_pixels.shared_patches, similar_pixels.shared_shape],
+)
 def test_one_good_sample_is_not_compared(function):
     x = picture(13, (5, 5, 3, 16))
     x[2, 2, :, 1:] = np.inf
     assert np.isfinite(function(x)).all()
-    if function is shared.sakai2024:
+    if function is neighbourhood.sakai2024:
         assert function(x)[2, 2] == pytest.approx(x[2, 2, :, 0])
 
 
@@ -275,7 +287,7 @@ def test_radiances_that_squares_of_overflow(function, level):
     x[0, 0] = 0
     x[5, 5] = 1.0
     assert np.isfinite(function(x)).all()
-    if function is not shared.delbracio2014:  # whose patches tell a single pixel less
+    if function is not neighbourhood.delbracio2014:  # whose patches tell a single pixel less
         assert function(x)[0, 0] == pytest.approx(0, abs=1e-6 * level)
 
 
@@ -296,8 +308,8 @@ def test_any_number_of_channels_can_share(channels):
 def test_fireflies_are_limited_or_kept():
     x = np.random.default_rng(18).gamma(4.0, size=(10, 10, 3, 16))
     x[5, 5, :, 0] = 4000.0
-    kept = alike.shared_patches(x, fireflies="keep")
-    limited = alike.shared_patches(x)
+    kept = similar_pixels.shared_patches(x, fireflies="keep")
+    limited = similar_pixels.shared_patches(x)
     assert kept[5, 5].min() > 1.5 * limited[5, 5].max()
     assert abs(limited.mean() / 4 - 1) < 0.05
 
@@ -305,16 +317,16 @@ def test_fireflies_are_limited_or_kept():
 @pytest.mark.parametrize(
     ("function", "options"),
     [
-        (shared.delbracio2014, {"radius": -1}),
-        (shared.delbracio2014, {"threshold": 0.0}),
-        (shared.delbracio2014, {"patch": -1}),
-        (shared.delbracio2014, {"unit": 0.0}),
-        (shared.sakai2024, {"alpha": 1.0}),
-        (shared.sakai2024, {"radius": -1}),
-        (alike.shared_patches, {"threshold": np.nan}),
-        (alike.shared_patches, {"fireflies": "hunt"}),
-        (alike.shared_shape, {"alpha": 0.0}),
-        (alike.shared_shape, {"limit": 0.0}),
+        (neighbourhood.delbracio2014, {"radius": -1}),
+        (neighbourhood.delbracio2014, {"threshold": 0.0}),
+        (neighbourhood.delbracio2014, {"patch": -1}),
+        (neighbourhood.delbracio2014, {"unit": 0.0}),
+        (neighbourhood.sakai2024, {"alpha": 1.0}),
+        (neighbourhood.sakai2024, {"radius": -1}),
+        (similar_pixels.shared_patches, {"threshold": np.nan}),
+        (similar_pixels.shared_patches, {"fireflies": "hunt"}),
+        (similar_pixels.shared_shape, {"alpha": 0.0}),
+        (similar_pixels.shared_shape, {"limit": 0.0}),
     ],
 )
 def test_options_out_of_range_are_refused(function, options):

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._store import Store
 from chdstat.explorer import explore
 from chdstat.explorer.maps import PICTURES
+from chdstat.samples.store import Store
 
 SIZE = 32
 

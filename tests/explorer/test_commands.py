@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from bokeh.document import Document
 
-from chdstat.explorer.opening import opened
 from chdstat.explorer.session import Session
+from chdstat.explorer.shared import opened
 from chdstat.explorer.view import View
 
 ODD = [

@@ -8,8 +8,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.explorer import explore
-from chdstat.explorer.judged import batches_of
-from chdstat.explorer.learned import judged_learners, learners
+from chdstat.explorer.estimators import batches_of, judged_learners, learners
 from chdstat.explorer.sources import StoreSource
 
 PLACE = (5, 7)

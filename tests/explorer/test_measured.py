@@ -9,17 +9,14 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.differences import difference
 from chdstat.estimators import registry
 from chdstat.explorer import tables
-from chdstat.explorer.cargo import cargo
-from chdstat.explorer.extents import extent
-from chdstat.explorer.fitness import fitness
-from chdstat.explorer.judged import judged, judged_around, judged_names, quick_names
-from chdstat.explorer.measured import MOST_FITTED, Measured
-from chdstat.explorer.series import Panel, Trace, series_of
-from chdstat.explorer.traces import panels
+from chdstat.explorer.estimators import judged, judged_around, judged_names, quick_names
+from chdstat.explorer.page import cargo
+from chdstat.explorer.panels import Panel, Trace, extent, panels, series_of
+from chdstat.explorer.statistics import MOST_FITTED, Measured, fitness
 from chdstat.explorer.view import FAMILIES, View
+from chdstat.inference.differences import difference
 
 RGB = ("R", "G", "B")
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.explorer.answers import Answers
-from chdstat.explorer.opening import opened
+from chdstat.explorer.selection import Answers
+from chdstat.explorer.shared import opened
 from chdstat.explorer.view import View
 
 EDGE = 8

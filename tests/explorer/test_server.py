@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._store import Store
 from chdstat.errors import InputError, StoreError
 from chdstat.explorer import explore, server
 from chdstat.explorer.page import _web
@@ -30,6 +29,7 @@ from chdstat.explorer.palette import (
     TEXT,
     contrast,
 )
+from chdstat.samples.store import Store
 
 
 def page(url):

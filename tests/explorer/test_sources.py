@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._arrays import luminance
+from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, SceneError, StoreError
-from chdstat.explorer import cache
-from chdstat.explorer.images import Overall, Tally, preview, rgba, stream
-from chdstat.explorer.live import FIRST_SPP, SceneSource
+from chdstat.explorer import shared
+from chdstat.explorer.images import FIRST_SPP, Overall, SceneSource, Tally, preview, rgba, stream
 from chdstat.explorer.maps import MAPS, Map, _error_ratio, map_kind, of_overall, walk
 from chdstat.explorer.sources import StoreSource, pooled
 from chdstat.fit.tail import tail_of_part
@@ -189,28 +188,28 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
         return {"v": np.arange(3)}
 
     for _ in range(2):
-        np.testing.assert_array_equal(cache.kept(samples, "x", compute)["v"], np.arange(3))
+        np.testing.assert_array_equal(shared.kept(samples, "x", compute)["v"], np.arange(3))
     assert len(calls) == 1
-    cache.kept(samples, "y", compute)
+    shared.kept(samples, "y", compute)
     (own_store / "radiance" / "zarr.json").touch()
-    cache.kept(samples, "x", compute)
+    shared.kept(samples, "x", compute)
     assert len(calls) == 3
     with monkeypatch.context() as patch:
-        patch.setattr(cache, "code_digest", lambda: "another")
-        cache.kept(samples, "x", compute)
+        patch.setattr(shared, "code_digest", lambda: "another")
+        shared.kept(samples, "x", compute)
     assert len(calls) == 4
     in_memory = chd.Samples.from_array(np.ones((2, 2, 3, 4)))
-    cache.kept(in_memory, "x", compute)
-    cache.kept(in_memory, "x", compute)
+    shared.kept(in_memory, "x", compute)
+    shared.kept(in_memory, "x", compute)
     assert len(calls) == 6
 
 
 def test_a_broken_cache_is_computed_anew(own_store):
     samples = chd.open(own_store)
-    cache.kept(samples, "broken", lambda: {"v": np.zeros(2)})
-    file = cache._file(samples, "broken")
+    shared.kept(samples, "broken", lambda: {"v": np.zeros(2)})
+    file = shared._file(samples, "broken")
     file.write_bytes(b"PK no archive")
-    assert cache.kept(samples, "broken", lambda: {"v": np.ones(2)})["v"].tolist() == [1, 1]
+    assert shared.kept(samples, "broken", lambda: {"v": np.ones(2)})["v"].tolist() == [1, 1]
 
 
 @pytest.mark.parametrize("tone", ["srgb", "reinhard", "filmic"])

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chdstat.errors import InputError
-from chdstat.explorer.address import parse_view
 from chdstat.explorer.view import (
     BATCH_SIZES,
     FAMILIES,
@@ -17,6 +16,7 @@ from chdstat.explorer.view import (
     TONES,
     View,
     box_between,
+    parse_view,
 )
 
 HEIGHT, WIDTH = 20, 30

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.findings import FINDINGS, Evidence, find
-from chdstat.metrics import Interval
-from chdstat.recipes import PHENOMENA, Region
+from chdstat.comparison.metrics import Interval
+from chdstat.rendering.recipes import PHENOMENA, Region
+from chdstat.studies.claims import FINDINGS, Evidence, find
 
 SPP = 512
 BY_NUMBER = {claim.number: claim for claim in FINDINGS}

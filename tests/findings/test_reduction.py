@@ -10,8 +10,8 @@ import pytest
 
 import chdstat as chd
 from chdstat.estimators import MLP, Progressive, Stream, lookup, names, self_trained
-from chdstat.findings import FINDINGS, Evidence
-from chdstat.findings.reduction import FACTORS, LEVELS, ROUNDING
+from chdstat.studies.claims import FINDINGS, Evidence
+from chdstat.studies.claims.reduction import FACTORS, LEVELS, ROUNDING
 
 CLAIM = FINDINGS[15]
 N, EDGE = 32, 16

@@ -14,29 +14,26 @@ from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
 import chdstat as chd
-from chdstat._multiplicity import holm
-from chdstat.findings import FINDINGS, Evidence, Part, Statistic
-from chdstat.findings._explained import explained_by_features
-from chdstat.findings._growth import growing, with_room
-from chdstat.findings._integrators import permuted, squares, squares_of_pairs
-from chdstat.findings._uniformity import uniformity
-from chdstat.findings.complexity import rank_correlation, scene_complexity
-from chdstat.findings.conclusions import Conclusion, conclude, level_of
-from chdstat.findings.diffuse import log_skewness
-from chdstat.findings.learning import early_gain
-from chdstat.findings.log_chds import EDGES, aligned, of_histograms, squared_distance
-from chdstat.findings.reflections import shape_spread
-from chdstat.findings.resampling import (
+from chdstat._core.resampling import (
     Blocks,
     Spread,
+    holm,
     interval_of,
     largest_of,
     least_of,
     mean_of,
     median_of,
 )
-from chdstat.findings.results import Exhibit, plain
-from chdstat.findings.slopes import correlation_of, slope_of
+from chdstat.studies.claims import FINDINGS, Evidence, Part, Statistic
+from chdstat.studies.claims.assumptions import explained_by_features, growing, uniformity, with_room
+from chdstat.studies.claims.complexity import rank_correlation, scene_complexity
+from chdstat.studies.claims.diffuse import log_skewness
+from chdstat.studies.claims.learning import early_gain
+from chdstat.studies.claims.reflections import shape_spread
+from chdstat.studies.claims.scene_shapes import permuted, squares, squares_of_pairs
+from chdstat.studies.log_chds import EDGES, aligned, of_histograms, squared_distance
+from chdstat.studies.outcomes import Conclusion, Exhibit, conclude, level_of, plain
+from chdstat.studies.scene_data import correlation_of, slope_of
 
 # --- intervals ----------------------------------------------------------------------------------
 

@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 
 import chdstat as chd
-from chdstat.findings import Evidence
-from chdstat.metrics import Interval
-from chdstat.recipes import Region
+from chdstat.comparison.metrics import Interval
+from chdstat.rendering.recipes import Region
+from chdstat.studies.claims import Evidence
 
 World = Callable[[np.random.Generator, int], Sequence[Evidence]]
 

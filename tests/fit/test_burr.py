@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from chdstat._positive import PositivePart
+from chdstat._core.positive import PositivePart
 from chdstat.fit._burr import BURR
-from chdstat.fit._points import blocks
+from chdstat.fit.weighted_samples import blocks
 
 
 def test_a_row_without_a_fit_does_not_make_another_overflow():

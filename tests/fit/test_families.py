@@ -9,11 +9,11 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._positive import PositivePart
-from chdstat._reasons import Reason
-from chdstat.fit._points import blocks
+from chdstat._core.positive import PositivePart
+from chdstat._core.reasons import Reason
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.mle import estimate_part, fit_part
+from chdstat.fit.weighted_samples import blocks
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
 FAMILY_NAMES = sorted(FAMILIES)

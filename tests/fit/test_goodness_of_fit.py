@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._positive import PositivePart
-from chdstat._reasons import Reason
+from chdstat._core.positive import PositivePart
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.goodness_of_fit import FIT_TESTS, goodness, goodness_of_part

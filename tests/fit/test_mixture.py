@@ -6,13 +6,11 @@ from scipy import integrate, stats
 from sklearn.mixture import GaussianMixture
 
 import chdstat as chd
-from chdstat._positive import PositivePart
-from chdstat._reasons import Reason
+from chdstat._core.positive import PositivePart
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.fit._cells import cells_of_samples, single_cells
-from chdstat.fit._components import COMPONENTS
-from chdstat.fit._em import bound_at, climb
-from chdstat.fit._starts import segmentations
+from chdstat.fit.components import COMPONENTS, cells_of_samples, single_cells
+from chdstat.fit.em import bound_at, climb, segmentations
 from chdstat.fit.mixtures import mixture
 
 FAMILIES = ("lognormal", "gamma")

@@ -10,7 +10,7 @@ from scipy import integrate, special, stats
 from statsmodels.stats.proportion import proportion_confint
 
 import chdstat as chd
-from chdstat._reasons import Reason
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 from chdstat.fit._gamma import gamma_shape
 from chdstat.fit.families import FAMILIES

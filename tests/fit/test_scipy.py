@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._reasons import Reason
+from chdstat._core.reasons import Reason
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
 

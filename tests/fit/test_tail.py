@@ -5,7 +5,7 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._reasons import Reason
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 from chdstat.fit.tail import effective_tail_index
 

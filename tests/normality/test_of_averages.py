@@ -5,16 +5,16 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._reasons import Reason
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.normality import (
+from chdstat.inference import (
     MORE_THAN_TESTED,
     TESTS,
     UNTESTED,
     gaussianity_of_means,
     sizes_of_means,
 )
-from chdstat.normality._cascade import cascade, shapes
+from chdstat.inference.averages import cascade, shapes
 
 
 @pytest.mark.parametrize("spoilt", [False, True])

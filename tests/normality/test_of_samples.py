@@ -5,10 +5,10 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._multiplicity import q_values
-from chdstat._reasons import Reason
+from chdstat._core.reasons import Reason
+from chdstat._core.resampling import q_values
 from chdstat.errors import InputError
-from chdstat.normality import TESTS, TRANSFORMS
+from chdstat.inference import TESTS, TRANSFORMS
 
 ALL = tuple(TESTS)
 

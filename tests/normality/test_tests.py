@@ -5,10 +5,9 @@ import pytest
 from scipy import stats
 from statsmodels.stats import diagnostic
 
-from chdstat.normality._p_values import _floored, _simulated
-from chdstat.normality._statistics import SCALES
-from chdstat.normality._tables import LEVELS, QUANTILES
-from chdstat.normality._tests import TESTS, run_tests
+from chdstat.inference.normality import TESTS, run_tests
+from chdstat.inference.null_tables import LEVELS, QUANTILES
+from chdstat.inference.statistics import SCALES, _floored, _simulated
 
 ALL = tuple(TESTS)
 

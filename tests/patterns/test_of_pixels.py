@@ -4,23 +4,26 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat import simulation
-from chdstat._reasons import Reason
+from chdstat import patterns
+from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.selection import SELECTED, select_part
 from chdstat.fit.tail import tail_of_part
-from chdstat.modes import modality_of_part
+from chdstat.inference import modality_of_part
 from chdstat.patterns import (
+    CHD,
     PATTERNS,
+    Component,
     Label,
     Thresholds,
     classify,
     luminance_part,
     patterns_of_part,
+    simulate,
+    truth_of,
 )
-from chdstat.patterns._neighbours import agreement
-from chdstat.simulation import CHD, Component, simulate, truth_of
+from chdstat.patterns.agreement import agreement
 
 SPP = 1024
 FAMILY_FLAGS = ("gamma_like", "lognormal_like")
@@ -331,8 +334,8 @@ def test_agreement_of_known_maps():
 
 def test_flags_are_right_on_a_population():
     # A small run of tests/benchmarks/test_patterns.py, which has the figures.
-    chds = simulation.random_chds(300, seed=11)
-    scores = simulation.flag_scores(chds, 512, seed=11)
+    chds = patterns.random_chds(300, seed=11)
+    scores = patterns.flag_scores(chds, 512, seed=11)
     assert np.mean([score.f1 for score in scores.values()]) > 0.88
     assert min(score.f1 for score in scores.values()) > 0.6
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chdstat.findings import FINDINGS, Finding, Part, Statistic
-from chdstat.findings.results import Exhibit
 from chdstat.reporting.claims import asked, claim_content, claim_figures, exhibits, finding_content
+from chdstat.studies.claims import FINDINGS, Finding, Part, Statistic
+from chdstat.studies.outcomes import Exhibit
 
 CLAIM = FINDINGS[14]
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 import chdstat as chd
 from chdstat.errors import StoreError
-from chdstat.reporting.comparison_files import save_comparison
+from chdstat.reporting.figures import save_comparison
 
 
 @pytest.fixture(scope="module")

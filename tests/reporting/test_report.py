@@ -11,7 +11,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import ChdstatError, InputError, LeftOutWarning
 from chdstat.reporting.findings import findings
-from chdstat.reporting.text import between, number, percent
+from chdstat.reporting.typst import between, number, percent
 
 FIXED = ("mean", "median_of_means")
 
@@ -139,7 +139,7 @@ def test_a_scene_is_rendered_and_its_store_is_kept(tmp_path):
 
 def test_findings_name_the_verdict_on_the_papers_claim(radiance):
     samples = chd.Samples.from_array(radiance)
-    from chdstat.overviews import overview
+    from chdstat.analysis import overview
 
     numbers = overview(chd.analyze(samples))
     rows = findings(numbers, None, chd.compare(samples, FIXED))

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat.analysis import overview
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive import Estimates
 from chdstat.reporting.findings import findings
-from chdstat.reporting.self_training import SelfTraining, coverage
+from chdstat.reporting.scene_figures import SelfTraining, coverage
 
 
 def samples(spp=128, side=12):
@@ -67,8 +68,8 @@ def test_words_and_a_figure_come_of_it(trained, found):
         "Width of the interval ÷ estimate",
         "Intervals that hold the reference",
     ]
-    overview = chd.overviews.overview(chd.analyze(samples(side=4), progress=False))
-    questions = [row.question for row in findings(overview, None, found, trained)]
+    whole = overview(chd.analyze(samples(side=4), progress=False))
+    questions = [row.question for row in findings(whole, None, found, trained)]
     assert any("64 samples without a reference" in question for question in questions)
 
 

@@ -9,7 +9,7 @@ import pypdfium2
 import pytest
 from matplotlib.figure import Figure
 
-from chdstat.reporting.typeset import Document, typeset
+from chdstat.reporting.typst import Document, typeset
 
 TEMPLATES = resources.files("chdstat.reporting") / "templates"
 

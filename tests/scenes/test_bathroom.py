@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from diptest import diptest
 
-from chdstat._arrays import is_null, luminance
-from chdstat.scenes import load_scene, shapes
-from chdstat.scenes.materials import matte, rgb
+from chdstat._core.arrays import is_null, luminance
+from chdstat.scenes import load_scene
+from chdstat.scenes.props import shapes
+from chdstat.scenes.props.textures import matte, rgb
 
 # What the scene was made for, on fixed seeds. Bounds lie far outside what another seed gives (the
 # null share of 65 536 samples has a standard error of 0.002), so a failure means a changed scene.

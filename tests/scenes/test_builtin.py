@@ -49,7 +49,7 @@ def test_meshes_are_finite_and_their_normals_are_unit(name):
 
 @pytest.mark.parametrize("name", BUILTIN)
 def test_every_build_has_the_same_identity(name):
-    module = importlib.import_module(f"chdstat.scenes.{name.replace('-', '_')}")
+    module = importlib.import_module(f"chdstat.scenes.builtin.{name.replace('-', '_')}")
     again = module.build()
     assert again is not source_of(name)
     assert load_scene(again).hash == load_scene(source_of(name)).hash

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.backend import activate, probe
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.io import write_exr
+from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.capture import job_of
+from chdstat.rendering.renderer import Renderer
 from chdstat.scenes import Scene, load_scene
 
 SETTINGS: dict[str, Any] = {"size": (4, 4), "backend": "scalar"}
@@ -274,9 +276,7 @@ def test_a_class_with_other_values_around_it_is_another_plugin(tmp_path):
         codes = []
         for strength in (1.0, 1.0, 2.0):
             register(strength)
-            codes.append(
-                chd._renderer.Renderer(chd.capture.job_of(source, "scalar", (4, 4), 0, None)).code
-            )
+            codes.append(Renderer(job_of(source, "scalar", (4, 4), 0, None)).code)
     assert codes[0] == codes[1] != codes[2]
     assert [name.split(".")[-1] for name in codes[0]] == ["Around"]
     assert pickle.loads(pickle.dumps(load_scene(source))).hash == load_scene(source).hash

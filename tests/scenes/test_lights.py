@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chdstat.scenes import lights, lounge
-from chdstat.scenes.cameras import camera
-from chdstat.scenes.floors import paving
-from chdstat.scenes.materials import matte, rgb
-from chdstat.scenes.shapes import quad
-from chdstat.scenes.transforms import look_at, rotate, scale, translate
+from chdstat.scenes.props import lights, living_room
+from chdstat.scenes.props.furniture import paving
+from chdstat.scenes.props.lights import camera
+from chdstat.scenes.props.shapes import quad
+from chdstat.scenes.props.textures import matte, rgb
+from chdstat.scenes.scene import look_at, rotate, scale, translate
 
 # Known answers are irradiances from the geometry of the source: what a white matte floor under it
 # reflects in all directions is E / pi (Pharr, Jakob, Humphreys 2023, section 4.1).
@@ -73,7 +73,7 @@ def test_paving_covers_its_place_less_the_joints():
 
 
 def test_a_pad_is_a_block_with_its_edges_taken_off():
-    mesh = lounge.pad(0.6, 0.5, 0.2, radius=0.05)
+    mesh = living_room.pad(0.6, 0.5, 0.2, radius=0.05)
     np.testing.assert_allclose(np.ptp(mesh.vertices, axis=0), [0.6, 0.5, 0.2], atol=1e-9)
     assert 0.85 * 0.06 < mesh.volume < 0.06
     smaller = mesh.moved(scale(0.5, 0.5, 0.5))

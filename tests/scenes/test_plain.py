@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from chdstat.errors import SceneError
-from chdstat.scenes import Scene, shapes
-from chdstat.scenes.transforms import look_at
+from chdstat.scenes import Scene
+from chdstat.scenes.props import shapes
+from chdstat.scenes.scene import look_at
 
 # Below a sky of radiance 1, a diffuse plane that sees all of it has its reflectance as radiance.
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from chdstat.errors import InputError
-from chdstat.scenes import shapes
-from chdstat.scenes.transforms import rotate, translate
+from chdstat.scenes.props import shapes
+from chdstat.scenes.scene import rotate, translate
 
 # Known answers are volumes and areas from elementary geometry. Round shapes are inscribed polygons:
 # n segments fall short of a circle's area by the factor sin(2 pi / n) / (2 pi / n).

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from diptest import diptest
 
-from chdstat._arrays import is_null, luminance
-from chdstat.recipes import Recipe, find_recipe
+from chdstat._core.arrays import is_null, luminance
+from chdstat.rendering.recipes import Recipe, find_recipe
 from chdstat.scenes import load_scene
-from chdstat.scenes.rooms import WINDOWS
+from chdstat.scenes.props.living_room import WINDOWS
 
 # What the study scenes were made for, on fixed seeds and few samples. The bounds lie far outside
 # what another seed gives, unless a docstring says how far, so a failure means a changed scene.

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chdstat.scenes import textures
+from chdstat.scenes.props import textures
 
 DARK, LIGHT = (0.1, 0.05, 0.02), (0.4, 0.25, 0.1)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from chdstat.errors import InputError
-from chdstat.scenes.transforms import look_at, rotate, scale, translate
+from chdstat.scenes.scene import look_at, rotate, scale, translate
 
 # Laws: rotations are rigid. Known answers: Mitsuba 3's own transforms, float32.
 

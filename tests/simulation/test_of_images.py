@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from chdstat import simulation
-from chdstat._arrays import luminance
+from chdstat import patterns
+from chdstat._core.arrays import luminance
 from chdstat.errors import InputError
-from chdstat.patterns import Label
-from chdstat.samples import Samples
-from chdstat.simulation import CHD, CHDS, Component, flag_scores, random_chds, truth, truth_of
+from chdstat.patterns import CHD, CHDS, Component, Label, flag_scores, random_chds, truth, truth_of
+from chdstat.samples.samples import Samples
 
 TWO = (Component("lognormal", 0.5, 0.02, 0.4), Component("lognormal", 0.4, 1.0, 0.6))
 CONTINUOUS = {
@@ -170,7 +169,7 @@ def test_the_population_avoids_the_zones_and_has_every_pattern():
 
 def test_an_image_of_regions():
     names = ["gamma", "bimodal", "null-heavy", "constant", "black"]
-    samples = simulation.simulate(names, size=(6, 9), spp=256, seed=3)
+    samples = patterns.simulate(names, size=(6, 9), spp=256, seed=3)
     true = truth_of(samples)
     assert samples.shape == (6, 9, 3, 256)
     assert true["region"].to_numpy()[[0, 0, 0, 3, 3, 3], [0, 3, 8, 0, 3, 8]].tolist() == [
@@ -181,7 +180,7 @@ def test_an_image_of_regions():
     # Three channels of one colour: the luminance is that of the CHD. 256 samples of 27 pixels.
     x = luminance(samples.read())
     assert x[:3, :3].mean() == pytest.approx(float(true["mean"][0, 0]), rel=0.1)
-    again = simulation.simulate(names, size=(6, 9), spp=256, seed=3)
+    again = patterns.simulate(names, size=(6, 9), spp=256, seed=3)
     np.testing.assert_array_equal(samples.read(), again.read())
     for variable in true.data_vars.values():
         assert {"long_name", "units"} <= set(variable.attrs)
@@ -189,19 +188,19 @@ def test_an_image_of_regions():
 
 def test_color_leaves_luminance_alone():
     red = CHD((Component("gamma", 2.0),), color=(1.0, 0.2, 0.1))
-    x = simulation.simulate(red, size=(4, 4), spp=64).read()
+    x = patterns.simulate(red, size=(4, 4), spp=64).read()
     np.testing.assert_allclose(x[..., 1, :] / x[..., 0, :], 0.2, rtol=1e-5)
-    gray = simulation.simulate(CHD((Component("gamma", 2.0),)), size=(4, 4), spp=64).read()
+    gray = patterns.simulate(CHD((Component("gamma", 2.0),)), size=(4, 4), spp=64).read()
     np.testing.assert_allclose(luminance(x), luminance(gray), rtol=1e-5)
 
 
 def test_scores_count_what_they_say():
-    score = simulation.FlagScore(hits=6, false=2, missed=4)
+    score = patterns.FlagScore(hits=6, false=2, missed=4)
     assert (score.precision, score.recall, score.f1) == (0.75, 0.6, pytest.approx(2 / 3))
     chds = [CHDS["constant"]] * 3 + [CHDS["null-heavy"]] * 5
     scores = flag_scores(chds, 256)
-    assert scores["constant"] == simulation.FlagScore(3, 0, 0)
-    assert scores["null_heavy"] == simulation.FlagScore(5, 0, 0)
+    assert scores["constant"] == patterns.FlagScore(3, 0, 0)
+    assert scores["null_heavy"] == patterns.FlagScore(5, 0, 0)
 
 
 def test_wrong_input_is_refused():
@@ -217,11 +216,11 @@ def test_wrong_input_is_refused():
     with pytest.raises(InputError, match="color"):
         CHD((gamma,), color=(0.0, 0.0, 0.0))
     with pytest.raises(InputError, match="one of"):
-        simulation.simulate("caustic")
+        patterns.simulate("caustic")
     with pytest.raises(InputError, match="regions"):
-        simulation.simulate(["gamma"] * 9, size=(2, 2))
+        patterns.simulate(["gamma"] * 9, size=(2, 2))
     with pytest.raises(InputError, match="size"):
-        simulation.simulate("gamma", size=(0, 2))
+        patterns.simulate("gamma", size=(0, 2))
     with pytest.raises(InputError, match="made by chdstat.simulate"):
         truth_of(Samples.from_array(np.ones((2, 2, 3, 4))))
     with pytest.raises(InputError, match="black"):

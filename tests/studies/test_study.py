@@ -11,15 +11,15 @@ import pypdfium2
 import pytest
 
 import chdstat as chd
-from chdstat.atlases import atlas
 from chdstat.errors import InputError, LeftOutWarning, SceneError, StoreError
-from chdstat.findings import FINDINGS, Evidence
-from chdstat.models import train_model
-from chdstat.recipes import PHENOMENA
-from chdstat.studies import caches, running, stores, study
-from chdstat.studies.running import _confirmed
-from chdstat.studies.subjects import subjects_of
-from chdstat.studies.typesetting import document
+from chdstat.estimators.models import train_model
+from chdstat.patterns import atlas
+from chdstat.rendering.recipes import PHENOMENA
+from chdstat.reporting.study_report import document
+from chdstat.studies import run, stores, study
+from chdstat.studies.claims import FINDINGS, Evidence
+from chdstat.studies.config import subjects_of
+from chdstat.studies.run import _confirmed
 
 TINY = {"spp": 64, "size": (16, 16), "backend": "scalar", "estimators": ("mean",)}
 
@@ -63,7 +63,7 @@ def few_shapes():
             return atlas(samples, **options)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "atlas", drawn)
+        patch.setattr(run, "atlas", drawn)
         yield
 
 
@@ -112,7 +112,7 @@ def test_what_is_rendered_and_analysed_is_not_done_again(found, folder, monkeypa
         pytest.fail("done again")
 
     monkeypatch.setattr(stores, "render", refuse)
-    monkeypatch.setattr("chdstat.studies.caches.analyze", refuse)
+    monkeypatch.setattr("chdstat.studies.stores.analyze", refuse)
     again = study("cornell-box", folder=folder, **TINY)
     assert [f.to_dict() for f in again.scenes[0].findings] == [
         f.to_dict() for f in found.scenes[0].findings
@@ -124,7 +124,7 @@ def test_an_interrupted_study_is_taken_up(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(running, "analysis_of", interrupt)
+        patch.setattr(run, "analysis_of", interrupt)
         with pytest.raises(KeyboardInterrupt):
             study("cornell-box", folder=tmp_path, **TINY)
     left = set(tmp_path.glob("*.zarr"))
@@ -279,21 +279,21 @@ def test_what_learned_is_kept_beside_its_samples(found, folder, tmp_path, monkey
         asked.append(dict(model))
         return chd.compare(samples, estimators, **options, model={"elek2019": trained})
 
-    monkeypatch.setattr(caches, "compare", compared)
+    monkeypatch.setattr(stores, "compare", compared)
     trained, where = model, stores.Stores(copy)
     names = ["mean", "elek2019"]
-    first = caches.comparison_of(samples, names, labels, where, progress=False)
-    again = caches.comparison_of(samples, names, labels, where, progress=False)
+    first = stores.comparison_of(samples, names, labels, where, progress=False)
+    again = stores.comparison_of(samples, names, labels, where, progress=False)
     assert asked == [{}]
     np.testing.assert_equal(again.table(), first.table())
     assert list(again.models) == names[1:]
     for record in copy.glob("*comparison*.npz"):
         record.write_bytes(b"damaged")
-    caches.comparison_of(samples, names, labels, where, progress=False)
+    stores.comparison_of(samples, names, labels, where, progress=False)
     assert list(asked[1]) == ["elek2019"]
     (network,) = copy.glob("*.safetensors")
     network.write_bytes(b"damaged")  # a comparison without its network is none
-    last = caches.comparison_of(samples, names, labels, where, progress=False)
+    last = stores.comparison_of(samples, names, labels, where, progress=False)
     assert asked[2] == {}
     assert list(last.models) == names[1:]
     assert len(list(copy.glob("*.safetensors"))) == 1
@@ -307,8 +307,8 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
     shutil.copytree(folder, copy)
     once = study("cornell-box", folder=copy, **TINY)
     with monkeypatch.context() as patch:
-        patch.setattr(running, "atlas", refuse)
-        patch.setattr(caches, "compare", refuse)
+        patch.setattr(run, "atlas", refuse)
+        patch.setattr(stores, "compare", refuse)
         patch.setattr(type(FINDINGS[0]), "find", refuse)
         again = study("cornell-box", folder=copy, **TINY)
     told, as_before = again.to_dict(), once.to_dict()
@@ -316,8 +316,8 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
         del content["provenance"], content["scenes"][0]["seconds"]
     assert told == as_before
     with monkeypatch.context() as patch:
-        patch.setattr(caches, "code_digest", lambda: "another")
-        patch.setattr(running, "atlas", refuse)
+        patch.setattr(stores, "code_digest", lambda: "another")
+        patch.setattr(run, "atlas", refuse)
         with pytest.raises(pytest.fail.Exception, match="done again"):
             study("cornell-box", folder=copy, **TINY)
 
@@ -329,7 +329,7 @@ def test_a_store_from_elsewhere_is_analysed_once_and_one_in_its_place_anew(tmp_p
     chd.render("cornell-box", **options, out=path)
     once = study(path, **asked)
     with monkeypatch.context() as patch:
-        patch.setattr(caches, "analyze", lambda *_, **__: pytest.fail("done again"))
+        patch.setattr(stores, "analyze", lambda *_, **__: pytest.fail("done again"))
         again = study(path, **asked)
     assert again.table() == once.table()
     shutil.rmtree(path)

@@ -12,8 +12,12 @@ from chdstat.comparison import error_curve
 from chdstat.errors import InputError
 from chdstat.estimators import Estimator
 from chdstat.patterns import Label
-from chdstat.viz.errors import error_curves, pattern_breakdown
-from chdstat.viz.estimates import estimator_measures, pixel_estimates
+from chdstat.viz.estimators import (
+    error_curves,
+    estimator_measures,
+    pattern_breakdown,
+    pixel_estimates,
+)
 
 NAMES = ["mean", "median", "median_of_means", "zirr2018"]
 

@@ -11,8 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from chdstat import viz
-from chdstat.viz import lettering
-from chdstat.viz.lettering import families, spelt, verbatim
+from chdstat.viz import styling
+from chdstat.viz.styling import families, spelt, verbatim
 
 NAME = "a $x^$ b"
 """No formula: Matplotlib cannot parse it as one."""
@@ -76,7 +76,7 @@ def test_fonts_are_those_that_the_machine_has(monkeypatch):
     with viz.style():
         assert mpl.rcParams["font.family"] == [*families()]
     known = ["DejaVu Serif", "SimSun", "STIXGeneral", "Noto Serif CJK JP", "Comic Sans MS"]
-    monkeypatch.setattr(lettering.font_manager, "get_font_names", lambda: known)
+    monkeypatch.setattr(styling.font_manager, "get_font_names", lambda: known)
     families.cache_clear()
     assert families() == ("STIXGeneral", "DejaVu Serif", "Noto Serif CJK JP", "SimSun")
     families.cache_clear()

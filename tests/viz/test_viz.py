@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from chdstat import viz
-from chdstat.atlases import atlas
 from chdstat.errors import InputError
-from chdstat.histograms import histogram
-from chdstat.samples import Samples
+from chdstat.patterns import atlas
+from chdstat.samples.samples import Samples
+from chdstat.summary.histograms import histogram
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ rendered, and `self_trained` trains it on the very picture that it improves.
 from __future__ import annotations
 
 from chdstat.estimators.progressive.entries import self_trained
+from chdstat.estimators.progressive.learned import Estimates
 from chdstat.estimators.progressive.model import Progressive
-from chdstat.estimators.progressive.profiles import Profile
-from chdstat.estimators.progressive.results import Estimates
-from chdstat.estimators.progressive.streams import Stream
+from chdstat.estimators.progressive.profile import Profile
+from chdstat.estimators.progressive.stream import Stream
 
 __all__ = ["Estimates", "Profile", "Progressive", "Stream", "self_trained"]

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_pixels
-from chdstat.estimators._rows import reordered
-from chdstat.estimators.progressive.first_hit import Features
+from chdstat._core.arrays import as_pixels
+from chdstat.estimators.progressive.auxiliary import Features
 from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.registry import LearnedEstimator, register, register_learned
-from chdstat.samples import Samples
+from chdstat.estimators.rows import reordered
+from chdstat.samples.samples import Samples
 
 __all__ = ["self_trained"]
 

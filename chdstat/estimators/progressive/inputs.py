@@ -9,11 +9,11 @@ from typing import Any, Literal, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import as_samples
+from chdstat._core.arrays import as_samples
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.lessons import Scenery, scenery_of
-from chdstat.estimators.progressive.profiles import Profile
-from chdstat.samples import Samples
+from chdstat.estimators.progressive.dataset import Scenery, scenery_of
+from chdstat.estimators.progressive.profile import Profile
+from chdstat.samples.samples import Samples
 
 __all__ = ["Input", "InputConfig"]
 

@@ -15,27 +15,40 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import generator
-from chdstat._image_scales import mean_radiance
+from chdstat._core.arrays import generator
+from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators.heldout import direct_of
-from chdstat.estimators.progressive.application import Alike, apply, with_constants, with_means
-from chdstat.estimators.progressive.inputs import Input, InputConfig
-from chdstat.estimators.progressive.lessons import (
+from chdstat.estimators.progressive.dataset import (
     Material,
+    Scene,
+    chosen_pixels,
     with_reference,
     without_reference,
 )
-from chdstat.estimators.progressive.marks import Marks
-from chdstat.estimators.progressive.pictures import Scene, chosen_pixels
-from chdstat.estimators.progressive.profiles import Profile
-from chdstat.estimators.progressive.provenance import Origin, provenance_of
-from chdstat.estimators.progressive.questions import Question, check_asked
-from chdstat.estimators.progressive.results import Estimates, Learned, Trust
-from chdstat.estimators.progressive.storage import read_learned, write_learned
+from chdstat.estimators.progressive.inputs import Input, InputConfig
+from chdstat.estimators.progressive.learned import (
+    Estimates,
+    Learned,
+    Marks,
+    Origin,
+    Trust,
+    provenance_of,
+    read_learned,
+    write_learned,
+)
+from chdstat.estimators.progressive.prediction import (
+    Alike,
+    Question,
+    apply,
+    check_asked,
+    with_constants,
+    with_means,
+)
+from chdstat.estimators.progressive.profile import Profile
 from chdstat.estimators.progressive.teaching import teach
 from chdstat.estimators.training import History
-from chdstat.samples import Samples
+from chdstat.estimators.validation import direct_of
+from chdstat.samples.samples import Samples
 
 __all__ = ["Progressive"]
 
@@ -377,7 +390,7 @@ class Progressive:
         InputError
             As for `of_profile`.
         """
-        from chdstat.estimators.progressive.trust import Move, paying_share
+        from chdstat.estimators.progressive.shrinkage import Move, paying_share
 
         count = sum(int(half.count.max(initial=0)) for half in halves)
         if count < _FEWEST_HALVES:
@@ -512,7 +525,7 @@ class Progressive:
 
     def _measured(self, asked: Question) -> float:
         """Return how far it pays to go from the mean to the answer, from halves of the samples."""
-        from chdstat.estimators.progressive.trust import Move, paying_share
+        from chdstat.estimators.progressive.shrinkage import Move, paying_share
 
         if asked.samples.shape[-1] < _FEWEST_HALVES:
             return 0.0

@@ -22,8 +22,8 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from chdstat.estimators.progressive.shapes import AIMS, Shape
-from chdstat.estimators.progressive.surroundings import BANDS
+from chdstat.estimators.progressive.architecture import AIMS, Shape
+from chdstat.estimators.progressive.auxiliary import BANDS
 
 __all__ = ["Answer", "Network", "Sight", "device"]
 

@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._arrays import generator
+from chdstat._core.arrays import generator
+from chdstat._core.executor import track
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.lessons import Material
-from chdstat.estimators.progressive.results import Trust
-from chdstat.estimators.progressive.shapes import Shape
-from chdstat.estimators.progressive.spread import Spread
-from chdstat.estimators.progressive.trials import change_of, trials_of
-from chdstat.progress import track
+from chdstat.estimators.progressive.architecture import Shape
+from chdstat.estimators.progressive.dataset import Material
+from chdstat.estimators.progressive.error_model import Spread, change_of, trials_of
+from chdstat.estimators.progressive.learned import Trust
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
-    from chdstat.estimators.progressive.trust import Trusted
+    from chdstat.estimators.progressive.shrinkage import Trusted
 
 __all__ = ["teach", "trusted"]
 
@@ -113,7 +112,7 @@ def trusted(
     rng: np.random.Generator,
 ) -> tuple[Trusted, Trust]:
     """Return a network that goes as far from the mean as it pays, and how far that is."""
-    from chdstat.estimators.progressive.trust import (
+    from chdstat.estimators.progressive.shrinkage import (
         Move,
         Trusted,
         keeping_mean,

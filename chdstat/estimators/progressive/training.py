@@ -18,10 +18,10 @@ import numpy.typing as npt
 import torch
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from chdstat._workers import cores, in_order
-from chdstat.estimators.progressive.lessons import Lesson, Material, Scenery
+from chdstat._core.executor import cores, in_order
+from chdstat.estimators.progressive.dataset import Lesson, Material, Scenery
 from chdstat.estimators.progressive.network import Answer, Network, Sight, device
-from chdstat.estimators.progressive.profiles import Profile
+from chdstat.estimators.progressive.profile import Profile
 from chdstat.estimators.progressive.splits import Part, Parts
 
 __all__ = ["FLOOR", "learn", "look", "threads"]

@@ -3,11 +3,18 @@
 import numpy as np
 import pytest
 
-from chdstat.estimators.progressive.bounds import USUAL, bounded_weights, ratio
-from chdstat.estimators.progressive.causes import CAUSES
-from chdstat.estimators.progressive.shapes import AIMS
-from chdstat.estimators.progressive.spread import BALANCES, BRIGHTNESS, LEVELS, Spread
-from chdstat.estimators.progressive.trials import Trial
+from chdstat.estimators.progressive.architecture import AIMS
+from chdstat.estimators.progressive.error_model import (
+    BALANCES,
+    BRIGHTNESS,
+    CAUSES,
+    LEVELS,
+    USUAL,
+    Spread,
+    Trial,
+    bounded_weights,
+    ratio,
+)
 
 
 def trials(rng, scale, *, pixels=300, noise=2.0, tail=1.0, draws=4):

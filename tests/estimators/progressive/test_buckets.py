@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from chdstat.estimators.progressive.buckets import BucketParts, Buckets
-from chdstat.estimators.progressive.profiles import Profile
+from chdstat.estimators.progressive.profile import Profile
+from chdstat.estimators.progressive.splits import BucketParts, Buckets
 
 
 def draws(n, *, pixels=40, seed=0):

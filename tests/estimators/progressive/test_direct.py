@@ -13,18 +13,17 @@ import chdstat as chd
 from chdstat.comparison import denoised
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import Profile, Progressive, Stream, lookup
-from chdstat.estimators._modelfile import read_model, write_model
-from chdstat.estimators.heldout import direct_of
+from chdstat.estimators.model_files import read_model, write_model
+from chdstat.estimators.models import train_model
 from chdstat.estimators.progressive import entries
-from chdstat.estimators.progressive.buckets import BucketParts, Buckets
-from chdstat.estimators.progressive.causes import causes_of
-from chdstat.estimators.progressive.lessons import Scenery
+from chdstat.estimators.progressive.architecture import Shape
+from chdstat.estimators.progressive.dataset import Scenery
+from chdstat.estimators.progressive.error_model import causes_of
 from chdstat.estimators.progressive.network import Network
-from chdstat.estimators.progressive.profiles import OCTAVES
-from chdstat.estimators.progressive.shapes import Shape
-from chdstat.estimators.progressive.splits import Splits
+from chdstat.estimators.progressive.profile import OCTAVES
+from chdstat.estimators.progressive.splits import BucketParts, Buckets, Splits
 from chdstat.estimators.progressive.training import look
-from chdstat.models import train_model
+from chdstat.estimators.validation import direct_of
 
 
 @dataclass(frozen=True)
@@ -378,7 +377,7 @@ def test_a_comparison_tells_those_who_look_at_it(quick):
 
 
 def test_before_a_denoiser_it_is_told_too(quick, monkeypatch):
-    monkeypatch.setattr("chdstat.comparison.denoising.denoise", lambda x, **_: x)
+    monkeypatch.setattr("chdstat.estimators.denoising.denoise", lambda x, **_: x)
     samples = chd.Samples.from_array(
         np.repeat(lit(12, 32).samples.read(), 3, axis=2),
         direct=np.repeat(lit(12, 32).samples.direct.read(), 3, axis=2),

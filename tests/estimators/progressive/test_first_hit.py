@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.first_hit import describe, likeness_fields
+from chdstat.estimators.progressive.auxiliary import describe, likeness_fields
 
 
 def features(height=8, width=10, seed=0):

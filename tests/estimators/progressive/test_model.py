@@ -11,7 +11,7 @@ from safetensors.numpy import save_file
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, Progressive
-from chdstat.estimators._modelfile import read_model, write_model
+from chdstat.estimators.model_files import read_model, write_model
 
 BALANCES = (0.0, 0.5, 1.0)
 

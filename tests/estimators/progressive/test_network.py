@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from chdstat.estimators import Profile
-from chdstat.estimators.progressive.lessons import Scenery
+from chdstat.estimators.progressive.architecture import AIMS, Shape
+from chdstat.estimators.progressive.auxiliary import BANDS, RADII
+from chdstat.estimators.progressive.dataset import Scenery
 from chdstat.estimators.progressive.network import Network, device
-from chdstat.estimators.progressive.shapes import AIMS, Shape
-from chdstat.estimators.progressive.surroundings import BANDS, RADII
 from chdstat.estimators.progressive.training import look
 
 SHAPES = [Shape(3), Shape(1), Shape(3, described=5), Shape(3, described=5, neighbours=True)]

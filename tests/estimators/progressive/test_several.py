@@ -8,10 +8,10 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import Progressive, Stream
-from chdstat.estimators._modelfile import read_model, write_model
-from chdstat.estimators.heldout import judging_pixels
-from chdstat.estimators.progressive.causes import CAUSES
-from chdstat.estimators.progressive.trust import Move, paying_share
+from chdstat.estimators.model_files import read_model, write_model
+from chdstat.estimators.progressive.error_model import CAUSES
+from chdstat.estimators.progressive.shrinkage import Move, paying_share
+from chdstat.estimators.validation import judging_pixels
 
 
 def flat(height=24, width=24, spp=64, seed=0):

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat.estimators.progressive.causes import CAUSES
+from chdstat.estimators.progressive.error_model import (
+    BRIGHTNESS,
+    CAUSES,
+    LEVELS,
+    Spread,
+    Trial,
+    _calibrate,
+    _weights,
+)
 from chdstat.estimators.progressive.splits import Splits
-from chdstat.estimators.progressive.spread import BRIGHTNESS, LEVELS, Spread, _calibrate, _weights
-from chdstat.estimators.progressive.trials import Trial
 
 
 def test_halves_of_what_was_not_seen_tell_squared_errors_without_bias():

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._image_scales import mean_radiance
+from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators import Profile, Progressive, Stream
-from chdstat.simulation import CHD, Component, truth_of
+from chdstat.patterns import CHD, Component, truth_of
 
 
 def parts(x, *ends):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from chdstat.estimators import Profile
-from chdstat.estimators.progressive.surroundings import BANDS, RADII, surround
+from chdstat.estimators.progressive.auxiliary import BANDS, RADII, surround
 
 
 def profiles(seed=0, shape=(12, 14, 3, 16)):

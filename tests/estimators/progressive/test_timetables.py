@@ -5,7 +5,7 @@ import pytest
 
 from chdstat.errors import InputError
 from chdstat.estimators import Progressive, Stream
-from chdstat.estimators.progressive.timetables import follow, timetable
+from chdstat.estimators.progressive.stream import follow, timetable
 
 
 @pytest.mark.parametrize("spp", [4, 15, 16, 31, 64, 100, 2048])

@@ -7,9 +7,9 @@ import pytest
 
 import chdstat as chd
 from chdstat.estimators import Progressive
-from chdstat.estimators.progressive.results import Trust
-from chdstat.estimators.progressive.shapes import GROUPS
-from chdstat.estimators.progressive.trust import Move, keeping_mean, own_shares, paying_share
+from chdstat.estimators.progressive.architecture import GROUPS
+from chdstat.estimators.progressive.learned import Trust
+from chdstat.estimators.progressive.shrinkage import Move, keeping_mean, own_shares, paying_share
 
 
 def moves(rng, share, *, pixels=300, draws=4):

@@ -1,0 +1,393 @@
+"""Sample arrays: what every statistic assumes of its input, checked in one place.
+
+Samples lie on the last axis; leading axes are a batch (pixels, channels).
+
+Rows: take some rows out of a result, whatever its type, as indexing an array takes them.
+
+Channels and luminance are analysed together, as rows of one batch; afterwards they part again.
+"""
+
+from __future__ import annotations
+
+import copy
+import operator
+import sys
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
+from types import FrameType
+from typing import Any, SupportsIndex, TypeVar, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.errors import InputError, LeftOutWarning
+
+__all__ = [
+    "LUMINANCE",
+    "LeftOut",
+    "all_good",
+    "as_pixels",
+    "as_samples",
+    "block_numbers",
+    "generator",
+    "is_bad",
+    "is_null",
+    "luminance",
+    "spans",
+    "take_rows",
+    "warn_left_out",
+    "whole",
+]
+
+LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
+"""Weights of linear sRGB in luminance (ITU-R BT.709)."""
+
+_TOLERATED = 0.01
+"""Share of the samples that may be left out without a warning."""
+
+
+def generator(seed: int | Sequence[int] | np.random.Generator | None) -> np.random.Generator:
+    """Turn a seed into a random generator; a generator passes through.
+
+    Raises
+    ------
+    InputError
+        If the seed is neither a whole number from 0, several of them, a generator, nor None.
+    """
+    try:
+        return np.random.default_rng(seed)
+    except (TypeError, ValueError) as error:
+        message = f"seed must be a whole number from 0, a generator or None, got {seed!r}"
+        raise InputError(message) from error
+
+
+def whole(name: str, value: object, *, least: int) -> int:
+    """Return a whole number, of whatever type, as an int.
+
+    Raises
+    ------
+    InputError
+        If it is none, a truth value, or less than `least`.
+
+    Examples
+    --------
+    >>> whole("n", np.int32(3), least=1)
+    3
+    """
+    if not isinstance(value, SupportsIndex) or isinstance(value, bool):
+        message = f"{name} must be a whole number, got {value!r}"
+        raise InputError(message)
+    number = operator.index(value)
+    if number < least:
+        message = f"{name} must be at least {least}, got {number}"
+        raise InputError(message)
+    return number
+
+
+def block_numbers(height: int, width: int, *, across: int) -> npt.NDArray[np.int64]:
+    """Return the block that each pixel lies in, shape (y, x): `across` of them along each side.
+
+    They are numbered in reading order and of nearly equal size; a side with fewer pixels has as
+    many blocks as pixels.
+
+    Examples
+    --------
+    >>> block_numbers(2, 4, across=2)
+    array([[0, 0, 1, 1],
+           [2, 2, 3, 3]])
+    """
+    rows, columns = min(height, across), min(width, across)
+    y = np.arange(height) * rows // height
+    x = np.arange(width) * columns // width
+    return np.asarray(y[:, np.newaxis] * columns + x, dtype=np.int64)
+
+
+def as_samples(
+    x: npt.ArrayLike, *, minimum: int = 1, name: str = "x"
+) -> npt.NDArray[np.floating[Any]]:
+    """Return `x` as a floating-point array with at least `minimum` samples on its last axis.
+
+    float32 and float64 pass through uncopied; signed integers become float64. Masked samples become
+    NaN, which is bad. The named dims of an `xarray.DataArray` are put in the order (..., y, x,
+    channel, sample).
+
+    Raises
+    ------
+    InputError
+        If `x` has no axis, is not real, or holds fewer than `minimum` samples; if its dims have
+        names and none is "sample"; or if it holds unsigned integers, as encoded images do.
+    """
+    array = _unmasked(_in_order(x, name), name)
+    if array.dtype.kind == "u":
+        message = (
+            f"{name} holds unsigned integers, {array.dtype}, as images for a display do: samples "
+            "are linear radiance. Decode them (sRGB to linear); numbers that are linear already "
+            "pass as floating point, x.astype(float)"
+        )
+        raise InputError(message)
+    if array.dtype.kind not in "fi":
+        message = f"{name} must hold real numbers, got {_kind(x, array)}"
+        raise InputError(message)
+    if array.ndim == 0:
+        message = f"{name} must have its samples on the last axis, got a single number"
+        raise InputError(message)
+    if array.shape[-1] < minimum:
+        message = (
+            f"{name} needs at least {minimum} sample(s) on its last axis, "
+            f"got shape {array.shape} with {array.shape[-1]}"
+        )
+        raise InputError(message)
+    return array if array.dtype in (np.float32, np.float64) else array.astype(np.float64)
+
+
+def as_pixels(
+    x: npt.ArrayLike, *, minimum: int = 1, name: str = "x", image: bool = False
+) -> npt.NDArray[np.floating[Any]]:
+    """Return samples (..., channel, sample) as `as_samples` does.
+
+    An `xarray.DataArray` whose dims have names, and none is "channel", gains one channel.
+
+    Raises
+    ------
+    InputError
+        If `x` has no axis of channels, is none of shape (y, x, channel, sample) where an `image`
+        is needed, or is refused by `as_samples`.
+    """
+    array = as_samples(x, minimum=minimum, name=name)
+    if hasattr(x, "dims") and "channel" not in x.dims:
+        array = array[..., np.newaxis, :]
+    if image and (array.ndim != 4 or 0 in array.shape):
+        message = f"{name} must be an image of shape (y, x, channel, sample), got {array.shape}"
+        raise InputError(message)
+    if array.ndim < 2 or array.shape[-2] == 0:
+        message = f"{name} must have shape (..., channel, sample), got {array.shape}"
+        raise InputError(message)
+    return array
+
+
+def is_bad(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
+    """Mark samples that are no number: NaN or infinite.
+
+    Negative samples are good: control variates, spectral conversion and ratio estimators are
+    unbiased because of them.
+    """
+    return np.asarray(~np.isfinite(x))
+
+
+def all_good(x: npt.NDArray[np.floating[Any]]) -> bool:
+    """Tell whether no sample is bad, several times faster than marking the bad ones."""
+    # A NaN is both the smallest and the largest sample, and fails both comparisons.
+    return x.size == 0 or bool(x.min() > -np.inf and x.max() < np.inf)
+
+
+class LeftOut:
+    """Counts the samples that a function leaves out, to warn of them where they are many.
+
+    Parameters
+    ----------
+    logarithms
+        Whether the function needs logarithms, which negative samples have none of.
+
+    Examples
+    --------
+    >>> left_out = LeftOut()
+    >>> left_out.see(np.array([1.0, np.nan, 2.0]))
+    >>> with warnings.catch_warnings(record=True, action="always") as caught:
+    ...     left_out.warn()
+    >>> print(caught[0].message)
+    33.3 % of the samples (1 of 3) are bad and were left out: 1 NaN or masked, 0 infinite
+    """
+
+    def __init__(self, *, logarithms: bool = False) -> None:
+        self._logarithms = logarithms
+        # Samples, bad ones, those with NaN, with infinite channels; values, negative values. A list
+        # may grow in several threads.
+        self._counts: list[tuple[int, ...]] = []
+
+    def see(self, x: npt.NDArray[np.floating[Any]], *, channel_axis: int | None = None) -> None:
+        """Count samples (..., sample); whole ones where there is an axis of channels."""
+        axes = () if channel_axis is None else (channel_axis,)
+        samples = x.size if channel_axis is None else x.size // max(1, x.shape[channel_axis])
+        masks: list[npt.NDArray[np.bool_]] = []
+        if not all_good(x):
+            masks = [mask(x) for mask in (is_bad, np.isnan, np.isinf)]
+        bad = [int(mask.any(axis=axes).sum()) for mask in masks] or [0, 0, 0]
+        negative = 0
+        if self._logarithms and x.size and not x.min() >= 0:
+            negative = int(((x < 0) & np.isfinite(x)).sum())
+        self._counts.append((samples, *bad, x.size, negative))
+
+    def warn(self) -> None:
+        """Warn the caller of the library where more than 1 % of the samples were left out."""
+        if not self._counts:
+            return
+        samples, bad, nan, infinite, values, negative = map(sum, zip(*self._counts, strict=True))
+        if bad > _TOLERATED * samples:
+            _warn(bad, samples, f"bad and were left out: {nan} NaN or masked, {infinite} infinite")
+        if negative > _TOLERATED * values:
+            _warn(negative, values, "negative and were left out: they have no logarithm")
+
+
+def warn_left_out(
+    x: npt.NDArray[np.floating[Any]],
+    *,
+    channel_axis: int | None = None,
+    logarithms: bool = False,
+    within: str | tuple[str, ...] = "",
+) -> None:
+    """Warn where a function leaves out more than 1 % of samples; see `LeftOut`.
+
+    `within` names parts of the library, of which the others warn of a whole image themselves:
+    what they hand over of it, pixel by pixel or batch by batch, makes no further warning.
+    """
+    *inside, _ = _callers(sys._getframe(1))
+    if within and any(not frame.f_globals["__name__"].startswith(within) for frame in inside):
+        return
+    left_out = LeftOut(logarithms=logarithms)
+    left_out.see(x, channel_axis=channel_axis)
+    left_out.warn()
+
+
+def _warn(count: int, total: int, what: str) -> None:
+    """Warn whoever called the library."""
+    level = 1 + len(_callers(sys._getframe(1)))
+    message = f"{100 * count / total:.1f} % of the samples ({count} of {total}) are {what}"
+    warnings.warn(message, LeftOutWarning, stacklevel=level)
+
+
+def _callers(frame: FrameType) -> list[FrameType]:
+    """Return a frame and those that called it, up to the first that is not of the library."""
+    found = [frame]
+    while frame.f_back and frame.f_globals.get("__name__", "").split(".")[0] == "chdstat":
+        frame = frame.f_back
+        found.append(frame)
+    return found
+
+
+def is_null(x: npt.NDArray[np.floating[Any]], *, channel_axis: int = -2) -> npt.NDArray[np.bool_]:
+    """Mark null samples: those whose channels are all exactly zero.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample).
+    channel_axis
+        Where the channels are.
+
+    Returns
+    -------
+    ndarray of bool
+        Shape of `x` without the channel axis.
+    """
+    return np.asarray((x == 0).all(axis=channel_axis))
+
+
+def luminance(
+    x: npt.NDArray[np.floating[Any]], *, channel_axis: int = -2
+) -> npt.NDArray[np.floating[Any]]:
+    """Return the luminance of RGB samples, the channel itself where there is only one.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample), with 1 or 3 channels.
+    channel_axis
+        Where the channels are.
+
+    Returns
+    -------
+    ndarray
+        Shape of `x` without the channel axis.
+
+    Raises
+    ------
+    InputError
+        If there are neither 1 nor 3 channels.
+    """
+    channels = x.shape[channel_axis]
+    if channels == 1:
+        return np.asarray(x.take(0, axis=channel_axis))
+    if channels != 3:
+        message = (
+            f"luminance needs 1 or 3 channels, got {channels} in shape {x.shape}; samples lie on "
+            "the last axis, channels before them"
+        )
+        raise InputError(message)
+    return np.asarray(np.moveaxis(x, channel_axis, -1) @ LUMINANCE.astype(x.dtype))
+
+
+def spans(length: int, step: int) -> Iterator[slice]:
+    """Cut an axis into consecutive slices of `step`; the last may be shorter.
+
+    Examples
+    --------
+    >>> list(spans(5, 2))
+    [slice(0, 2, None), slice(2, 4, None), slice(4, 5, None)]
+    """
+    for start in range(0, length, step):
+        yield slice(start, min(start + step, length))
+
+
+def _in_order(x: Any, name: str) -> Any:
+    """Return a DataArray with its dims in the order that arrays have here; others pass through."""
+    dims = getattr(x, "dims", None)
+    if not isinstance(dims, tuple) or not hasattr(x, "transpose"):
+        return x
+    if "sample" not in dims:
+        message = (
+            f"{name} has the dims {dims}, and none is called 'sample': rename them to y, x, "
+            "channel and sample, or give the bare array, x.to_numpy()"
+        )
+        raise InputError(message)
+    last = [dim for dim in ("y", "x", "channel", "sample") if dim in dims]
+    return x.transpose(..., *last)
+
+
+def _unmasked(x: Any, name: str) -> npt.NDArray[Any]:
+    """Return an array, with NaN for the samples that a masked array hides."""
+    try:
+        array = np.asarray(x)
+    except (TypeError, ValueError) as error:
+        message = f"{name} must be an array, with as many samples in every row: {error}"
+        raise InputError(message) from error
+    if isinstance(x, np.ma.MaskedArray) and np.ma.is_masked(x) and array.dtype.kind in "fi":
+        array = array.astype(array.dtype if array.dtype.kind == "f" else np.float64)
+        array[np.ma.getmaskarray(x)] = np.nan
+    return array
+
+
+def _kind(x: object, array: npt.NDArray[Any]) -> str:
+    if hasattr(x, "read") and hasattr(x, "blocks"):
+        return f"{type(x).__name__}; give samples[y, x] of a pixel, or samples.read() of all"
+    return f"dtype {array.dtype}"
+
+
+Result = TypeVar("Result")
+
+
+def take_rows(result: Result, rows: int | slice, *, axis: int) -> Result:
+    """Return a result with only some rows along one of its batch axes.
+
+    Every array with that axis is indexed: those of dataclasses, what they have cached included, and
+    of mappings. What has fewer dimensions describes all rows alike and stays.
+
+    Examples
+    --------
+    >>> take_rows({"mean": np.arange(6).reshape(2, 3), "n": np.array([7, 8])}, 2, axis=1)
+    {'mean': array([2, 5]), 'n': array([7, 8])}
+    """
+    return cast("Result", _take(result, (slice(None),) * axis + (rows,)))
+
+
+def _take(value: Any, index: tuple[int | slice, ...]) -> Any:
+    if isinstance(value, np.ndarray):
+        return value[index] if value.ndim >= len(index) else value
+    if isinstance(value, Mapping):
+        return {name: _take(item, index) for name, item in value.items()}
+    if is_dataclass(value):
+        taken = copy.copy(value)
+        # Cached properties lie beside the fields; a frozen dataclass guards only its attributes.
+        vars(taken).update({name: _take(item, index) for name, item in vars(value).items()})
+        return taken
+    return value

@@ -1,0 +1,245 @@
+"""Image scales: how bright an image is, for the screen, for published thresholds, and on average.
+
+`display_stops` says how to show it. `exposure_unit` is the radiance that an exposure as usual shows
+as 1. `mean_radiance` is its mean, which a few fireflies do not move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import LeftOut, as_pixels, is_bad, spans
+from chdstat.errors import InputError
+
+__all__ = ["RadianceSums", "display_stops", "exposure_unit", "mean_of_pixels", "mean_radiance"]
+
+_WHITE, _PERCENTILE = 0.8, 90
+_KEY = 0.09
+"""Log-average of what is shown, at least: a stop below the middle grey of Reinhard et al."""
+_MOST_STOPS = 3.0
+_LIMIT = 32.0
+_MIDDLE_GREY = 0.18
+_SHARE = 0.04
+"""Of the radiance of an image that one sample may make up, if no other of its pixel is like it."""
+_PIXELS_A_FIREFLY, _MOST_FIREFLIES = 128, 8
+"""An image has one firefly less than it has times so many pixels, and fewer than so many in all."""
+_SAMPLES_AT_ONCE = 2**18
+
+Array = npt.NDArray[np.floating[Any]]
+
+
+def display_stops(image: npt.ArrayLike) -> float:
+    """Return stops that show an image well.
+
+    They put the 90th percentile near white, which suits rooms; but a view whose window or lamps
+    are more than a tenth of it, and would leave all else black, is up to three stops brighter, as
+    its log-average asks (Reinhard et al., "Photographic tone reproduction for digital images",
+    2002, doi:10.1145/566654.566575).
+
+    Parameters
+    ----------
+    image
+        Linear radiance, any shape; what is not finite is left out.
+
+    Examples
+    --------
+    >>> room = np.full(100, 0.4)
+    >>> round(display_stops(room), 2)
+    1.0
+    >>> room[:20] = 400  # a window
+    >>> round(2 ** display_stops(room) * 400, 2)  # 0.8, brighter by three stops
+    6.4
+    """
+    values = np.asarray(image, dtype=np.float64)
+    values = values[np.isfinite(values)]
+    bright = float(np.percentile(values, _PERCENTILE)) if values.size else 0.0
+    if not bright > 0:
+        return 0.0
+    stops = np.log2(_WHITE / bright)
+    wanted = np.log2(_KEY / _log_average(values))
+    return float(np.clip(stops + np.clip(wanted - stops, 0, _MOST_STOPS), -_LIMIT, _LIMIT))
+
+
+def exposure_unit(pixels: Array, unit: float | None = None) -> float:
+    """Return the radiance that counts as 1: the log-average of the image is middle grey, 0.18.
+
+    As in the tone reproduction of Reinhard et al. 2002, doi:10.1145/566654.566575, equation 1 and
+    2, with black pixels left out. 1 for a black image. Some estimators were published with
+    thresholds in absolute radiance and mean that of an image that is exposed so.
+
+    Parameters
+    ----------
+    pixels
+        Luminances, any shape; those that are not positive and finite are left out.
+    unit
+        Passed through where the caller knows better.
+
+    Raises
+    ------
+    InputError
+        If `unit` is not positive and finite.
+    """
+    if unit is not None:
+        if not 0 < unit < np.inf:
+            message = f"unit must be a positive radiance, got {unit}"
+            raise InputError(message)
+        return float(unit)
+    average = _log_average(pixels[np.isfinite(pixels)].astype(np.float64))
+    return average / _MIDDLE_GREY if average > 0 else 1.0
+
+
+def _log_average(values: npt.NDArray[np.float64]) -> float:
+    """Return the geometric mean of the positive ones among finite values, 0 if there is none."""
+    lit = values[values > 0]
+    return float(np.exp(np.log(lit).mean())) if lit.size else 0.0
+
+
+@runtime_checkable
+class _Image(Protocol):
+    """Samples that are walked through, such as `chdstat.Samples`."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
+
+    def blocks(self) -> Iterator[tuple[slice, slice, slice, npt.NDArray[np.float32]]]: ...
+
+
+def mean_radiance(samples: npt.ArrayLike | _Image) -> float:
+    """Return the mean radiance of an image over pixels and channels; few fireflies do not move it.
+
+    The sample of a pixel that is farthest from 0 may be a firefly or one of many from a lamp. Its
+    other samples tell: the mean of the pixel exceeds theirs by ``e``, which for a lamp is little.
+    The image's mean is that of the pixels, with ``e`` limited to 4 % of the radiance of the whole
+    image. Hence a single sample moves it by less than 5 %, whatever its value, and it is the plain
+    mean wherever no single sample makes up 4 % of the image. As many as 7 samples are limited in
+    images from 1024 pixels, one less for 128 pixels fewer, and none below 256, where one sample is
+    much of all that is known. Of one sample per pixel nothing tells a firefly from a lamp: then a
+    pixel that makes up more than 4 % of the image is limited likewise.
+
+    It does not depend on the order of samples or pixels and follows the unit of radiance.
+
+    Parameters
+    ----------
+    samples
+        Shape (..., channel, sample), or `chdstat.Samples`, which are walked through once. A sample
+        of which any channel is bad is left out.
+
+    Returns
+    -------
+    float
+        A positive, normal float32; 1 for a black image.
+
+    Raises
+    ------
+    InputError
+        If the samples have no channels.
+
+    Examples
+    --------
+    >>> image = np.full((32, 32, 1, 8), 0.5)
+    >>> image[3, 4] = 1000  # a lamp
+    >>> round(mean_radiance(image), 3), round(float(image.mean()), 3)
+    (1.476, 1.476)
+    >>> image[20, 9, 0, 5] = 1e6  # a firefly
+    >>> round(mean_radiance(image), 3), round(float(image.mean()), 3)
+    (1.538, 123.546)
+    """
+    if isinstance(samples, _Image):
+        sums = RadianceSums(samples.shape[:2])
+        left_out = LeftOut()
+        for ys, xs, _, block in samples.blocks():
+            left_out.see(block, channel_axis=-2)
+            sums.add(block, (ys, xs))
+        left_out.warn()
+        return sums.mean()
+    x = as_pixels(samples, name="samples")
+    flat = x.reshape(-1, *x.shape[-2:])
+    sums = RadianceSums(flat.shape[:1])
+    sums.add(flat)
+    return sums.mean()
+
+
+class RadianceSums:
+    """Sums over the good samples of each pixel, as they come, and what `mean_radiance` makes of it.
+
+    Parameters
+    ----------
+    shape
+        Of the pixels.
+
+    Attributes
+    ----------
+    extreme
+        The sample that is farthest from 0, averaged over channels.
+    others
+        Sum of the others: apart, since a firefly takes all digits of a sum.
+    count
+        Good samples.
+    """
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.extreme, self.others = np.zeros((2, *shape))
+        self.count = np.zeros(shape, np.int64)
+
+    def add(self, x: Array, where: tuple[slice, ...] = (slice(None),)) -> None:
+        """Add samples (..., channel, sample) of some of the pixels."""
+        if not x.size:
+            return
+        row = int(np.prod(x.shape[1:]))
+        extreme, others, count = (a[where] for a in (self.extreme, self.others, self.count))
+        for part in spans(len(x), max(1, _SAMPLES_AT_ONCE // row)):
+            with np.errstate(over="ignore", invalid="ignore"):
+                grey = x[part].mean(axis=-2, dtype=np.float64)
+            bad = is_bad(x[part]).any(axis=-2) | ~np.isfinite(grey)
+            grey[bad] = 0
+            # What was the farthest so far comes again as one more sample.
+            grey = np.concatenate([grey, extreme[part][..., np.newaxis]], axis=-1)
+            high, low = grey.argmax(axis=-1)[..., np.newaxis], grey.argmin(axis=-1)[..., np.newaxis]
+            highest, lowest = (np.take_along_axis(grey, i, axis=-1) for i in (high, low))
+            far = np.where(highest >= -lowest, high, low)
+            extreme[part] = np.take_along_axis(grey, far, axis=-1)[..., 0]
+            np.put_along_axis(grey, far, 0, axis=-1)
+            others[part] += grey.sum(axis=-1)
+            count[part] += bad.shape[-1] - bad.sum(axis=-1)
+
+    def mean(self) -> float:
+        """Return the mean radiance, as `mean_radiance` says."""
+        return mean_of_pixels(self.extreme, self.others, self.count)
+
+
+def mean_of_pixels(extreme: Array, others: Array, count: npt.NDArray[Any]) -> float:
+    """Return what `mean_radiance` does, from the attributes of `RadianceSums`."""
+    known = count > 0
+    number = count[known].astype(np.float64)
+    # In units of the brightest sample nothing overflows, and a power of two changes no bit.
+    scale = 2.0 ** np.floor(np.log2(np.abs(extreme[known]).max(initial=0) or 1.0))
+    rest = others[known] / scale / np.maximum(number - 1, 1)
+    excess = (extreme[known] / scale - rest) / number
+    limit = _limit(rest, excess)
+    radiance = (rest + np.clip(excess, -limit, limit)).sum()
+    if not radiance > 0:
+        radiance = (rest + excess).sum()
+    found = float(radiance) / max(len(rest), 1) * scale
+    # Samples are measured in it in single precision.
+    bounds = np.finfo(np.float32)
+    return float(np.clip(found, bounds.tiny, bounds.max)) if 0 < found < np.inf else 1.0
+
+
+def _limit(rest: npt.NDArray[np.float64], excess: npt.NDArray[np.float64]) -> float:
+    """Return what the excess of a pixel is limited to: it limits few, to a share of the sum."""
+    few = min(len(rest) // _PIXELS_A_FIREFLY, _MOST_FIREFLIES)
+    if few < 2:
+        return np.inf
+    order = np.argpartition(np.abs(excess), -few)
+    top = excess[order[-few:]]
+    top = top[np.argsort(-np.abs(top))]
+    # Sums without the first 0, 1, 2 and so on: added up from the least, for the digits.
+    sums = np.cumsum(np.append(rest.sum() + excess[order[:-few]].sum(), top[::-1]))[:0:-1]
+    # Where k are limited to l, the whole is this sum and k l, and l is its share.
+    limits = _SHARE * sums / (1 - _SHARE * np.arange(few))
+    enough = np.flatnonzero(limits >= np.abs(top))
+    return float(limits[enough[0]] if len(enough) else np.abs(top[-1]))

@@ -1,0 +1,393 @@
+"""Multiplicity: shares with their intervals, and p-values of many pixels at once.
+
+Resampling: intervals of statistics over pixels that resemble their neighbours.
+
+Neighbouring pixels see the same light, so that they are not draws of their own. What is drawn with
+replacement are blocks of them, within each region apart: the regions are given, their pixels are
+examples of what they show.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special, stats
+
+from chdstat._core.arrays import block_numbers, generator, spans
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "LEVEL",
+    "Blocks",
+    "Spread",
+    "holm",
+    "interval_of",
+    "largest_of",
+    "least_of",
+    "mean_of",
+    "median_of",
+    "q_values",
+    "rejections",
+    "wilson",
+]
+
+Floats = npt.NDArray[np.float64]
+
+
+def q_values(p: npt.NDArray[np.floating[Any]]) -> Floats:
+    """Return Benjamini-Hochberg q-values over the image, for each further axis apart.
+
+    The expected share of false ones among the pixels with q <= alpha is at most alpha. Pixels
+    without a p-value (NaN) take no part and stay NaN.
+
+    Parameters
+    ----------
+    p
+        p-values, shape (y, x, ...).
+
+    References
+    ----------
+    Benjamini and Hochberg, "Controlling the false discovery rate: a practical and powerful
+    approach to multiple testing", 1995, doi:10.1111/j.2517-6161.1995.tb02031.x.
+
+    Examples
+    --------
+    >>> q_values(np.array([[0.01, np.nan], [0.04, 0.5]])).round(3)
+    array([[0.03, nan], [0.06, 0.5 ]])
+    """
+    q = np.full(p.shape, np.nan)
+    for index in np.ndindex(p.shape[2:]):
+        here = (slice(None), slice(None), *index)
+        tested = np.isfinite(p[here])
+        if tested.any():
+            adjusted = np.full(tested.shape, np.nan)
+            adjusted[tested] = stats.false_discovery_control(p[here][tested])
+            q[here] = adjusted
+    return q
+
+
+def rejections(q_value: xr.DataArray, alpha: float) -> xr.DataArray:
+    """Return 1 where a q-value is at most `alpha`, 0 where it is not, NaN where nothing was tested.
+
+    Its mean is the share of the pixels that were tested.
+    """
+    rejected = (q_value <= alpha).astype(np.float32)
+    return rejected.where(q_value.notnull()).drop_attrs()
+
+
+def holm(p: npt.NDArray[np.floating[Any]]) -> Floats:
+    """Return p-values of a family of tests, adjusted; those that are NaN count for none.
+
+    Holm, "A simple sequentially rejective multiple test procedure", 1979.
+
+    Examples
+    --------
+    >>> holm(np.array([0.04, np.nan, 0.01, 0.03]))
+    array([0.06,  nan, 0.03, 0.06])
+    """
+    found = np.asarray(p, dtype=np.float64).copy()
+    order = np.argsort(found)[: np.count_nonzero(np.isfinite(found))]  # NaN is sorted last
+    left = np.arange(len(order), 0, -1)
+    found[order] = np.minimum(np.maximum.accumulate(left * found[order]), 1)
+    return found
+
+
+def wilson(
+    count: npt.NDArray[Any], n: npt.NDArray[Any], *, level: float = 0.95
+) -> npt.NDArray[np.float64]:
+    """Return the Wilson score interval of a share, low and high on a new last axis.
+
+    NaN where `n` is 0.
+
+    References
+    ----------
+    Wilson, "Probable inference, the law of succession, and statistical inference", 1927,
+    doi:10.1080/01621459.1927.10502953.
+
+    Examples
+    --------
+    >>> wilson(np.array(10), np.array(20)).round(4)
+    array([0.2993, 0.7007])
+    """
+    z = special.ndtri(0.5 + level / 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.asarray(count / n)
+        scale = 1 / (1 + z**2 / n)
+        centre = (share + z**2 / (2 * n)) * scale
+        half = z * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2) * scale
+    # The interval ends at 0 and 1 there; rounding would leave it a little inside or outside.
+    low = np.where(share == 0, 0, centre - half)
+    high = np.where(share == 1, 1, centre + half)
+    return np.stack([low, high], axis=-1)
+
+
+Ints = npt.NDArray[np.int64]
+
+LEVEL = 0.95
+"""Coverage of the intervals of a finding, all its parts together."""
+REPLICATES = 1000
+LEAST_BLOCKS = 6
+"""Fewer blocks in all tell nothing about their spread."""
+_KNOWN = (0.05, 0.95)
+"""Percentiles that these replicates tell to a few per cent of the interval."""
+_AT_ONCE = 64
+_ACROSS = 4
+"""Blocks along each side of a region, at most: pixels of one share light."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A number with its interval; NaN where there is none.
+
+    Attributes
+    ----------
+    value
+        The statistic of all pixels.
+    low, high
+        Ends of the interval.
+    level
+        Its coverage.
+    """
+
+    value: float
+    low: float
+    high: float
+    level: float
+
+    @classmethod
+    def unknown(cls, value: float = math.nan, *, level: float = LEVEL) -> Spread:
+        """Return a number without an interval."""
+        return cls(value, math.nan, math.nan, level)
+
+    def root(self) -> Spread:
+        """Return the same of the square root; noise may have made squares negative: they give 0."""
+        return Spread(_root(self.value), _root(self.low), _root(self.high), self.level)
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Pixels in blocks, blocks in regions.
+
+    Attributes
+    ----------
+    of_pixel
+        Block of each pixel, shape (pixel,).
+    region
+        Region of each block, shape (block,).
+    """
+
+    of_pixel: Ints
+    region: Ints
+
+    @classmethod
+    def grid(cls, height: int, width: int, *, across: int = _ACROSS) -> Blocks:
+        """Cut a rectangle of pixels, in reading order, into blocks of nearly equal size.
+
+        Examples
+        --------
+        >>> Blocks.grid(2, 4, across=2).of_pixel
+        array([0, 0, 1, 1, 2, 2, 3, 3])
+        """
+        of_pixel = block_numbers(height, width, across=across).ravel()
+        return cls(of_pixel, np.zeros(min(height, across) * min(width, across), dtype=np.int64))
+
+    @classmethod
+    def join(cls, parts: list[Blocks]) -> Blocks:
+        """Put the pixels of several regions one after the other."""
+        firsts = np.cumsum([0, *(len(part.region) for part in parts)])
+        return cls(
+            np.concatenate([p.of_pixel + first for p, first in zip(parts, firsts, strict=False)]),
+            np.concatenate([np.full(len(p.region), i) for i, p in enumerate(parts)]),
+        )
+
+    def __getitem__(self, pixels: Any) -> Blocks:
+        """Return the blocks of some pixels; blocks without any are gone."""
+        _, number = np.unique(self.of_pixel[pixels], return_inverse=True)
+        return Blocks(number, self.region[np.unique(self.of_pixel[pixels])])
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self.region)
+
+    def sums(self, values: npt.NDArray[Any]) -> Floats:
+        """Return the sums of values (pixel, ...) over each block, shape (block, ...)."""
+        flat = np.reshape(values, (len(values), math.prod(values.shape[1:])))
+        columns = [np.bincount(self.of_pixel, column, len(self)) for column in flat.T]
+        sums = np.stack(columns, axis=-1).reshape(len(self), *values.shape[1:])
+        return np.asarray(sums, dtype=np.float64)
+
+    def draw(self, replicates: int, rng: np.random.Generator) -> Floats:
+        """Draw how often each block counts, shape (replicate, block)."""
+        weights = np.zeros((replicates, len(self)))
+        for region in np.unique(self.region):
+            here = np.flatnonzero(self.region == region)
+            weights[:, here] = rng.multinomial(
+                len(here), np.full(len(here), 1 / len(here)), replicates
+            )
+        return weights
+
+
+def interval_of(
+    statistic: Callable[[Floats], Floats],
+    blocks: Blocks,
+    *,
+    level: float = LEVEL,
+    bounds: tuple[float, float] = (-math.inf, math.inf),
+    seed: int = 0,
+) -> Spread:
+    """Return a statistic of weighted blocks with its block-bootstrap interval.
+
+    Percentile intervals of few blocks are too short, and a thousand replicates do not tell the
+    extreme percentiles that they would need. So the distances of the value to the percentiles at
+    5 % and 95 %, which keep the skew of the distribution, are stretched: with b blocks in r
+    regions, by Student's t with b - r degrees of freedom at `level`, times sqrt(b / (b - r)), over
+    1.645, the normal quantile at 95 %.
+
+    Parameters
+    ----------
+    statistic
+        Maps how often each block counts, shape (replicate, block), to shape (replicate,).
+    blocks
+        At least 6, else there is no interval.
+    level
+        Coverage.
+    bounds
+        What the statistic can be at least and at most.
+    seed
+        Of the draws.
+
+    References
+    ----------
+    Künsch, "The jackknife and the bootstrap for general stationary observations", 1989,
+    doi:10.1214/aos/1176347265: blocks. Hesterberg, "What teachers should know about the
+    bootstrap", 2015, doi:10.1080/00031305.2015.1089789: expanded percentiles, of which this is a
+    variant.
+
+    Examples
+    --------
+    >>> blocks, values = Blocks.grid(4, 4), np.arange(16.0)
+    >>> found = interval_of(lambda weights: weights @ values / 16, blocks)
+    >>> found.value, found.low < 5.5, found.high > 9.5
+    (7.5, True, True)
+    """
+    return least_of(
+        lambda weights: statistic(weights)[:, np.newaxis],
+        blocks,
+        level=level,
+        bounds=bounds,
+        seed=seed,
+    )
+
+
+def least_of(
+    statistics: Callable[[Floats], Floats],
+    blocks: Blocks,
+    *,
+    level: float = LEVEL,
+    bounds: tuple[float, float] = (-math.inf, math.inf),
+    seed: int = 0,
+) -> Spread:
+    """Return the least of several statistics of weighted blocks with its interval.
+
+    The least of several noisy numbers is too small where they are nearly equal, and so are the
+    percentiles of its replicates. The low end is therefore the least of the low ends that the
+    statistics have each for itself: it lies above the true least only if that one's does. The high
+    end is the least of high ends that hold for all statistics at once, by the largest of their
+    deviations in each replicate.
+
+    Parameters
+    ----------
+    statistics
+        Maps how often each block counts, shape (replicate, block), to shape (replicate, statistic).
+    blocks, level, bounds, seed
+        As for `interval_of`.
+
+    References
+    ----------
+    Berger, "Multiparameter hypothesis testing and acceptance sampling", 1982, doi:10.2307/1267823:
+    the low end. Romano and Wolf, "Stepwise multiple testing as formalized data snooping", 2005,
+    doi:10.1111/j.1468-0262.2005.00615.x: the high end.
+    """
+    if not len(blocks):
+        return Spread.unknown(level=level)
+    with np.errstate(all="ignore"):
+        values = statistics(np.ones((1, len(blocks))))[0].astype(np.float64)
+        value = float(values.min())
+        degrees = len(blocks) - len(np.unique(blocks.region))
+        if len(blocks) < LEAST_BLOCKS or degrees < 2 or not np.isfinite(values).all():
+            return Spread.unknown(value, level=level)
+        rng = generator(seed)
+        draws = np.concatenate(
+            [
+                statistics(blocks.draw(part.stop - part.start, rng))
+                for part in spans(REPLICATES, _AT_ONCE)
+            ]
+        )
+    moves = draws[np.isfinite(draws).all(axis=1)] - values
+    if len(moves) < REPLICATES / 2:
+        return Spread.unknown(value, level=level)
+    # A statistic that resampling shifts as a whole must not lie outside of its own interval.
+    below, above = (
+        np.maximum(side, 0) for side in np.quantile(moves, _KNOWN, axis=0) * [[-1], [1]]
+    )
+    with np.errstate(invalid="ignore", divide="ignore"):
+        largest = np.where(above > 0, moves / above, 0).max(axis=1)
+    together = max(float(np.quantile(largest, _KNOWN[1])), 1.0)
+    reach = float(stats.t.ppf((1 + level) / 2, degrees)) * math.sqrt(len(blocks) / degrees)
+    stretch = reach / float(stats.norm.ppf(_KNOWN[1]))
+    low, high = values - stretch * below, values + stretch * together * above
+    return Spread(value, max(float(low.min()), bounds[0]), min(float(high.min()), bounds[1]), level)
+
+
+def largest_of(
+    statistics: Callable[[Floats], Floats], blocks: Blocks, *, level: float = LEVEL
+) -> Spread:
+    """Return the largest of several statistics of weighted blocks; see `least_of`."""
+    least = least_of(lambda weights: -statistics(weights), blocks, level=level)
+    return Spread(-least.value, -least.high, -least.low, level)
+
+
+def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Spread:
+    """Return the mean over pixels (pixel,) or (pixel, ...), without those that are NaN."""
+    values = values.reshape(len(values), math.prod(values.shape[1:]))
+    known = np.isfinite(values)
+    total = blocks.sums(np.where(known, values, 0).sum(axis=1))
+    count = blocks.sums(known.sum(axis=1))
+    return interval_of(
+        lambda w: (w @ total) / (w @ count), blocks, level=level, bounds=_range(values)
+    )
+
+
+def median_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Spread:
+    """Return the median over pixels, shape (pixel,) or (pixel, ...), without those that are NaN."""
+    flat = np.asarray(values, dtype=np.float64).reshape(len(values), math.prod(values.shape[1:]))
+    of_value = np.repeat(blocks.of_pixel, flat.shape[1])
+    known = np.isfinite(flat.ravel())
+    order = np.argsort(flat.ravel()[known], kind="stable")
+    ordered, block = flat.ravel()[known][order], of_value[known][order]
+    if not len(ordered):
+        return Spread.unknown(level=level)
+
+    def median(weights: Floats) -> Floats:
+        total = np.cumsum(weights[:, block], axis=1)
+        place = (2 * total < total[:, -1:]).sum(axis=1)
+        return np.asarray(ordered[np.minimum(place, len(ordered) - 1)])
+
+    return interval_of(median, blocks, level=level, bounds=_range(ordered))
+
+
+def _range(values: npt.NDArray[Any]) -> tuple[float, float]:
+    """Return smallest and largest value: no mean and no median lies outside."""
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.max())) if known.size else (-math.inf, math.inf)
+
+
+def _root(square: float) -> float:
+    return math.sqrt(max(square, 0.0)) if math.isfinite(square) else square

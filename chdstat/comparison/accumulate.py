@@ -1,0 +1,426 @@
+"""Sums: what is added up of the errors of estimators, and the measures that it comes to.
+
+Every measure is a ratio of sums over units, so that one bootstrap over the units serves them all.
+A unit is a block of pixels with all their batches, or a batch with all its pixels.
+
+Tally: many estimators judged on the same batches, their errors added up as they come.
+
+Memory is bounded: one batch of the picture, one estimate of it, and sums over blocks of pixels.
+Neighbours see the same light and gain or lose together, so that blocks, not pixels, tell how sure a
+measure is (Künsch 1989, doi:10.1214/aos/1176347265).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from chdstat._core.arrays import block_numbers
+from chdstat._core.executor import track
+from chdstat.comparison.metrics import Interval, bootstrap, relative_squared_error
+from chdstat.errors import InputError
+from chdstat.estimators import mean
+from chdstat.estimators.validation import Totals, batches, direct_of
+from chdstat.samples.samples import Samples
+
+__all__ = [
+    "MEASURES",
+    "SUMS",
+    "Directed",
+    "ErrorSums",
+    "Function",
+    "Pictures",
+    "Tally",
+    "Units",
+    "asked",
+    "errors_of",
+    "is_mean",
+    "judge",
+    "stack_intervals",
+]
+
+Array = npt.NDArray[Any]
+
+MEASURES = {
+    "mse": ("mean squared error", "(W sr-1 m-2)^2"),
+    "relmse": ("relative mean squared error", "1"),
+    "improved": ("share of estimates closer to the reference than the sample mean", "1"),
+    "unchanged": ("share of estimates equal to the sample mean", "1"),
+    "bias": ("mean error over mean reference", "1"),
+    "fireflies": ("share of estimates far brighter than the reference", "1"),
+    "mse_ratio": ("mean squared error over that of the sample mean", "1"),
+    "relmse_ratio": ("relative mean squared error over that of the sample mean", "1"),
+    "fireflies_left": ("fireflies over those of the sample mean", "1"),
+}
+"""Long name and unit of every measure."""
+
+SUMS = ("squared", "relative", "improved", "unchanged", "firefly", "error")
+"""What is added up for every estimator and channel."""
+
+_SAME = 1e-6
+"""Relative difference below which an estimate is the mean, summed in another order."""
+_FIREFLY = 3.0
+"""Excess over the reference, in units of it, from which an estimate is a firefly: two stops."""
+
+
+@dataclass(frozen=True)
+class ErrorSums:
+    """Sums of errors, one row a unit.
+
+    Attributes
+    ----------
+    sums
+        By the names of `SUMS`, shape (unit, sum, 1 + estimator, channel); the sample mean is
+        estimator 0.
+    reference
+        Sum of the references, radiance, shape (unit, channel).
+    count
+        Estimates of each channel that were added, shape (unit,).
+    """
+
+    sums: npt.NDArray[np.float64]
+    reference: npt.NDArray[np.float64]
+    count: npt.NDArray[np.int64]
+
+    @classmethod
+    def empty(cls, units: int, estimators: int, channels: int) -> ErrorSums:
+        """Return zeros for a number of estimators beside the sample mean."""
+        return cls(
+            np.zeros((units, len(SUMS), 1 + estimators, channels)),
+            np.zeros((units, channels)),
+            np.zeros(units, np.int64),
+        )
+
+    def __getitem__(self, units: Any) -> ErrorSums:
+        """Return the sums of some units."""
+        return ErrorSums(self.sums[units], self.reference[units], self.count[units])
+
+    def joined(self, groups: npt.NDArray[np.int64]) -> ErrorSums:
+        """Return the sums of units of the same group, in the order of the groups' numbers."""
+        _, group = np.unique(groups, return_inverse=True)
+        found = ErrorSums.empty(
+            group.max(initial=-1) + 1, self.sums.shape[2] - 1, self.sums.shape[3]
+        )
+        np.add.at(found.sums, group, self.sums)
+        np.add.at(found.reference, group, self.reference)
+        np.add.at(found.count, group, self.count)
+        return found
+
+    def measures(self, *, seed: int) -> dict[str, Interval]:
+        """Return every measure with its interval over units, shape (estimator, channel + 1).
+
+        The last place of the channel axis is the average over channels. The measures of a single
+        unit have no interval.
+        """
+        used = self[self.count > 0]
+        units, channels = used.reference.shape
+        parts = used.sums.reshape(units, -1), used.reference, used.count[:, np.newaxis]
+
+        def statistic(means: Array) -> Array:
+            sums, reference, count = np.split(means, [-1 - channels, -1], axis=1)
+            return _measure(sums.reshape(-1, *used.sums.shape[1:]), reference, count)
+
+        found = _stretched(bootstrap(np.concatenate(parts, axis=1), statistic, seed=seed), units)
+        return {name: found[index] for index, name in enumerate(MEASURES)}
+
+
+def _stretched(found: Interval, units: int) -> Interval:
+    """Return an interval that is right for few units, too; of a single one there is none.
+
+    Of k units, percentiles are too close by sqrt((k - 1) / k), and by the normal quantile in place
+    of Student's (Hesterberg 2015, doi:10.1080/00031305.2015.1089789).
+    """
+    if units == 1:
+        unknown = np.full_like(found.value, np.nan)
+        return Interval(found.value, unknown, unknown, unknown)
+    spread = float(np.sqrt(units / (units - 1)))
+    reach = spread * float(stats.t.ppf(0.975, units - 1) / stats.norm.ppf(0.975))
+    low, high = (found.value + reach * (end - found.value) for end in (found.low, found.high))
+    return Interval(found.value, spread * found.standard_error, low, high)
+
+
+def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Array) -> Array:
+    r"""Return what `SUMS` names of every estimate, shape (pixel, sum, channel).
+
+    An estimate p with :math:`|p - \bar x| \le 10^{-6} \bar x` is the sample mean, neither better
+    nor worse. It is a *firefly* where
+
+    .. math:: p - y > 3 \sqrt{y^2 + 0.01\, m^2},
+
+    y being the reference and m the mean reference of the scene: at least two stops too bright, and
+    no matter of a faint pixel in a bright scene. The scale is that of relMSE, so that a firefly has
+    a relative squared error above 9. We know of no published threshold; this one is ours.
+
+    Parameters
+    ----------
+    estimate, mean, reference
+        Radiance, shape (pixel, channel); the mean is that of the samples that the estimate saw.
+    scene_mean
+        Mean reference of the scene, shape (channel,).
+    """
+    # An estimate without end would make NaN of all pixels that are drawn 0 times.
+    p = np.where(np.isfinite(estimate), estimate, np.nan).astype(np.float64)
+    error = p - reference
+    relative = relative_squared_error(p, reference, scene_mean=scene_mean)
+    unchanged = is_mean(p, mean)
+    improved = (np.abs(error) < np.abs(mean - reference)) & ~unchanged
+    firefly = (error > 0) & (relative > _FIREFLY**2)
+    return np.stack([error**2, relative, improved, unchanged, firefly, error], axis=1)
+
+
+def is_mean(estimate: Array, mean: Array) -> npt.NDArray[np.bool_]:
+    """Say where an estimate is the sample mean, be it summed in another order."""
+    return np.asarray(np.abs(estimate - mean) <= _SAME * np.abs(mean))
+
+
+def stack_intervals(intervals: Sequence[Interval]) -> Interval:
+    """Return several intervals as one, along a new first axis."""
+    fields = ("value", "standard_error", "low", "high")
+    return Interval(*(np.stack([getattr(i, field) for i in intervals]) for field in fields))
+
+
+def _measure(sums: Array, reference: Array, count: Array) -> Array:
+    """Return measures (replicate, measure, estimator, channel + 1) of sums over units."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = _with_average(sums[:, :5] / count[:, :, np.newaxis, np.newaxis])
+        squared, relative, improved, unchanged, firefly = np.moveaxis(shares, 1, 0)
+        bias = _with_average(sums[:, 5] / reference[:, np.newaxis])
+        ratios = [part / part[:, :1] for part in (squared, relative, firefly)]
+    found = [squared, relative, improved, unchanged, bias, firefly, *ratios]
+    return np.stack(found, axis=1)[:, :, 1:]
+
+
+def _with_average(values: Array) -> Array:
+    return np.concatenate([values, values.mean(axis=-1, keepdims=True)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Directed:
+    """An estimator that is to be told the direct part of its samples.
+
+    Attributes
+    ----------
+    function
+        Takes samples, and their direct part as ``direct=``.
+    """
+
+    function: Callable[..., Array]
+
+
+Function = Callable[[npt.ArrayLike], Array] | Directed
+
+_ACROSS = 8
+"""Blocks along each side of the picture."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """Pixels that judge, gathered into units: those of a label in a block of the picture.
+
+    Attributes
+    ----------
+    ys, xs
+        The pixels, unit by unit, shape (pixel,).
+    starts
+        Where each unit begins, shape (unit,).
+    label, block
+        Of each unit, shape (unit,).
+    pixels
+        Pixels in each unit, shape (unit,).
+    """
+
+    ys: npt.NDArray[np.intp]
+    xs: npt.NDArray[np.intp]
+    starts: npt.NDArray[np.intp]
+    label: npt.NDArray[np.int64]
+    block: npt.NDArray[np.int64]
+    pixels: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, test: npt.NDArray[np.bool_], labels: npt.NDArray[np.int64] | None = None) -> Units:
+        """Gather the pixels of `test`, in 8 x 8 blocks of the picture."""
+        ys, xs = np.nonzero(test)
+        label = np.zeros(len(ys), np.int64) if labels is None else labels[ys, xs]
+        block = block_numbers(*test.shape, across=_ACROSS)[ys, xs]
+        order = np.lexsort((block, label))
+        label, block = label[order], block[order]
+        new = (np.diff(label, prepend=-1) != 0) | (np.diff(block, prepend=-1) != 0)
+        starts = np.flatnonzero(new)
+        pixels = np.diff(starts, append=len(ys))
+        return cls(ys[order], xs[order], starts, label[starts], block[starts], pixels)
+
+    def __call__(self, picture: Array) -> Array:
+        """Return a picture's values at the pixels, shape (pixel, ...)."""
+        return np.asarray(picture[self.ys, self.xs])
+
+    def sum(self, values: Array) -> Array:
+        """Add up values (pixel, ...) within each unit."""
+        return np.asarray(np.add.reduceat(values, self.starts, axis=0))
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The first batch over the whole picture, radiance.
+
+    Attributes
+    ----------
+    estimates
+        Shape (estimator, y, x, channel).
+    squared_error
+        Of the estimates against the reference, same shape.
+    mean
+        Sample mean of the batch, shape (y, x, channel).
+    reference
+        Mean of all other samples, shape (y, x, channel).
+    """
+
+    estimates: npt.NDArray[np.float32]
+    squared_error: npt.NDArray[np.float32]
+    mean: npt.NDArray[np.float32]
+    reference: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What many estimators did on the same batches.
+
+    Attributes
+    ----------
+    by_unit, by_block
+        Sums over batches, one row a unit of pixels, or a block, whatever the labels in it.
+    by_batch
+        Sums over pixels, one row a batch.
+    excluded
+        Batches of test pixels without a reference.
+    pictures
+        What the first batch looks like; None where nobody asked.
+    """
+
+    by_unit: ErrorSums
+    by_block: ErrorSums
+    by_batch: ErrorSums
+    excluded: int
+    pictures: Pictures | None
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """One batch of the picture, and what the estimates of it are judged by."""
+
+    samples: npt.NDArray[np.float32]
+    direct: npt.NDArray[np.float32] | None
+    mean: npt.NDArray[np.float32]
+    reference: npt.NDArray[np.float64]
+
+    def estimates(self, functions: Mapping[str, Function]) -> Iterator[Array]:
+        """Yield the sample mean, then what each estimator says."""
+        yield self.mean
+        for name, function in functions.items():
+            found = asked(function, self.direct, self.samples)
+            if found.shape != self.mean.shape:
+                message = (
+                    f"{name} must return one estimate for each pixel and channel, shape "
+                    f"{self.mean.shape}, got {found.shape}"
+                )
+                raise InputError(message)
+            yield found
+
+
+def asked(function: Function, direct: Array | None, samples: npt.ArrayLike) -> Array:
+    """Return what an estimator makes of samples, with their direct part where it wants that."""
+    if isinstance(function, Directed):
+        return np.asarray(function.function(samples, direct=direct))
+    return np.asarray(function(samples))
+
+
+def judge(
+    functions: Mapping[str, Function],
+    samples: Samples,
+    totals: Totals,
+    units: Units,
+    *,
+    n: int,
+    limit: int | None,
+    pictures: bool = True,
+    progress: bool | None = None,
+) -> Tally:
+    """Let every estimator estimate from the same batches and add up its errors.
+
+    The picture is read with n samples at a time and estimated by one estimator at a time.
+    """
+    height, width, channels, spp = samples.shape
+    rounds = spp // n if limit is None else min(limit, spp // n)
+    by_unit = ErrorSums.empty(len(units.starts), len(functions), channels)
+    by_batch = ErrorSums.empty(rounds, len(functions), channels)
+    scene_mean = totals.mean()[totals.count > 0].mean(axis=0)
+    shown, excluded = None, 0
+    work = rounds * height * width * len(functions)
+    with track(f"comparing at N = {n}", work, unit="px", show=progress) as advance:
+        for index, (picture, direct) in enumerate(_read(samples, n, limit, functions)):
+            batch = _Batch(picture, direct, mean(picture), totals.mean_without(picture))
+            if index == 0 and pictures:
+                shown = _empty_pictures(batch, len(functions))
+            excluded += _add_references(batch, units, by_unit, by_batch[index : index + 1])
+            for k, estimate in enumerate(batch.estimates(functions)):
+                sums = units.sum(_errors(estimate, batch, units, scene_mean))
+                by_unit.sums[:, :, k] += sums
+                by_batch.sums[index, :, k] = sums.sum(axis=0)
+                if shown is not None and index == 0 and k > 0:
+                    _keep(shown, k - 1, estimate)
+                advance(height * width if k > 0 else 0)
+    return Tally(by_unit, by_unit.joined(units.block), by_batch, excluded, shown)
+
+
+def _read(
+    samples: Samples, n: int, limit: int | None, functions: Mapping[str, Function]
+) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]]:
+    """Yield the picture with n samples at a time, and their direct part where it is asked for."""
+    pictures = batches(samples, n, limit=limit)
+    if not any(isinstance(function, Directed) for function in functions.values()):
+        return ((picture, None) for picture in pictures)
+    return zip(pictures, batches(direct_of(samples), n, limit=limit), strict=True)
+
+
+def _add_references(batch: _Batch, units: Units, by_unit: ErrorSums, by_batch: ErrorSums) -> int:
+    """Add what all estimators share; return how many pixels have no reference."""
+    reference = units(batch.reference)
+    usable = np.asarray(np.isfinite(reference).all(axis=-1))
+    total = units.sum(np.where(usable[:, np.newaxis], reference, 0))
+    count = units.sum(usable.astype(np.int64))
+    by_unit.reference[:] += total
+    by_unit.count[:] += count
+    by_batch.reference[0] = total.sum(axis=0)
+    by_batch.count[0] = count.sum()
+    return int((~usable).sum())
+
+
+def _errors(estimate: Array, batch: _Batch, units: Units, scene_mean: Array) -> Array:
+    """Return the errors of the pixels that judge, 0 where they have no reference."""
+    reference = units(batch.reference)
+    usable = np.asarray(np.isfinite(reference).all(axis=-1))
+    judged, mean_of_it = (units(a)[usable].astype(np.float64) for a in (estimate, batch.mean))
+    found = errors_of(judged, mean_of_it, reference[usable], scene_mean=scene_mean)
+    if usable.all():
+        return found
+    whole = np.zeros((len(usable), *found.shape[1:]))
+    whole[usable] = found
+    return whole
+
+
+def _empty_pictures(batch: _Batch, estimators: int) -> Pictures:
+    estimates = np.empty((estimators, *batch.mean.shape), np.float32)
+    return Pictures(
+        estimates, np.empty_like(estimates), batch.mean.astype(np.float32), batch.reference
+    )
+
+
+def _keep(pictures: Pictures, k: int, estimate: Array) -> None:
+    """Keep an estimate; float32 is what a picture holds, and 1e30 squared is beyond it."""
+    pictures.estimates[k] = estimate
+    with np.errstate(over="ignore"):
+        pictures.squared_error[k] = np.square(pictures.estimates[k] - pictures.reference)

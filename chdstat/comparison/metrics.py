@@ -1,0 +1,308 @@
+"""Error measures: how far estimates are from a reference, per channel, and how sure that is.
+
+`mse` and `relmse` measure the error, `improved` counts the estimates that beat the sample mean, and
+`bias` belongs next to each of them: an estimator that darkens the picture can have a small error.
+`bootstrap` gives any of them a standard error and an interval over pixels, or blocks of them.
+
+Arrays hold channels on the last axis; every leading axis (pixels, batches) is averaged over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import generator, spans, whole
+from chdstat.errors import InputError
+
+__all__ = [
+    "Interval",
+    "bias",
+    "bootstrap",
+    "improved",
+    "mse",
+    "relative_squared_error",
+    "relmse",
+    "squared_error",
+]
+
+Array = npt.NDArray[Any]
+
+_EPSILON = 0.01
+"""Share of the squared scene mean that keeps relMSE finite in the dark."""
+_REPLICATES_AT_ONCE = 64
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A number with its uncertainty; every field has the same shape.
+
+    Attributes
+    ----------
+    value
+        The statistic of the data.
+    standard_error
+        Standard deviation of its bootstrap replicates.
+    low, high
+        Percentile interval.
+    """
+
+    value: npt.NDArray[np.float64]
+    standard_error: npt.NDArray[np.float64]
+    low: npt.NDArray[np.float64]
+    high: npt.NDArray[np.float64]
+
+    def __getitem__(self, index: Any) -> Interval:
+        """Return the part that `index` selects of every field."""
+        return Interval(
+            self.value[index], self.standard_error[index], self.low[index], self.high[index]
+        )
+
+
+def squared_error(estimate: npt.ArrayLike, reference: npt.ArrayLike) -> Array:
+    """Return (p - y)^2 of every estimate p and its reference y, in float64."""
+    return np.square(_difference(estimate, reference))
+
+
+def relative_squared_error(
+    estimate: npt.ArrayLike, reference: npt.ArrayLike, *, scene_mean: npt.ArrayLike | None = None
+) -> Array:
+    """Return (p - y)^2 / (y^2 + 0.01 m^2) of every estimate p and its reference y.
+
+    Parameters
+    ----------
+    estimate, reference
+        Radiance, shape (..., channel).
+    scene_mean
+        m, the mean reference of the whole scene per channel; None takes the mean of `reference`.
+
+    Returns
+    -------
+    ndarray
+        Shape of `estimate`; 0 where estimate and reference are equal, even if both are 0 in a
+        scene without light.
+    """
+    error = squared_error(estimate, reference)
+    y = np.asarray(reference, np.float64)
+    m = _over_pixels(y) if scene_mean is None else np.asarray(scene_mean, np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = error / (y**2 + _EPSILON * m**2)
+    return np.where(error == 0, 0.0, relative)
+
+
+def mse(estimate: npt.ArrayLike, reference: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Mean squared error, mean((p - y)^2).
+
+    Parameters
+    ----------
+    estimate, reference
+        Radiance, shape (..., channel); leading axes are averaged over.
+
+    Returns
+    -------
+    ndarray
+        Squared radiance, shape (channel,).
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
+
+    Examples
+    --------
+    >>> mse([[1.0], [3.0]], [[1.0], [1.0]])
+    array([2.])
+    """
+    return _over_pixels(squared_error(estimate, reference))
+
+
+def relmse(
+    estimate: npt.ArrayLike, reference: npt.ArrayLike, *, scene_mean: npt.ArrayLike | None = None
+) -> npt.NDArray[np.float64]:
+    """Relative mean squared error, mean((p - y)^2 / (y^2 + 0.01 m^2)).
+
+    Parameters
+    ----------
+    estimate, reference
+        Radiance, shape (..., channel); leading axes are averaged over.
+    scene_mean
+        m, the mean reference of the whole scene per channel; None takes the mean of `reference`.
+        Give it where `reference` is only a part of the picture.
+
+    Returns
+    -------
+    ndarray
+        A pure number, shape (channel,).
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
+
+    Examples
+    --------
+    >>> relmse([[2.0], [2.0]], [[1.0], [1.0]]).round(3)
+    array([0.99])
+    """
+    return _over_pixels(relative_squared_error(estimate, reference, scene_mean=scene_mean))
+
+
+def improved(
+    estimate: npt.ArrayLike, reference: npt.ArrayLike, mean: npt.ArrayLike
+) -> npt.NDArray[np.float64]:
+    """Share of estimates whose squared error is smaller than that of the sample mean.
+
+    A tie is no improvement, so the mean itself scores 0.
+
+    Parameters
+    ----------
+    estimate, reference, mean
+        Radiance, shape (..., channel); `mean` is the average of the samples that `estimate` saw.
+
+    Returns
+    -------
+    ndarray
+        Between 0 and 1, shape (channel,).
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
+
+    Examples
+    --------
+    >>> improved([[1.1], [2.0]], [[1.0], [1.0]], [[1.5], [1.5]])
+    array([0.5])
+    """
+    better = squared_error(estimate, reference) < squared_error(mean, reference)
+    return _over_pixels(better)
+
+
+def bias(estimate: npt.ArrayLike, reference: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Energy gained or lost, mean(p - y) / mean(y).
+
+    Parameters
+    ----------
+    estimate, reference
+        Radiance, shape (..., channel); leading axes are averaged over.
+
+    Returns
+    -------
+    ndarray
+        A pure number, negative where energy is lost, shape (channel,); NaN where the reference is
+        black.
+
+    Raises
+    ------
+    InputError
+        If the shapes differ.
+
+    Examples
+    --------
+    >>> bias([[0.9], [1.0]], [[1.0], [1.0]]).round(3)
+    array([-0.05])
+    """
+    lost = _over_pixels(_difference(estimate, reference))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return lost / _over_pixels(np.asarray(reference, np.float64))
+
+
+def bootstrap(
+    values: npt.ArrayLike,
+    statistic: Callable[[Array], Array] | None = None,
+    *,
+    replicates: int = 1000,
+    level: float = 0.95,
+    seed: int | np.random.Generator | None = 0,
+) -> Interval:
+    r"""Bootstrap a statistic of pixel means: draw pixels with replacement, ask for its spread.
+
+    Pixels are the unit that is drawn, so whatever varies within a pixel (batches, channels) stays
+    together. The interval takes pixels for independent draws of the picture, as their noise is; for
+    what neighbours share, such as the gain of an estimator, give means over blocks in their place.
+
+    Parameters
+    ----------
+    values
+        What is averaged, pixels on the first axis: shape (pixel, ...).
+    statistic
+        Maps means, shape (replicate, ...), to the statistic, shape (replicate, \*result); None
+        takes the means themselves. A ratio of means is a statistic, a mean of ratios is not.
+    replicates
+        Number of bootstrap draws.
+    level
+        Coverage of the interval.
+    seed
+        Where the draws start.
+
+    Returns
+    -------
+    Interval
+        Of the shape of one result.
+
+    Raises
+    ------
+    InputError
+        If there is no pixel, fewer than 2 replicates, or `level` is not between 0 and 1.
+
+    References
+    ----------
+    B. Efron, "Bootstrap methods: another look at the jackknife", Annals of Statistics 7(1), 1979,
+    doi:10.1214/aos/1176344552.
+
+    Examples
+    --------
+    >>> interval = bootstrap([0.0, 1.0, 2.0, 3.0], seed=1)
+    >>> float(interval.value), bool(interval.low < 1.5 < interval.high)
+    (1.5, True)
+    """
+    data = np.asarray(values, np.float64)
+    _check_bootstrap(data, replicates=replicates, level=level)
+    of_means = statistic or (lambda means: means)
+    value = of_means(data.mean(axis=0, keepdims=True))[0]
+    draws = np.concatenate(
+        [of_means(means) for means in _resampled_means(data, replicates, generator(seed))]
+    )
+    with np.errstate(invalid="ignore"):
+        spread = draws.std(axis=0, ddof=1)
+        low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2], axis=0)
+    return Interval(*(np.asarray(part) for part in (value, spread, low, high)))
+
+
+def _resampled_means(data: Array, replicates: int, rng: np.random.Generator) -> Iterator[Array]:
+    """Yield means of pixels drawn with replacement, a few replicates at a time."""
+    pixels = data.shape[0]
+    flat = data.reshape(pixels, -1)
+    for part in spans(replicates, _REPLICATES_AT_ONCE):
+        drawn = rng.integers(pixels, size=(part.stop - part.start, pixels))
+        weights = np.stack([np.bincount(row, minlength=pixels) for row in drawn]) / pixels
+        yield (weights @ flat).reshape(-1, *data.shape[1:])
+
+
+def _difference(estimate: npt.ArrayLike, reference: npt.ArrayLike) -> Array:
+    p, y = np.asarray(estimate, np.float64), np.asarray(reference, np.float64)
+    if p.shape != y.shape or p.ndim == 0:
+        message = (
+            "estimate and reference must have the same shape (..., channel), "
+            f"got {p.shape} and {y.shape}"
+        )
+        raise InputError(message)
+    return p - y
+
+
+def _over_pixels(values: Array) -> npt.NDArray[np.float64]:
+    return np.asarray(values.mean(axis=tuple(range(values.ndim - 1))), np.float64)
+
+
+def _check_bootstrap(data: Array, *, replicates: int, level: float) -> None:
+    if data.ndim == 0 or data.shape[0] == 0:
+        message = f"bootstrap needs pixels on the first axis, got shape {data.shape}"
+        raise InputError(message)
+    whole("replicates", replicates, least=2)
+    if not 0 < level < 1:
+        message = f"level must lie between 0 and 1, such as 0.95; got {level}"
+        raise InputError(message)

@@ -1,0 +1,441 @@
+"""Tables: measures with their intervals as rows, as variables, and as JSON.
+
+Parts: what a comparison says of each pattern, and of a few pixels one by one.
+
+Results: tables, dictionaries and datasets of what `chdstat.compare` found.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import generator
+from chdstat.comparison.accumulate import MEASURES
+from chdstat.comparison.metrics import Interval
+from chdstat.errors import InputError
+from chdstat.estimators.registry import Model
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "ALL_CHANNELS",
+    "OVER_BATCHES",
+    "Breakdown",
+    "Comparison",
+    "PixelEstimates",
+    "about_of",
+    "dataset_of",
+    "interval_variables",
+    "names_array",
+    "parts_of",
+    "ready_for_json",
+    "row_of",
+]
+
+Array = npt.NDArray[Any]
+
+ALL_CHANNELS = -1
+"""Last place of the channel axis of a measure: the average over channels."""
+OVER_BATCHES = "_over_batches"
+"""What follows the suffix of an interval over batches, in place of pixels."""
+_SUFFIXES = {
+    "": "",
+    "_se": ", standard error",
+    "_low": ", lower end of the 95 % interval",
+    "_high": ", upper end of the 95 % interval",
+}
+
+
+def parts_of(interval: Interval) -> dict[str, Array]:
+    """Return value, standard error and ends of an interval, by the suffix of their name."""
+    values = interval.value, interval.standard_error, interval.low, interval.high
+    return dict(zip(_SUFFIXES, values, strict=True))
+
+
+def interval_variables(
+    measures: Mapping[str, Interval],
+    dims: tuple[str, ...],
+    *,
+    prefix: str = "",
+    infix: str = "",
+    about: str = "",
+    skip_value: bool = False,
+) -> dict[str, Any]:
+    """Return measures as variables of a dataset, with long names and units."""
+    variables = {}
+    for measure, interval in measures.items():
+        long_name, units = MEASURES[measure]
+        for suffix, values in parts_of(interval).items():
+            if suffix or not skip_value:
+                attrs = about_of(f"{long_name}{_SUFFIXES[suffix]}{about}", units)
+                variables[prefix + measure + suffix + infix] = (dims, values, attrs)
+    return variables
+
+
+def dataset_of(
+    variables: Mapping[str, Any], coordinates: Mapping[str, Any], attrs: Mapping[str, Any]
+) -> xr.Dataset:
+    """Return a dataset whose attributes a file can hold: what is neither text nor whole is JSON."""
+    import xarray as xr
+
+    plain = {
+        k: v if isinstance(v, str | int) else json.dumps(v, default=str) for k, v in attrs.items()
+    }
+    return xr.Dataset(dict(variables), dict(coordinates), plain)
+
+
+def names_array(names: Iterable[str]) -> npt.NDArray[np.object_]:
+    """Return names as a coordinate: zarr v3 has no stable type for text of fixed length."""
+    return np.array(list(names), dtype=object)
+
+
+def ready_for_json(value: Any) -> Any:
+    """Replace what JSON cannot say."""
+    if isinstance(value, Mapping):
+        return {str(key): ready_for_json(part) for key, part in value.items()}
+    if isinstance(value, list | tuple):
+        return [ready_for_json(part) for part in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return ready_for_json(value.tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def row_of(
+    measures: Mapping[str, Interval], index: tuple[int, int], *, infix: str = ""
+) -> dict[str, float]:
+    """Return one place of all measures as a flat row; with an infix, without the values."""
+    return {
+        measure + suffix + infix: float(values[index])
+        for measure, interval in measures.items()
+        for suffix, values in parts_of(interval).items()
+        if suffix or not infix
+    }
+
+
+def about_of(long_name: str, units: str) -> dict[str, str]:
+    """Return the attributes of a variable."""
+    return {"long_name": long_name, "units": units}
+
+
+@dataclass(frozen=True)
+class PixelEstimates:
+    """A few pixels that no estimator was trained on, one batch each.
+
+    Attributes
+    ----------
+    pixels
+        Rows (y, x), from dark to bright, shape (pixel, 2).
+    estimators
+        Names.
+    channels
+        Names of the channels.
+    reference
+        Mean of all other samples, radiance, shape (pixel, channel).
+    mean
+        Sample mean of the batch, radiance, shape (pixel, channel).
+    estimates
+        Radiance, shape (estimator, pixel, channel).
+    n
+        Samples per estimate.
+    """
+
+    pixels: npt.NDArray[np.int64]
+    estimators: tuple[str, ...]
+    channels: tuple[str, ...]
+    reference: npt.NDArray[np.float64]
+    mean: npt.NDArray[np.float32]
+    estimates: npt.NDArray[np.float32]
+    n: int
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per pixel and channel: where, reference, mean, every estimate."""
+        return [
+            {
+                "y": int(y),
+                "x": int(x),
+                "channel": channel,
+                "reference": float(self.reference[k, c]),
+                "sample_mean": float(self.mean[k, c]),
+                **{name: float(self.estimates[e, k, c]) for e, name in enumerate(self.estimators)},
+            }
+            for k, (y, x) in enumerate(self.pixels)
+            for c, channel in enumerate(self.channels)
+        ]
+
+
+@dataclass(frozen=True)
+class Breakdown:
+    """Which estimator for which pattern: the measures by label, averaged over channels.
+
+    Attributes
+    ----------
+    labels
+        Names of the labels that occur among the pixels that judge.
+    estimators
+        Names.
+    uses_neighbours
+        Which estimators look at the pixels around, shape (estimator,).
+    pixels
+        Pixels with each label that judge, shape (label,).
+    measures
+        By the names of `MEASURES`: intervals over blocks, shape (label, estimator).
+    """
+
+    labels: tuple[str, ...]
+    estimators: tuple[str, ...]
+    uses_neighbours: npt.NDArray[np.bool_]
+    pixels: npt.NDArray[np.int64]
+    measures: Mapping[str, Interval]
+
+    def best(self, measure: str = "relmse", *, neighbours: bool = False) -> tuple[str, ...]:
+        """Return the estimator with the smallest error for each label; '' where none has one.
+
+        Parameters
+        ----------
+        measure
+            "mse" or "relmse".
+        neighbours
+            Whether those that look at the pixels around take part.
+
+        Raises
+        ------
+        InputError
+            If the measure is another.
+        """
+        if measure not in {"mse", "relmse"}:
+            message = f"measure must be 'mse' or 'relmse', got {measure!r}"
+            raise InputError(message)
+        value = self.measures[measure].value
+        eligible = np.asarray(np.isfinite(value) & (neighbours | ~self.uses_neighbours))
+        known = np.asarray(eligible.any(axis=1))
+        ranked = np.where(eligible, value, np.inf).argmin(axis=1)
+        return tuple(
+            self.estimators[k] if any_known else ""
+            for k, any_known in zip(ranked.tolist(), known.tolist(), strict=True)
+        )
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per label and estimator: names, pixels and every measure."""
+        return [
+            {
+                "label": label,
+                "pixels": int(self.pixels[row]),
+                "estimator": name,
+                "uses_neighbours": bool(self.uses_neighbours[k]),
+                **row_of(self.measures, (row, k)),
+            }
+            for row, label in enumerate(self.labels)
+            for k, name in enumerate(self.estimators)
+        ]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What `compare` has found.
+
+    Attributes
+    ----------
+    estimators
+        Names, in the order asked for, those that use neighbours last.
+    uses_neighbours
+        Which of them look at the pixels around, shape (estimator,): a class of their own, as they
+        see more than n samples.
+    channels
+        Names of the channels.
+    measures
+        By the names of `MEASURES`: intervals over 8 x 8 blocks of pixels, shape (estimator,
+        channel + 1), the last place being the average over channels. They say how the measure would
+        vary with other parts of such a picture.
+    over_batches
+        The same measures with intervals over batches: how they would vary with other random
+        numbers, in the same pixels. The batches of a pixel share most of their reference.
+        NaN for a single batch.
+    estimates
+        One estimate of the whole picture from its first n samples, radiance, float32, shape
+        (estimator, y, x, channel).
+    squared_error
+        Squared error of `estimates` against the mean of all other samples, same shape; NaN where
+        the first n samples hold a bad one.
+    first_mean, first_reference
+        Mean of the first n samples and mean of all others, radiance, shape (y, x, channel).
+    reference
+        Mean of all good samples, radiance, shape (y, x, channel).
+    test_pixels
+        True where no estimator was trained: only these pixels count; shape (y, x).
+    n
+        Samples per estimate.
+    batches
+        Estimates that count, over all test pixels.
+    excluded
+        Estimates of test pixels left out for a bad sample.
+    breakdown
+        The measures by label; None where no labels were given.
+    models
+        Trained estimators by name.
+    provenance
+        Scene, samples, seed and settings, ready for JSON.
+    """
+
+    estimators: tuple[str, ...]
+    uses_neighbours: npt.NDArray[np.bool_]
+    channels: tuple[str, ...]
+    measures: Mapping[str, Interval]
+    over_batches: Mapping[str, Interval]
+    estimates: npt.NDArray[np.float32]
+    squared_error: npt.NDArray[np.float32]
+    first_mean: npt.NDArray[np.float32]
+    first_reference: npt.NDArray[np.float64]
+    reference: npt.NDArray[np.float64]
+    test_pixels: npt.NDArray[np.bool_]
+    n: int
+    batches: int
+    excluded: int
+    breakdown: Breakdown | None
+    models: Mapping[str, Model]
+    provenance: Mapping[str, Any]
+
+    @property
+    def reusable_models(self) -> dict[str, Model]:
+        """Those of `models` that take only n samples, and so serve wherever they serve at all.
+
+        Those that take any number were trained for n, and are better trained anew for others.
+        """
+        return {name: model for name, model in self.models.items() if hasattr(model, "inputs")}
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per estimator: its name and every measure, averaged over channels.
+
+        Each measure also has ``_se``, ``_low`` and ``_high``, the standard error and the interval
+        over blocks, and the same with ``_over_batches``.
+        """
+        return [
+            {
+                "estimator": name,
+                "uses_neighbours": bool(self.uses_neighbours[index]),
+                **row_of(self.measures, (index, ALL_CHANNELS)),
+                **row_of(self.over_batches, (index, ALL_CHANNELS), infix=OVER_BATCHES),
+            }
+            for index, name in enumerate(self.estimators)
+        ]
+
+    def draw_pixels(self, count: int = 25, *, seed: int = 0) -> PixelEstimates:
+        """Draw pixels at random from those that judge, with what was estimated for each.
+
+        Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte Carlo
+        variance reduction", show 25 of them.
+
+        Parameters
+        ----------
+        count
+            How many; fewer where fewer have a reference.
+        seed
+            Where the draw starts.
+
+        Raises
+        ------
+        InputError
+            If `count` is less than 1.
+        """
+        if count < 1:
+            message = f"count must be at least 1, got {count}"
+            raise InputError(message)
+        usable = self.test_pixels & np.isfinite(self.first_reference).all(axis=-1)
+        pixels = np.argwhere(usable)
+        drawn = pixels[generator(seed).permutation(len(pixels))[:count]]
+        brightness = self.first_reference[tuple(drawn.T)].sum(axis=-1)
+        drawn = drawn[np.argsort(brightness, kind="stable")]
+        ys, xs = drawn.T
+        return PixelEstimates(
+            pixels=drawn,
+            estimators=self.estimators,
+            channels=self.channels,
+            reference=self.first_reference[ys, xs],
+            mean=self.first_mean[ys, xs],
+            estimates=self.estimates[:, ys, xs],
+            n=self.n,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return measures, per channel and per label too, and provenance, ready for JSON.
+
+        NaN becomes None.
+        """
+        per_channel = {
+            name: {
+                measure: dict(zip(self.channels, values.value[index].tolist(), strict=False))
+                for measure, values in self.measures.items()
+            }
+            for index, name in enumerate(self.estimators)
+        }
+        content = {
+            "n": self.n,
+            "batches": self.batches,
+            "excluded": self.excluded,
+            "test_pixels": int(self.test_pixels.sum()),
+            "table": self.table(),
+            "per_channel": per_channel,
+            "per_label": [] if self.breakdown is None else self.breakdown.table(),
+            "provenance": dict(self.provenance),
+        }
+        return {key: ready_for_json(value) for key, value in content.items()}
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return measures and pictures with named dims.
+
+        Measures have dims (estimator, part), a part being a channel or "mean"; beside each stand
+        ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``. Those by label
+        have dims (label, estimator) and the prefix ``label_``.
+        """
+        dims = ("estimator", "part")
+        variables = interval_variables(self.measures, dims)
+        variables |= interval_variables(
+            self.over_batches, dims, infix=OVER_BATCHES, about=" over batches", skip_value=True
+        )
+        height, width = self.test_pixels.shape
+        coordinates: dict[str, Any] = {
+            "estimator": names_array(self.estimators),
+            "part": names_array([*self.channels, "mean"]),
+            "channel": names_array(self.channels),
+            "y": np.arange(height),
+            "x": np.arange(width),
+        }
+        variables |= self._pictures()
+        looks = about_of("whether it looks at the pixels around", "1")
+        variables["uses_neighbours"] = (("estimator",), self.uses_neighbours, looks)
+        if self.breakdown is not None:
+            coordinates["label"] = names_array(self.breakdown.labels)
+            variables |= _breakdown_variables(self.breakdown)
+        return dataset_of(variables, coordinates, {"n": self.n, **self.provenance})
+
+    def _pictures(self) -> dict[str, Any]:
+        dims = ("estimator", "y", "x", "channel")
+        radiance, squared = "W sr-1 m-2", "(W sr-1 m-2)^2"
+        return {
+            "estimate": (dims, self.estimates, about_of("estimate", radiance)),
+            "squared_error": (dims, self.squared_error, about_of("squared error", squared)),
+            "reference": (dims[1:], self.reference, about_of("reference", radiance)),
+            "first_mean": (dims[1:], self.first_mean, about_of("mean of the first n", radiance)),
+            "first_reference": (
+                dims[1:],
+                self.first_reference,
+                about_of("mean of all but the first n", radiance),
+            ),
+            "test_pixel": (dims[1:3], self.test_pixels, about_of("pixel counts", "1")),
+        }
+
+
+def _breakdown_variables(found: Breakdown) -> dict[str, Any]:
+    about = about_of("pixels with the label that judge", "1")
+    return {
+        "label_pixels": (("label",), found.pixels, about),
+        **interval_variables(found.measures, ("label", "estimator"), prefix="label_"),
+    }

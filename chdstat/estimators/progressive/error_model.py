@@ -1,0 +1,450 @@
+"""Causes: what may make an estimate err, in squared units of the picture's radiance.
+
+Trials: estimates from some samples of pixels, and what the other samples say of them.
+
+The samples that an estimate p has not seen are cut in two. Their means t and u are independent and
+unbiased, and so ``(p - t)(p - u)`` has the expectation ``(p - y)^2`` whatever the truth y is: this
+tells errors without a reference.
+
+Bounds: how large squared errors may be, as far as pixels tell that trained nothing.
+
+Without a reference, products of what is left over tell squared errors without bias, but with so
+much noise that few pixels cannot tell six weights apart, and a picture whose rare bright samples
+have not come yet seems to have no errors. So the weights keep the proportions `USUAL`, and one
+scale k is measured,
+
+    k = sum w s / sum w v,    w = v / (v + n)^2,
+
+s being the products, v what the usual weights expect, and n the noise of the target: the weights of
+a ratio whose terms have the variance ``2 (v + n)^2``. Then the upper end of its one-sided 95 %
+confidence interval is taken in place of k, with the standard error of a ratio of sums over pixels
+(Cochran 1977, Sampling Techniques, 6.4): an interval that is too wide claims less than one that is
+too narrow. The noise of a pixel that has not had its bright samples yet is underestimated, its
+weight is too large, and its distance from the target, too: this also errs on the side of width.
+
+Spread: how large the errors of the estimates are, learned from pixels that did not train them.
+
+Squared errors are explained by a sum of what may cause them, each with a weight that is not
+negative. The radiance of a pixel is then taken for gamma distributed with the estimate for its mean
+and that variance. Where references tell, the weights are least squares, and quantiles are
+calibrated by split conformal prediction (Lei et al. 2018, doi:10.1080/01621459.2017.1307116),
+separately for dark and for bright estimates.
+Without one the weights are upper bounds (`bounds`), and the quantiles normal ones: where errors are
+mixtures of many sizes, these hold 90 % nearly as often as they say, whatever the mixture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy import interpolate, optimize, special
+
+from chdstat._core.arrays import spans
+from chdstat.estimators.progressive.architecture import AIMS
+from chdstat.estimators.progressive.architecture import LEVELS as BRIGHTNESS
+from chdstat.estimators.progressive.dataset import Material
+from chdstat.estimators.progressive.profile import Profile
+from chdstat.estimators.progressive.splits import Part
+
+if TYPE_CHECKING:
+    from torch import nn
+
+    from chdstat.estimators.progressive.network import Answer
+
+__all__ = [
+    "BALANCES",
+    "BRIGHTNESS",
+    "CAUSES",
+    "DARK",
+    "LEVELS",
+    "USUAL",
+    "Spread",
+    "Trial",
+    "bounded_weights",
+    "causes_of",
+    "change_of",
+    "ratio",
+    "trials_of",
+]
+
+CAUSES = 6
+DARK = 0.02
+"""Radiance, in units of the picture's, below which errors no longer fall with it."""
+
+Floats = npt.NDArray[np.floating[Any]]
+
+
+def causes_of(answer: Answer, profile: Profile, aim: int) -> Floats:
+    """Return what may cause squared errors, shape (row, channel, cause), float64.
+
+    A constant for the dark, the square of the estimate, of its distance to the mean, the variance
+    of the mean and what the estimate takes over of it, and the square of the mean where the
+    estimate does not rest on it.
+    """
+    estimate, mean, certainty = (
+        t.cpu().numpy().astype(np.float64)
+        for t in (answer.estimate[:, aim], answer.mean, answer.certainty[:, aim, None])
+    )
+    noise = profile.variance_of_mean()
+    causes = (
+        np.full_like(estimate, DARK**2),
+        estimate**2,
+        (estimate - mean) ** 2,
+        noise,
+        (1 - certainty) ** 2 * noise,
+        certainty**2 * mean**2,
+    )
+    return np.stack(causes, axis=-1)
+
+
+_DRAWS, _TIMES, _SAMPLES = 16, 4, 256
+"""Splits of each size, of each pixel on average, and samples of a pixel in all of these, at least:
+few samples of a lamp or a firefly are noisy."""
+_ROWS = 1024
+_CUTS = 4
+"""Ways to cut the other samples in two: together they tell their noise better than one does. With a
+reference it is small, and one tells enough."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Estimates of some pixels, in units of the picture's radiance.
+
+    Attributes
+    ----------
+    size
+        Samples of each estimate.
+    rows
+        Which pixels, shape (row,).
+    estimate
+        Shape (aim, row, channel).
+    mean, target
+        Of the samples that were seen and of the others, shape (row, channel).
+    noise
+        Unbiased for the variance of the target, shape (row, channel).
+    causes
+        Of squared errors, shape (aim, row, channel, cause).
+    """
+
+    size: int
+    rows: npt.NDArray[np.int64]
+    estimate: Floats
+    mean: Floats
+    target: Floats
+    noise: Floats
+    causes: Floats
+
+    @property
+    def squared(self) -> Floats:
+        """Unbiased for the squared error of the estimate, shape (aim, row, channel)."""
+        return np.asarray((self.estimate - self.target) ** 2 - self.noise)
+
+    @classmethod
+    def of(
+        cls, network: nn.Module, material: Material, part: Part, rng: np.random.Generator
+    ) -> Self:
+        """Estimate from a part of the samples."""
+        import torch
+
+        from chdstat.estimators.progressive.training import look
+
+        with torch.inference_mode():
+            answer = network(look(part.profile, material.scenery[part.rows], part.shared, "cpu"))
+        times = 1 if material.lesson.reference else _CUTS
+        noise = [material.splits.halves(part, rng).noise for _ in range(times)]
+        return cls(
+            size=part.size,
+            rows=part.rows,
+            estimate=np.moveaxis(answer.estimate.numpy().astype(np.float64), 1, 0),
+            mean=answer.mean.numpy().astype(np.float64),
+            target=part.target.astype(np.float64),
+            noise=np.mean(noise, axis=0),
+            causes=np.stack([causes_of(answer, part.profile, aim) for aim in range(len(AIMS))]),
+        )
+
+
+def trials_of(
+    network: nn.Module,
+    material: Material,
+    *,
+    pixels: npt.NDArray[np.int64],
+    rng: np.random.Generator,
+    samples: int = _SAMPLES,
+) -> list[Trial]:
+    """Return trials of pixels at all sizes of the lesson, four or more of each pixel.
+
+    So many `samples` of a pixel are seen at least in all its trials of a size.
+    """
+    found = []
+    for n in sorted(set(material.lesson.sizes)):
+        drawn, least = 0, _DRAWS
+        while least > 0 or drawn < max(_TIMES, samples / n) * len(pixels):
+            part = material.splits.draw(pixels, n, _ROWS, rng)
+            found.append(Trial.of(network, material, part, rng))
+            drawn, least = drawn + len(part.rows), least - 1
+    return found
+
+
+def change_of(network: nn.Module, material: Material) -> Floats:
+    """Return what a network adds to the mean of all samples of pixels, shape (pixel, channel).
+
+    It is the mean of what it adds under each aim, in units of the picture's radiance, and nothing
+    where all samples are the same light: there the mean is kept.
+    """
+    import torch
+
+    from chdstat.estimators.progressive.training import look
+
+    splits, found = material.splits, []
+    for block in spans(len(splits), _ROWS):
+        profile, shared = splits.whole(np.arange(block.start, block.stop))
+        with torch.inference_mode():
+            answer = network(look(profile, material.scenery[block], shared, "cpu"))
+        found.append((answer.estimate.mean(dim=1) - answer.mean).numpy().astype(np.float64))
+    noisy = splits.variance.any(axis=-1, keepdims=True)
+    lit = splits.mean.any(axis=-1, keepdims=True)
+    return np.where(noisy | ~lit, np.concatenate(found), 0)
+
+
+USUAL = np.array([0.03, 0.03, 0.17, 0.05, 0.3, 0.0])
+"""Weights of the causes, up to their scale: about what errors against references have on simulated
+and on rendered pictures, scaled to 1."""
+_CONFIDENCE = 0.95
+_LEAST = 1e-3
+"""Scale that no measurement falls below, so that an interval is never a point."""
+
+
+def bounded_weights(trials: Sequence[Trial], aim: int) -> Floats:
+    """Return weights of the causes under which squared errors are hardly larger than expected."""
+    expected = [trial.causes[aim] @ USUAL for trial in trials]
+    weights = [v / (v + n) ** 2 for v, n in zip(expected, _noise(trials), strict=True)]
+    rows = np.concatenate([trial.rows for trial in trials])
+    above, below = (
+        np.bincount(rows, np.concatenate([(w * x).sum(axis=-1) for w, x in pairs]))
+        for pairs in (
+            zip(weights, (trial.squared[aim] for trial in trials), strict=True),
+            zip(weights, expected, strict=True),
+        )
+    )
+    scale, error = ratio(above, below)
+    bound = max(scale, 0.0) + special.ndtri(_CONFIDENCE) * error
+    # One pixel alone has no standard error: then what is usual is all that is known.
+    return USUAL * max(bound if np.isfinite(bound) else 1.0, _LEAST)
+
+
+def ratio(above: npt.NDArray[Any], below: npt.NDArray[Any]) -> tuple[float, float]:
+    """Return a ratio of sums over pixels and its standard error; inf for fewer than two pixels.
+
+    Parameters
+    ----------
+    above, below
+        One of each a pixel; pixels with neither count for nothing.
+    """
+    total, pixels = float(below.sum()), int(np.count_nonzero(below))
+    if not total > 0 or pixels < 2:
+        return 0.0, np.inf
+    found = float(above.sum()) / total
+    squares = float(np.sum((above - found * below) ** 2))
+    return found, float(np.sqrt(squares * pixels / (pixels - 1))) / total
+
+
+def _noise(trials: Sequence[Trial]) -> list[Floats]:
+    """Return the variances of the targets, each averaged over all trials of a pixel and size."""
+    found: dict[int, Floats] = {}
+    for size in {trial.size for trial in trials}:
+        alike = [trial for trial in trials if trial.size == size]
+        rows = np.concatenate([trial.rows for trial in alike])
+        noise = np.concatenate([trial.noise for trial in alike])
+        count = np.maximum(np.bincount(rows), 1)
+        sums = [np.bincount(rows, column) / count for column in noise.T]
+        found[size] = np.stack(sums, axis=-1)
+    return [found[trial.size][trial.rows] for trial in trials]
+
+
+LEVELS = np.array([0.005, 0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975, 0.995])
+"""Probabilities at which quantiles are calibrated."""
+BALANCES = np.array([0.0, 0.5, 1.0])
+"""Mixtures of the aims that quantiles are calibrated for; between them they are interpolated."""
+
+_CALIBRATED = (len(BALANCES), len(BRIGHTNESS), len(LEVELS))
+_CHANCE = 0.5
+"""Standard errors that quantiles are taken farther out: then seven of ten are far enough."""
+_FEW = 5
+"""Pixels of a brightness that count as much as all others."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """What errors to expect, in units of the picture's radiance.
+
+    Attributes
+    ----------
+    weights
+        Of the causes of squared errors, shape (aim, cause).
+    sizes
+        Numbers of samples that quantiles were calibrated at, ascending; none without a reference.
+    normal
+        For each, the normal quantiles to take at `LEVELS` where an estimate is so bright, shape
+        (size, balance, brightness, level).
+    """
+
+    weights: Floats
+    sizes: Floats
+    normal: Floats
+
+    def __post_init__(self) -> None:
+        expected = (len(AIMS), CAUSES), (len(self.sizes), *_CALIBRATED)
+        received = self.weights.shape, self.normal.shape
+        if expected != received:
+            message = f"weights and normal must have shapes {expected}, got {received}"
+            raise ValueError(message)
+
+    @classmethod
+    def learn(
+        cls,
+        network: nn.Module,
+        material: Material,
+        *,
+        pixels: npt.NDArray[np.int64],
+        rng: np.random.Generator,
+    ) -> Self:
+        """Learn from splits of pixels that did not train the network."""
+        trials = trials_of(network, material, pixels=pixels, rng=rng)
+        if not material.lesson.reference:
+            weights = np.array([bounded_weights(trials, aim) for aim in range(len(AIMS))])
+            return cls(weights, np.empty(0), np.empty((0, *_CALIBRATED)))
+        weights = np.array([_weights(trials, aim) for aim in range(len(AIMS))])
+        sizes = sorted({trial.size for trial in trials})
+        # Lamps are in all pixels, hardly in a tenth of them.
+        all_of_them = np.arange(len(material.pixels))
+        everywhere = trials_of(network, material, pixels=all_of_them, rng=rng, samples=0)
+        normal = [
+            _calibrate(
+                weights, *([t for t in part if t.size == n] for part in (trials, everywhere))
+            )
+            for n in sizes
+        ]
+        return cls(weights, np.array(sizes, np.float64), np.array(normal))
+
+    def variance(self, causes: Floats, balance: float) -> Floats:
+        """Return expected squared errors of mixed estimates, from causes (aim, ..., cause)."""
+        return _mixed(np.stack([c @ w for c, w in zip(causes, self.weights, strict=True)]), balance)
+
+    def quantile(
+        self,
+        estimate: Floats,
+        variance: Floats,
+        count: npt.NDArray[Any],
+        *,
+        balance: float,
+        level: float,
+    ) -> Floats:
+        """Return a quantile; estimate and variance (row, channel), samples (row,).
+
+        Of a negative estimate, which signed samples make, it is that of a normal distribution.
+        """
+        z = self._normal(np.maximum(count, 1), _near(estimate), balance, level)[:, np.newaxis]
+        mean = np.maximum(estimate, 0) + DARK
+        root = 1 - variance / (9 * mean**2) + z * np.sqrt(variance) / (3 * mean)
+        found = np.maximum(mean * np.maximum(root, 0) ** 3 - DARK, 0)
+        return np.where(estimate < 0, estimate + z * np.sqrt(variance), found)
+
+    def _normal(
+        self, count: npt.NDArray[Any], near: Floats, balance: float, level: float
+    ) -> Floats:
+        if not len(self.sizes):
+            return np.full(len(count), special.ndtri(level))
+        places, place = special.ndtri(LEVELS), special.ndtri(level)
+        # Beyond what was calibrated, tails go on as normal ones.
+        beyond = place - np.clip(place, places[0], places[-1])
+        at_level = interpolate.interp1d(places, self.normal)(place - beyond)
+        known = interpolate.interp1d(BALANCES, at_level, axis=1)(balance) @ near.T + beyond
+        size = np.interp(np.log2(count), np.log2(self.sizes), np.arange(len(self.sizes)))
+        below, rows = np.floor(size).astype(np.int64), np.arange(len(count))
+        above = np.minimum(below + 1, len(self.sizes) - 1)
+        part = size - below
+        return np.asarray((1 - part) * known[below, rows] + part * known[above, rows])
+
+
+def _mixed(of_aims: Floats, balance: float) -> Floats:
+    """Return the mixture of what two aims give, shape (aim, ...)."""
+    return np.asarray((1 - balance) * of_aims[0] + balance * of_aims[1])
+
+
+def _weights(trials: Sequence[Trial], aim: int) -> Floats:
+    """Return the weights of the causes by least squares, errors relative to the radiance."""
+    causes = np.concatenate([t.causes[aim].reshape(-1, CAUSES) for t in trials])
+    squared = np.concatenate([t.squared[aim].reshape(-1) for t in trials])
+    scale = 1 / causes[:, :4].sum(axis=1)
+    # The normal equations: tens of thousands of rows, six weights.
+    scaled = causes * scale[:, np.newaxis]
+    gram = np.linalg.cholesky(scaled.T @ scaled + 1e-9 * np.eye(CAUSES) * len(scaled))
+    weights, _ = optimize.nnls(gram.T, np.linalg.solve(gram, scaled.T @ (squared * scale)))
+    weights[0] = max(weights[0], 1e-4)
+    return np.asarray(weights)
+
+
+def _near(estimate: Floats) -> Floats:
+    """Return how near estimates (row, channel) are to each of `BRIGHTNESS`; rows sum to 1."""
+    octave = np.log2(np.maximum(estimate.mean(axis=-1), 1e-12))
+    return np.stack(
+        [np.interp(octave, BRIGHTNESS, level) for level in np.eye(len(BRIGHTNESS))], axis=-1
+    )
+
+
+def _calibrate(weights: Floats, trials: Sequence[Trial], everywhere: Sequence[Trial]) -> Floats:
+    """Return the normal quantiles of the truth, shape (balance, brightness, level).
+
+    They are those of pixels that did not train. Among all pixels, those as bright may differ from
+    the others, and so much is added (as Mondrian conformal prediction tells categories apart: Vovk
+    2013, doi:10.1007/s10994-013-5355-6).
+    """
+    found = []
+    for balance in BALANCES:
+        watching = _quantiles(*_normals(weights, trials, balance)[:2])
+        normal, share, near = _normals(weights, everywhere, balance)
+        usual, counts = _quantiles(normal, share), share @ near
+        own = [
+            _quantiles(normal, share * weight) if count > 0 else usual
+            for weight, count in zip(near.T, counts, strict=True)
+        ]
+        known = counts / (counts + _FEW)
+        found.append(watching + known[:, np.newaxis] * (np.array(own) - usual))
+    return np.array(found)
+
+
+def _quantiles(normal: Floats, share: Floats) -> Floats:
+    """Return quantiles at `LEVELS`, each as far from the middle as chance may have it.
+
+    Of few pixels, too many would else be farther out (Vovk 2013, as above).
+    """
+    error = _CHANCE * np.sqrt(LEVELS * (1 - LEVELS) / share.sum())
+    levels = np.clip(LEVELS + np.sign(LEVELS - 0.5) * error, 0, 1)
+    return np.asarray(np.quantile(normal, levels, weights=share, method="inverted_cdf"))
+
+
+def _normals(
+    weights: Floats, trials: Sequence[Trial], balance: float
+) -> tuple[Floats, Floats, Floats]:
+    """Return normal places of truths, what share of a pixel each is, and how bright it seems.
+
+    The cube root of a gamma variable is near normal (Wilson and Hilferty 1931,
+    doi:10.1073/pnas.17.12.684).
+    """
+    estimate = _mixed(np.concatenate([t.estimate for t in trials], axis=1), balance)
+    causes = np.concatenate([t.causes for t in trials], axis=1)
+    truth = np.concatenate([t.target for t in trials]) + DARK
+    rows = np.concatenate([t.rows for t in trials])
+    variance = _mixed(np.stack([c @ w for c, w in zip(causes, weights, strict=True)]), balance)
+    mean = estimate + DARK
+    usable = mean >= DARK
+    mean = np.where(usable, mean, DARK)
+    spread = np.sqrt(variance) / (3 * mean)
+    normal = (np.cbrt(truth / mean) - 1 + spread**2) / spread
+    share = usable / (np.bincount(rows)[rows] * estimate.shape[-1])[:, np.newaxis]
+    near = np.broadcast_to(_near(estimate)[:, np.newaxis], (*estimate.shape, len(BRIGHTNESS)))
+    return normal[usable], share[usable], near[usable]

@@ -1,0 +1,228 @@
+"""Course: a network that goes on learning from a picture while its samples arrive.
+
+What is kept of the samples are `Buckets`, of as many pixels as tell enough. Each time that it
+learns, the step size falls from its start to 0 again and the weights go on from where they were
+(warm restarts: Loshchilov and Hutter 2017, "SGDR: stochastic gradient descent with warm restarts",
+arXiv:1608.03983).
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import generator
+from chdstat.errors import InputError
+from chdstat.estimators.progressive.architecture import Shape
+from chdstat.estimators.progressive.dataset import Lesson, Material, Scenery
+from chdstat.estimators.progressive.error_model import Spread
+from chdstat.estimators.progressive.inputs import InputConfig
+from chdstat.estimators.progressive.learned import Learned, Marks, Origin, Trust, provenance_of
+from chdstat.estimators.progressive.splits import BUCKETS, BucketParts, Buckets
+from chdstat.estimators.progressive.teaching import trusted
+
+if TYPE_CHECKING:
+    from chdstat.estimators.progressive.network import Network
+
+__all__ = ["Course"]
+
+_PIXELS = 2**16
+"""Of a picture that train: those of a larger one would take much memory and tell little more."""
+_WATCHING = 0.1
+"""Share of these that only watch, and tell how large the errors are."""
+_FEWEST = 4
+"""Samples to learn from: two halves of at least two."""
+_SPREAD_SIZES = 3
+"""Numbers of samples at which errors are measured: each takes a while."""
+
+
+class Course:
+    """A network, and the samples that it learns from, kept in memory that does not grow.
+
+    Parameters
+    ----------
+    shape, channels
+        Height and width of the picture, and channels of a sample.
+    unit
+        Mean radiance of the picture.
+    described
+        Of the first hit, shape (pixel, number).
+    seed
+        Draws the pixels that train, the first weights and the minibatches.
+    start
+        What was learned before, to go on from; None starts anew.
+    parts
+        2 where direct and indirect light are told apart, else 1.
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int],
+        channels: int,
+        *,
+        unit: float,
+        described: npt.NDArray[np.float32],
+        seed: int,
+        start: Learned | None,
+        parts: int = 1,
+    ) -> None:
+        self._shape, self._seed, self._start = shape, seed, start
+        self._rng = generator(seed)
+        self._rows = self._rng.permutation(shape[0] * shape[1])[:_PIXELS]
+        self._watching = max(1, round(_WATCHING * len(self._rows)))
+        self._scenery = replace(Scenery.nothing(len(self._rows)), described=described[self._rows])
+        self._parts = parts
+        self._buckets = Buckets(len(self._rows), channels, unit=unit, parts=parts)
+        self._learned = start
+        self._network = None if start is None else copy.deepcopy(start.network)
+        self._history = np.empty((0, 5)) if start is None else start.history
+
+    @property
+    def unit(self) -> float:
+        """Radiance that all is measured in; it may be set while no sample had light."""
+        return self._buckets.unit
+
+    @unit.setter
+    def unit(self, unit: float) -> None:
+        self._buckets.unit = unit
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept of the samples."""
+        return self._buckets.nbytes
+
+    @property
+    def iterations(self) -> int:
+        """Minibatches that it has learned from, here and before."""
+        return int(self._history[-1, 0]) if len(self._history) else 0
+
+    def add(self, samples: npt.NDArray[Any], direct: npt.NDArray[Any] | None = None) -> None:
+        """Take more samples of the picture, shape (y, x, channel, sample), and the direct part."""
+        given = (samples,) if direct is None else (samples, direct)
+        self._buckets.add(*(x.reshape(-1, *x.shape[2:])[self._rows] for x in given))
+
+    def learn(self, iterations: int, advance: Callable[[float], None]) -> None:
+        """Learn from the samples so far; `advance` is told of every iteration.
+
+        Where the samples of no pixel differ, the mean is the truth, and there is nothing to learn.
+
+        Raises
+        ------
+        InputError
+            If there are fewer than 4 samples per pixel, or too few pixels without a bad sample.
+        """
+        from chdstat.estimators.progressive.training import learn
+
+        pixels = self._usable()
+        material = self._material(pixels, iterations)
+        if not material.splits.variance.any():
+            advance(iterations)
+            return
+        watching = pixels < self._watching
+        history = learn(
+            self._pupil(),
+            material,
+            train=np.flatnonzero(~watching),
+            validation=np.flatnonzero(watching),
+            rng=self._rng,
+            advance=advance,
+        )
+        history[:, 0] += self.iterations
+        self._history = np.concatenate([self._history, history])
+        self._learned = None
+
+    def learned(self, attrs: Mapping[str, Any]) -> Learned | None:
+        """Return what was learned so far from samples of some provenance; None before it was."""
+        if self._learned is None and self._network is not None:
+            self._learned = self._summed_up(self._network, attrs)
+        return self._learned
+
+    def _usable(self) -> npt.NDArray[np.int64]:
+        """Return the places in `_rows` of pixels to learn from; some of them only watch."""
+        if self._buckets.dealt < _FEWEST:
+            message = (
+                f"learning needs at least {_FEWEST} samples of each pixel, got "
+                f"{self._buckets.dealt}; call update(samples) first"
+            )
+            raise InputError(message)
+        pixels = self._buckets.usable()
+        watching = int((pixels < self._watching).sum())
+        if not 0 < watching < len(pixels):
+            message = (
+                "learning needs pixels without a bad sample, to train and to watch; got "
+                f"{len(pixels)} of {len(self._rows)}: give a larger picture"
+            )
+            raise InputError(message)
+        return pixels
+
+    def _material(self, pixels: npt.NDArray[np.int64], iterations: int) -> Material:
+        parts = BucketParts(self._buckets, pixels)
+        places = np.unravel_index(self._rows[pixels], self._shape)
+        return Material(
+            splits=parts,
+            scenery=self._scenery[pixels],
+            lesson=Lesson(sizes=parts.sizes, reference=False, iterations=iterations),
+            pixels=np.stack(places, axis=-1),
+            excluded=len(self._rows) - len(pixels),
+            parts=[len(pixels)],
+        )
+
+    def _pupil(self) -> Network:
+        """Return the network to go on with, a new one where there is none."""
+        import torch
+
+        from chdstat.estimators.progressive.network import Network
+
+        if self._network is None:
+            described = self._scenery.described.shape[1]
+            with torch.random.fork_rng():
+                torch.manual_seed(self._seed)
+                shape = Shape(self._buckets.channels, described, parts=self._parts)
+                self._network = Network(shape)
+        return self._network
+
+    def _summed_up(self, network: Network, attrs: Mapping[str, Any]) -> Learned:
+        pixels = self._usable()
+        material = self._material(pixels, self.iterations)
+        sizes = material.lesson.sizes
+        few = replace(material.lesson, sizes=sizes[:: -(-len(sizes) // _SPREAD_SIZES)])
+        watching = np.flatnonzero(pixels < self._watching)
+        rng = generator(self._seed).spawn(1)[0]
+        judged = replace(material, lesson=few)
+        believed, trust = trusted(network, judged, watching, rng)
+        spread = Spread.learn(believed, judged, pixels=watching, rng=rng)
+        return Learned(
+            network=copy.deepcopy(network),
+            spread=spread,
+            unit=self._buckets.unit,
+            history=self._history,
+            train_pixels=material.pixels,
+            train_shape=self._shape,
+            provenance=self._provenance(material, attrs, trust),
+            trust=trust,
+            marks=Marks.none(self._buckets.channels),
+        )
+
+    def _provenance(
+        self, material: Material, attrs: Mapping[str, Any], trust: Trust
+    ) -> dict[str, Any]:
+        scene = str(attrs.get("scene", "samples"))
+        shape = (*self._shape, self._buckets.channels, self._buckets.dealt)
+        features = bool(material.scenery.described.shape[1])
+        return {
+            **provenance_of(
+                [Origin(scene, attrs, shape, self._buckets.unit)],
+                material,
+                inputs=InputConfig(features=features, direct=self._parts > 1),
+                seed=self._seed,
+                trust=trust,
+            ),
+            "on_the_fly": True,
+            "buckets": BUCKETS,
+            "began_from": None if self._start is None else self._start.provenance,
+        }

@@ -1,0 +1,364 @@
+"""Questions: samples to estimate from, with all that goes with them, checked once.
+
+Application: a trained network on many pixels, block by block on all cores.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import as_pixels, generator, spans, warn_left_out
+from chdstat._core.executor import in_order
+from chdstat._core.image_scales import mean_radiance
+from chdstat.errors import InputError
+from chdstat.estimators.order import mean_of_good
+from chdstat.estimators.progressive.architecture import AIMS, Shape
+from chdstat.estimators.progressive.dataset import Scenery, ask
+from chdstat.estimators.progressive.error_model import causes_of
+from chdstat.estimators.progressive.inputs import InputConfig
+from chdstat.estimators.progressive.learned import Estimates, Learned
+from chdstat.estimators.progressive.profile import Profile
+from chdstat.estimators.rows import reordered
+
+if TYPE_CHECKING:
+    import torch
+
+    from chdstat.estimators.progressive.network import Answer
+
+__all__ = ["Alike", "Question", "apply", "check_asked", "with_constants", "with_means"]
+
+Array = npt.NDArray[Any]
+Features = Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Question:
+    """What a network is asked.
+
+    Attributes
+    ----------
+    samples
+        Shape (..., channel, sample).
+    features
+        First-hit features of the picture.
+    direct
+        Direct part of the samples, of their shape; None where it is no input.
+    balance
+        From 0, the least MSE, to 1, the least relMSE.
+    unit
+        Mean radiance of the picture that the samples belong to.
+    whole
+        Whether they are the picture, in which its unit was measured.
+    """
+
+    samples: Array
+    features: Features | None
+    direct: Array | None
+    balance: float
+    unit: float
+    whole: bool
+
+    @classmethod
+    def of(
+        cls,
+        x: npt.ArrayLike,
+        inputs: InputConfig,
+        channels: int,
+        *,
+        features: Features | None,
+        direct: npt.ArrayLike | None,
+        balance: float,
+        unit: float | None,
+    ) -> Self:
+        """Check what a user asks of an estimator with inputs, for samples of so many channels.
+
+        Raises
+        ------
+        InputError
+            If the samples have another shape, the direct part is missing, or the balance is out of
+            range.
+        """
+        samples = as_pixels(x)
+        warn_left_out(samples, channel_axis=-2, within="chdstat.estimators")
+        check_asked(channels, samples.shape[-2], balance)
+        part = inputs.direct_of(direct, samples.shape)
+        measured = mean_radiance(samples) if unit is None else unit
+        return cls(samples, features, part, balance, measured, whole=unit is None)
+
+    def halves(self) -> tuple[Self, Self]:
+        """Return the same question about two halves of the samples, whatever their order."""
+        samples, *direct = reordered(self.samples, *([] if self.direct is None else [self.direct]))
+        first, second = (
+            replace(
+                self,
+                samples=samples[..., k::2],
+                direct=direct[0][..., k::2] if direct else None,
+            )
+            for k in range(2)
+        )
+        return first, second
+
+    def some(self, most: int) -> Self:
+        """Return the same question about so many pixels at most, each for itself."""
+        rows = self._rows
+        if len(rows) <= most:
+            return self
+        chosen = np.sort(generator(0).choice(len(rows), most, replace=False))
+        direct = None if self.direct is None else self._flat(self.direct)[chosen]
+        return replace(self, samples=rows[chosen], direct=direct)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the pixels."""
+        return self.samples.shape[:-2]
+
+    def profile(self, part: slice) -> Profile:
+        """Return the profiles of some pixels, counted along the flat image."""
+        return Profile.of(
+            self._rows[part],
+            unit=self.unit,
+            direct=None if self.direct is None else self._flat(self.direct)[part],
+        )
+
+    def seen(
+        self, inputs: InputConfig, shape: Shape
+    ) -> tuple[Scenery, npt.NDArray[np.float32] | None]:
+        """Return what a network sees beside the samples, and what alike pixels say.
+
+        Raises
+        ------
+        InputError
+            If the samples are no picture where they must be, or features are not as in training.
+        """
+        profile, alike = None, None
+        if inputs.neighbours:
+            as_pixels(self.samples, image=True)
+            profile = Profile.of(self.samples, unit=self.unit)
+            alike = ask(self.samples) / np.float32(self.unit)
+        scenery = inputs.scenery(self.features, self.shape, profile, described=shape.described)
+        return scenery, alike
+
+    @property
+    def _rows(self) -> Array:
+        return self._flat(self.samples)
+
+    def _flat(self, x: Array) -> Array:
+        return x.reshape(-1, *x.shape[-2:])
+
+
+def check_asked(channels: int, asked: int, balance: float) -> None:
+    """Refuse samples of other channels than a network's, and a balance out of range.
+
+    Raises
+    ------
+    InputError
+        If either is so.
+    """
+    if asked != channels:
+        message = (
+            f"the model was trained on samples with {channels} channels, got {asked}; "
+            "train one for these"
+        )
+        raise InputError(message)
+    if not 0 <= balance <= 1:
+        message = f"balance must lie between 0 (MSE) and 1 (relMSE), got {balance}"
+        raise InputError(message)
+
+
+_ROWS = 4096
+"""Pixels at once: their profiles and hidden layers stay in the cache."""
+
+_FEWEST_ALIKE = 2
+"""Samples that can be alike."""
+
+Floats32 = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
+
+
+def apply(
+    learned: Learned,
+    profile_of: Callable[[slice], Profile],
+    scenery: Scenery,
+    asked: Floats32 | None,
+    *,
+    shape: tuple[int, ...],
+    share: float,
+    balance: float,
+    level: float | None,
+) -> Estimates:
+    """Estimate from profiles.
+
+    Parameters
+    ----------
+    learned
+        The network.
+    profile_of
+        Returns the profiles of some of the rows.
+    scenery
+        What is known of the rows beside.
+    asked
+        What alike pixels say, shape (row, channel), in units of the profiles'.
+    shape
+        Of the pixels that the rows are.
+    share
+        Of the way from the mean to the estimate, 0 to 1.
+    balance
+        0 for the first of the aims, 1 for the second.
+    level
+        Probability of the interval; None leaves it out (NaN).
+    """
+    import torch
+
+    from chdstat.estimators.progressive.network import device
+    from chdstat.estimators.progressive.shrinkage import Trusted
+    from chdstat.estimators.progressive.training import look, threads
+
+    rows, channels = int(np.prod(shape)), learned.network.shape.channels
+    radiance = np.empty((rows, channels), np.float32)
+    low, high = (np.full_like(radiance, np.nan) for _ in range(2))
+    certainty = np.empty(rows, np.float32)
+    place = device()
+    network = Trusted(learned.network.to(place), learned.trust)
+
+    def enter(part: slice) -> None:
+        profile = profile_of(part)
+        here = np.zeros((len(profile.count), 0), np.float32) if asked is None else asked[part]
+        with torch.inference_mode():
+            answer = network(look(profile, scenery[part], here, place))
+            mixed = torch.lerp(answer.estimate[:, 0], answer.estimate[:, 1], balance)
+            estimate = torch.lerp(answer.mean, mixed, share)
+            trust = share * torch.lerp(answer.certainty[:, 0], answer.certainty[:, 1], balance)
+        unit, count = np.float32(profile.unit), profile.count
+        certainty[part] = trust.cpu().numpy()
+        with np.errstate(over="ignore", invalid="ignore"):
+            radiance[part] = estimate.cpu().numpy() * unit
+            if level is not None:
+                variance = _variance(learned, answer, profile, balance, share)
+                ends = _interval(learned, estimate, variance, profile.count, balance, level)
+                low[part], high[part] = (end * unit for end in ends)
+            lost = (count == 0) | ~np.isfinite(radiance[part]).all(axis=-1)
+            if lost.any():
+                for array in (radiance, low, high):
+                    array[part][lost] = profile[lost].mean()
+                certainty[part][lost] = 0
+
+    with threads(1):
+        for _ in in_order(enter, spans(rows, _ROWS)):
+            pass
+    return Estimates(
+        radiance=radiance.reshape(*shape, channels),
+        certainty=certainty.reshape(shape),
+        low=low.reshape(*shape, channels),
+        high=high.reshape(*shape, channels),
+        level=np.nan if level is None else level,
+    )
+
+
+def with_means(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
+    """Put the mean of good samples where a profile overflows or has no sample good as a whole."""
+    lost = ~np.isfinite(found.radiance).all(axis=-1)
+    if lost.any():
+        with np.errstate(over="ignore"):
+            mean = mean_of_good(samples[lost]).astype(np.float32)
+        found.radiance[lost] = found.low[lost] = found.high[lost] = mean
+        found.certainty[lost] = 0
+    return found
+
+
+@dataclass
+class Alike:
+    """Which pixels have seen nothing but equal samples, as lamps have.
+
+    Attributes
+    ----------
+    first
+        The first sample, shape (..., channel).
+    same
+        Whether all others are equal to it and good, shape (...).
+    lit
+        Whether any sample of the picture is not 0.
+    count
+        Samples so far.
+    """
+
+    first: npt.NDArray[Any]
+    same: npt.NDArray[np.bool_]
+    lit: bool = False
+    count: int = 0
+
+    @classmethod
+    def of(cls, samples: npt.NDArray[Any]) -> Alike:
+        """Look at samples, shape (..., channel, sample), of which there is at least one."""
+        first = samples[..., 0].copy()
+        good = np.asarray(np.isfinite(first).all(axis=-1))
+        found = cls(first, good)
+        found.add(samples)
+        return found
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept."""
+        return self.first.nbytes + self.same.nbytes
+
+    def add(self, samples: npt.NDArray[Any]) -> None:
+        """Look at further samples of the same pixels."""
+        # The last one tells nearly all pixels apart from these; only the others are read.
+        last = (samples[..., -1] == self.first).all(axis=-1)
+        self.same[~last] = False
+        same = self.same
+        same[same] = (samples[same] == self.first[same][..., np.newaxis]).all(axis=(-2, -1))
+        # Of nearly all pictures one sample a pixel is enough to tell.
+        self.lit = self.lit or bool(samples[..., 0].any() or samples.any())
+        self.count += samples.shape[-1]
+
+
+def with_constants(found: Estimates, alike: Alike) -> Estimates:
+    """Put the mean where all samples of a pixel are the same light: there is no noise to remove.
+
+    In a picture without any light nothing is known of its unit, either: it stays black. The
+    interval is kept, and widened to hold the mean: what few samples say may still be wrong.
+    """
+    if alike.count < _FEWEST_ALIKE:
+        return found
+    same = alike.same & (alike.first.any(axis=-1) | (not alike.lit))
+    if same.any():
+        with np.errstate(over="ignore"):
+            mean = alike.first[same].astype(np.float32)
+        found.radiance[same], found.certainty[same] = mean, 0
+        found.low[same] = np.minimum(found.low[same], mean)
+        found.high[same] = np.maximum(found.high[same], mean)
+    return found
+
+
+def _variance(
+    learned: Learned, answer: Answer, profile: Profile, balance: float, share: float
+) -> Floats:
+    """Return the expected squared error, shape (row, channel).
+
+    Where the estimate is not followed all the way, what the mean errs is added for the rest of it.
+    """
+    causes = np.stack([causes_of(answer, profile, aim) for aim in range(len(AIMS))])
+    rest = (1 - share) * profile.variance_of_mean() if share < 1 else 0
+    return np.asarray(learned.spread.variance(causes, balance) + rest)
+
+
+def _interval(
+    learned: Learned,
+    estimate: torch.Tensor,
+    variance: Floats,
+    count: npt.NDArray[np.int64],
+    balance: float,
+    level: float,
+) -> tuple[Floats32, Floats32]:
+    """Return the ends of the interval around an estimate."""
+    middle = estimate.cpu().numpy().astype(np.float64)
+    low, high = (
+        learned.spread.quantile(middle, variance, count, balance=balance, level=tail)
+        for tail in ((1 - level) / 2, (1 + level) / 2)
+    )
+    return low.astype(np.float32), high.astype(np.float32)

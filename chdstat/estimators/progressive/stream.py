@@ -1,0 +1,372 @@
+"""Stream: samples as they are rendered, kept as profiles, with an estimate at any time.
+
+Timetable: when a stream learns while its samples arrive, and for how long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import as_pixels
+from chdstat._core.executor import track
+from chdstat._core.image_scales import mean_radiance
+from chdstat.errors import InputError
+from chdstat.estimators.progressive.auxiliary import Features, describe
+from chdstat.estimators.progressive.learned import Estimates
+from chdstat.estimators.progressive.model import Progressive
+from chdstat.estimators.progressive.online import Course
+from chdstat.estimators.progressive.prediction import Alike, with_constants
+from chdstat.estimators.progressive.profile import Profile
+
+__all__ = ["Stream", "follow", "timetable"]
+
+_NOTHING_YET = "the stream has no samples yet; call update(samples)"
+_FIXED = "this stream takes its model as it is; make it with learns=True"
+
+
+class Stream:
+    """Estimates that get better with every batch, in memory that does not grow.
+
+    A pixel takes 24 octaves of 4 numbers (of RGB), however many samples there are, twice as many
+    where the model looks at direct light; of 65,536 pixels eight times as many are kept where it
+    learns, to cut them in two at random. A model of another scene takes three times as
+    many: it is followed as far as one half of the samples says that the other half's estimate
+    pays.
+
+    Parameters
+    ----------
+    model
+        An estimator that looks at no neighbours: these need the samples. It was trained before, or
+        learns here.
+    features
+        First-hit features of the picture, where it looks at these.
+    unit
+        Mean radiance of the image, as of `mean_radiance`; None measures it on the first batch with
+        light. Given, the pixels may be a part of an image, which tells too little of how far a
+        model of another scene should be followed: it is taken for one of this scene.
+    learns
+        Whether `learn` is going to train the model on the samples as they arrive, without a
+        reference. A model that was trained before goes on from there; until it has learned
+        anything, a new one gives the mean.
+    seed
+        Of the training: draws pixels, first weights and minibatches.
+    attrs
+        Where the samples come from, as `Samples.attrs`, for the provenance of what is learned.
+
+    Raises
+    ------
+    InputError
+        If a model that learns looks at neighbours, or wants features and gets none.
+
+    References
+    ----------
+    J. Lehtinen et al., "Noise2Noise: learning image restoration without clean data", ICML 2018.
+    I. Loshchilov and F. Hutter, "SGDR: stochastic gradient descent with warm restarts", ICLR 2017,
+    arXiv:1608.03983.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> rng = np.random.default_rng(0)
+    >>> rendered = rng.exponential(size=(16, 16, 1, 64))
+    >>> model = Progressive().train(chd.Samples.from_array(rendered), iterations=10, progress=False)
+    >>> stream = Stream(model)
+    >>> for first in range(0, 64, 16):
+    ...     stream.update(rendered[..., first : first + 16])
+    >>> int(stream.count[0, 0]), stream.estimate().radiance.shape
+    (64, (16, 16, 1))
+
+    One that learns while it streams:
+
+    >>> stream = Stream(Progressive(), learns=True)
+    >>> for first in range(0, 64, 16):
+    ...     stream.update(rendered[..., first : first + 16])
+    ...     stream.learn(iterations=5)
+    >>> stream.iterations, stream.estimate().radiance.shape
+    (20, (16, 16, 1))
+    """
+
+    def __init__(
+        self,
+        model: Progressive,
+        *,
+        features: Features | None = None,
+        unit: float | None = None,
+        learns: bool = False,
+        seed: int = 0,
+        attrs: Mapping[str, Any] | None = None,
+    ) -> None:
+        if learns:
+            _check_pupil(model, features)
+        self._model = model
+        self.features = features
+        self._unit = unit
+        self._learns, self._seed, self._attrs = learns, seed, dict(attrs or {})
+        self._course: Course | None = None
+        self._profile: Profile | None = None
+        self._foreign = not (learns or unit is not None or model.trained_on(self._attrs))
+        self._halves: list[Profile] = []
+        """Of every other sample, and of those between, where trust is measured."""
+        self._alike: Alike | None = None
+        self._drawn = 0
+
+    @property
+    def model(self) -> Progressive:
+        """The estimator, with all that it has learned so far; `Progressive.save` keeps it."""
+        if self._course is not None:
+            found = self._course.learned(self._attrs)
+            self._model._learned = found or self._model._learned
+        return self._model
+
+    @property
+    def count(self) -> npt.NDArray[np.int64]:
+        """Good samples so far, shape (...)."""
+        return self._state.count
+
+    @property
+    def iterations(self) -> int:
+        """Minibatches that were learned from."""
+        return 0 if self._course is None else self._course.iterations
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept."""
+        kept = self._profile, *self._halves, self._course, self._alike
+        return sum(part.nbytes for part in kept if part is not None)
+
+    def update(self, x: npt.ArrayLike, direct: npt.ArrayLike | None = None) -> None:
+        """Add samples (..., channel, sample) of the same pixels as before.
+
+        Parameters
+        ----------
+        x
+            The samples.
+        direct
+            Their direct part, of the same shape, where the model looks at it.
+
+        Raises
+        ------
+        InputError
+            If these are other pixels, `x` has no channels, it is no picture (y, x, channel, sample)
+            where the model learns, or `direct` is missing or not their direct part.
+        """
+        samples = as_pixels(x)
+        part = self._model.inputs.direct_of(direct, samples.shape)
+        shape, channels = samples.shape[:-2], samples.shape[-2]
+        if self._profile is None:
+            unit = mean_radiance(samples) if self._unit is None else self._unit
+            if self._learns:
+                self._course = self._new_course(shape, channels, unit)
+            self._profile = Profile.empty(shape, channels, unit=unit, parts=self._parts)
+            if self._foreign:
+                self._halves = [
+                    Profile.empty(shape, channels, unit=unit, parts=self._parts) for _ in range(2)
+                ]
+        kept = self._profile
+        if self._unit is None and not kept.bins.any():
+            # Black so far: the unit is that of the first batch with light.
+            kept.unit = mean_radiance(samples)
+            for half in self._halves:
+                half.unit = kept.unit
+            if self._course is not None:
+                self._course.unit = kept.unit
+        if (kept.count.shape, kept.channels) != (shape, channels):
+            message = (
+                f"the stream holds pixels {kept.count.shape} with {kept.channels} channels, got "
+                f"samples of shape {samples.shape}"
+            )
+            raise InputError(message)
+        kept.add(Profile.of(samples, unit=kept.unit, direct=part))
+        for first, half in enumerate(self._halves):
+            every = slice((first + self._drawn) % 2, None, 2)
+            own = None if part is None else part[..., every]
+            if samples[..., every].shape[-1]:
+                half.add(Profile.of(samples[..., every], unit=kept.unit, direct=own))
+        self._drawn += samples.shape[-1]
+        if self._alike is not None:
+            self._alike.add(samples)
+        elif samples.shape[-1]:
+            self._alike = Alike.of(samples)
+        if self._course is not None:
+            self._course.add(samples, part)
+
+    def learn(self, *, iterations: int = 500, progress: bool | None = False) -> None:
+        """Learn from all samples so far, going on from what was learned before.
+
+        Parameters
+        ----------
+        iterations
+            Minibatches. The step size falls as a cosine from its start to 0, each time anew.
+        progress
+            Show a progress bar; None shows it on a terminal.
+
+        Raises
+        ------
+        InputError
+            If the stream does not learn, there are fewer than 4 samples, or too few pixels without
+            a bad sample.
+        """
+        if iterations < 1:
+            message = f"iterations must be at least 1, got {iterations}"
+            raise InputError(message)
+        if self._course is None:
+            message = _NOTHING_YET if self._learns else _FIXED
+            raise InputError(message)
+        with track("learning", iterations, unit="it", show=progress) as advance:
+            self._course.learn(iterations, advance)
+
+    def mean(self) -> npt.NDArray[np.floating[Any]]:
+        """Return the sample mean so far, shape (..., channel)."""
+        return self._state.mean()
+
+    def estimate(
+        self, *, balance: float = 0.5, level: float = 0.9, trust: float | None = None
+    ) -> Estimates:
+        """Estimate from all samples so far; see `Progressive.estimate`.
+
+        Without `trust`, a model that did not train on the scene that ``attrs`` name is followed as
+        far as it pays.
+
+        Before a new model has learned anything it is the mean, its certainty is 0, and nothing is
+        said of its error: the ends of the interval, and its level, are NaN.
+        """
+        state = self._state
+        if self._course is not None and self._course.iterations == 0:
+            return _of_nothing(state)
+        if trust is None and self._halves:
+            trust = self.model.trust_between(self._halves, features=self.features, balance=balance)
+        found = self.model.of_profile(
+            state,
+            features=self.features,
+            balance=balance,
+            level=level,
+            trust=1.0 if trust is None else trust,
+        )
+        return found if self._alike is None else with_constants(found, self._alike)
+
+    @property
+    def _parts(self) -> int:
+        return 2 if self._model.inputs.direct else 1
+
+    @property
+    def _state(self) -> Profile:
+        if self._profile is None:
+            raise InputError(_NOTHING_YET)
+        return self._profile
+
+    def _new_course(self, shape: tuple[int, ...], channels: int, unit: float) -> Course:
+        if len(shape) != 2:
+            message = f"learning takes a picture (y, x, channel, sample), got pixels {shape}"
+            raise InputError(message)
+        start = self._model._learned
+        if start is not None and self._model.channels != channels:
+            message = f"the model takes {self._model.channels} channels, got {channels}"
+            raise InputError(message)
+        size = shape[0], shape[1]
+        described = describe(self.features if self._model.inputs.features else None, size)
+        return Course(
+            size,
+            channels,
+            unit=unit,
+            described=described.reshape(size[0] * size[1], -1),
+            seed=self._seed,
+            start=start,
+            parts=self._parts,
+        )
+
+
+def _check_pupil(model: Progressive, features: Features | None) -> None:
+    if model.inputs.neighbours:
+        message = (
+            "learning from a stream takes a model without neighbours, which need the samples; got "
+            f"{model!r}"
+        )
+        raise InputError(message)
+    if model.inputs.features and not features:
+        message = "the model looks at first-hit features, but the stream got none; pass features="
+        raise InputError(message)
+
+
+def _of_nothing(profile: Profile) -> Estimates:
+    """Return the mean, of which nothing more is known."""
+    mean = profile.mean().astype(np.float32)
+    unknown = np.full_like(mean, np.nan)
+    return Estimates(mean, np.zeros(mean.shape[:-1], np.float32), unknown, unknown, np.nan)
+
+
+_ITERATIONS = 2000
+_FEWEST = 4
+_FIRST = 16
+"""Samples from which learning pays: fewer tell the network little that lasts."""
+
+
+def follow(
+    stream: Stream, batches: Iterable[npt.NDArray[Any]], *, spp: int, iterations: int | None = None
+) -> None:
+    """Take in batches as they are rendered, and learn whenever the samples have doubled.
+
+    Parameters
+    ----------
+    stream
+        One that learns, without samples.
+    batches
+        Samples, shape (y, x, channel, sample) each.
+    spp
+        Samples per pixel in all.
+    iterations
+        Minibatches in all; None for 2000.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 4 samples, or less than one minibatch.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from chdstat.estimators import Progressive
+    >>> x = np.random.default_rng(0).exponential(size=(4, 16, 16, 1, 16))
+    >>> stream = Stream(Progressive(), learns=True)
+    >>> follow(stream, x, spp=64, iterations=14)
+    >>> stream.iterations
+    14
+    """
+    plan = timetable(spp, iterations)
+    there = 0
+    for batch in batches:
+        stream.update(batch)
+        there += batch.shape[-1]
+        due = sum(plan.pop(mark) for mark in sorted(plan) if mark <= there)
+        if due:
+            stream.learn(iterations=due)
+
+
+def timetable(spp: int, iterations: int | None = None) -> dict[int, int]:
+    """Return after how many samples to learn, and with how many minibatches.
+
+    Samples double from one time to the next, and so do the minibatches, as the periods of
+    Loshchilov and Hutter 2017 (arXiv:1608.03983) do: more than half of them see all samples.
+
+    Examples
+    --------
+    >>> timetable(64, 700)
+    {16: 100, 32: 200, 64: 400}
+    """
+    total = _ITERATIONS if iterations is None else iterations
+    if spp < _FEWEST:
+        message = f"learning while rendering needs at least {_FEWEST} spp, got {spp}"
+        raise InputError(message)
+    if total < 1:
+        message = f"iterations must be at least 1, got {total}"
+        raise InputError(message)
+    marks = [spp]
+    while marks[0] // 2 >= _FIRST:
+        marks.insert(0, marks[0] // 2)
+    # What is shared out comes to the total exactly, however few there are.
+    ends = [round(total * (2**k - 1) / (2 ** len(marks) - 1)) for k in range(len(marks) + 1)]
+    shares = {mark: ends[k + 1] - ends[k] for k, mark in enumerate(marks)}
+    return {mark: share for mark, share in shares.items() if share}

@@ -1,0 +1,274 @@
+"""Held-out protocol: what a learned estimator may see, and what it is judged by.
+
+The samples of a picture are cut into batches of n. The reference of a batch is the mean of all
+other samples of its pixel, so the noise of the batch is in the estimate and not in the reference.
+The pixels that train are drawn here; those that judge are the others.
+
+A batch with a bad sample has no reference (NaN): it neither trains nor judges.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import LeftOut, generator, is_bad
+from chdstat.errors import InputError
+from chdstat.samples.samples import Samples
+
+__all__ = [
+    "PUBLISHED_PIXELS",
+    "Totals",
+    "batches",
+    "check_spp",
+    "checked_pixels",
+    "direct_of",
+    "draw_pixels",
+    "judging_pixels",
+    "training_batches",
+    "without",
+]
+
+PUBLISHED_PIXELS = 6400
+"""Pixels that Elek, Thomas and Forbes 2019 train on."""
+
+_ROUNDING = 1e-13
+"""Share of a sum that is as good as nothing: what rounding leaves of all of it less all of it."""
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Sums over the good samples of every pixel.
+
+    Attributes
+    ----------
+    total
+        Sum of the radiance, float64, shape (..., channel).
+    count
+        Good samples, shape (...).
+    """
+
+    total: npt.NDArray[np.float64]
+    count: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, samples: Samples) -> Totals:
+        """Add up a picture in one walk through its blocks."""
+        height, width, channels, _ = samples.shape
+        total = np.zeros((height, width, channels))
+        count = np.zeros((height, width), np.int64)
+        left_out = LeftOut()
+        for ys, xs, _, block in samples.blocks():
+            left_out.see(block, channel_axis=-2)
+            bad = np.asarray(is_bad(block).any(axis=2))
+            total[ys, xs] += _sum_of_good(block, bad)
+            count[ys, xs] += (~bad).sum(axis=-1)
+        left_out.warn()
+        return cls(total, count)
+
+    def __getitem__(self, pixels: Any) -> Totals:
+        """Return the sums of some pixels."""
+        return Totals(self.total[pixels], self.count[pixels])
+
+    def mean(self) -> npt.NDArray[np.float64]:
+        """Return the mean of the good samples, shape (..., channel); NaN where there is none."""
+        return _divide(self.total, self.count)
+
+    def mean_without(self, batch: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
+        """Return the leave-batch-out mean, (total - sum of batch) / (count - n).
+
+        Parameters
+        ----------
+        batch
+            n samples that are part of these totals, shape (..., channel, n).
+
+        Returns
+        -------
+        ndarray
+            Shape (..., channel); NaN where the batch holds a bad sample or nothing remains.
+        """
+        bad = np.asarray(is_bad(batch).any(axis=-2))
+        rest = np.asarray(self.count - (~bad).sum(axis=-1))
+        reference = _divide(without(self.total, _sum_of_good(batch, bad)), rest)
+        return np.where(bad.any(axis=-1, keepdims=True), np.nan, reference)
+
+
+def without(
+    total: npt.NDArray[np.float64], part: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Return a sum less a part of it: exactly 0 where nothing but rounding is left.
+
+    Examples
+    --------
+    >>> without(np.array([0.3]), np.array([0.1 + 0.2])).tolist()
+    [0.0]
+    """
+    rest = total - part
+    return np.where(np.abs(rest) <= _ROUNDING * np.abs(total), 0, rest)
+
+
+def batches(
+    samples: Samples, n: int, *, limit: int | None = None
+) -> Iterator[npt.NDArray[np.float32]]:
+    """Yield the picture with n consecutive samples at a time, shape (y, x, channel, n).
+
+    Samples that do not fill a batch are left over.
+    """
+    count = samples.spp // n if limit is None else min(limit, samples.spp // n)
+    for first in range(0, count * n, n):
+        yield samples.read(ss=slice(first, first + n))
+
+
+def check_spp(samples: Samples, n: int) -> None:
+    """Refuse samples that leave no reference beside a batch of n.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 2 n samples per pixel.
+    """
+    if samples.spp < 2 * n:
+        message = (
+            f"a batch of {n} samples and an equally large reference need at least {2 * n} spp, "
+            f"got {samples.spp}; render more samples per pixel"
+        )
+        raise InputError(message)
+
+
+def direct_of(samples: Samples) -> Samples:
+    """Return the direct part of a picture, as many samples of it.
+
+    Raises
+    ------
+    InputError
+        If it is not known, or not of all samples.
+    """
+    direct = samples.direct
+    if direct is None or direct.spp < samples.spp:
+        known = "none" if direct is None else f"that of {direct.spp}"
+        message = (
+            f"the direct light of all {samples.spp} samples is wanted, this picture has {known}; "
+            "render it with direct=True (chdstat render --direct) into the same store"
+        )
+        raise InputError(message)
+    return direct
+
+
+def draw_pixels(
+    shape: tuple[int, int], count: int, *, seed: int | np.random.Generator | None
+) -> npt.NDArray[np.int64]:
+    """Draw the pixels that train: `count` of them, or all that do not judge, none twice.
+
+    Fewer pixels of the same seed are among more: who wants 6400 gets the same 6400 whoever else
+    trains.
+
+    Parameters
+    ----------
+    shape
+        Height and width of the image.
+    count
+        How many are wanted.
+    seed
+        Where the draw starts; the same seed draws the same pixels.
+
+    Returns
+    -------
+    ndarray
+        Rows (y, x) in the order of the image.
+
+    Examples
+    --------
+    >>> [len(draw_pixels(shape, 6400, seed=0)) for shape in [(2, 2), (90, 90), (100, 100)]]
+    [2, 4050, 6400]
+    """
+    order = generator(seed).permutation(shape[0] * shape[1])
+    drawn = np.sort(order[: min(count, _trainable(shape))])
+    return np.stack(np.unravel_index(drawn, shape), axis=-1).astype(np.int64)
+
+
+def judging_pixels(
+    shape: tuple[int, int], *, seed: int | np.random.Generator | None
+) -> npt.NDArray[np.bool_]:
+    """Return which pixels judge: those that `draw_pixels` of this seed never draws, shape (y, x).
+
+    They are half of the image, and the same whoever trains. In images that hold the 6400 training
+    pixels of Elek et al. 2019, but not in one half, they are all but 6400, at least a quarter.
+    """
+    judging = np.ones(shape, bool)
+    judging[tuple(draw_pixels(shape, judging.size, seed=seed).T)] = False
+    return judging
+
+
+def _trainable(shape: tuple[int, int]) -> int:
+    size = shape[0] * shape[1]
+    return PUBLISHED_PIXELS if size // 2 < PUBLISHED_PIXELS <= 3 * size // 4 else size // 2
+
+
+def checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """Return given pixels of a picture, rows (y, x), each once.
+
+    Raises
+    ------
+    InputError
+        If they are not rows of two whole numbers, or one lies outside the picture.
+    """
+    chosen = np.asarray(pixels)
+    if chosen.ndim != 2 or chosen.shape[1] != 2 or chosen.dtype.kind not in "iu":
+        message = f"pixels must be integer rows (y, x), got {chosen.dtype} of shape {chosen.shape}"
+        raise InputError(message)
+    if ((chosen < 0) | (chosen >= shape)).any():
+        message = f"pixels must lie in the picture of {shape[1]} x {shape[0]} pixels (y, x)"
+        raise InputError(message)
+    return np.unique(chosen, axis=0).astype(np.int64)
+
+
+def training_batches(
+    samples: Samples, pixels: npt.NDArray[np.int64], n: int
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
+    """Cut the samples of some pixels into batches with their leave-batch-out references.
+
+    Parameters
+    ----------
+    samples
+        The picture.
+    pixels
+        Rows (y, x).
+    n
+        Samples per batch.
+
+    Returns
+    -------
+    batches : ndarray
+        Shape (batch, channel, n); those with a bad sample are left out.
+    references : ndarray
+        Shape (batch, channel).
+    """
+    where = pixels[:, 0], pixels[:, 1]
+    totals = Totals.of(samples)[where]
+    found, references = [], []
+    for picture in batches(samples, n):
+        batch = picture[where]
+        reference = totals.mean_without(batch)
+        usable = np.isfinite(reference).all(axis=-1)
+        found.append(batch[usable])
+        references.append(reference[usable])
+    return np.concatenate(found), np.concatenate(references)
+
+
+def _sum_of_good(
+    block: npt.NDArray[np.floating[Any]], bad: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.float64]:
+    """Add up samples (..., channel, sample) where not `bad` (..., sample)."""
+    good = np.where(bad[..., np.newaxis, :], 0, block) if bad.any() else block
+    return np.asarray(good.sum(axis=-1, dtype=np.float64))
+
+
+def _divide(
+    total: npt.NDArray[np.float64], count: npt.NDArray[np.int64]
+) -> npt.NDArray[np.float64]:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(total / np.where(count > 0, count, np.nan)[..., np.newaxis])

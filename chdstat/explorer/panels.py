@@ -1,0 +1,399 @@
+"""Series: the rows of samples that panels show, in their colours, and what a panel is made of.
+
+One place shows its channels, several show luminance (or one channel) in a colour each.
+
+Traces: what each panel draws of a selection, as plain arrays.
+
+The density of a fit is that of the positive samples, as the histograms are.
+
+Extents: the part of the plane that each panel shows.
+
+Computed here and not in the browser: Bokeh's own data ranges answer each change of theirs to the
+server, eighteen messages a click.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from chdstat.explorer.palette import BLENDED, CHANNEL_COLORS, DASHES, PIXEL_COLORS
+from chdstat.explorer.statistics import Measured
+from chdstat.explorer.view import View
+from chdstat.reporting.typst import NAMES
+
+__all__ = ["LOG_X", "LOG_Y", "Extent", "Panel", "Series", "Trace", "extent", "panels", "series_of"]
+
+Floats = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A line, or the outline of an area.
+
+    Attributes
+    ----------
+    x, y
+        Vertices, shape (point,).
+    color
+        As "#rrggbb".
+    dash
+        Line dash in Bokeh's words.
+    width
+        In screen pixels.
+    name
+        What it shows.
+    """
+
+    x: Floats
+    y: Floats
+    color: str
+    dash: str = "solid"
+    width: float = 1.3
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What one panel draws.
+
+    Attributes
+    ----------
+    areas, lines
+        Filled and drawn.
+    marks
+        x and colour of vertical lines.
+    notes
+        What is said beside the title.
+    """
+
+    areas: Sequence[Trace] = ()
+    lines: Sequence[Trace] = ()
+    marks: Sequence[tuple[float, str]] = ()
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Series:
+    """One row of samples that panels show.
+
+    Attributes
+    ----------
+    measured, row
+        Where it comes from.
+    color
+        Of the channel or of the pixel.
+    name
+        As in the legend.
+    other
+        Whether it belongs to the store that is compared with: drawn as dashed outlines.
+    """
+
+    measured: Measured
+    row: int
+    color: str
+    name: str
+    other: bool = field(default=False)
+
+
+def series_of(
+    view: View, places: Sequence[Measured], others: Sequence[Measured] = ()
+) -> list[Series]:
+    """Return what the panels show of the selected places, those of a second store beside them."""
+    found = []
+    for is_other, group in ((False, places), (True, others)):
+        for i, place in enumerate(group):
+            if len(places) == 1 and view.channel == "all":
+                rows = range(len(place.channels))
+                colors = [CHANNEL_COLORS.get(c, BLENDED) for c in place.channels]
+            else:
+                rows = range(
+                    r := place.row("luminance" if view.channel == "all" else view.channel), r + 1
+                )
+                colors = [PIXEL_COLORS[i]] if len(places) > 1 else [_color_of_row(place, r)]
+            found += [
+                Series(place, row, color, _name(place, row, i, len(places)), is_other)
+                for row, color in zip(rows, colors, strict=True)
+            ]
+    return found
+
+
+def _color_of_row(place: Measured, row: int) -> str:
+    return CHANNEL_COLORS.get(place.names[row], BLENDED)
+
+
+def _name(place: Measured, row: int, index: int, count: int) -> str:
+    return place.names[row] if count == 1 else f"pixel {index + 1}"
+
+
+_POINTS = 160
+_QUANTILES = (np.arange(100) + 0.5) / 100
+_Z = float(special.ndtri(0.975))
+Scale = Literal["linear", "log"]
+
+
+def panels(view: View, series: Sequence[Series]) -> dict[str, Panel]:
+    """Return all panels by name: linear, log, qq, running, averages."""
+    return {
+        "linear": _histogram(view, series, "linear"),
+        "log": _histogram(view, series, "log"),
+        "qq": _qq(view, series),
+        "running": _running(series),
+        "averages": _averages(view, series),
+    }
+
+
+# --- histograms ---------------------------------------------------------------------------------
+
+
+def _histogram(view: View, series: Sequence[Series], scale: Scale) -> Panel:
+    areas, lines, marks = [], [], []
+    for s in series:
+        counted = s.measured.log if scale == "log" else s.measured.linear
+        x, y = _steps(counted.edges, counted.density, s.row)
+        if not x.size:
+            continue
+        if not s.other:
+            areas.append(Trace(x, y, s.color, name=s.name))
+            marks.append((float(s.measured.moments.mean[s.row]), s.color))
+        lines.append(Trace(x, y, s.color, "dashed" if s.other else "solid", 1.2, s.name))
+        if not s.other:
+            lines += _fits(view, s, scale, x[0], x[-1], 1.3 * y.max())
+    if scale == "log":
+        marks = [mark for mark in marks if mark[0] > 0]
+    return Panel(areas, lines, marks, _apart(series, scale))
+
+
+def _steps(edges: Floats, density: Floats, row: int) -> tuple[Floats, Floats]:
+    """Return the outline of the occupied bins, from the axis up and down to it again."""
+    # All rows of a log histogram share their edges.
+    edges = edges[row] if edges.ndim > 1 else edges
+    heights = density[row]
+    filled = np.flatnonzero(np.nan_to_num(heights) > 0)
+    if not filled.size or not np.isfinite(edges).all():
+        return np.empty(0), np.empty(0)
+    bins = slice(filled[0], filled[-1] + 1)
+    x = np.repeat(edges[filled[0] : filled[-1] + 2], 2)
+    return x, np.concatenate([[0.0], np.repeat(heights[bins], 2), [0.0]])
+
+
+def _fits(view: View, s: Series, scale: Scale, low: float, high: float, top: float) -> list[Trace]:
+    low = max(low, 1e-300)
+    x = np.geomspace(low, high, _POINTS) if scale == "log" else np.linspace(low, high, _POINTS)
+    lines = []
+    for family in view.families:
+        found = s.measured.positive(family, s.row)
+        if found is None:
+            continue
+        with np.errstate(all="ignore"):
+            y = found.pdf(x) * (x * np.log(10) if scale == "log" else 1)
+        # A density may be infinite at 0: the histogram sets the height.
+        y = np.where(np.isfinite(y), np.minimum(y, top), np.nan)
+        if np.isfinite(y).any():
+            dash = DASHES.get(found.family, "solid")
+            lines.append(Trace(x, y, s.color, dash, 2.0, f"{s.name} {found.family}"))
+    return lines
+
+
+def _apart(series: Sequence[Series], scale: Scale) -> list[str]:
+    """Return what is not in the bins: nulls, bad samples, those beyond the support."""
+    groups = [
+        list(dict.fromkeys(s.measured for s in series if s.other is other))
+        for other in (False, True)
+    ]
+    if len(groups[0]) == 1 and not groups[1]:
+        place = groups[0][0]
+        return [f"{_counts(place)} · {_percent(_outside(series, scale))} outside"]
+    notes = []
+    for i, place in enumerate(groups[0]):
+        text = f"{i + 1}: {_counts(place)}" if len(groups[0]) > 1 else _counts(place)
+        notes.append(f"{text} (second: {_counts(groups[1][i])})" if groups[1] else text)
+    return notes
+
+
+def _counts(place: Measured) -> str:
+    return f"{_percent(place.null_share)} null · {int(place.bad.sum())} bad"
+
+
+def _outside(rows: Sequence[Series], scale: Scale) -> float:
+    """Return the share of the samples that lie beyond the support of their histogram."""
+    place = rows[0].measured
+    counted = place.log if scale == "log" else place.linear
+    outside = counted.underflow + counted.overflow
+    return float(outside[[s.row for s in rows]].sum() / (len(rows) * place.spp))
+
+
+def _percent(share: float) -> str:
+    if not np.isfinite(share):
+        return "—"
+    return f"{100 * share:.3g} %"
+
+
+# --- quantiles, averages ------------------------------------------------------------------------
+
+
+def _qq(view: View, series: Sequence[Series]) -> Panel:
+    """Draw quantiles of the positive samples against those of the first family that is switched on.
+
+    Both axes are logarithmic, since the tails decide.
+    """
+    lines, ends = [], []
+    families: dict[str, None] = {}
+    for s in series:
+        found = s.measured.positive(view.families[0] if view.families else "best", s.row)
+        part, n = s.measured.part, int(s.measured.part.n[s.row])
+        if found is None or n < 2:
+            continue
+        levels = _QUANTILES if n >= 100 else (np.arange(n) + 0.5) / n
+        with np.errstate(all="ignore"):
+            expected = np.asarray(found.ppf(levels), np.float64)
+        ordered = part.sorted[s.row, :n].astype(np.float64)
+        seen = ordered[np.minimum((levels * n).astype(int), n - 1)]
+        keep = np.isfinite(expected) & (expected > 0) & (seen > 0)
+        if keep.any():
+            families[found.family] = None
+            lines.append(
+                Trace(
+                    expected[keep],
+                    seen[keep],
+                    s.color,
+                    "dashed" if s.other else "solid",
+                    2.2,
+                    s.name,
+                )
+            )
+            ends += [seen[keep].min(), seen[keep].max()]
+    if not lines:
+        return Panel(notes=["no family could be fitted"])
+    diagonal = np.array([min(ends), max(ends)])
+    lines.insert(0, Trace(diagonal, diagonal, BLENDED, "dotted", 1.2, "equal"))
+    names = [NAMES.get(family, family) for family in families]
+    return Panel(lines=lines, notes=[f"against {', '.join(names)}"])
+
+
+def _running(series: Sequence[Series]) -> Panel:
+    areas, lines = [], []
+    tails = []
+    for s in series:
+        at, means, errors = s.measured.running()
+        if not at.size:
+            continue
+        mean, error = means[s.row], _Z * errors[s.row]
+        if not s.other:
+            band = np.concatenate([mean - error, (mean + error)[::-1]])
+            areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color, name=s.name))
+        lines.append(Trace(at, mean, s.color, "dashed" if s.other else "solid", 1.6, s.name))
+        tails.append((s.measured.tail, s.row))
+    doubt = ""
+    if any(tail.variance_suspect[row] for tail, row in tails):
+        doubt = " · tail index ≥ ½: do not trust it"
+    elif any(tail.variance_unidentified[row] for tail, row in tails):
+        doubt = " · samples cannot tell whether the variance is finite"
+    return Panel(areas, lines, notes=[f"95 % interval of the mean{doubt}"])
+
+
+def _averages(view: View, series: Sequence[Series]) -> Panel:
+    """Draw the distribution of averages of N samples, with the Gaussian of the same moments."""
+    areas, lines, notes = [], [], []
+    beyond = 0.0
+    for s in series:
+        averages = s.measured.averages(view.batch)[s.row]
+        averages = averages[np.isfinite(averages)]
+        if len(averages) < 4:
+            continue
+        if averages.min() == averages.max():
+            notes.append(f"{s.name}: all equal")
+            continue
+        edges = _edges_of_averages(averages)
+        heights = np.histogram(averages, edges)[0] / (len(averages) * (edges[1] - edges[0]))
+        beyond = max(beyond, float((averages > edges[-1]).mean()))
+        x, y = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
+        if not s.other:
+            areas.append(Trace(x, y, s.color, name=s.name))
+        lines.append(Trace(x, y, s.color, "dashed" if s.other else "solid", 1.2, s.name))
+        if not s.other:
+            lines.append(_gaussian(averages, edges, s))
+            notes.append(_normality(s, view.batch))
+    if not lines:
+        notes = notes or [f"too few samples for averages of {view.batch}"]
+    if beyond > 0:
+        notes.append(f"{_percent(beyond)} beyond")
+    return Panel(areas, lines, notes=[n for n in notes if n])
+
+
+def _edges_of_averages(averages: Floats) -> Floats:
+    """Return edges of bins up to the largest average, or to where few fireflies begin."""
+    bins = int(np.clip(np.sqrt(len(averages)), 8, 40))
+    low, usual, high = averages.min(), np.quantile(averages, 0.99), averages.max()
+    end = min(high, usual + (usual - low)) if usual > low else high
+    return np.linspace(low, end, bins + 1)
+
+
+def _gaussian(averages: Floats, edges: Floats, s: Series) -> Trace:
+    mean, sd = averages.mean(), averages.std(ddof=1)
+    low, high = edges[0], edges[-1]
+    x = np.linspace(max(low - sd, min(0.0, low)), min(high + sd, 2 * high - low), 120)
+    y = np.exp(-(((x - mean) / sd) ** 2) / 2) / (sd * np.sqrt(2 * np.pi))
+    return Trace(x, y, s.color, "dotted", 1.8, f"{s.name} Gaussian")
+
+
+def _normality(s: Series, n: int) -> str:
+    means = s.measured.means
+    if means is None or n not in means.sizes:
+        return ""
+    p = float(means.p_value[s.row, list(means.sizes).index(n)])
+    return f"{s.name} p = {p:.2g}" if np.isfinite(p) else ""
+
+
+LOG_X = frozenset({"log", "qq", "running"})
+LOG_Y = frozenset({"qq"})
+"""Panels whose axes are logarithmic."""
+_DENSITIES = frozenset({"linear", "log", "averages"})
+"""Those that stand on the axis."""
+_MARGIN = 0.04
+_TINY = 1e-300
+
+Extent = tuple[float, float]
+Ends = npt.NDArray[np.float64]
+
+
+def extent(name: str, panel: Panel) -> tuple[Extent, Extent] | None:
+    """Return what a panel shows across and up: all that it draws, and a margin; None for nothing.
+
+    Examples
+    --------
+    >>> from chdstat.explorer.panels import Trace
+    >>> line = Trace(np.array([0.0, 10.0]), np.array([1.0, 2.0]), "#ffffff")
+    >>> extent("linear", Panel(lines=[line]))
+    ((-0.4, 10.4), (0.0, 2.08))
+    """
+    traces = (*panel.areas, *panel.lines)
+    marks = np.array([mark[0] for mark in panel.marks])
+    across = _span([*(t.x for t in traces), marks], log=name in LOG_X)
+    up = _span([t.y for t in traces], log=name in LOG_Y)
+    if across is None or up is None:
+        return None
+    if name in _DENSITIES:
+        return _padded(across, log=name in LOG_X), (0.0, up[1] * (1 + _MARGIN))
+    return _padded(across, log=name in LOG_X), _padded(up, log=name in LOG_Y)
+
+
+def _span(parts: Iterable[npt.ArrayLike], *, log: bool) -> Extent | None:
+    whole = np.concatenate([np.empty(0), *(np.asarray(part, np.float64) for part in parts)])
+    shown: Ends = whole[np.isfinite(whole) & ((whole > _TINY) if log else True)]
+    return (float(shown.min()), float(shown.max())) if shown.size else None
+
+
+def _padded(span: Extent, *, log: bool) -> Extent:
+    """Return a span with a margin; one value alone gets a tenth, or a factor of two, around it."""
+    low, high = np.log10(span) if log else span
+    alone = np.log10(2) if log else 0.1 * abs(low) or 1.0
+    margin = _MARGIN * (high - low) if high > low else alone
+    ends = np.array([low - margin, high + margin])
+    start, end = 10.0**ends if log else ends
+    return float(start), float(end)

@@ -1,0 +1,246 @@
+"""Answers: what there is to say about a selection, computed apart from any page.
+
+Panels come first, as pictures are looked at first; then tables; then what takes long.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.explorer import tables
+from chdstat.explorer.estimators import (
+    BATCHES_AROUND,
+    Estimate,
+    batches_of,
+    judged,
+    judged_around,
+    judged_learners,
+    judged_names,
+    quick_names,
+)
+from chdstat.explorer.exports import Shown
+from chdstat.explorer.images import SceneSource
+from chdstat.explorer.palette import BLENDED
+from chdstat.explorer.panels import Panel, panels, series_of
+from chdstat.explorer.shared import Shared
+from chdstat.explorer.sources import Box, Source, StoreSource
+from chdstat.explorer.statistics import Measured, fitness
+from chdstat.explorer.view import Pixel, View
+from chdstat.inference.differences import Difference, difference
+
+__all__ = ["Answer", "Answers", "Told"]
+
+_KEPT_BYTES = 128 * 2**20
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a view shows, but for its tables.
+
+    Attributes
+    ----------
+    view
+        The view.
+    shown
+        The places that are selected; none where nothing is.
+    others
+        The same places of the store that is compared with.
+    panels
+        What each panel draws, by name.
+    legend
+        Names and colours of what is drawn.
+    live_spp
+        Samples of the active pixel where more of them can be drawn, else None.
+    """
+
+    view: View
+    shown: Shown
+    others: Sequence[Measured]
+    panels: Mapping[str, Panel]
+    legend: Sequence[tuple[str, str]]
+    live_spp: int | None
+
+
+@dataclass(frozen=True)
+class Told:
+    """What is told of the active place in tables.
+
+    Attributes
+    ----------
+    tables
+        Ready for the page, by name.
+    estimates
+        Of the quick estimators.
+    """
+
+    tables: dict[str, tables.Table]
+    estimates: Sequence[Estimate]
+
+
+class Answers:
+    """Computes answers and remembers the places that were looked at.
+
+    `answer` is for one thread at a time; the others only read what it returned.
+
+    Parameters
+    ----------
+    shared
+        Has the sources, the first of which may grow.
+    """
+
+    def __init__(self, shared: Shared) -> None:
+        self._shared = shared
+        self._places: dict[tuple[int, Pixel | Box], Measured] = {}
+
+    def answer(self, view: View) -> Answer:
+        """Return what the panels of a view show.
+
+        Raises
+        ------
+        InputError
+            If a pixel is outside the image.
+        StoreError
+            If a store is damaged or gone.
+        """
+        keys: list[Pixel | Box] = list(view.pixels) if view.region is None else [view.region]
+        places = [self._measured(self._shared.source, 0, key) for key in keys]
+        other = self._shared.other
+        others = [] if other is None else [self._measured(other, 1, key) for key in keys]
+        series = series_of(view, places, others)
+        legend = [(s.name, s.color) for s in series if not s.other]
+        live = isinstance(self._shared.source, SceneSource) and bool(view.pixels)
+        return Answer(
+            view=view,
+            shown=Shown(self._shared.source.name, keys, places, view.active),
+            others=others,
+            panels=panels(view, series),
+            legend=legend if other is None else [*legend, (f"dashed: {other.name}", BLENDED)],
+            live_spp=places[view.active].spp if live else None,
+        )
+
+    def told(self, answer: Answer) -> Told:
+        """Return what the tables tell of the active place."""
+        view, shown = answer.view, answer.shown
+        if not shown.places:
+            return Told({}, [])
+        place = shown.places[view.active]
+        reference = self._reference(shown.keys[view.active], place)
+        estimates = judged(_channels(place), _batch(view), reference, names=quick_names())
+        found = {
+            "statistics": tables.statistics(place),
+            "patterns": {**tables.patterns(place), "words": True},
+            "estimates": self._table(estimates, place, view),
+        }
+        if self._shared.other is not None:
+            apart = self._apart(shown.keys[view.active], place, answer.others[view.active])
+            names = (self._shared.source.name, self._shared.other.name)
+            found["compared"] = tables.compared(apart, self._shared.source.channels, names)
+        return Told(found, estimates)
+
+    def _apart(self, key: tuple[int, ...], place: Measured, other: Measured) -> Difference:
+        """Compare a place of the two stores, in pairs where these share random numbers."""
+        source, second = self._shared.source, self._shared.other
+        one, two = _channels(place), _channels(other)
+        if (
+            second is None
+            or not isinstance(source, StoreSource)
+            or not source.samples.shares_numbers_with(second.samples)
+        ):
+            return difference(one, two)
+        spp = min(source.samples.spp, second.samples.spp)
+        if len(key) == 2:
+            return difference(one[:, :spp], two[:, :spp], paired=True)
+        if one.shape != two.shape:  # as many of each pixel, so that pairs stay together
+            box = (key[0], key[1], key[2], key[3])
+            one, two = source.region(box, spp), second.region(box, spp)
+        return difference(one, two, paired=True)
+
+    def afterthought(self, answer: Answer, told: Told, step: Callable[[], None]) -> tables.Table:
+        """Return the table of estimates with the slow ones, and those that look around.
+
+        `step` is called before each of them; whatever it raises ends the thought.
+        """
+        view, shown = answer.view, answer.shown
+        key, place = shown.keys[view.active], shown.places[view.active]
+        x, n, reference = _channels(place), _batch(view), self._reference(key, place)
+        slow = frozenset(judged_names()) - quick_names()
+        own = [*told.estimates, *judged(x, n, reference, names=slow, step=step)]
+        own += self._learned(key, x, n, reference, step)
+        if not isinstance(self._shared.source, StoreSource) or len(key) != 2:
+            return self._table(own, place, view)
+        window, inside, _ = self._shared.source.around(key[0], key[1], n * BATCHES_AROUND)
+        found = judged_around(x, window, inside, n, reference, step=step)
+        more = f"; the last {len(found)} look at the pixels around, in {BATCHES_AROUND} batches"
+        return self._table([*own, *found], place, view, more)
+
+    def fitness(self, answer: Answer, step: Callable[[float], None]) -> tables.Table:
+        """Return the goodness of fit of every family; `step` is told how far it is."""
+        place = answer.shown.places[answer.view.active]
+        return tables.fitness(fitness(place, step), place.names)
+
+    def _learned(
+        self,
+        key: tuple[int, ...],
+        x: npt.NDArray[np.float32],
+        n: int,
+        reference: npt.NDArray[np.float64] | None,
+        step: Callable[[], None],
+    ) -> list[Estimate]:
+        shared = self._shared
+        batches = batches_of(x, n, reference) if shared.learners else None
+        if batches is None:
+            return []
+        source = shared.source if isinstance(shared.source, StoreSource) else None
+        return judged_learners(shared.learners, batches, source, key, shared.unit, step=step)
+
+    def _measured(self, source: Source, which: int, key: Pixel | Box) -> Measured:
+        x = source.pixel(*key) if len(key) == 2 else source.region(key)
+        known = self._places.pop((which, key), None)
+        found = known if known is not None and known.spp == x.shape[1] else None
+        if found is None:
+            found = Measured(x, source.channels)
+            if known is not None:
+                found.take_over(known)
+        self._places[which, key] = found
+        while len(self._places) > 1 and self._held > _KEPT_BYTES:
+            self._places.pop(next(iter(self._places)))  # the one looked at longest ago
+        return found
+
+    @property
+    def _held(self) -> int:
+        return sum(place.rows.nbytes for place in self._places.values())
+
+    def _reference(self, key: tuple[int, ...], place: Measured) -> npt.NDArray[np.float64] | None:
+        reference = self._shared.reference
+        if reference is None or len(key) != 2:
+            return None
+        x = reference.pixel(key[0], key[1])[:, self._shared.first_of_reference :]
+        if not x.shape[1]:
+            return None
+        true = Measured(x, place.channels)
+        return true.moments.seen(true.moments.mean)[: len(place.channels)]
+
+    def _table(
+        self, found: Sequence[Estimate], place: Measured, view: View, more: str = ""
+    ) -> tables.Table:
+        note = "error against the mean of the other samples, which no batch contains"
+        reference, first = self._shared.reference, self._shared.first_of_reference
+        if reference is not None and first < reference.samples.spp:
+            note = f"error against {reference.name}"
+            # The first ones share their random numbers with what is judged.
+            note += f" from sample {first} on" if first else ""
+        return tables.estimates(found, place.channels, _batch(view), note + more)
+
+
+def _channels(place: Measured) -> npt.NDArray[np.float32]:
+    """Return the samples of a place without luminance."""
+    return place.rows[: len(place.channels)]
+
+
+def _batch(view: View) -> int:
+    """Return the samples of an estimate: one alone is no estimate."""
+    return max(view.batch, 2)

@@ -1,0 +1,402 @@
+"""Distances between samples and a fitted distribution, for rows of samples or of bins.
+
+Each is computed for all rows at once, from the distribution function at the samples or at the edges
+of the bins; `chdstat.fit.goodness` says what they mean and how likely they are.
+
+Bootstrap: distances from a fitted family, and those of samples drawn from it and fitted again.
+
+The random numbers of a row are made of the seed and of the row's own samples, so that its p-value
+does not depend on which rows are tested with it. The replicates of several rows are fitted at once.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import spans
+from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat.fit.family import Family, Parameters
+from chdstat.fit.mle import estimate_part
+from chdstat.summary.dispatch import Part
+from chdstat.summary.positive_histogram import BinnedPart
+
+__all__ = [
+    "DISTANCES",
+    "Distance",
+    "FitTest",
+    "bootstrap",
+    "distances_of_bins",
+    "distances_of_samples",
+]
+
+FitTest = Literal["kolmogorov-smirnov", "cramer-von-mises", "anderson-darling", "chi-square"]
+
+_LEAST = 1e-300
+"""Least probability whose logarithm is taken."""
+_FAR = 0.9
+"""Where F is larger, 1 - F is computed apart, so that it does not lose its digits."""
+_EXPECTED = 5.0
+"""Least number of samples expected in a cell (Cochran 1954, doi:10.2307/3001616)."""
+
+
+@dataclass(frozen=True)
+class _Ranked:
+    """Rows of samples through the distribution function, ascending; 0 or 1 where there is none.
+
+    Attributes
+    ----------
+    below, above
+        F and 1 - F at the samples, shape (row, sample).
+    rank
+        1 for the smallest, shape (sample,).
+    present
+        Which entries are samples, shape (row, sample).
+    n
+        Samples, shape (row, 1).
+    parameters
+        Estimated ones.
+    """
+
+    below: Floats
+    above: Floats
+    rank: Counts
+    present: Any
+    n: Counts
+    parameters: int
+
+
+@dataclass(frozen=True)
+class _Binned:
+    """Rows of bins: counts and probabilities, shape (row, bin); the rest as of `_Ranked`."""
+
+    counts: Floats
+    expected: Floats
+    n: Counts
+    parameters: int
+
+    @property
+    def excess(self) -> Floats:
+        """Samples up to the end of each bin, less those expected."""
+        return np.cumsum(self.counts - self.expected, axis=-1)
+
+
+@dataclass(frozen=True)
+class Distance:
+    """A row of `DISTANCES`.
+
+    Attributes
+    ----------
+    of_samples, of_bins
+        The statistic of rows, shape (row,).
+    effect
+        The statistic made independent of the number of samples.
+    """
+
+    of_samples: Callable[[_Ranked], Floats]
+    of_bins: Callable[[_Binned], Floats]
+    effect: Callable[[Floats, Counts], Floats]
+
+
+def distances_of_samples(
+    part: PositivePart, family: Family, parameters: Parameters, tests: Sequence[FitTest]
+) -> Floats:
+    """Return statistics of rows of samples, shape (row, test); parameters have shape (row,)."""
+    present = part.valid
+    x = part.sorted[present].astype(np.float64)
+    of_samples = {name: np.repeat(value, part.n) for name, value in parameters.items()}
+    # Rows have from few to all samples: distribution functions are dear, so of those alone.
+    below, above = np.zeros(present.shape), np.ones(present.shape)
+    below[present], above[present] = _both_sides(family, of_samples, x)
+    ranked = _Ranked(
+        below=below,
+        above=above,
+        rank=np.arange(1, present.shape[-1] + 1),
+        present=present,
+        n=part.n[:, np.newaxis],
+        parameters=len(parameters),
+    )
+    return np.stack([DISTANCES[test].of_samples(ranked) for test in tests], axis=-1)
+
+
+def _both_sides(family: Family, parameters: Parameters, x: Floats) -> tuple[Floats, Floats]:
+    """Return F and 1 - F at samples, each with its own digits; parameters are those of each."""
+    with np.errstate(all="ignore"):
+        below = np.asarray(family.distribution(parameters).cdf(x))
+        above = 1 - below
+        far = below > _FAR
+        there = {name: value[far] for name, value in parameters.items()}
+        above[far] = family.distribution(there).sf(x[far])
+    return below, above
+
+
+def distances_of_bins(
+    part: BinnedPart, family: Family, parameters: Parameters, tests: Sequence[FitTest]
+) -> Floats:
+    """Return statistics of rows of bins, shape (row, test); parameters have shape (row,)."""
+    probability = bin_probabilities(part, family, parameters)
+    n = part.n[:, np.newaxis]
+    binned = _Binned(part.counts, probability * n, n, len(parameters))
+    return np.stack([DISTANCES[test].of_bins(binned) for test in tests], axis=-1)
+
+
+def bin_probabilities(part: BinnedPart, family: Family, parameters: Parameters) -> Floats:
+    """Return the probability of each bin, shape (row, bin), given that it is one of them.
+
+    The last bin has all above its lower edge, since it has the samples above the support; what is
+    below the support counts as zeros, and takes no part.
+    """
+    edges = np.exp(part.log_centers - part.width[:, np.newaxis] / 2)
+    with np.errstate(all="ignore"):
+        above = family.distribution(_columns(parameters)).sf(edges)
+        above = np.broadcast_to(above, part.counts.shape)
+        probability = -np.diff(above, axis=-1, append=0) / above[:, :1]
+    return np.asarray(np.maximum(np.nan_to_num(probability), 0))
+
+
+def _columns(parameters: Parameters) -> dict[str, Floats]:
+    return {name: value[:, np.newaxis] for name, value in parameters.items()}
+
+
+def _kolmogorov_smirnov(r: _Ranked) -> Floats:
+    gap = np.maximum(r.rank / r.n - r.below, r.below - (r.rank - 1) / r.n)
+    return np.asarray(np.where(r.present, gap, 0).max(axis=-1))
+
+
+def _cramer_von_mises(r: _Ranked) -> Floats:
+    gap = r.below - (r.rank - 0.5) / r.n
+    return np.asarray(1 / (12 * r.n[:, 0]) + np.where(r.present, gap**2, 0).sum(axis=-1))
+
+
+def _anderson_darling(r: _Ranked) -> Floats:
+    below, above = (np.log(np.maximum(values, _LEAST)) for values in (r.below, r.above))
+    terms = (2 * r.rank - 1) * below + (2 * (r.n - r.rank) + 1) * above
+    n = r.n[:, 0]
+    return np.asarray(-n - np.where(r.present, terms, 0).sum(axis=-1) / n)
+
+
+def _chi_square(r: _Ranked) -> Floats:
+    """Count samples in equiprobable cells of the fitted distribution; NaN for too few samples.
+
+    There are ``2 n^(2/5)`` (Moore 1986, in D'Agostino and Stephens, "Goodness-of-fit techniques",
+    chapter 3), and at most as many as have 5 samples expected.
+    """
+    n = r.n[:, 0]
+    cells = np.minimum(2 * n**0.4, n / _EXPECTED).astype(np.int64)
+    most = int(cells.max(initial=1))
+    cell = np.minimum(r.below * cells[:, np.newaxis], cells[:, np.newaxis] - 1).astype(np.int64)
+    index = np.where(r.present, cell, most) + np.arange(len(n))[:, np.newaxis] * (most + 1)
+    counts = np.bincount(index.ravel(), minlength=len(n) * (most + 1)).reshape(len(n), most + 1)
+    square = (counts[:, :most].astype(np.float64) ** 2).sum(axis=-1)
+    enough = cells >= r.parameters + 2
+    return np.where(enough, cells * square / n - n, np.nan)
+
+
+def _binned_kolmogorov_smirnov(b: _Binned) -> Floats:
+    return np.asarray(np.abs(b.excess).max(axis=-1) / b.n[:, 0])
+
+
+def _binned_cramer_von_mises(b: _Binned) -> Floats:
+    """Weigh by the bins (Choulakian, Lockhart and Stephens 1994, doi:10.2307/3315828)."""
+    return np.asarray(np.vecdot(b.excess**2, b.expected) / b.n[:, 0] ** 2)
+
+
+def _binned_anderson_darling(b: _Binned) -> Floats:
+    """Weigh by the bins and the inverse variance of F (Choulakian, Lockhart and Stephens 1994)."""
+    below = np.cumsum(b.expected, axis=-1) / b.n
+    variance = below * (1 - below)
+    # Beyond the first and the last bin that expect a sample, both are 0 but for rounding.
+    weight = np.where(variance > 1e-12, b.expected / np.maximum(variance, 1e-12), 0)
+    return np.asarray(np.vecdot(b.excess**2, weight) / b.n[:, 0] ** 2)
+
+
+def _binned_chi_square(b: _Binned) -> Floats:
+    """Merge bins from the left until a cell expects 5 samples, the rest into the last cell."""
+    square, cells = np.zeros(len(b.n)), np.zeros(len(b.n), dtype=np.int64)
+    counts, expected = np.zeros(len(b.n)), np.zeros(len(b.n))
+    left = b.expected.sum(axis=-1) - np.cumsum(b.expected, axis=-1).T
+    for count, mean, rest in zip(b.counts.T, b.expected.T, left, strict=True):
+        counts, expected = counts + count, expected + mean
+        # What is left must fill a cell, too.
+        full = (expected >= _EXPECTED) & (rest >= _EXPECTED)
+        square += np.where(full, (counts - expected) ** 2 / np.maximum(expected, _EXPECTED), 0)
+        cells += full
+        counts, expected = np.where(full, 0, counts), np.where(full, 0, expected)
+    square += (counts - expected) ** 2 / np.maximum(expected, _LEAST)
+    return np.where(cells + 1 >= b.parameters + 2, square, np.nan)
+
+
+def _root_mean(statistic: Floats, n: Counts) -> Floats:
+    return np.sqrt(np.maximum(statistic, 0) / n)
+
+
+DISTANCES: dict[FitTest, Distance] = {
+    "kolmogorov-smirnov": Distance(
+        _kolmogorov_smirnov, _binned_kolmogorov_smirnov, lambda statistic, _: statistic
+    ),
+    "cramer-von-mises": Distance(_cramer_von_mises, _binned_cramer_von_mises, _root_mean),
+    "anderson-darling": Distance(_anderson_darling, _binned_anderson_darling, _root_mean),
+    "chi-square": Distance(_chi_square, _binned_chi_square, _root_mean),
+}
+"""Distances by the name of the test."""
+
+
+_CHUNK = 2**18
+"""Samples or bins worked on at once: fits of many rows cost less for each."""
+_SAME = 1e-9
+"""Relative difference below which two statistics are the same, but for rounding."""
+
+
+def bootstrap(
+    part: Part,
+    usable: Mask,
+    family: Family,
+    parameters: Parameters,
+    tests: Sequence[FitTest],
+    resamples: int,
+    seed: int,
+) -> tuple[Floats, Floats, Floats]:
+    """Return statistics, p-values and replicates that could be fitted, each of shape (row, test).
+
+    Rows are those of the flattened batch; what is not usable is NaN, NaN and 0. P-values are NaN
+    where fewer than half of the replicates could be fitted.
+    """
+    shape = (part.n.size, len(tests))
+    statistic, p_value, fitted = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
+    rows = np.flatnonzero(usable)
+    # Rows of as many samples go together: a block is as wide as its rows need.
+    rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
+    width = (part.counts if isinstance(part, BinnedPart) else part.x).shape[-1]
+    for block in spans(len(rows), max(1, _CHUNK // width // max(1, resamples))):
+        here = rows[block]
+        some = _take(part, here)
+        known = {name: value.ravel()[here] for name, value in parameters.items()}
+        statistic[here] = _distances(some, family, known, tests)
+        streams = _streams(some, seed) if resamples else []
+        more, count = _replicates(some, family, known, statistic[here], tests, resamples, streams)
+        fitted[here] = count
+        # Davison and Hinkley (1997), equation 4.11.
+        known_enough = (count > 0) & (2 * count >= resamples)
+        p_value[here] = np.where(known_enough, (more + 1) / (count + 1), np.nan)
+    return statistic, p_value, fitted
+
+
+def _streams(part: Part, seed: int) -> list[np.random.Generator]:
+    """Return a generator for each row, of the seed and of the row's samples, whatever their order.
+
+    It is never that of `numpy.random.default_rng(seed)`, of which the samples may be draws.
+    """
+    held = (
+        part.counts
+        if isinstance(part, BinnedPart)
+        else [row[:n].astype(np.float64) for row, n in zip(part.sorted, part.n, strict=True)]
+    )
+    return [np.random.default_rng([seed, zlib.crc32(row.tobytes())]) for row in held]
+
+
+def _replicates(
+    part: Part,
+    family: Family,
+    parameters: Parameters,
+    statistic: Floats,
+    tests: Sequence[FitTest],
+    resamples: int,
+    streams: Sequence[np.random.Generator],
+) -> tuple[Floats, Floats]:
+    """Count replicates at least as far from their fit as the samples, and all that could be fit."""
+    more, count = np.zeros(statistic.shape), np.zeros(statistic.shape)
+    least = statistic[:, np.newaxis] * (1 - _SAME)
+    width = (part.counts if isinstance(part, BinnedPart) else part.x).shape[-1]
+    for piece in spans(resamples, max(1, _CHUNK // width // len(part.n))):
+        times = min(piece.stop, resamples) - piece.start
+        repeated = {name: np.repeat(value, times) for name, value in parameters.items()}
+        # Where the sum of the samples is close to overflow, that of a replicate may: no fit.
+        with np.errstate(all="ignore"):
+            drawn = _draw(part, family, parameters, times, streams)
+            estimate, _ = estimate_part(drawn, family, repeated)
+        found = _distances(drawn, family, estimate.parameters, tests)
+        found = found.reshape(len(part.n), times, len(tests))
+        more += np.count_nonzero(found >= least, axis=1)
+        count += np.count_nonzero(np.isfinite(found) & np.isfinite(least), axis=1)
+    return more, count
+
+
+def _distances(
+    part: Part, family: Family, parameters: Parameters, tests: Sequence[FitTest]
+) -> Floats:
+    """Return statistics, shape (row, test); NaN in rows without parameters."""
+    fitted = np.asarray(np.isfinite(np.stack(list(parameters.values()))).all(axis=0))
+    distances = np.full((len(fitted), len(tests)), np.nan)
+    rows = np.flatnonzero(fitted)
+    if not len(rows):
+        return distances
+    some = part if len(rows) == len(fitted) else _take(part, rows)
+    known = {name: value[rows] for name, value in parameters.items()}
+    if isinstance(some, BinnedPart):
+        distances[rows] = distances_of_bins(some, family, known, tests)
+    else:
+        distances[rows] = distances_of_samples(some, family, known, tests)
+    return distances
+
+
+def _draw(
+    part: Part,
+    family: Family,
+    parameters: Parameters,
+    times: int,
+    streams: Sequence[np.random.Generator],
+) -> PositivePart | BinnedPart:
+    """Draw as many samples from the family as a row has, so many times, one row after the other."""
+    if isinstance(part, BinnedPart):
+        probability = bin_probabilities(part, family, parameters)
+        total = np.maximum(probability.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
+        rows = zip(streams, part.n, probability / total, strict=True)
+        counts = [rng.multinomial(n, row, size=times) for rng, n, row in rows]
+        return _with_counts(part, np.concatenate(counts).astype(np.float64), times)
+    drawn = np.ones((len(part.n), times, int(part.n.max())))
+    for i, (rng, n) in enumerate(zip(streams, part.n, strict=True)):
+        distribution = family.distribution({name: value[i] for name, value in parameters.items()})
+        drawn[i, :, :n] = distribution.rvs(size=(times, n), random_state=rng)
+    bad = np.arange(drawn.shape[-1]) >= np.repeat(part.n, times)[:, np.newaxis]
+    return PositivePart.of(drawn.reshape(-1, drawn.shape[-1]), bad=bad)
+
+
+def _with_counts(part: BinnedPart, counts: Floats, times: int) -> BinnedPart:
+    none = np.zeros(len(counts), dtype=np.int64)
+    one = len(part.log_centers) == 1
+    return BinnedPart(
+        counts=counts,
+        log_centers=part.log_centers if one else np.repeat(part.log_centers, times, axis=0),
+        width=part.width if len(part.width) == 1 else np.repeat(part.width, times),
+        n=counts.sum(axis=-1).astype(np.int64),
+        n_null=none,
+        n_zero=none,
+        n_negative=none,
+        n_bad=none,
+    )
+
+
+def _take(part: Part, rows: npt.NDArray[np.intp]) -> PositivePart | BinnedPart:
+    """Return some rows of the flattened batch."""
+    others = {
+        name: getattr(part, name).ravel()[rows]
+        for name in ("n", "n_null", "n_zero", "n_negative", "n_bad")
+    }
+    if isinstance(part, BinnedPart):
+        bins = part.counts.shape[-1]
+        centers = part.log_centers.reshape(-1, bins)
+        width = part.width.ravel()
+        return BinnedPart(
+            counts=part.counts.reshape(-1, bins)[rows],
+            log_centers=centers if len(centers) == 1 else centers[rows],
+            width=width if len(width) == 1 else width[rows],
+            **others,
+        )
+    samples = part.x.shape[-1]
+    x, positive = part.x.reshape(-1, samples), part.positive.reshape(-1, samples)
+    return PositivePart(x=x[rows], positive=positive[rows], **others)

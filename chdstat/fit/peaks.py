@@ -1,0 +1,445 @@
+"""Information: standard errors of the parameters of mixtures.
+
+Peaks: the modes of fitted mixtures in log radiance, and how far they stand apart.
+
+A component makes a mode of its own where its weight is at least `LEAST_WEIGHT` and, on the way to
+every higher mode, the density falls below `DEPTH` of its height; otherwise it belongs to the mode
+that it is least separated from.
+
+Best peaks: the modes of the mixture that describes each row best, if a single family does not.
+
+The mixtures are those of 2 and more log-normal or gamma components; the smallest BIC decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat.fit.components import Cells, ComponentFamily
+from chdstat.fit.em import climb, log_density, responsibilities
+from chdstat.fit.search import Found, SampleRows, Solution, search
+from chdstat.fit.unimodal import edge_scores, log_samples
+
+__all__ = [
+    "DEPTH",
+    "LEAST_WEIGHT",
+    "BestPeaks",
+    "Peaks",
+    "best_peaks",
+    "covariance",
+    "peaks_of",
+    "standard_errors",
+]
+
+_SMALLEST = 1e-150
+_WORST = 1e-12
+"""Reciprocal condition at or below which an information matrix says nothing."""
+
+
+def standard_errors(solution: Solution, cells: Cells) -> dict[str, Floats]:
+    """Return standard errors of weights and parameters, by name, shape (row, component).
+
+    Inverse of the empirical information, the sum of the outer products of the scores of the samples
+    (McLachlan and Peel, "Finite mixture models", 2000, doi:10.1002/0471721182, equation 2.62), here
+    with the mean scores of the cells. NaN where it is singular.
+    """
+    k = solution.state.shape[1]
+    found = covariance(solution, cells)
+    with np.errstate(invalid="ignore", over="ignore"):
+        own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1))
+        weights = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
+    first, second = own[:, k - 1 : 2 * k - 1], own[:, 2 * k - 1 :]
+    last = np.where(k > 1, weights, 0.0)[:, np.newaxis]
+    errors = {"weight": np.concatenate([own[:, : k - 1], last], axis=-1)}
+    if solution.family.name == "lognormal":
+        return errors | {"mu": first, "sigma": second * np.exp(solution.state[2]).T}
+    _, log_mean, log_shape = solution.state
+    scale = np.exp(log_mean - log_shape + solution.origin).T
+    return errors | {"shape": first, "scale": second * scale}
+
+
+def covariance(solution: Solution, cells: Cells) -> Floats:
+    """Return the covariance that the information gives, shape (row, parameter, parameter).
+
+    Parameters are all weights but the last; mu of each component, then log sigma; or shape, then
+    log scale.
+    """
+    belonging = responsibilities(cells, solution.family, solution.state)
+    share = belonging / np.maximum(cells.count, 1)
+    scores = np.stack(
+        [*_weight_scores(solution, share), *_parameter_scores(solution, cells, share)]
+    )
+    information = np.einsum("irc,jrc,rc->rij", scores, scores, cells.count, optimize=True)
+    return _inverse(information)
+
+
+def _weight_scores(solution: Solution, share: Floats) -> Iterator[Floats]:
+    weight = np.exp(solution.state[0])[..., np.newaxis]
+    for j in range(len(weight) - 1):
+        yield share[j] / weight[j] - share[-1] / weight[-1]
+
+
+def _parameter_scores(solution: Solution, cells: Cells, share: Floats) -> Iterator[Floats]:
+    """Yield scores of mu of each component, then of log sigma; or of shape, then of log scale."""
+    _, location, log_scale = solution.state[..., np.newaxis]
+    if solution.family.name == "lognormal":
+        precision = np.exp(-2 * log_scale)
+        yield from share * (cells.log - location) * precision
+        square = cells.square - 2 * location * cells.log + location**2
+        yield from share * (square * precision - 1)
+    else:
+        shape, log_theta = np.exp(log_scale), location - log_scale
+        yield from share * (cells.log - log_theta - special.digamma(shape))
+        yield from share * (cells.ratio * np.exp(-log_theta) - shape)
+
+
+def _inverse(information: Floats) -> Floats:
+    """Invert symmetric matrices, scaled to a unit diagonal; NaN where they are singular."""
+    size = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
+    size = np.where(size > _SMALLEST, size, 1.0)
+    scaled = information / (size[:, :, np.newaxis] * size[:, np.newaxis, :])
+    values, vectors = np.linalg.eigh(np.nan_to_num(scaled))
+    singular = values[:, :1] <= _WORST * values[:, -1:]
+    inverse = np.where(singular, np.nan, 1 / np.where(singular, 1.0, values))
+    unscaled = (vectors * inverse[:, np.newaxis, :]) @ vectors.transpose(0, 2, 1)
+    with np.errstate(over="ignore"):
+        return np.asarray(unscaled / size[:, :, np.newaxis] / size[:, np.newaxis, :])
+
+
+DEPTH = 0.98
+"""A valley is a valley where the density falls below this share of the lower peak."""
+LEAST_WEIGHT = 0.08
+"""Least weight of a component that makes a mode: a few outliers are none."""
+
+_CYCLES, _TOLERANCE = 40, 1e-6
+"""Of the climb that goes on where there is more than one mode."""
+_STEP = 1e-4
+"""Of a parameter, for a derivative."""
+
+_FEW = 70
+"""Of few samples, modes are found where they happen to look apart: errors count as ``1 + (70/n)^2``
+times as large, so that 1.96 of them hold the separation in 90 % of those that are found, as
+``tests/benchmarks/test_modes.py`` prints."""
+
+_EVEN = np.linspace(0, 1, 34)[1:-1, np.newaxis]
+_NEAR = np.array([0.5, 1.0, 2.0, 3.0, 4.0])[:, np.newaxis]
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Modes of the mixtures of some rows, the darkest first; NaN beyond those that there are.
+
+    Attributes
+    ----------
+    count
+        Modes, shape (row,).
+    place, weight
+        Log of radiance at the top of the mode, and its mass: of its component and of those that
+        belong to it; shape (row, component).
+    ashman_d, ashman_d_se
+        Separation of neighbouring modes and its standard error, shape (row, component - 1); the
+        latter is NaN where the information of the mixture is singular.
+    """
+
+    count: Counts
+    place: Floats
+    weight: Floats
+    ashman_d: Floats
+    ashman_d_se: Floats
+
+
+@dataclass(frozen=True)
+class _Lobes:
+    """Components by their place, shape (component, row); valleys between any two of them."""
+
+    place: Floats
+    weight: Floats
+    mean: Floats
+    spread: Floats
+    height: Floats
+    valley: Floats
+
+
+def peaks_of(solution: Solution, cells: Cells) -> Peaks:
+    """Count the modes of mixtures, and measure their separation."""
+    owner = _owners(_lobes(solution))
+    several = np.flatnonzero(_own(owner).sum(axis=0) > 1)
+    if several.size:
+        # A few steps count modes, but their places and widths would still move.
+        solution = _further(solution, cells, several)
+    return _describe(_lobes(solution), owner, solution, cells)
+
+
+def _further(solution: Solution, cells: Cells, rows: Counts) -> Solution:
+    state = solution.state.copy()
+    state[..., rows] = climb(
+        cells.take(rows), solution.family, state[..., rows], cycles=_CYCLES, tolerance=_TOLERANCE
+    ).state
+    return replace(solution, state=state)
+
+
+def _own(owner: Counts) -> Mask:
+    """Say which components are modes of their own, shape (component, row)."""
+    return np.asarray(owner == np.arange(len(owner))[:, np.newaxis])
+
+
+def _lobes(solution: Solution) -> _Lobes:
+    _, place, _ = solution.state
+    weight, mean, spread = _moments(solution.family, solution.state)
+    height = _density(solution, place)
+    return _Lobes(place, weight, mean, spread, height, _valleys(solution, spread))
+
+
+def _moments(family: ComponentFamily, state: Floats) -> Floats:
+    """Return weight, mean and standard deviation of y of each component, (3, component, row)."""
+    log_weight, place, log_scale = state
+    mean, spread = place, np.exp(log_scale)
+    if family.name == "gamma":
+        mean = place - log_scale + special.digamma(spread)
+        spread = np.sqrt(special.polygamma(1, np.exp(log_scale)))
+    return np.stack([np.exp(log_weight), mean, spread])
+
+
+def _density(solution: Solution, y: Floats) -> Floats:
+    """Return the log density of the mixtures at y, shape (point, row)."""
+    with np.errstate(over="ignore"):
+        statistic = solution.family.transform(y.T)
+        coefficients = solution.family.coefficients(solution.state)
+        return log_density(y.T, statistic, coefficients).T
+
+
+def _valleys(solution: Solution, spread: Floats) -> Floats:
+    """Return the least log density between any two components, (component, component, row)."""
+    place = solution.state[1]
+    count = len(place)
+    valley = np.full((count, count, place.shape[-1]), np.inf)
+    for i in range(count):
+        for j in range(i):
+            a, b = place[i], place[j]
+            low, high = np.minimum(a, b), np.maximum(a, b)
+            toward = np.sign(b - a)
+            near = np.concatenate([a + toward * _NEAR * spread[i], b - toward * _NEAR * spread[j]])
+            points = np.concatenate([low + (high - low) * _EVEN, np.clip(near, low, high)])
+            valley[i, j] = valley[j, i] = _density(solution, points).min(axis=0)
+    return valley
+
+
+def _owners(lobes: _Lobes) -> Counts:
+    """Return to which component's mode each component belongs, shape (component, row)."""
+    small = lobes.weight < np.minimum(LEAST_WEIGHT, lobes.weight.max(axis=0))
+    rank = np.argsort(np.where(small, -np.inf, lobes.height), axis=0)[::-1]
+    rows = np.arange(rank.shape[-1])
+    owner = np.empty_like(rank)
+    mode = np.zeros(rank.shape, dtype=bool)
+    for j in rank:
+        saddle = np.where(mode, lobes.valley[j, :, rows].T, -np.inf)
+        apart = (saddle < lobes.height[j, rows] + np.log(DEPTH)).all(axis=0)
+        mode[j, rows] = apart & ~small[j, rows] | ~mode.any(axis=0)
+        owner[j, rows] = np.where(mode[j, rows], j, saddle.argmax(axis=0))
+    return owner
+
+
+def _describe(lobes: _Lobes, owner: Counts, solution: Solution, cells: Cells) -> Peaks:
+    mean, variance, weight = _of_modes(owner, lobes.weight, lobes.mean, lobes.spread)
+    place = np.where(weight > 0, lobes.place, np.nan)
+    order = np.argsort(place, axis=0)
+    place, used, mean, variance = (
+        np.take_along_axis(v, order, axis=0) for v in (place, weight, mean, variance)
+    )
+    used = np.where(used > 0, used, np.nan)
+    ashman_d = _ashman(mean, variance)
+    modes = np.count_nonzero(weight > 0, axis=0)
+    error = np.full_like(ashman_d, np.nan)
+    several = np.flatnonzero(modes > 1)
+    if several.size:
+        chosen = solution.take(several), cells.take(several)
+        error[:, several] = _errors(*chosen, owner[:, several], order[:, several])
+    error[np.isnan(ashman_d)] = np.nan
+    return Peaks(modes, (place + solution.origin).T, used.T, ashman_d.T, error.T)
+
+
+def _of_modes(
+    owner: Counts, share: Floats, mean: Floats, spread: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Return mean, variance and weight of each component's mode, (component, row); NaN of none."""
+    member = owner == np.arange(len(owner))[:, np.newaxis, np.newaxis]
+    share = np.where(member, share, 0.0)
+    weight = share.sum(axis=1)
+    used = np.where(weight > 0, weight, np.nan)
+    center = (share * mean).sum(axis=1) / used
+    square = (share * (spread**2 + mean**2)).sum(axis=1) / used
+    return center, square - center**2, weight
+
+
+def _ashman(mean: Floats, variance: Floats) -> Floats:
+    """Return ``sqrt(2) |m1 - m2| / sqrt(s1^2 + s2^2)`` of neighbours, shape (pair, row)."""
+    both = variance[1:] + variance[:-1]
+    return np.asarray(np.sqrt(2) * np.abs(np.diff(mean, axis=0)) / np.sqrt(both))
+
+
+def _errors(solution: Solution, cells: Cells, owner: Counts, order: Counts) -> Floats:
+    """Return standard errors of Ashman's D by the delta method, shape (pair, row).
+
+    From the information of the mixture, to which samples that may be of either mode add little.
+    """
+
+    def separation(state: Floats) -> Floats:
+        mean, variance, _ = _of_modes(owner, *_moments(solution.family, state))
+        return _ashman(*(np.take_along_axis(v, order, axis=0) for v in (mean, variance)))
+
+    slopes = []
+    for step, above, below in _moves(solution):
+        slopes.append((separation(above) - separation(below)) / (2 * step))
+    with np.errstate(invalid="ignore"):
+        gradient, found = np.stack(slopes), covariance(solution, cells)
+        error = np.sqrt(np.einsum("ipr,rij,jpr->pr", gradient, found, gradient))
+    return np.asarray(error * (1 + (_FEW / cells.n) ** 2))
+
+
+def _moves(solution: Solution) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Yield, for each parameter of `covariance`, a step, and the states above and below by it."""
+    log_weight, location, log_scale = solution.state
+    weight, k = np.exp(log_weight), len(log_weight)
+    for j in range(k - 1):
+        step = _STEP * np.minimum(weight[j], weight[-1])
+        states = []
+        for sign in (1, -1):
+            share = weight.copy()
+            share[j] += sign * step
+            share[-1] -= sign * step
+            states.append(np.stack([np.log(share), location, log_scale]))
+        yield step, *states
+    gamma = solution.family.name == "gamma"
+    for second in (False, True):
+        for j in range(k):
+            # Of a gamma component, the first is the shape, and log mean = log shape + log scale.
+            size = np.exp(log_scale[j]) if gamma and not second else np.ones_like(location[j])
+            states = []
+            for sign in (1, -1):
+                moved = solution.state.copy()
+                if gamma:
+                    moved[1, j] += sign * _STEP
+                    moved[2, j] += 0 if second else sign * _STEP
+                else:
+                    moved[2 if second else 1, j] += sign * _STEP
+                states.append(moved)
+            yield _STEP * size, *states
+
+
+_FIELDS = ("place", "weight", "ashman_d", "ashman_d_se")
+
+
+@dataclass(frozen=True)
+class BestPeaks:
+    """Modes of every row; NaN where there are none.
+
+    Attributes
+    ----------
+    count
+        Modes, shape (...); 0 where the row is not usable.
+    place, weight, ashman_d, ashman_d_se
+        As of `Peaks`, shape (..., mode); the last entry of the two separations is not used.
+    delta_bic
+        Twice what the score of the best mixture is above that of the rival, shape (...).
+    """
+
+    count: npt.NDArray[np.int8]
+    place: Floats
+    weight: Floats
+    ashman_d: Floats
+    ashman_d_se: Floats
+    delta_bic: Floats
+
+
+def best_peaks(
+    part: PositivePart,
+    usable: Mask,
+    rival: Floats,
+    max_k: int,
+    *,
+    doubtful: Mask,
+    also: Callable[[Found], None] = lambda _: None,
+) -> BestPeaks:
+    """Find the peaks of the usable rows.
+
+    `rival` is the best score of distributions of one mode, see `unimodal_scores`, shape (...).
+    Where one mode is not out of the question, `doubtful`, a mixture of more has to beat those of
+    `edge_scores`, too. `also` gets to see the log-normal mixtures as they are found.
+    """
+    shape = part.n.shape
+    log_n = log_samples(part.n).reshape(-1)
+    count = np.zeros(part.n.size, dtype=np.int8)
+    table = np.full((len(_FIELDS), part.n.size, max_k), np.nan)
+    delta = np.full(part.n.size, np.nan)
+    for found in search(part, usable, "lognormal", max_k, effort="fast", rival=rival):
+        rows = found.rows
+        count[rows], table[:, rows], gain = _of_piece(
+            found, rival.reshape(-1)[rows], log_n[rows], max_k, doubtful.reshape(-1)[rows]
+        )
+        delta[rows] = np.where(np.isfinite(gain), 2 * gain, np.nan)
+        also(found)
+    place, weight, ashman_d, error = table.reshape(len(_FIELDS), *shape, max_k)
+    return BestPeaks(count.reshape(shape), place, weight, ashman_d, error, delta.reshape(shape))
+
+
+def _of_piece(
+    found: Found, rival: Floats, log_n: Floats, max_k: int, doubtful: Mask
+) -> tuple[Counts, Floats, Floats]:
+    """Return modes, the fields of their peaks (4, row, mode), and the gain over the rival.
+
+    Log-normal components come first. Where they make more than one mode, gamma components get the
+    chance to make fewer, and distributions of one mode with hard edges that to make one.
+    """
+    one = np.full((len(_FIELDS), len(rival), max_k), np.nan)
+    one[0, :, 0] = found.solutions[0].state[1, 0] + found.cells.origin
+    one[1, :, 0] = 1.0
+    count, table = np.ones(len(rival), dtype=np.int64), one.copy()
+    best = rival.copy()
+    everyone = np.arange(len(rival))
+    gain = _enter(found.solutions, found.cells, everyone, log_n, best, count, table) - rival
+    several = np.flatnonzero(count > 1)
+    of_gamma = found.also("gamma", several)
+    also = _enter(of_gamma, found.cells, several, log_n, best, count, table) - rival[several]
+    gain[several] = np.maximum(gain[several], also)
+    several = several[doubtful[several] & (count[several] > 1)]
+    assert isinstance(found.ground, SampleRows)
+    edge = edge_scores(found.ground.log_sorted[several], found.ground.n[several], best[several])
+    gain[several] -= np.maximum(edge - rival[several], 0)
+    beaten = several[edge >= best[several]]
+    count[beaten], table[:, beaten] = 1, one[:, beaten]
+    return count, table, gain
+
+
+def _enter(
+    solutions: list[Solution],
+    cells: Cells,
+    rows: Counts,
+    log_n: Floats,
+    best: Floats,
+    count: Counts,
+    table: Floats,
+) -> Floats:
+    """Enter the peaks of those of the rows whose best mixture raises `best`; return its score."""
+    mixed = solutions[1:]
+    scores = np.stack([_score(solution, log_n[rows]) for solution in mixed])
+    which, highest = scores.argmax(axis=0), scores.max(axis=0)
+    for i, solution in enumerate(mixed):
+        at = np.flatnonzero((which == i) & (highest > best[rows]))
+        peaks = peaks_of(solution.take(at), cells.take(rows[at]))
+        count[rows[at]] = peaks.count
+        table[:, rows[at]] = np.nan
+        for name, target in zip(_FIELDS, table, strict=True):
+            values = getattr(peaks, name)
+            target[rows[at], : values.shape[1]] = values
+    best[rows] = np.maximum(best[rows], highest)
+    return np.asarray(highest)
+
+
+def _score(solution: Solution, log_n: Floats) -> Floats:
+    return np.asarray(solution.log_likelihood - 1.5 * solution.state.shape[1] * log_n)

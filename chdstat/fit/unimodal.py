@@ -1,0 +1,408 @@
+"""Log-concave densities of maximum likelihood, of many rows at once.
+
+Their logarithm is concave: one mode, any skewness, and a jump at either end if the samples want
+one. Normal, exponential, uniform and triangular distributions are log-concave, and so are their
+truncations. The maximum of the likelihood exists and is piecewise linear (Cule, Samworth and
+Stewart, "Maximum likelihood estimation of a multi-dimensional log-concave density", 2010,
+doi:10.1111/j.1467-9868.2010.00753.x). Here its knots are quantiles of the samples, close at both
+ends, and the maximum is found by a primal-dual interior-point method.
+
+Distributions of one mode that a mixture has to beat before modes are counted.
+
+Scores are log-likelihoods of log radiance less half of log n for each parameter, n being the
+positive samples: BIC over -2, of what the fits describe. Nulls are no part of a shape, and do not
+make modes harder to find. The share of zeros counts as a parameter of every fit alike.
+
+A hard edge is not a mode: families that begin at zero radiance cannot follow one, and mixtures of
+them imitate it with a narrow component. So `edge_scores` has rivals whose ends are free: gamma
+distributions above a floor, and all that are log-concave in log radiance, or in the logarithm of
+the distance from either end. The likelihood of an end is not a regular one (Cheng and Traylor,
+"Non-regular maximum likelihood problems", 1995, doi:10.1111/j.2517-6161.1995.tb02012.x), and a
+log-concave density has no fixed number of parameters. What they count as here was measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from chdstat._core.arrays import spans
+from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat.fit.components import COMPONENTS, SPREAD_FLOOR
+from chdstat.fit.families import get_family
+from chdstat.fit.mle import fit_part, zero_log_likelihood
+from chdstat.fit.results import Fit
+
+__all__ = ["edge_scores", "log_concave_likelihood", "log_samples", "unimodal_scores"]
+
+_KNOTS = 33
+_QUANTILES = np.sin(np.linspace(0, np.pi / 2, _KNOTS)) ** 2
+_CLOSEST = 1e-3 / _KNOTS
+"""Least distance of two knots, in units of the range: ties would have none. With a tenth of it, the
+rounding errors of Newton steps decide where the search ends on spikes of equal samples."""
+_CYCLES = 40
+_TOLERANCE = 0.02
+"""Least gap of the barrier, or gain, in log-likelihood of a row, that is worth a further step."""
+_CENTERING, _BOUNDARY, _LONGEST = 0.15, 0.95, 2.0
+"""Of a step: how far the barrier falls, how near to its wall, and how long it may be."""
+_REGULAR = 1e-10
+_SMALL = 0.02
+"""Slope below which moments of the exponential function come from their series."""
+_CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class _Problem:
+    """Knots of some rows: everything has the rows last, since there are many more of them.
+
+    The constraints are ``slack = below p[:-2] + center p[1:-1] + above p[2:] >= 0``, which is the
+    concavity at the inner knots, scaled so that `center` is 1.
+    """
+
+    step: Floats
+    weight: Floats
+    below: Floats
+    above: Floats
+
+    def slack(self, p: Floats) -> Floats:
+        return np.asarray(self.below * p[:-2] + p[1:-1] + self.above * p[2:])
+
+    def spread(self, force: Floats) -> Floats:
+        """Return the transpose of `slack`, applied to a force on each constraint."""
+        total = np.zeros((len(force) + 2, force.shape[-1]))
+        total[:-2] += self.below * force
+        total[1:-1] += force
+        total[2:] += self.above * force
+        return total
+
+    def take(self, rows: Mask) -> _Problem:
+        return _Problem(*(v[:, rows] for v in (self.step, self.weight, self.below, self.above)))
+
+
+def log_concave_likelihood(ascending: Floats, n: Counts) -> Floats:
+    """Return the largest log-likelihood of log-concave densities, shape (row,).
+
+    It is that of densities with knots at 33 quantiles, to within 0.05; somewhat less where 40 steps
+    do not reach the maximum, as may happen with samples over many orders of magnitude.
+
+    Parameters
+    ----------
+    ascending
+        Samples in ascending order, shape (row, sample), not all equal.
+    n
+        How many of them count, shape (row,).
+
+    Examples
+    --------
+    >>> x = np.sort(np.random.default_rng(0).random((1, 200)))
+    >>> bool(0 <= log_concave_likelihood(x, np.array([200]))[0] < 5)  # of a uniform density: 0
+    True
+    """
+    found = np.empty(len(n))
+    for part in spans(len(n), _CHUNK):
+        found[part] = _maximum(ascending[part], n[part])
+    return found
+
+
+def _maximum(ascending: Floats, n: Counts) -> Floats:
+    last = np.take_along_axis(ascending, n[:, np.newaxis] - 1, axis=-1)
+    low, scale = ascending[:, :1], last - ascending[:, :1]
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
+    place = np.where(valid, (ascending - low) / scale, 0.0)
+    problem = _problem(place, n)
+    value = np.full(len(n), -np.inf)
+    rows, p = np.arange(len(n)), _normal(problem)
+    slack = problem.slack(p)
+    force = 0.1 / (len(slack) * slack)
+    for cycle in range(_CYCLES):
+        gap = _sum(force * slack)
+        with np.errstate(all="ignore"):
+            further, force, slack, decrement = _newton(problem, p, force, slack, gap)
+        lost = ~np.isfinite(further).all(axis=0)
+        done = lost | (np.maximum(gap, decrement) * n[rows] < _TOLERANCE) | (cycle == _CYCLES - 1)
+        if done.any():
+            best = np.where(lost, p, further)[:, done]
+            density = _normalized(problem.take(done), best)
+            value[rows[done]] = _sum(problem.weight[:, done] * density)
+            problem, rows = problem.take(~done), rows[~done]
+            further, force, slack = (v[:, ~done] for v in (further, force, slack))
+        if not rows.size:
+            break
+        p = further
+    return np.asarray(n * (np.nan_to_num(value, nan=-np.inf) - np.log(scale[:, 0])))
+
+
+def _problem(place: Floats, n: Counts) -> _Problem:
+    """Share each sample between the knots next to it: all that a piecewise linear density sees."""
+    index = np.rint(_QUANTILES * (n[:, np.newaxis] - 1)).astype(np.int64)
+    # Two knots at one sample would be one.
+    rank = np.arange(_KNOTS)
+    index = np.maximum(index, rank)
+    index = np.clip(np.minimum(index, n[:, np.newaxis] - _KNOTS + rank), 0, n[:, np.newaxis] - 1)
+    knots = np.take_along_axis(place, index, axis=-1)
+    below = np.zeros((len(n), place.shape[-1] + 1))
+    np.cumsum(place, axis=-1, out=below[:, 1:])
+    count = np.diff(index, axis=-1)
+    beyond = np.diff(np.take_along_axis(below, index, axis=-1), axis=-1) - count * knots[:, :-1]
+    step = np.diff(knots, axis=-1)
+    share = np.clip(beyond / np.where(step > 0, step, 1), 0, count)
+    weight = np.zeros((_KNOTS, len(n)))
+    weight[:-1] += (count - share).T
+    weight[1:] += share.T
+    weight[-1] += 1
+    weight /= n
+    step = np.maximum(step, _CLOSEST)
+    step /= step.sum(axis=-1, keepdims=True)
+    step = np.ascontiguousarray(step.T)
+    both = 1 / step[:-1] + 1 / step[1:]
+    return _Problem(step, weight, -1 / (step[:-1] * both), -1 / (step[1:] * both))
+
+
+def _normal(problem: _Problem) -> Floats:
+    """Return the log density of a normal distribution of twice the variance, at the knots."""
+    knots = np.zeros_like(problem.weight)
+    np.cumsum(problem.step, axis=0, out=knots[1:])
+    mean = _sum(problem.weight * knots)
+    variance = np.maximum(_sum(problem.weight * (knots - mean) ** 2), 0.02)
+    return _normalized(problem, -((knots - mean) ** 2) / (4 * variance))
+
+
+def _normalized(problem: _Problem, p: Floats) -> Floats:
+    top = p.max(axis=0)
+    zeroth, _, _ = _moments(np.diff(p, axis=0))
+    mass = _sum(problem.step * np.exp(p[:-1] - top) * zeroth)
+    return np.asarray(p - top - np.log(mass))
+
+
+def _newton(
+    problem: _Problem, p: Floats, force: Floats, slack: Floats, gap: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Take a primal-dual step, of ``integral exp(p) - sum w p``, whose minimum is normalised.
+
+    Return the density p, the forces on the constraints, their slack, and the decrement: what the
+    step was expected to gain beside the gap. The slack is updated by the step, too: at knots that
+    are close together, it is less than the rounding error of p, of which it is a difference.
+    """
+    zeroth, first, second = _moments(np.diff(p, axis=0))
+    mass = problem.step * np.exp(p[:-1])
+    gradient = -problem.weight
+    gradient[:-1] += mass * (zeroth - first)
+    gradient[1:] += mass * first
+    stiffness, target = force / slack, _CENTERING * gap / len(slack) / slack
+    below, above = problem.below, problem.above
+    bands = np.zeros((3, *p.shape))
+    bands[0, :-1] += mass * (zeroth - 2 * first + second)
+    bands[0, 1:] += mass * second
+    bands[1, :-1] += mass * (first - second)
+    bands[0, :-2] += stiffness * below * below
+    bands[0, 1:-1] += stiffness
+    bands[0, 2:] += stiffness * above * above
+    bands[1, :-2] += stiffness * below
+    bands[1, 1:-1] += stiffness * above
+    bands[2, :-2] += stiffness * below * above
+    bands[0] += _REGULAR
+    unbalanced = problem.spread(force) - gradient
+    change = _solve(bands, problem.spread(target) - gradient)
+    decrement = np.abs(_sum(unbalanced * change))
+    of_slack = problem.slack(change)
+    of_force = target - force - stiffness * of_slack
+    wall = np.minimum(_way(slack, of_slack), _way(force, of_force))
+    rise = np.maximum(change.max(axis=0), _REGULAR)
+    length = np.minimum(np.minimum(1, _BOUNDARY * wall), _LONGEST / rise)
+    return p + length * change, force + length * of_force, slack + length * of_slack, decrement
+
+
+def _sum(values: Floats) -> Floats:
+    """Add up knots one by one: NumPy's order, and with it the last bit, depends on the rows."""
+    return np.asarray(np.cumsum(values, axis=0)[-1])
+
+
+def _way(values: Floats, change: Floats) -> Floats:
+    """Return how many such changes leave all values positive."""
+    return np.asarray(np.where(change < 0, -values / change, np.inf).min(axis=0))
+
+
+def _moments(slope: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the integrals of exp(a t), t exp(a t) and t^2 exp(a t) over t from 0 to 1."""
+    small = np.abs(slope) < _SMALL
+    a = np.where(small, 1.0, slope)
+    e = np.exp(a)
+    zeroth = (e - 1) / a
+    first = (e - zeroth) / a
+    second = (e - 2 * first) / a
+    a = slope[small]
+    zeroth[small] = 1 + a / 2 * (1 + a / 3 * (1 + a / 4))
+    first[small] = 1 / 2 + a / 3 * (1 + a / 8 * (3 + a * 0.8))
+    second[small] = 1 / 3 + a / 4 * (1 + a / 5 * (2 + a * 5 / 9))
+    return zeroth, first, second
+
+
+def _solve(bands: Floats, right: Floats) -> Floats:
+    """Solve symmetric systems of two bands beside the diagonal, shape (band, knot, row)."""
+    pivot, one, two = bands
+    x = right
+    for j in range(len(x)):
+        for k, band in ((1, one), (2, two)):
+            if j + k == len(x):
+                break
+            factor = band[j] / pivot[j]
+            pivot[j + k] -= factor * band[j]
+            x[j + k] -= factor * x[j]
+            if k == 1 and j + 2 < len(x):
+                one[j + 1] -= factor * two[j]
+            band[j] = factor
+    x /= pivot
+    for j in range(len(x) - 2, -1, -1):
+        x[j] -= one[j] * x[j + 1]
+        if j + 2 < len(x):
+            x[j] -= two[j] * x[j + 2]
+    return x
+
+
+_SINGLE = ("gamma", "lognormal", "weibull", "burr")
+_BOUNDED = 5
+"""Of a distribution between two ends: the estimate of an end converges like 1/n, not 1/sqrt(n),
+so that it costs log n in the expansion that BIC is from: as much as two regular parameters."""
+_ABOVE_FLOOR, _BELOW_CEILING, _LOG_CONCAVE = 3.5, 5.0, 9.2
+"""Parameters that the rivals of `edge_scores` count as: as few, or as much likelihood, as it takes
+to find more than one mode in at most 5 % of the samples of hard-edged distributions, and as many as
+it takes to find nearly all that are there (``tests/benchmarks/test_modes.py``)."""
+_FEW = 128
+"""BIC is an expansion for many samples: of fewer than these, a mixture fits chance."""
+_FLOORS = (0.03, 0.12, 0.4, 1.5)
+"""Distances of a floor from the smallest sample, in ranges of the samples."""
+_NEXT = 3
+"""Samples that say how dense a distribution is at its end."""
+_LEAST_ABOVE = 1e-12
+
+
+def log_samples(n: Counts) -> Floats:
+    """Return the log n of a score: at least that of 128 samples."""
+    return np.asarray(np.log(np.maximum(n, _FEW)))
+
+
+def unimodal_scores(
+    part: PositivePart, usable: Mask, bounded: Mask, *, fits: Iterable[Fit] | None = None
+) -> Floats:
+    """Return the largest score of distributions of one mode, shape (...); NaN where not usable.
+
+    They are `fits`, or else the fits of four families; Pareto distributions above a floor, and the
+    like below a ceiling; and, for the rows that may be `bounded`, the uniform and the log-uniform
+    distribution.
+    """
+    # What likelihoods of radiance have beside those of log radiance of positive samples.
+    rest = zero_log_likelihood(part) - part.n * part.log_statistics.log_mean
+    log_n = log_samples(part.n)
+    fits = (fit_part(part, get_family(name)) for name in _SINGLE) if fits is None else fits
+    scores = [fit.log_likelihood - rest - 0.5 * (len(fit.parameters) + 1) * log_n for fit in fits]
+    low, high = _ends(part, usable)
+    scores += [
+        np.where(bounded, value - 0.5 * _BOUNDED * log_n, -np.inf)
+        for value in _between_ends(part, low, high)
+    ]
+    scores += [value - 0.5 * (_BOUNDED - 1) * log_n for value in _from_an_end(part, low, high)]
+    return np.where(usable, np.fmax.reduce(scores), np.nan)
+
+
+def edge_scores(ascending: Floats, n: Counts, bar: Floats) -> Floats:
+    """Return the largest score of distributions of one mode with free ends, shape (row,).
+
+    Where gamma distributions reach the `bar`, the rest is not computed.
+
+    Parameters
+    ----------
+    ascending
+        Log radiance in ascending order, shape (row, sample), not all equal.
+    n
+        How many of them count, shape (row,), at least 20.
+    bar
+        Score to be beaten, shape (row,).
+    """
+    log_n = log_samples(n)
+    mirrored = _mirrored(ascending, n)
+    best = np.fmax(
+        _gamma_above_a_floor(ascending, n) - 0.5 * _ABOVE_FLOOR * log_n,
+        _gamma_above_a_floor(mirrored, n) - 0.5 * _BELOW_CEILING * log_n,
+    )
+    for likelihood, values in (
+        (log_concave_likelihood, ascending),
+        (_log_concave_above_a_floor, ascending),
+        (_log_concave_above_a_floor, mirrored),
+    ):
+        rows = np.flatnonzero(best < bar)
+        value = likelihood(values[rows], n[rows]) - 0.5 * _LOG_CONCAVE * log_n[rows]
+        best[rows] = np.fmax(best[rows], value)
+    return best
+
+
+def _ends(part: PositivePart, usable: Mask) -> tuple[Floats, Floats]:
+    """Return log radiance of the smallest and the largest sample; 0 and 1 where not usable."""
+    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
+    high = np.take_along_axis(part.log_sorted, last, axis=-1)[..., 0]
+    return np.where(usable, part.log_sorted[..., 0], 0.0), np.where(usable, high, 1.0)
+
+
+def _between_ends(part: PositivePart, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Return log-likelihoods of log x under a log-uniform and a uniform distribution.
+
+    They are -n log(log b - log a) and sum(log x) - n log(b - a), between the extremes a and b.
+    """
+    # log(b - a) without b or a, which may be as large as there are numbers.
+    log_range = high + np.log(-np.expm1(low - high))
+    n = part.n.astype(np.float64)
+    return -n * np.log(high - low), n * (part.log_statistics.log_mean - log_range)
+
+
+def _from_an_end(part: PositivePart, low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Return log-likelihoods of log x, exponential above the smallest, or below the largest."""
+    mean = part.log_statistics.log_mean
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return -part.n * (np.log(mean - low) + 1), -part.n * (np.log(high - mean) + 1)
+
+
+def _mirrored(ascending: Floats, n: Counts) -> Floats:
+    """Return log 1/x in ascending order."""
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
+    return np.sort(np.where(valid, -ascending, np.inf), axis=-1)
+
+
+def _gamma_above_a_floor(ascending: Floats, n: Counts) -> Floats:
+    """Return the log-likelihood of log x where x less a floor has a gamma distribution.
+
+    Of floors at a few distances below the smallest sample, the nearest at half the mean distance
+    between samples: the likelihood rises without bound towards the sample itself.
+    """
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
+    last = np.take_along_axis(ascending, n[:, np.newaxis] - 1, axis=-1)
+    log = np.where(valid, ascending - last, 0.0)
+    x = np.exp(log)
+    above = x - x[:, :1]
+    gamma, one = COMPONENTS["gamma"], np.ones(len(n))
+    best = np.full(len(n), -np.inf)
+    for distance in (0.5 / n, *_FLOORS):
+        z = above + (distance * (1 - x[:, 0]))[:, np.newaxis]
+        mean = np.vecdot(z, valid) / n
+        z /= mean[:, np.newaxis]
+        log_z = np.vecdot(np.log(z, out=z), valid) / n
+        _, _, log_shape = gamma.maximise(one, log_z, one, one * SPREAD_FLOOR)
+        k = np.exp(log_shape)
+        value = (k - 1) * log_z + k * (log_shape - 1) - special.gammaln(k) - np.log(mean)
+        best = np.fmax(best, n * value)
+    return np.asarray(best + log.sum(axis=-1))
+
+
+def _log_concave_above_a_floor(ascending: Floats, n: Counts) -> Floats:
+    """Return the log-likelihood of log x where log(x - a) is log-concave, a the smallest sample.
+
+    That one is as likely as the distance to its neighbours says.
+    """
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
+    above = np.where(valid, np.maximum(ascending - ascending[:, :1], _LEAST_ABOVE), 1.0)
+    log_share = np.log(-np.expm1(-above))
+    rest = np.where(valid, ascending + log_share, np.inf)[:, 1:]
+    jacobian = np.where(valid, log_share, 0.0)[:, 1:].sum(axis=-1)
+    first = np.log(_NEXT / n / np.expm1(above[:, _NEXT]))
+    return np.asarray(log_concave_likelihood(rest, n - 1) - jacobian + first)

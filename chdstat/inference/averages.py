@@ -1,0 +1,459 @@
+"""Cascade: averages of N samples for many N, each from the averages of a divisor of N.
+
+`cascade` walks rows of samples up the sizes, `shapes` measures what comes out. Samples are relative
+to the largest of their row, so that no power of them overflows or vanishes.
+
+Predicted N: how many samples an average needs by the central limit theorem, with its interval.
+
+Skewness and kurtosis rest on rare bright samples. Those that were seen say how large both are at
+least. Those that were not are in the tail: beyond its threshold, a generalised Pareto distribution
+of the largest index that the samples allow takes their place, which has a kurtosis only if that
+index is below 1/4. Otherwise the N is not identified.
+
+Averages of samples: their tests for several sizes at once, and what follows from these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import comb
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import spans
+from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask, PositivePart
+from chdstat._core.reasons import Reason
+from chdstat.fit.tail import Tail, tail_of_part
+from chdstat.inference.normality import NormalityTest, TestName, run_tests
+
+__all__ = [
+    "MORE_THAN_TESTED",
+    "UNTESTED",
+    "Averages",
+    "Prediction",
+    "TestedAverages",
+    "cascade",
+    "n_needed",
+    "predict",
+    "run_on_averages",
+    "shapes",
+    "skewness_ratio",
+]
+
+
+@dataclass(frozen=True)
+class Averages:
+    """Averages of complete batches of `size` samples, shape (row, batch), bad samples left out.
+
+    ``formed`` marks batches with a good sample, None where all are; others average to 0.
+    """
+
+    size: int
+    values: Floats
+    formed: Mask | None
+
+
+def cascade(x: npt.NDArray[Any], bad: Mask, sizes: Counts) -> Iterator[Averages]:
+    """Yield the averages of samples, shape (row, sample), for ascending sizes."""
+    spoilt = bool(bad.any())
+    samples = x.astype(np.float64)
+    if spoilt:
+        np.copyto(samples, 0, where=bad)
+    largest = samples.max(axis=-1, keepdims=True, initial=0)
+    samples /= np.where(largest > 0, largest, 1)
+    sums = {1: samples}
+    counts = {1: np.subtract(1.0, bad)} if spoilt else {}
+    for size in map(int, sizes):
+        divisor = max(known for known in sums if size % known == 0)
+        sums[size] = _grouped(sums[divisor], size // divisor)
+        if not spoilt:
+            yield Averages(size, sums[size] / size, None)
+            continue
+        counts[size] = _grouped(counts[divisor], size // divisor)
+        formed = counts[size] > 0
+        yield Averages(size, sums[size] / np.maximum(counts[size], 1), formed)
+
+
+def _grouped(values: Floats, count: int) -> Floats:
+    """Add up every `count` neighbours; what is left over is dropped."""
+    if count == 1:
+        return values
+    groups = values.shape[-1] // count
+    if count == 2:
+        return np.asarray(values[:, : 2 * groups : 2] + values[:, 1 : 2 * groups : 2])
+    batches = values[:, : count * groups].reshape(len(values), groups, count)
+    # A product with ones adds short batches up faster than a sum over a short axis does.
+    return np.asarray(batches @ np.ones(count))
+
+
+def shapes(averages: Averages) -> tuple[Floats, Floats]:
+    """Return skewness and excess kurtosis, divisor n, not finite for equal averages."""
+    formed, values = averages.formed, averages.values
+    n = values.shape[-1] if formed is None else np.count_nonzero(formed, axis=-1)
+    deviation = values - (values.sum(axis=-1) / n)[:, np.newaxis]
+    if formed is not None:
+        deviation *= formed
+    square = deviation * deviation
+    variance = np.vecdot(deviation, deviation) / n
+    skewness = np.vecdot(deviation, square) / n / variance**1.5
+    return skewness, np.vecdot(square, square) / n / variance**2 - 3
+
+
+_Z = 1.959963984540054
+_LARGEST_INDEX = 0.25
+"""From this tail index on, the kurtosis is infinite."""
+_CHUNK = 2**16
+"""Samples worked on at once: their float64 copies stay in the cache."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Predicted N of some pixels, shape (...).
+
+    Attributes
+    ----------
+    n, interval
+        N, and its 95 % interval, shape (..., 2); NaN where `reason` says why.
+    reason
+        `Reason` codes.
+    """
+
+    n: Floats
+    interval: Floats
+    reason: npt.NDArray[np.int8]
+
+
+def predict(x: npt.NDArray[Any], bad: Mask, tail: Tail, n_means: int) -> Prediction:
+    """Predict N from samples, shape (..., sample), of which some are bad, and from their tails."""
+    samples, batch = x.shape[-1], x.shape[:-1]
+    rows, good = x.reshape(-1, samples), ~bad.reshape(-1, samples)
+    threshold, highest = tail.threshold.reshape(-1), tail.interval[..., 1].reshape(-1)
+    found = np.empty((3, len(rows)))
+    reason = np.empty(len(rows), dtype=np.int8)
+    # Rows that have no answer are computed, too, and masked by their reason.
+    with np.errstate(all="ignore"):
+        for part in spans(len(rows), max(1, _CHUNK // samples)):
+            relative, reason[part] = _relative(rows[part], good[part])
+            excess = good[part] & (rows[part] > threshold[part, np.newaxis])
+            shapes = _shapes(relative, good[part], excess, highest[part])
+            found[:, part] = [_needed(*shape, n_means) for shape in shapes]
+    # Of clamped samples, or of a lamp's among nulls, nothing larger is missing.
+    known = np.isin(tail.reason, [Reason.OK, Reason.TIED, Reason.CONSTANT])
+    of_tail = np.where(tail.reason == Reason.OK, Reason.UNIDENTIFIED, tail.reason)
+    identified = (tail.interval[..., 1] < _LARGEST_INDEX) & tail.variance_trusted
+    missing = ~known | (tail.reason == Reason.OK) & ~identified
+    own = reason.reshape(batch)
+    codes = np.asarray(np.where((own == Reason.OK) & missing, of_tail, own), dtype=np.int8)
+    low, n, high = np.where(codes == Reason.OK, found.reshape(3, *batch), np.nan)
+    return Prediction(n=n, interval=np.stack([low, high], axis=-1), reason=codes)
+
+
+def _needed(skewness: Floats, kurtosis: Floats, n_means: int) -> Floats:
+    """Return the N at which both lie within two standard errors of those of Gaussian averages.
+
+    Under normality, the variances are 6 / n_means and 24 / n_means (Cramer 1946, section 29.3).
+    """
+    by_skewness = skewness**2 / (4 * 6 / n_means)
+    by_kurtosis = kurtosis / (2 * np.sqrt(24 / n_means))
+    return np.asarray(np.maximum(1, np.ceil(np.maximum(by_skewness, by_kurtosis))))
+
+
+def _relative(x: npt.NDArray[Any], good: Mask) -> tuple[Floats, npt.NDArray[np.int8]]:
+    """Return good samples as deviations from their mean, others as 0, and `Reason` codes.
+
+    They are in units of their standard deviation, and no power of them overflows.
+    """
+    values = np.where(good, x, 0).astype(np.float64)
+    n = np.count_nonzero(good, axis=-1)
+    largest = np.abs(values).max(axis=-1)
+    values /= np.where(largest > 0, largest, 1)[:, np.newaxis]
+    low = np.where(good, values, np.inf).min(axis=-1)
+    high = np.where(good, values, -np.inf).max(axis=-1)
+    cases = {
+        Reason.ALL_BAD: n == 0,
+        Reason.ALL_NULL: largest == 0,
+        Reason.CONSTANT: high - low <= CONSTANT_SPREAD,
+    }
+    reason = np.select(list(cases.values()), [np.int8(code) for code in cases], np.int8(Reason.OK))
+    values -= (values.sum(axis=-1) / n)[:, np.newaxis]
+    values *= good
+    values /= np.sqrt(np.vecdot(values, values) / n)[:, np.newaxis]
+    return values, np.asarray(reason, dtype=np.int8)
+
+
+def _shapes(z: Floats, good: Mask, excess: Mask, highest: Floats) -> list[tuple[Floats, Floats]]:
+    """Return absolute skewness and excess kurtosis: at least, as they are, and at most.
+
+    The errors are those of the influence functions; at most, too, what `_with_tail` makes of the
+    largest tail index.
+    """
+    n = np.count_nonzero(good, axis=-1).astype(np.float64)
+    square = z * z
+    cube, fourth = square * z, square * square
+    skewness, fourth_moment = cube.sum(axis=-1) / n, fourth.sum(axis=-1) / n
+    a, b = skewness[:, np.newaxis], fourth_moment[:, np.newaxis]
+    of_skewness = cube - a - 3 * z - 1.5 * a * (square - 1)
+    of_kurtosis = fourth - b - 4 * a * z - 2 * b * (square - 1)
+    errors = [
+        _Z * np.sqrt(np.sum(v * v, axis=-1, where=good)) / n for v in (of_skewness, of_kurtosis)
+    ]
+    found = [np.abs(skewness), np.abs(fourth_moment - 3)]
+    low = [np.maximum(value - error, 0) for value, error in zip(found, errors, strict=True)]
+    more = _with_tail([z, square, cube, fourth], n, excess, highest)
+    high = [
+        np.fmax(value + error, np.abs(other))
+        for value, error, other in zip(found, errors, more, strict=True)
+    ]
+    return [(low[0], low[1]), (found[0], found[1]), (high[0], high[1])]
+
+
+def _with_tail(
+    powers: list[Floats], n: Floats, excess: Mask, index: Floats
+) -> tuple[Floats, Floats]:
+    """Return skewness and excess kurtosis with a generalised Pareto tail of the same mean excess.
+
+    Its moments are ``E Y^j = j! s^j / prod_i (1 - i xi)`` for i = 1 to j.
+    """
+    k = np.count_nonzero(excess, axis=-1)
+    z = powers[0]
+    threshold = np.where(k > 0, np.min(z, axis=-1, where=excess, initial=np.inf), 0.0)
+    mean_excess = np.sum(z - threshold[:, np.newaxis], axis=-1, where=excess) / np.maximum(k, 1)
+    scale = mean_excess * (1 - index)
+    of_excess = [np.ones_like(scale)]
+    for j in range(1, 5):
+        of_excess.append(of_excess[-1] * j * scale / (1 - j * index))
+    moments = []
+    for j, power in enumerate(powers, start=1):
+        body = np.sum(power, axis=-1, where=~excess)
+        tail = sum(comb(j, i) * threshold ** (j - i) * of_excess[i] for i in range(j + 1))
+        moments.append((body + np.where(k > 0, k * tail, 0)) / n)
+    first, second, third, fourth = moments
+    variance = second - first**2
+    third = third - 3 * first * second + 2 * first**3
+    fourth = fourth - 4 * first * moments[2] + 6 * first**2 * second - 3 * first**4
+    return third / variance**1.5, fourth / variance**2 - 3
+
+
+MORE_THAN_TESTED = -1
+"""As N needed: the averages of the largest N tested are still told from Gaussian."""
+UNTESTED = 0
+"""As N needed: no answer, since samples are equal, null, bad or too few for every N."""
+
+_CHUNK_OF_MEANS = 2**17
+"""Samples worked on at once: their float64 copies stay in the cache."""
+
+
+@dataclass(frozen=True)
+class GaussianityOfMeans:
+    """Normality of averages of N samples, for several N; arrays of shape (..., size) or (...).
+
+    Attributes
+    ----------
+    test, n_means, alpha
+        What was tested, on how many averages for every N, and the level of `n_needed`.
+    sizes
+        The N in ascending order, shape (size,).
+    statistic, p_value
+        Of the test, shape (..., size); NaN where `reason` says why.
+    skewness, kurtosis
+        Of all complete averages, not only of the tested ones, shape (..., size). Few averages bias
+        both towards 0.
+    predicted_skewness, predicted_kurtosis
+        What independent samples predict: ``skewness / sqrt(N)`` and ``kurtosis / N`` of all,
+        shape (..., size).
+    skewness_ratio
+        ``skewness / predicted_skewness``, shape (..., size): 1 where the central limit theorem is
+        at work. NaN where the samples' skewness is below two of its standard errors under
+        normality, ``2 sqrt(6 / n)``.
+    n_needed
+        Smallest N tested from which on no test rejects, shape (...); -1 where the averages of the
+        largest N still are told from Gaussian, 0 where there is no answer. Where all averages are
+        Gaussian, it is 1 with a probability of at least 1 - `alpha`: the level of each test is
+        `alpha` over the number of sizes.
+    n_predicted, n_predicted_interval
+        Smallest N, tested or not, at which the predicted skewness and kurtosis fall below two
+        standard errors of those of `n_means` Gaussian averages, ``2 sqrt(6 / n_means)`` and
+        ``2 sqrt(24 / n_means)``, shape (...), and its 95 % interval, shape (..., 2). NaN where
+        there is no answer, or where the samples do not identify their kurtosis.
+    n_predicted_reason
+        `Reason` codes of these two, shape (...).
+    reason
+        `Reason` codes, shape (..., size).
+    """
+
+    test: TestName
+    n_means: int
+    alpha: float
+    sizes: Counts
+    statistic: Floats
+    p_value: Floats
+    skewness: Floats
+    kurtosis: Floats
+    predicted_skewness: Floats
+    predicted_kurtosis: Floats
+    skewness_ratio: Floats
+    n_needed: Counts
+    n_predicted: Floats
+    n_predicted_interval: Floats
+    n_predicted_reason: npt.NDArray[np.int8]
+    reason: npt.NDArray[np.int8]
+
+
+@dataclass(frozen=True)
+class TestedAverages:
+    """What is found of averages, shape (..., size), and of the samples themselves, shape (...).
+
+    NaN where there is no answer: for averages, `reason` says why; samples are then equal or bad.
+    """
+
+    statistic: Floats
+    p_value: Floats
+    skewness: Floats
+    kurtosis: Floats
+    reason: npt.NDArray[np.int8]
+    skewness_of_samples: Floats
+    kurtosis_of_samples: Floats
+    n: Floats
+
+    @property
+    def varied(self) -> Mask:
+        """Where the samples are not all equal."""
+        return np.isfinite(self.skewness_of_samples)
+
+
+def gaussianity_of_rows(
+    x: npt.NDArray[Any],
+    bad: Mask,
+    sizes: Counts,
+    n_means: int,
+    test: NormalityTest,
+    alpha: float,
+    tail: Tail | None = None,
+) -> GaussianityOfMeans:
+    """Test averages of samples, shape (..., sample), and tell the N needed and predicted."""
+    predictions = predict(x, bad, tail or tail_of_part(PositivePart.of(x, bad=bad)), n_means)
+    found = run_on_averages(x, bad, sizes, n_means, test)
+    root = np.sqrt(sizes)
+    predicted = found.skewness_of_samples[..., np.newaxis] / root
+    return GaussianityOfMeans(
+        test=test.name,
+        n_means=n_means,
+        alpha=alpha,
+        sizes=sizes,
+        statistic=found.statistic,
+        p_value=found.p_value,
+        skewness=found.skewness,
+        kurtosis=found.kurtosis,
+        predicted_skewness=predicted,
+        predicted_kurtosis=found.kurtosis_of_samples[..., np.newaxis] / sizes,
+        skewness_ratio=skewness_ratio(found, predicted),
+        # Bonferroni over the sizes: else each further one would be a chance to fail.
+        n_needed=n_needed(found.p_value * len(sizes) <= alpha, found.reason, found.varied, sizes),
+        n_predicted=predictions.n,
+        n_predicted_interval=predictions.interval,
+        n_predicted_reason=predictions.reason,
+        reason=found.reason,
+    )
+
+
+def run_on_averages(
+    x: npt.NDArray[Any], bad: Mask, sizes: Counts, n_means: int, test: NormalityTest
+) -> TestedAverages:
+    """Test the first `n_means` averages of each ascending size; `x` has shape (..., sample)."""
+    samples, batch = x.shape[-1], x.shape[:-1]
+    rows, masks = x.reshape(-1, samples), bad.reshape(-1, samples)
+    found = np.empty((4, len(rows), len(sizes)))
+    reason = np.empty((len(rows), len(sizes)), dtype=np.int8)
+    whole = np.empty((3, len(rows)))
+    # Rows that have no answer are computed, too, and masked by their reason.
+    with np.errstate(all="ignore"):
+        for part in spans(len(rows), max(1, _CHUNK_OF_MEANS // samples)):
+            levels = list(cascade(rows[part], masks[part], np.union1d(1, sizes)))
+            whole[:, part] = _of_samples(levels[0])
+            wanted = [level for level in levels if level.size in sizes]
+            found[:, part], reason[part] = _of_averages(wanted, n_means, test)
+    statistic, p_value, skewness, kurtosis = found.reshape(4, *batch, len(sizes))
+    whole_skewness, whole_kurtosis, n = whole.reshape(3, *batch)
+    return TestedAverages(
+        statistic=statistic,
+        p_value=p_value,
+        skewness=skewness,
+        kurtosis=kurtosis,
+        reason=reason.reshape(*batch, len(sizes)),
+        skewness_of_samples=whole_skewness,
+        kurtosis_of_samples=whole_kurtosis,
+        n=n,
+    )
+
+
+def skewness_ratio(found: TestedAverages, predicted: Floats) -> Floats:
+    """Return measured over predicted skewness, where that of the samples is clear."""
+    with np.errstate(all="ignore"):
+        clear = np.abs(found.skewness_of_samples) > 2 * np.sqrt(6 / found.n)
+        return np.where(clear[..., np.newaxis], found.skewness / predicted, np.nan)
+
+
+def n_needed(told: Mask, reason: npt.NDArray[np.int8], varied: Mask, sizes: Counts) -> Counts:
+    """Return the smallest size tested from which on none is told from Gaussian, shape (...).
+
+    Tested averages that are all equal, of samples that are not, are told from Gaussian.
+    """
+    equal = np.isin(reason, [Reason.ALL_NULL, Reason.CONSTANT])
+    answered = equal | (reason == Reason.OK)
+    told_from_here_on = np.maximum.accumulate((told | equal)[..., ::-1], axis=-1)[..., ::-1]
+    candidates = ~told_from_here_on & answered
+    first = np.where(candidates.any(axis=-1), sizes[candidates.argmax(axis=-1)], MORE_THAN_TESTED)
+    return np.where(varied & answered.any(axis=-1), first, UNTESTED).astype(np.int64)
+
+
+def _of_averages(
+    levels: list[Averages], n_means: int, test: NormalityTest
+) -> tuple[Floats, npt.NDArray[np.int8]]:
+    """Return test and shape, (4, row, size), and reasons, (row, size)."""
+    tested, n = _first(levels, n_means)
+    reason = _reasons(tested, n)
+    usable = reason == Reason.OK
+    results = run_tests(tested, n, usable, ("linear",), (test,))
+    # Skewness and kurtosis are those of all averages, which say more than the tested ones.
+    moments = np.array([shapes(level) for level in levels]).transpose(1, 2, 0)
+    found = np.stack([results.statistic[..., 0, 0], results.p_value[..., 0, 0], *moments])
+    found[:, ~usable] = np.nan
+    return found, reason
+
+
+def _first(levels: list[Averages], n_means: int) -> tuple[Floats, Counts]:
+    """Return the first averages of each size, shape (row, size, average), sorted, and how many."""
+    tested = np.stack([level.values[:, :n_means] for level in levels], axis=1)
+    if levels[0].formed is None:
+        return np.sort(tested, axis=-1), np.full(tested.shape[:-1], n_means)
+    formed = np.stack([np.asarray(level.formed)[:, :n_means] for level in levels], axis=1)
+    return np.sort(np.where(formed, tested, np.inf), axis=-1), np.count_nonzero(formed, axis=-1)
+
+
+def _reasons(ascending: Floats, n: Counts) -> npt.NDArray[np.int8]:
+    first, last = ascending[..., 0], ascending[..., -1]
+    cases = {
+        Reason.ALL_BAD: n == 0,
+        Reason.TOO_FEW: n < ascending.shape[-1],
+        Reason.ALL_NULL: last == 0,
+        Reason.CONSTANT: last - first <= CONSTANT_SPREAD * last,
+    }
+    codes = [np.int8(code) for code in cases]
+    return np.asarray(np.select(list(cases.values()), codes, np.int8(Reason.OK)), dtype=np.int8)
+
+
+def _of_samples(samples: Averages) -> Floats:
+    """Return skewness, kurtosis and number of the samples themselves, shape (3, row)."""
+    values, formed = samples.values, samples.formed
+    n = np.full(len(values), float(values.shape[-1]))
+    smallest = values
+    if formed is not None:
+        n = np.count_nonzero(formed, axis=-1).astype(np.float64)
+        smallest = np.where(formed, values, 1)
+    # The largest is 1, unless all are 0.
+    varied = (values.max(axis=-1) > 0) & (smallest.min(axis=-1) < 1 - CONSTANT_SPREAD)
+    skewness, kurtosis = (np.where(varied, shape, np.nan) for shape in shapes(samples))
+    return np.stack([skewness, kurtosis, n])

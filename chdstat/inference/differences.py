@@ -1,0 +1,353 @@
+"""Differences: how far two CHDs are apart, and whether chance alone would do that.
+
+Use it for two pixels, or for all pixels of two stores: of another integrator, path length or spp.
+`chdstat.compare` is about estimators.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from chdstat._core.arrays import LeftOut, as_samples, generator, is_bad, spans, warn_left_out, whole
+from chdstat.errors import InputError
+from chdstat.samples.samples import Samples
+
+__all__ = ["Difference", "difference"]
+
+_MOST = 4096
+_REPLICATES = 199
+_AT_ONCE = 2**19
+"""Samples of a block of pixels, which are shuffled together."""
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How two sets of samples of the same channels differ; nulls belong to both.
+
+    Of two pixels, shapes are (channel,) and (); of two images, (y, x, channel) and (y, x).
+
+    Attributes
+    ----------
+    distance
+        Kolmogorov-Smirnov's distance of the distribution functions, shape (..., channel).
+    wasserstein
+        Wasserstein's distance, the mean shift of radiance, shape (..., channel), radiance.
+    p_value
+        Of the hypothesis that both are of one distribution, shape (...): by permutation of whole
+        samples, or of the two of a pair, of the largest distance over the channels. NaN without
+        samples.
+    mean_difference
+        Mean of the second minus that of the first, shape (..., channel), radiance.
+    mean_t
+        That difference over its standard error, shape (..., channel); NaN without scatter.
+    mean_p_value
+        Two-sided p-values of the differences, shape (..., channel), each for itself: by Welch's
+        test, or Student's of pairs.
+    n
+        Good samples of both that distances look at, each of shape (...).
+    paired
+        Whether the samples were compared in pairs.
+    """
+
+    distance: Floats
+    wasserstein: Floats
+    p_value: Floats | float
+    mean_difference: Floats
+    mean_t: Floats
+    mean_p_value: Floats
+    n: tuple[npt.NDArray[np.int64] | int, npt.NDArray[np.int64] | int]
+    paired: bool = False
+
+
+def difference(
+    a: npt.ArrayLike | Samples,
+    b: npt.ArrayLike | Samples,
+    *,
+    paired: bool | None = None,
+    replicates: int = _REPLICATES,
+    seed: int = 0,
+) -> Difference:
+    """Compare two CHDs, each given by the samples of a pixel, or those of all pixels of two images.
+
+    ``D = max |F_a - F_b|``. Ties, such as nulls, make the textbook's p-values of D wrong, so that
+    the samples are shuffled between the two sets: ``p = (b + 1) / (B + 1)`` where b of B shuffles
+    are as far apart. Whole samples are shuffled, so that dependent channels stay together and no
+    correction for their number is needed.
+
+    Renders of equal seed share random numbers: sample i of a pixel of one is correlated with
+    sample i of the other, and tests that take both for independent are wrong by far. In pairs,
+    the difference of each pair counts, and the two of a pair change sides: that is right whatever
+    their correlation, and finds smaller differences the higher it is.
+
+    Parameters
+    ----------
+    a, b
+        Linear radiance, shapes (..., channel, sample), with as many pixels; or two `Samples` of
+        one size. Bad samples are left out, with the other of their pair; distances look at 4096
+        samples at most, means at all.
+    paired
+        Whether sample i of both was drawn with the same random numbers. None reads the seeds of
+        `Samples` (`Samples.shares_numbers_with`), of which then as many count as both have; arrays
+        do not say their seeds, and are taken for independent.
+    replicates, seed
+        Shuffles B, the same in every pixel, and the seed of them.
+
+    Returns
+    -------
+    Difference
+        Distances and differences of each channel, and one p-value for all of them.
+
+    Raises
+    ------
+    InputError
+        If the numbers of channels or of pixels differ, pairs are wanted of unequal numbers of
+        samples, one is an array and the other not, or B is less than 1.
+    StoreError
+        If a store is damaged.
+
+    References
+    ----------
+    Kolmogorov-Smirnov by permutation: Praestgaard, "Permutation and bootstrap Kolmogorov-Smirnov
+    tests for the equality of two distributions", 1995, Scandinavian Journal of Statistics 22.
+    Means: Welch, "The generalization of 'Student's' problem when several different population
+    variances are involved", 1947, doi:10.1093/biomet/34.1-2.28; of renders, pixel by pixel: Jung,
+    Hanika and Dachsbacher, "Detecting bias in Monte Carlo renderers using Welch's t-test", 2020,
+    Journal of Computer Graphics Techniques 9(2).
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> same = difference(rng.gamma(2.0, size=(3, 500)), rng.gamma(2.0, size=(3, 500)))
+    >>> other = difference(rng.gamma(2.0, size=(3, 500)), rng.gamma(3.0, size=(3, 500)))
+    >>> bool(same.p_value > 0.05), float(other.p_value)
+    (True, 0.005)
+
+    Two renders of one seed:
+
+    >>> x = rng.gamma(2.0, size=(2, 2, 3, 64))
+    >>> one, two = (Samples.from_array(x + e, seed=0) for e in (0, rng.normal(0, 0.1, x.shape)))
+    >>> found = difference(one, two)
+    >>> found.paired, found.p_value.shape
+    (True, (2, 2))
+    """
+    replicates = whole("replicates", replicates, least=1)
+    if isinstance(a, Samples) and isinstance(b, Samples):
+        _check_alike(a.shape[:3], b.shape[:3])
+        return _of_images(a, b, paired, replicates, seed)
+    if isinstance(a, Samples) or isinstance(b, Samples):
+        message = "expected two arrays or two Samples, got one of each; read() returns an array"
+        raise InputError(message)
+    one, two = (np.atleast_2d(as_samples(x)).astype(np.float64) for x in (a, b))
+    _check_alike(one.shape[:-1], two.shape[:-1])
+    if paired and one.shape != two.shape:
+        message = f"pairs need as many samples of both, got {one.shape[-1]} and {two.shape[-1]}"
+        raise InputError(message)
+    for x in (one, two):
+        warn_left_out(x, channel_axis=-2)
+    return _of_pixels(one, two, bool(paired), replicates, seed)
+
+
+def _check_alike(one: tuple[int, ...], two: tuple[int, ...]) -> None:
+    if 0 in one:
+        message = f"expected pixels with channels, got shape {one} before the samples"
+        raise InputError(message)
+    if one[-1] != two[-1]:
+        message = f"expected as many channels in both, got {one[-1]} and {two[-1]}"
+        raise InputError(message)
+    if one != two:
+        message = f"expected as many pixels in both, got {one[:-1]} and {two[:-1]}"
+        raise InputError(message)
+
+
+def _of_images(
+    a: Samples, b: Samples, paired: bool | None, replicates: int, seed: int
+) -> Difference:
+    """Compare two images row by row."""
+    pairs = a.shares_numbers_with(b) if paired is None else paired
+    count = min(a.spp, b.spp)
+    most = slice(0, count) if pairs else slice(None)
+    rows = max(1, _AT_ONCE // (a.shape[1] * a.shape[2] * (a.spp + b.spp)))
+    left_out, parts = LeftOut(), []
+    for ys in spans(a.shape[0], rows):
+        read = [x.read(ys, ss=most).astype(np.float64) for x in (a, b)]
+        for x in read:
+            left_out.see(x, channel_axis=-2)
+        parts.append(_of_pixels(read[0], read[1], pairs, replicates, seed))
+    left_out.warn()
+    joined = {
+        f.name: np.concatenate([getattr(part, f.name) for part in parts])
+        for f in fields(Difference)
+        if f.name not in {"n", "paired"}
+    }
+    one, two = (np.concatenate([part.n[i] for part in parts]) for i in (0, 1))
+    return Difference(**joined, n=(one, two), paired=pairs)
+
+
+def _of_pixels(a: Floats, b: Floats, paired: bool, replicates: int, seed: int) -> Difference:
+    """Compare samples (..., channel, sample), block by block."""
+    shape, channels = a.shape[:-2], a.shape[-2]
+    one, two = a.reshape(-1, channels, a.shape[-1]), b.reshape(-1, channels, b.shape[-1])
+    good_a, good_b = _good(one), _good(two)
+    if paired:
+        good_a = good_b = np.asarray(good_a & good_b)
+    delta, t, p = (_means_of_pairs if paired else _means)(one, two, good_a, good_b)
+    one, two = one[..., :_MOST], two[..., :_MOST]
+    good_a, good_b = good_a[..., :_MOST], good_b[..., :_MOST]
+    step = max(1, _AT_ONCE // (channels * (one.shape[-1] + two.shape[-1])))
+    found = [
+        _distances(
+            one[i], two[i], good_a[i], good_b[i], paired=paired, replicates=replicates, seed=seed
+        )
+        for i in spans(len(one), step)
+    ]
+    distance, wasserstein, p_value = (np.concatenate(values) for values in zip(*found, strict=True))
+    n_a, n_b = (good.sum(axis=-1).reshape(shape)[()] for good in (good_a, good_b))
+    return Difference(
+        distance=distance.reshape(*shape, channels),
+        wasserstein=wasserstein.reshape(*shape, channels),
+        p_value=p_value.reshape(shape)[()],
+        mean_difference=delta.reshape(*shape, channels),
+        mean_t=t.reshape(*shape, channels),
+        mean_p_value=p.reshape(*shape, channels),
+        n=(n_a, n_b),
+        paired=paired,
+    )
+
+
+def _good(x: Floats) -> Bools:
+    return np.asarray(~np.asarray(is_bad(x)).any(axis=1))
+
+
+def _distances(
+    a: Floats,
+    b: Floats,
+    good_a: Bools,
+    good_b: Bools,
+    *,
+    paired: bool,
+    replicates: int,
+    seed: int,
+) -> tuple[Floats, Floats, Floats]:
+    """Return distances (pixel, channel), twice, and p-values (pixel,) of samples."""
+    pool, good = np.concatenate([a, b], axis=-1), np.concatenate([good_a, good_b], axis=-1)
+    # Bad samples have no weight; they lie where they make no gap.
+    top = np.where(good[:, np.newaxis], pool, -np.inf).max(axis=-1, keepdims=True)
+    pool = np.where(good[:, np.newaxis], pool, top)
+    order = np.argsort(pool, axis=-1, kind="stable")
+    ordered = np.take_along_axis(pool, order, axis=-1)
+    last = np.ones(pool.shape, bool)
+    last[..., :-1] = ordered[..., 1:] > ordered[..., :-1]
+    n_a, n_b = (g.sum(axis=-1, keepdims=True) for g in (good_a, good_b))
+    known = (n_a > 0) & (n_b > 0)
+    one, two = (known / np.maximum(n, 1) for n in (n_a, n_b))
+
+    def gaps(weights: Floats) -> Floats:
+        """Return |F_a - F_b| after each of the ordered samples, of each channel."""
+        steps = np.take_along_axis(
+            np.broadcast_to(weights[:, np.newaxis], order.shape), order, axis=-1
+        )
+        return np.asarray(np.abs(np.cumsum(steps, axis=-1)))
+
+    weights = np.concatenate([good_a * one, good_b * -two], axis=-1)
+    seen = gaps(weights)
+    distance = np.where(last, seen, 0).max(axis=-1)
+    with np.errstate(invalid="ignore"):
+        wasserstein = (seen[..., :-1] * np.diff(ordered, axis=-1)).sum(axis=-1)
+    largest = distance.max(axis=-1) - 1e-12
+    rng, farther = generator(seed), np.zeros(len(pool), np.int64)
+    for _ in range(replicates):
+        if paired:
+            sign = np.where(rng.random(a.shape[-1]) < 0.5, -1.0, 1.0)
+            shuffled = weights * np.tile(sign, 2)
+        else:
+            first = _drawn(np.asarray(rng.random(pool.shape[-1])), good, n_a)
+            shuffled = np.where(first, one, -two) * good
+        farther += np.where(last, gaps(shuffled), 0).max(axis=(-2, -1)) >= largest
+    p_value = np.where(known[:, 0], (farther + 1) / (replicates + 1), np.nan)
+    return (
+        np.where(known, distance, np.nan),
+        np.where(known, wasserstein, np.nan),
+        p_value,
+    )
+
+
+def _drawn(keys: Floats, good: Bools, count: npt.NDArray[np.int64]) -> Bools:
+    """Return which good samples (pixel, sample) have the `count` (pixel, 1) smallest keys."""
+    if good.all():
+        good, count = good[:1], count[:1]
+    own = np.where(good, keys, np.inf)
+    border = np.take_along_axis(np.sort(own, axis=-1), np.maximum(count - 1, 0), axis=-1)
+    return np.asarray(good & (own <= border))
+
+
+def _means(a: Floats, b: Floats, good_a: Bools, good_b: Bools) -> tuple[Floats, Floats, Floats]:
+    """Return differences of means with Welch's t and p, each (pixel, channel)."""
+    scale = np.maximum(*(_largest(x, good) for x, good in ((a, good_a), (b, good_b))))
+    one, two = _moments(a, good_a, scale), _moments(b, good_b, scale)
+    with np.errstate(divide="ignore", invalid="ignore", under="ignore"):
+        delta = two.mean - one.mean
+        squared = one.error + two.error
+        t = delta / np.sqrt(squared)
+        # Welch (1947), equation 28: the degrees of freedom of the sum of two variances.
+        parts = (m.error**2 / (m.n - 1) for m in (one, two))
+        p = 2 * special.stdtr(squared**2 / sum(parts), -np.abs(t))
+        return _known(delta * scale, t, p, (one.n > 1) & (two.n > 1), one.constant & two.constant)
+
+
+def _means_of_pairs(a: Floats, b: Floats, good: Bools, _: Bools) -> tuple[Floats, Floats, Floats]:
+    """Return means of differences with Student's t and p, each (pixel, channel)."""
+    scale = np.maximum(_largest(a, good), _largest(b, good))
+    with np.errstate(divide="ignore", invalid="ignore", under="ignore", over="ignore"):
+        apart = _moments(b - a, good, scale)
+        t = apart.mean / np.sqrt(apart.error)
+        p = 2 * special.stdtr(apart.n - 1, -np.abs(t))
+        return _known(apart.mean * scale, t, p, apart.n > 1, apart.constant)
+
+
+def _known(
+    delta: Floats, t: Floats, p: Floats, known: Bools, constant: Bools
+) -> tuple[Floats, Floats, Floats]:
+    """Leave out what too few samples, or samples without scatter, cannot tell."""
+    # Without scatter, there is nothing to measure a difference by; rounding is none.
+    tested = known & ~constant
+    return (
+        np.where(known, delta, np.nan),
+        np.where(tested, t, np.nan),
+        np.where(tested, p, np.nan),
+    )
+
+
+@dataclass(frozen=True)
+class _Moments:
+    """Moments of good samples, each (pixel, channel): `error` is the squared standard error."""
+
+    n: Floats
+    mean: Floats
+    error: Floats
+    constant: Bools
+
+
+def _largest(x: Floats, good: Bools) -> Floats:
+    """Return the largest size of good samples, so that 1e30 to the fourth is a number."""
+    size = np.where(good[:, np.newaxis], np.abs(x), 0).max(axis=-1, initial=0)
+    return np.where(size > 0, size, 1.0)
+
+
+def _moments(x: Floats, good: Bools, scale: Floats) -> _Moments:
+    used = good[:, np.newaxis]
+    n = used.sum(axis=-1, dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore", under="ignore"):
+        unit = np.where(used, x, 0) / scale[..., np.newaxis]
+        mean = unit.sum(axis=-1) / n
+        apart = np.where(used, unit - mean[..., np.newaxis], 0)
+        error = (apart**2).sum(axis=-1) / (n - 1) / n
+    high = np.where(used, x, -np.inf).max(axis=-1, initial=-np.inf)
+    low = np.where(used, x, np.inf).min(axis=-1, initial=np.inf)
+    return _Moments(np.broadcast_to(n, mean.shape), mean, error, high <= low)

@@ -1,0 +1,276 @@
+"""Modality: what is said of the modes of one pixel, or of a whole batch.
+
+Modes: whether the samples of a pixel come from one kind of light path, or from several.
+
+`modality` looks at the positive samples in the log domain, in two ways: Hartigan's dip test,
+which assumes nothing but continuity and has calibrated p-values but little power; and mixtures of
+log-normal or gamma components, which say how many modes there are, where, and how far apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.positive import Counts, Floats, PositivePart
+from chdstat._core.reasons import Reason, flag_attributes
+from chdstat._core.resampling import q_values
+from chdstat.fit.mixtures import ChosenMixtures
+from chdstat.fit.peaks import best_peaks
+from chdstat.fit.results import Fit, Mixture
+from chdstat.fit.search import Found
+from chdstat.fit.unimodal import unimodal_scores
+from chdstat.inference.hartigan import dips_of_part, on_steps, spread, tied_shares
+from chdstat.samples.samples import Mapped, Samples
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "MODES",
+    "Modality",
+    "finish_modality",
+    "mixture_and_modes_of_part",
+    "modality",
+    "modality_of_part",
+    "modality_variables",
+]
+
+MODES = 3
+"""Most modes, and most components of a mixture, that are looked for."""
+
+_LABELS = {
+    "dip": "Hartigan's dip of log10 radiance",
+    "dip_p_value": "p-value of unimodality",
+    "dip_q_value": "q-value of unimodality over the image",
+    "tied_share": "share of positive samples equal to another one",
+    "modes": "modes of the best mixture in log10 radiance",
+    "places": "modes, log10 of radiance in W sr-1 m-2",
+    "weights": "mass of the modes",
+    "ashman_d": "separation of neighbouring modes, Ashman's D",
+    "ashman_d_se": "standard error of the separation",
+    "delta_bic": "BIC of the best distribution of one mode minus that of the best mixture",
+}
+_DIMS = {
+    "places": "mode",
+    "weights": "mode",
+    "ashman_d": "pair",
+    "ashman_d_se": "pair",
+}
+
+
+@dataclass(frozen=True)
+class Modality:
+    """Modes of the positive part; arrays of the batch's shape, NaN where `reason` says why.
+
+    Attributes
+    ----------
+    dip, dip_p_value
+        Hartigan's dip, in [1/(2n), 1/4], and its p-value under unimodality, at least 1e-5. Where
+        the hypothesis is true, p is uniform for uniform samples and larger for others.
+    tied_share
+        Share of samples that are equal to another one. Ties are moved apart by less than float32
+        can tell, as the test is one of continuous samples. Rounded samples, of which 8 % or more
+        tie at other values than the three most frequent ones, are spread half-way to their
+        neighbours first: a step is no mode.
+    modes
+        1 to 3: the maxima of the best mixture's density of log radiance that stand apart: a
+        component of at least 8 % of the samples, with a valley of at least 2 % of its height
+        between it and every higher one. The best mixture has the smallest BIC of 1 to 3 log-normal
+        or gamma components; there is one mode where a distribution of one mode has a smaller one
+        still: gamma, log-normal, Weibull, Burr, Pareto above a floor or below a ceiling, and,
+        unless the dip test rejects them at 5 %, uniform or log-uniform; or, unless it rejects all
+        of one mode at 1 %, gamma above a floor or below a ceiling, and any density that is
+        log-concave in log radiance or in the logarithm of the distance from either end. 0 where
+        `reason` says why.
+    places, weights
+        Radiance of the modes as log10, and the mass of each, shape (..., 3), the darkest first; NaN
+        beyond the modes there are.
+    ashman_d, ashman_d_se
+        ``sqrt(2) |m1 - m2| / sqrt(s1^2 + s2^2)`` of neighbouring modes, with means and standard
+        deviations of log radiance, shape (..., 2), and its standard error, from the information of
+        the mixture; NaN where a mode is too narrow for one. Above 2, the two are cleanly apart.
+        ``1.96`` errors hold the separation of true mixtures in 90 % and more of those that are
+        found.
+    delta_bic
+        BIC of the best distribution of one mode minus that of the best mixture of two or more
+        components: positive where a mixture is better, for tails and skewed shapes, too, which are
+        no modes. The n of its log n are the positive samples, on both sides: nulls say nothing of
+        modes. Each end of a uniform distribution counts as two parameters.
+    n
+        Positive samples.
+    reason
+        `Reason` codes.
+    """
+
+    dip: Floats
+    dip_p_value: Floats
+    tied_share: Floats
+    modes: npt.NDArray[np.int8]
+    places: Floats
+    weights: Floats
+    ashman_d: Floats
+    ashman_d_se: Floats
+    delta_bic: Floats
+    n: Counts
+    reason: npt.NDArray[np.int8]
+
+
+def modality_variables(result: Modality) -> Mapped:
+    """Return modes over (y, x, channel), or over (y, x), as variables for `Samples.map`."""
+    first = ("channel",) if result.n.ndim == 3 else ()
+    names = [field.name for field in fields(result) if field.name != "n"]
+    return {
+        name: ((*first, _DIMS[name]) if name in _DIMS else first, getattr(result, name))
+        for name in names
+    }
+
+
+def finish_modality(dataset: xr.Dataset) -> xr.Dataset:
+    """Add the q-values over the image, and set long names, units and flag meanings."""
+    p_value = dataset["dip_p_value"]
+    dataset = dataset.assign(dip_q_value=p_value.copy(data=q_values(p_value.to_numpy())))
+    for name, long_name in _LABELS.items():
+        if name in dataset:
+            dataset[name].attrs.update(long_name=long_name, units="1")
+    dataset["reason"].attrs.update(
+        long_name="why no modes were counted", units="1", **flag_attributes()
+    )
+    return dataset
+
+
+_MINIMUM = 20
+_LEVEL = 0.05
+"""Level of the dip test at which a uniform distribution is not considered any more."""
+_CERTAIN = 0.01
+"""Level at which no distribution of one mode is: the dip test holds its level for all of them."""
+
+
+@overload
+def modality(
+    x: Samples,
+    *,
+    progress: bool | None = None,
+) -> xr.Dataset: ...
+@overload
+def modality(
+    x: npt.ArrayLike,
+    *,
+    null: npt.ArrayLike | None = None,
+) -> Modality: ...
+def modality(
+    x: Samples | npt.ArrayLike,
+    *,
+    null: npt.ArrayLike | None = None,
+    progress: bool | None = None,
+) -> Modality | xr.Dataset:
+    """Count the modes of the positive samples in the log domain, and test whether there is one.
+
+    The dip is the largest distance between the distribution function of the samples and the closest
+    unimodal one. The modes are those of a fitted mixture: see `Modality` for what counts as one.
+
+    Parameters
+    ----------
+    x, null, progress
+        As for `chdstat.fit.fit`.
+
+    Returns
+    -------
+    Modality or xarray.Dataset
+        `Modality` for an array. For `Samples`, its fields over (y, x, channel), (y, x, channel,
+        mode) and (y, x, channel, pair), and ``dip_q_value``, by Benjamini and Hochberg over the
+        image.
+
+    References
+    ----------
+    Hartigan and Hartigan, "The dip test of unimodality", 1985, doi:10.1214/aos/1176346577. Ashman,
+    Bird and Zepf, "Detecting bimodality in astronomical datasets", 1994, doi:10.1086/117248.
+    Schwarz, "Estimating the dimension of a model", 1978, doi:10.1214/aos/1176344136.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> indirect, direct = rng.lognormal(-4, 0.5, size=300), rng.lognormal(1, 0.3, size=300)
+    >>> result = modality(np.concatenate([indirect, direct]))
+    >>> int(result.modes), float(result.dip_p_value), result.weights.round(2)
+    (2, 1e-05, array([0.5, 0.5, nan]))
+    """
+    if not isinstance(x, Samples):
+        part = PositivePart.given(x, null=null)
+        return modality_of_part(part)
+
+    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
+        part = PositivePart.of_pixels(block)
+        result = modality_of_part(part)
+        return modality_variables(result)
+
+    return finish_modality(
+        x.map(of_block, logarithms=True, description="counting modes", progress=progress)
+    )
+
+
+def modality_of_part(
+    part: PositivePart,
+    *,
+    fits: Iterable[Fit] | None = None,
+) -> Modality:
+    """Look for modes in samples that are already split.
+
+    `fits` are the families of one mode to beat, for whoever has them.
+    """
+    return _modality(part, fits, lambda _: None)
+
+
+def mixture_and_modes_of_part(
+    part: PositivePart,
+    *,
+    fits: Iterable[Fit] | None = None,
+) -> tuple[Mixture, Modality]:
+    """Look for modes, and return the best log-normal mixtures, too, at hardly any further cost.
+
+    The mixtures are those of `mixture_of_part` with ``effort='fast'``, with two exceptions: they
+    need 20 positive samples, as modes do; and three components are not tried, and have no BIC,
+    where two are worse than one or than the best distribution of one mode.
+    """
+    chosen = ChosenMixtures.of(part, part.reason(_MINIMUM), MODES)
+    modality = _modality(part, fits, chosen.enter)
+    return chosen.result("lognormal"), modality
+
+
+def _modality(
+    part: PositivePart,
+    fits: Iterable[Fit] | None,
+    also: Callable[[Found], None],
+) -> Modality:
+    reason = part.reason(_MINIMUM)
+    ok = reason == Reason.OK
+    tied_share = np.where(ok, tied_shares(part), np.nan)
+    steps = on_steps(part, tied_share)
+    smooth = spread(part, steps) if steps.any() else part
+    dip, p_value = dips_of_part(smooth, ok, (tied_share > 0) & ~steps)
+    # Uniform samples are what the dip test takes for granted: where it speaks against them, a few
+    # modes side by side are not to be mistaken for them.
+    bounded = p_value >= _LEVEL
+    rival = unimodal_scores(part, ok, bounded, fits=fits)
+    if steps.any():
+        # Fits to samples as they were rounded do not compare with those to what was spread.
+        of_steps = PositivePart.of(smooth.x[steps])
+        rival[steps] = unimodal_scores(of_steps, ok[steps], bounded[steps])
+    peaks = best_peaks(smooth, ok, rival, MODES, doubtful=p_value >= _CERTAIN, also=also)
+    return Modality(
+        dip=dip,
+        dip_p_value=p_value,
+        tied_share=tied_share,
+        modes=peaks.count,
+        places=peaks.place / np.log(10),
+        weights=peaks.weight,
+        ashman_d=peaks.ashman_d[..., : MODES - 1],
+        ashman_d_se=peaks.ashman_d_se[..., : MODES - 1],
+        delta_bic=peaks.delta_bic,
+        n=part.n,
+        reason=reason,
+    )

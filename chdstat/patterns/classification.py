@@ -1,0 +1,352 @@
+"""Patterns: which pixels are null-heavy, long-tailed, bimodal, constant, and what the rest is.
+
+`PATTERNS` is the table: what a pattern means, its statistic, and the rule that turns it into a flag
+at a threshold. `classify` applies them all to the luminance of each pixel. Flags do not exclude
+each other, but for those that describe a plain body; `Label` says which comes first.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import as_pixels, warn_left_out
+from chdstat._core.positive import Floats, Mask, PositivePart
+from chdstat._core.reasons import Reason, flag_attributes
+from chdstat._core.resampling import q_values
+from chdstat.fit.selection import SELECTED, Selection
+from chdstat.fit.tail import Tail
+from chdstat.inference import Modality
+from chdstat.patterns.agreement import Agreement, agreement
+from chdstat.patterns.pixel_statistics import Evidence, gather
+from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
+from chdstat.samples.samples import Mapped, Samples
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "PATTERNS",
+    "Agreement",
+    "Label",
+    "Pattern",
+    "Patterns",
+    "Thresholds",
+    "agreement",
+    "classify",
+    "finish_patterns",
+    "luminance_part",
+    "patterns_of_part",
+    "patterns_variables",
+]
+
+
+class Label(enum.IntEnum):
+    """What a pixel is first of all: the first that holds, from the top, but for UNDETERMINED."""
+
+    UNDETERMINED = 0
+    """Too few usable samples to say anything."""
+    BLACK = 1
+    """Every good sample is null."""
+    CONSTANT = 2
+    FIREFLY_DOMINATED = 3
+    MULTIMODAL = 4
+    BIMODAL = 5
+    LONG_TAIL = 6
+    NULL_HEAVY = 7
+    GAMMA_LIKE = 8
+    LOGNORMAL_LIKE = 9
+    OTHER = 10
+    """None of these: one mode without a long tail that neither family describes."""
+
+
+_FLAGGED = {label: label.name.lower() for label in Label if label not in (0, 1, 10)}
+
+
+@dataclass(frozen=True)
+class Patterns:
+    """Patterns of pixels; arrays of the batch's shape, dimensionless.
+
+    Attributes
+    ----------
+    flags
+        By the name of the pattern: whether it holds.
+    large_enough
+        By the name of the pattern: whether its effect counts, significant or not, and whatever
+        excludes it.
+    statistics
+        By the name of the pattern: its statistic; NaN where there is nothing to measure.
+    p_values
+        By the name of the pattern, where it has a test: of the hypothesis that it is absent.
+    intervals
+        By the name of the pattern, where it has one: 95 % interval of the statistic, shape
+        (..., 2).
+    dip
+        Hartigan's dip of log luminance.
+    luminance_family
+        Index of the best family in `chdstat.fit.selection.SELECTED`, -1 for none.
+    misfit
+        Kolmogorov's distance between the samples and the better of gamma and log-normal.
+    long_tail_se
+        Standard error of the tail index.
+    variance_unidentified
+        Where the samples cannot tell whether their variance is finite: no long tail is then no
+        promise of a short one.
+    body_tail_index
+        Tail index that excesses over the quantile 0.9 of the better of gamma and log-normal show.
+    label
+        `Label` codes.
+    reason
+        `Reason` codes of the positive part.
+    """
+
+    flags: Mapping[str, Mask]
+    large_enough: Mapping[str, Mask]
+    statistics: Mapping[str, Floats]
+    p_values: Mapping[str, Floats]
+    intervals: Mapping[str, Floats]
+    dip: Floats
+    luminance_family: npt.NDArray[np.int8]
+    misfit: Floats
+    long_tail_se: Floats
+    variance_unidentified: Mask
+    body_tail_index: Floats
+    label: npt.NDArray[np.int8]
+    reason: npt.NDArray[np.int8]
+
+
+@overload
+def classify(
+    x: Samples,
+    *,
+    thresholds: Thresholds | None = None,
+    progress: bool | None = None,
+) -> xr.Dataset: ...
+@overload
+def classify(
+    x: npt.ArrayLike,
+    *,
+    thresholds: Thresholds | None = None,
+) -> Patterns: ...
+def classify(
+    x: Samples | npt.ArrayLike,
+    *,
+    thresholds: Thresholds | None = None,
+    progress: bool | None = None,
+) -> Patterns | xr.Dataset:
+    """Say which patterns the sample distribution of each pixel shows.
+
+    Each flag is a row of `PATTERNS`: a statistic, an effect that is large enough and, where the
+    rule says so, a p-value. Of an image, the p-values of a pattern are corrected for the number of
+    pixels (Benjamini and Hochberg); of an array, they are not: each pixel is tested at level
+    `Thresholds.alpha`. `label` is one of the flags, by the order of `Label`.
+
+    Parameters
+    ----------
+    x
+        Samples of an image, or an array of radiance, shape (..., channel, sample), with 1 or 3
+        channels. Nulls and bad samples are told by whole samples.
+    thresholds
+        When a pattern counts; None for the defaults.
+    progress
+        For `Samples`: show a progress bar; None shows it on a terminal.
+
+    Returns
+    -------
+    Patterns or xarray.Dataset
+        `Patterns` for an array. For `Samples`, over (y, x): for each pattern, the flag by its name,
+        and with suffix its ``_statistic``, ``_p_value``, ``_q_value`` and ``_interval`` where it
+        has them; the other fields of `Patterns`; and ``label_agreement``, the share of the
+        neighbours with the same label, whose attributes ``kappa`` and ``z`` compare the image with
+        shuffled labels (see `agreement`).
+
+    Raises
+    ------
+    InputError
+        If there are neither 1 nor 3 channels.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> gray = rng.gamma(2.0, size=(4, 1, 1024))
+    >>> gray[1, :, :700] = 0
+    >>> gray[2, :, ::2] *= 1000
+    >>> gray[3] = 1
+    >>> [Label(code).name for code in classify(gray).label]
+    ['GAMMA_LIKE', 'NULL_HEAVY', 'BIMODAL', 'CONSTANT']
+    """
+    thresholds = thresholds or Thresholds()
+    if not isinstance(x, Samples):
+        pixels = as_pixels(x)
+        warn_left_out(pixels, channel_axis=-2, logarithms=True)
+        return patterns_of_part(luminance_part(pixels), thresholds)
+
+    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
+        return patterns_variables(patterns_of_part(luminance_part(block), thresholds))
+
+    dataset = x.map(of_block, logarithms=True, description="classifying", progress=progress)
+    return finish_patterns(dataset, thresholds)
+
+
+def luminance_part(x: npt.ArrayLike) -> PositivePart:
+    """Split the luminance of samples, shape (..., channel, sample), by whole samples.
+
+    Raises
+    ------
+    InputError
+        If there are neither 1 nor 3 channels.
+    """
+    return PositivePart.of_pixels(as_pixels(x), rows="luminance")
+
+
+def patterns_of_part(
+    part: PositivePart,
+    thresholds: Thresholds | None = None,
+    *,
+    tail: Tail | None = None,
+    modes: Modality | None = None,
+    families: Selection | None = None,
+) -> Patterns:
+    """Classify samples that are already split; each pixel is tested for itself.
+
+    Parameters
+    ----------
+    part
+        Positive part of the luminance of each pixel.
+    thresholds
+        When a pattern counts; None for the defaults.
+    tail, modes, families
+        Results for the same part, if they are there; the families must be those of
+        `chdstat.fit.selection.SELECTED`.
+    """
+    thresholds = thresholds or Thresholds()
+    evidence = gather(
+        part,
+        firefly_share=thresholds.firefly_share,
+        firefly_samples=thresholds.firefly_samples,
+        tail=tail,
+        modes=modes,
+        families=families,
+    )
+    # Of a single pixel, arithmetic returns numbers: results are arrays of shape ().
+    p_values = {p.name: np.asarray(p.test(evidence, thresholds)) for p in PATTERNS if p.test}
+    large_enough = {p.name: np.asarray(p.large_enough(evidence, thresholds)) for p in PATTERNS}
+    flags = _decide(large_enough, p_values, thresholds)
+    reason = part.reason()
+    return Patterns(
+        flags=flags,
+        large_enough=large_enough,
+        statistics={p.name: np.asarray(p.measure(evidence)) for p in PATTERNS},
+        p_values=p_values,
+        intervals={p.name: p.interval(evidence) for p in PATTERNS if p.interval},
+        dip=evidence.dip,
+        luminance_family=evidence.family,
+        misfit=evidence.misfit,
+        long_tail_se=evidence.tail_index_se,
+        variance_unidentified=evidence.variance_unidentified,
+        body_tail_index=evidence.body_index,
+        label=_label(flags, reason, _is_known(evidence)),
+        reason=reason,
+    )
+
+
+def patterns_variables(patterns: Patterns) -> Mapped:
+    """Return patterns over (y, x) as variables for `Samples.map`; flags are not yet decided."""
+    single: dict[str, npt.NDArray[Any]] = {
+        **patterns.large_enough,
+        **{f"{name}_statistic": value for name, value in patterns.statistics.items()},
+        **{f"{name}_p_value": value for name, value in patterns.p_values.items()},
+        **{name: getattr(patterns, name) for name in _OTHERS},
+    }
+    intervals = {
+        f"{name}_interval": (("bound",), value) for name, value in patterns.intervals.items()
+    }
+    return {**{name: ((), value) for name, value in single.items()}, **intervals}
+
+
+def finish_patterns(dataset: xr.Dataset, thresholds: Thresholds | None = None) -> xr.Dataset:
+    """Correct the p-values of an image, decide its flags and labels, and compare neighbours."""
+    thresholds = thresholds or Thresholds()
+    q = {p.name: q_values(dataset[f"{p.name}_p_value"].to_numpy()) for p in PATTERNS if p.test}
+    flags = _decide({p.name: dataset[p.name].to_numpy() for p in PATTERNS}, q, thresholds)
+    known = dataset["label"].to_numpy() != Label.UNDETERMINED
+    label = _label(flags, dataset["reason"].to_numpy(), known)
+    found = agreement(label, known)
+    decided = {**flags, **{f"{name}_q_value": value for name, value in q.items()}, "label": label}
+    decided["label_agreement"] = found.share
+    dataset = dataset.assign({name: (("y", "x"), value) for name, value in decided.items()})
+    _describe(dataset)
+    dataset["label_agreement"].attrs.update(
+        observed=found.observed, by_chance=found.expected, kappa=found.kappa, z=found.z
+    )
+    return dataset.assign_attrs({f"threshold_{k}": v for k, v in asdict(thresholds).items()})
+
+
+def _decide(
+    large_enough: Mapping[str, Mask], significance: Mapping[str, Floats], thresholds: Thresholds
+) -> dict[str, Mask]:
+    """Keep the flags that are significant where they must be, and that nothing excludes."""
+    flags = {
+        p.name: np.array(large_enough[p.name] & (significance[p.name] <= thresholds.alpha))
+        if p.decisive
+        else np.array(large_enough[p.name])
+        for p in PATTERNS
+    }
+    for pattern in PATTERNS:
+        for other in pattern.excluded_by:
+            flags[pattern.name] &= ~flags[other]
+    return flags
+
+
+def _is_known(evidence: Evidence) -> Mask:
+    """Say where there are enough samples for the shape."""
+    return np.asarray(evidence.modes > 0)
+
+
+def _label(
+    flags: Mapping[str, Mask], reason: npt.NDArray[np.int8], known: Mask
+) -> npt.NDArray[np.int8]:
+    cases = {
+        Label.BLACK: reason == Reason.ALL_NULL,
+        **{label: flags[name] for label, name in _FLAGGED.items()},
+        Label.OTHER: known,
+    }
+    codes = [np.int8(code) for code in cases]
+    label = np.select(list(cases.values()), codes, np.int8(Label.UNDETERMINED))
+    return np.asarray(label, dtype=np.int8)
+
+
+_OTHERS = {
+    "dip": "Hartigan's dip of log10 luminance",
+    "luminance_family": "family of luminance with the smallest BIC",
+    "misfit": "Kolmogorov distance to the better of gamma and log-normal",
+    "long_tail_se": "standard error of the tail index of luminance",
+    "variance_unidentified": "the samples cannot tell whether the variance is finite",
+    "body_tail_index": "tail index of the better of gamma and log-normal above its quantile 0.9",
+    "label": "what the pixel is first of all",
+    "reason": "why there is no positive part to look at",
+}
+
+
+def _describe(dataset: xr.Dataset) -> None:
+    texts = {**_OTHERS, "label_agreement": "share of the neighbours with the same label"}
+    for pattern in PATTERNS:
+        texts[pattern.name] = f"{pattern.meaning}: {pattern.rule}"
+        texts[f"{pattern.name}_statistic"] = pattern.statistic
+        texts[f"{pattern.name}_interval"] = f"95 % interval of the {pattern.statistic}"
+        texts[f"{pattern.name}_p_value"] = f"p-value of no {pattern.name}"
+        texts[f"{pattern.name}_q_value"] = f"q-value of no {pattern.name}"
+        dataset[pattern.name].attrs["source"] = pattern.source
+    for name in texts.keys() & set(dataset.data_vars):
+        dataset[name].attrs.update(long_name=texts[name], units="1")
+    dataset["luminance_family"].attrs.update(
+        flag_values=[-1, *range(len(SELECTED))], flag_meanings=" ".join(["none", *SELECTED])
+    )
+    dataset["label"].attrs.update(flag_attributes(Label))
+    dataset["reason"].attrs.update(flag_attributes())
+    dataset.coords["bound"] = np.array(["low", "high"], dtype=object)

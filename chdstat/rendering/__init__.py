@@ -1,0 +1,12 @@
+"""Rendering: a scene to samples through Mitsuba, every sample kept or none of them.
+
+`render` keeps all samples, in memory or in a store; `render_batches` hands them over as they are
+rendered; `render_pixels` renders a few pixels alone.
+"""
+
+from __future__ import annotations
+
+from chdstat.rendering.capture import render, render_batches, render_pixels
+from chdstat.rendering.live import Rendering
+
+__all__ = ["Rendering", "render", "render_batches", "render_pixels"]

@@ -1,0 +1,285 @@
+"""Backends: which Mitsuba variants really render on this machine.
+
+`scalar` needs nothing but the Mitsuba wheel. `llvm` and `cuda` depend on libraries outside it, and
+some versions of LLVM abort the process instead of raising. So each candidate is tried in a child
+process that renders one small picture; what it says is cached per library and Mitsuba version.
+
+Doctor: what runs on this machine, and why.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.metadata
+import json
+import os
+import platform
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from chdstat._core.executor import cores, memory
+from chdstat._core.files import replacing
+from chdstat.errors import InputError, RenderError
+
+__all__ = ["BACKENDS", "Backend", "Verdict", "activate", "examine", "probe", "resolve"]
+
+Backend = Literal["auto", "scalar", "llvm", "cuda"]
+
+BACKENDS = {"scalar": "scalar_rgb", "llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
+"""Mitsuba variant of each backend."""
+
+_LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
+_LIBRARY_FOLDERS = (
+    "/usr/lib/*-linux-gnu",
+    "/usr/lib64",
+    "/usr/lib/llvm-*/lib",
+    "/usr/local/lib",
+    "/opt/homebrew/opt/llvm*/lib",
+    "/usr/local/opt/llvm*/lib",
+)
+_TIMEOUT = 120.0
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What trying a backend in a child process has shown."""
+
+    backend: str
+    works: bool
+    detail: str
+    library: str | None = None
+
+
+def resolve(backend: Backend = "auto") -> Verdict:
+    """Return the backend to use: the one asked for, or the fastest that has proved itself.
+
+    Raises
+    ------
+    InputError
+        If the name is none of "auto", "scalar", "llvm", "cuda".
+    RenderError
+        If the backend asked for does not work here.
+    """
+    if backend == "auto":
+        verdicts = (probe(name) for name in ("cuda", "llvm", "scalar"))
+        return next(v for v in verdicts if v.works)
+    verdict = probe(backend)
+    if not verdict.works:
+        message = f"the {backend} backend does not work here: {verdict.detail}. Use scalar or auto"
+        raise RenderError(message)
+    return verdict
+
+
+def probe(backend: str, *, fresh: bool = False) -> Verdict:
+    """Try a backend in a child process, or recall what an earlier trial has shown.
+
+    Parameters
+    ----------
+    backend
+        A key of `BACKENDS`.
+    fresh
+        Try again even where an answer is cached.
+
+    Raises
+    ------
+    InputError
+        If there is no such backend.
+    """
+    if backend not in BACKENDS:
+        message = (
+            f"backend must be one of auto, {', '.join(BACKENDS)}; got {backend!r}. All render in "
+            "RGB: spectral, mono and polarized variants of Mitsuba are not supported"
+        )
+        raise InputError(message)
+    if backend == "scalar":
+        return Verdict("scalar", works=True, detail="built into Mitsuba")
+    if backend == "cuda":
+        return _probe_cuda(fresh=fresh)
+    return _probe_llvm(fresh=fresh)
+
+
+@contextlib.contextmanager
+def activate(verdict: Verdict) -> Iterator[Any]:
+    """Set the Mitsuba variant of a backend, yield the module, and restore what was set before."""
+    if verdict.library is not None:
+        os.environ.setdefault(_LIBRARY_VARIABLE, verdict.library)
+    import mitsuba as mi
+
+    previous = mi.variant()
+    mi.set_variant(BACKENDS[verdict.backend])
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        yield mi
+    finally:
+        if previous is not None:
+            mi.set_variant(previous)
+
+
+def llvm_libraries() -> list[str]:
+    """Return the LLVM libraries of this machine, newest first, each once.
+
+    A library named by the environment variable that Mitsuba itself heeds is the only candidate.
+    """
+    named = os.environ.get(_LIBRARY_VARIABLE)
+    if named:
+        return [named]
+    found = {
+        path.resolve()
+        for pattern in _LIBRARY_FOLDERS
+        for folder in Path("/").glob(pattern.lstrip("/"))
+        for path in (*folder.glob("libLLVM*.so*"), *folder.glob("libLLVM*.dylib"))
+        if re.match(r"libLLVM([-.]|$)", path.name)
+    }
+    return [str(path) for path in sorted(found, key=_version, reverse=True)]
+
+
+def _version(path: Path) -> tuple[int, ...]:
+    return tuple(int(number) for number in re.findall(r"\d+", path.name))
+
+
+def _probe_cuda(*, fresh: bool) -> Verdict:
+    if not any(
+        Path(p).exists() for p in ("/dev/nvidia0", "/dev/dxg", "C:/Windows/System32/nvcuda.dll")
+    ):
+        return Verdict("cuda", works=False, detail="no NVIDIA device")
+    return _trial("cuda", None, fresh=fresh)
+
+
+def _probe_llvm(*, fresh: bool) -> Verdict:
+    libraries = llvm_libraries()
+    if not libraries:
+        return Verdict("llvm", works=False, detail="no LLVM library found")
+    failures = []
+    for library in libraries:
+        verdict = _trial("llvm", library, fresh=fresh)
+        if verdict.works:
+            return verdict
+        failures.append(f"{Path(library).name}: {verdict.detail}")
+    return Verdict("llvm", works=False, detail="; ".join(failures))
+
+
+def _trial(backend: str, library: str | None, *, fresh: bool) -> Verdict:
+    """Return the cached answer for a library, or render with it in a child process."""
+    key = _cache_key(backend, library)
+    cache = _read_cache()
+    if not fresh:
+        # Not tried yet, or written by a version whose verdicts had other fields.
+        with contextlib.suppress(KeyError, TypeError):
+            return Verdict(**cache[key])
+    verdict = _try_in_child(backend, library)
+    _write_cache({**cache, key: asdict(verdict)})
+    return verdict
+
+
+def _cache_key(backend: str, library: str | None) -> str:
+    changed = Path(library).stat().st_mtime_ns if library and Path(library).exists() else 0
+    return f"{backend}|{library}|{changed}|mitsuba {importlib.metadata.version('mitsuba')}"
+
+
+_CHILD = """
+import sys, mitsuba as mi, numpy as np
+mi.set_variant(sys.argv[1])
+scene = mi.load_dict(mi.cornell_box())
+image = np.array(mi.render(scene, spp=2))
+assert np.isfinite(image).all() and image.mean() > 0
+"""
+
+
+def _try_in_child(backend: str, library: str | None) -> Verdict:
+    environment = dict(os.environ)
+    if library is not None:
+        environment[_LIBRARY_VARIABLE] = library
+    command = [sys.executable, "-c", _CHILD, BACKENDS[backend]]
+    try:
+        done = subprocess.run(  # noqa: S603 - our own code in our own interpreter
+            command, env=environment, capture_output=True, text=True, timeout=_TIMEOUT, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return Verdict(
+            backend, works=False, detail=f"no picture in {_TIMEOUT:.0f} s", library=library
+        )
+    if done.returncode == 0:
+        return Verdict(backend, works=True, detail="rendered a picture", library=library)
+    return Verdict(backend, works=False, detail=_failure(done), library=library)
+
+
+def _failure(done: subprocess.CompletedProcess[str]) -> str:
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    telling = (
+        [line for line in lines if "rror" in line or "Cannot" in line] or lines or ["no output"]
+    )
+    ended = f"aborted by signal {-done.returncode}" if done.returncode < 0 else "raised"
+    return f"{ended} ({telling[0][:120]})"
+
+
+def _cache_file() -> Path:
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(root) / "chdstat" / "backends.json"
+
+
+@functools.cache
+def _read_cache() -> dict[str, Any]:
+    try:
+        cache = json.loads(_cache_file().read_text())
+    except (OSError, ValueError):
+        return {}
+    return cache if isinstance(cache, dict) else {}
+
+
+def _write_cache(cache: dict[str, Any]) -> None:
+    """Keep the answers; a home that cannot be written to only costs the next trial."""
+    with contextlib.suppress(OSError):
+        _cache_file().parent.mkdir(parents=True, exist_ok=True)
+        with replacing(_cache_file()) as partial:
+            partial.write_text(json.dumps(cache, indent=1))
+    _read_cache.cache_clear()
+
+
+_PACKAGES = ("chdstat", "mitsuba", "drjit", "numpy", "scipy", "torch", "xarray", "zarr", "typst")
+
+
+def examine(*, fresh: bool = False) -> dict[str, Any]:
+    """Return what works here: backends with the reason, libraries, devices, memory, versions.
+
+    Parameters
+    ----------
+    fresh
+        Try backends again where an answer is cached.
+    """
+    verdicts = {name: probe(name, fresh=fresh) for name in BACKENDS}
+    return {
+        "backends": {
+            name: f"{'works' if v.works else 'does not work'}: {v.detail}"
+            + (f" ({v.library})" if v.works and v.library else "")
+            for name, v in verdicts.items()
+        },
+        "auto_uses": next(n for n in ("cuda", "llvm", "scalar") if verdicts[n].works),
+        "llvm_libraries": llvm_libraries(),
+        "torch_device": _torch_device(),
+        "cores": cores(),
+        "memory_gib": None if (size := memory()) is None else round(size / 2**30, 1),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "versions": {name: _installed(name) for name in _PACKAGES},
+    }
+
+
+def _torch_device() -> str:
+    import torch
+
+    if torch.cuda.is_available():
+        return f"cuda: {torch.cuda.get_device_name(0)}"
+    return f"cpu, {torch.get_num_threads()} threads"
+
+
+def _installed(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,384 @@
+"""Recipes: how a study renders a scene, and the regions that it looks at.
+
+A recipe is a TOML file; those of the study scenes lie in ``renders/``. For a scene without one,
+`choose_regions` finds a region for every pattern of the classified image.
+"""
+
+from __future__ import annotations
+
+import reprlib
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+import chdstat
+from chdstat.errors import InputError
+from chdstat.rendering.capture import scene_integrator
+from chdstat.samples.samples import Samples
+from chdstat.scenes import BUILTIN, REMAKES, Scene
+from chdstat.scenes.files import is_file
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "PHENOMENA",
+    "Recipe",
+    "Region",
+    "check_integrator",
+    "choose_regions",
+    "find_recipe",
+    "load_recipe",
+    "own_recipe",
+    "regions_of",
+    "remake_of",
+]
+
+SCHEMA = 1
+_LONGEST, _DOTS = 2**16, 1000
+PHENOMENA = (
+    "diffuse",
+    "glossy",
+    "noisy-reflection",
+    "direct",
+    "indirect",
+    "penumbra",
+    "texture",
+    "firefly",
+    "highlight",
+    "shadow",
+    "virtual-source",
+    "albedo-contrast",
+    "multi-light",
+    "caustic",
+    "volume",
+)
+"""What a region may show; all but the last three after the case study of Elek et al. 2019.
+
+``texture`` covers several colours under one light; regions of ``albedo-contrast`` come in pairs, a
+dark and a pale one of the same texture side by side.
+"""
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the image that shows one phenomenon.
+
+    Parameters
+    ----------
+    name
+        A short name.
+    phenomenon
+        One of `PHENOMENA`, or the name of a pattern for a region that the library chose.
+    rectangle
+        Left, top, right, bottom as fractions of the image, origin at the top left.
+    note
+        What is to be seen there.
+    """
+
+    name: str
+    phenomenon: str
+    rectangle: tuple[float, float, float, float]
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        left, top, right, bottom = self.rectangle
+        if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1):
+            message = (
+                "rectangle must be (left, top, right, bottom) as fractions of the image, "
+                f"0 <= left < right <= 1, top < bottom alike, got {self.rectangle}"
+            )
+            raise InputError(message)
+
+    def pixels(self, height: int, width: int) -> tuple[slice, slice]:
+        """Return the rows and columns that the region covers, at least one of each.
+
+        Examples
+        --------
+        >>> Region("wall", "diffuse", (0.5, 0.25, 0.75, 0.5)).pixels(8, 16)
+        (slice(2, 4, None), slice(8, 12, None))
+        """
+        left, top, right, bottom = self.rectangle
+        return _covered(top, bottom, height), _covered(left, right, width)
+
+    def center(self, height: int, width: int) -> tuple[int, int]:
+        """Return (y, x) of the pixel in the middle."""
+        ys, xs = self.pixels(height, width)
+        return (ys.start + ys.stop - 1) // 2, (xs.start + xs.stop - 1) // 2
+
+
+def _covered(low: float, high: float, length: int) -> slice:
+    start = min(round(low * length), length - 1)
+    return slice(start, min(max(round(high * length), start + 1), length))
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a study renders a scene, and where it looks.
+
+    Parameters
+    ----------
+    scene
+        What `chdstat.load_scene` takes; in a file, a path may start from the file's folder.
+    size, spp, seed, max_depth
+        As for `chdstat.render`.
+    regions
+        What to look at, in the order of the report.
+    integrator
+        Mitsuba's name of the integrator that the scene asks for, such as ``path``; None where the
+        recipe does not say.
+    """
+
+    scene: str
+    size: tuple[int, int]
+    spp: int
+    seed: int
+    max_depth: int | None
+    regions: tuple[Region, ...]
+    integrator: str | None = None
+
+    def settings(self) -> dict[str, Any]:
+        """Return the arguments of `chdstat.render`."""
+        return {"size": self.size, "spp": self.spp, "seed": self.seed, "max_depth": self.max_depth}
+
+    def shows(self, height: int, width: int) -> bool:
+        """Return whether an image of this size has the proportions, and so the view, of this one.
+
+        Examples
+        --------
+        >>> find_recipe("bathroom").shows(64, 64), find_recipe("bathroom").shows(64, 96)
+        (True, False)
+        """
+        own_width, own_height = self.size
+        scale = max(width / own_width, height / own_height)
+        return abs(width - own_width * scale) < 1 and abs(height - own_height * scale) < 1
+
+
+def check_integrator(recipe: Recipe, scene: Scene) -> None:
+    """Refuse a recipe that was written for another integrator than its scene has.
+
+    Raises
+    ------
+    InputError
+        If the types differ.
+    """
+    used = scene_integrator(scene)
+    if recipe.integrator not in (None, used):
+        message = (
+            f"key integrator.type of the recipe must be {used!r}, as scene {scene.name!r} has it, "
+            f"got {recipe.integrator!r}; change it in the scene, or leave it out of the recipe"
+        )
+        raise InputError(message)
+
+
+def own_recipe(name: str, origin: str) -> Recipe | None:
+    """Return the recipe of a scene that is built in; None of another, whatever its name is.
+
+    Parameters
+    ----------
+    name, origin
+        Of a `Scene`, or of the scene of samples.
+    """
+    return find_recipe(name) if name in BUILTIN and origin == "chdstat" else None
+
+
+def regions_of(samples: Samples) -> tuple[Region, ...]:
+    """Return the regions of samples of a built-in scene in the view of its recipe, else none."""
+    recipe = own_recipe(samples.name, str(samples.attrs.get("scene_source")))
+    return recipe.regions if recipe and recipe.shows(*samples.shape[:2]) else ()
+
+
+def remake_of(samples: Samples) -> str:
+    """Return the name of the paper's scene that samples of a built-in one are a remake of, or "".
+
+    What is said of the remake need not hold of the scene of Elek, Thomas and Forbes 2019, which has
+    other geometry and materials.
+    """
+    built_in = samples.attrs.get("scene_source") == "chdstat"
+    return REMAKES.get(samples.name, "") if built_in else ""
+
+
+def find_recipe(scene: str) -> Recipe | None:
+    """Return the recipe of a built-in scene, or None where there is none."""
+    for folder in _folders():
+        path = folder / f"{scene}.toml"
+        if path.is_file():
+            return load_recipe(path)
+    return None
+
+
+def _folders() -> Iterator[Path]:
+    """Yield where recipes lie: in the installed package, and beside it in a source checkout."""
+    package = Path(chdstat.__file__).parent
+    yield package / "renders"
+    yield package.parent / "renders"
+
+
+def load_recipe(path: str | Path) -> Recipe:
+    """Read a recipe; a scene that lies beside it may be named from there.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or not TOML, or a key is missing or out of range; the message names
+        file and key.
+    """
+    path = Path(path)
+    content = _toml(path)
+    try:
+        recipe = _recipe(content)
+    except InputError as error:
+        message = f"recipe {path}: {error}"
+        raise InputError(message) from error
+    beside = path.parent / recipe.scene
+    if recipe.scene not in BUILTIN and is_file(beside):
+        return replace(recipe, scene=str(beside))
+    return recipe
+
+
+def _toml(path: Path) -> dict[str, Any]:
+    """Return what a file says, if it is one that a person may have written.
+
+    Python's parser overflows its stack in deep arrays, and takes minutes for a key of many parts.
+    """
+    try:
+        with path.open("rb") as stream:
+            text = stream.read(_LONGEST + 1).decode("utf-8")
+    except OSError as error:
+        message = f"cannot read recipe {path}: {error.strerror}"
+        raise InputError(message) from error
+    except UnicodeDecodeError as error:
+        message = f"recipe {path} is no text in UTF-8"
+        raise InputError(message) from error
+    if len(text) > _LONGEST or any(line.count(".") > _DOTS for line in text.splitlines()):
+        message = f"recipe {path} must have at most {_LONGEST} characters, {_DOTS} points in a line"
+        raise InputError(message)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        message = f"recipe {path} is not valid TOML: {error}"
+        raise InputError(message) from error
+
+
+def _recipe(content: Mapping[str, Any]) -> Recipe:
+    _expect(content.get("schema") == SCHEMA, "schema", SCHEMA, content.get("schema"))
+    _only_known(content, ("schema", "scene", "integrator", "size", "spp", "seed", "regions"))
+    size = _key(content, "size", list)
+    good = len(size) == 2 and all(type(v) is int and v >= 1 for v in size)
+    _expect(good, "size", "[width, height]", size)
+    spp, seed = _key(content, "spp", int), _key(content, "seed", int)
+    _expect(spp >= 1, "spp", "at least 1", spp)
+    _expect(seed >= 0, "seed", "at least 0", seed)
+    kind, max_depth = _integrator(content.get("integrator", {}))
+    regions = content.get("regions", [])
+    tables = isinstance(regions, list) and all(isinstance(r, Mapping) for r in regions)
+    _expect(tables, "regions", "tables [[regions]]", regions)
+    names = [r.get("name") for r in regions]
+    _expect(len({str(n) for n in names}) == len(names), "regions", "distinct names", names)
+    return Recipe(
+        scene=_key(content, "scene", str),
+        size=(size[0], size[1]),
+        spp=spp,
+        seed=seed,
+        max_depth=max_depth,
+        regions=tuple(_region(i, region) for i, region in enumerate(regions)),
+        integrator=kind,
+    )
+
+
+def _integrator(content: Any) -> tuple[str | None, int | None]:
+    """Return the type and the path length of a recipe's integrator; -1 is no limit in Mitsuba."""
+    _expect(isinstance(content, Mapping), "integrator", "a table", content)
+    _only_known(content, ("type", "max_depth"), "integrator.")
+    kind, depth = content.get("type"), content.get("max_depth")
+    _expect(kind is None or isinstance(kind, str), "integrator.type", "a str", kind)
+    good = depth is None or (type(depth) is int and (depth >= 1 or depth == -1))
+    _expect(good, "integrator.max_depth", "at least 1, or -1 for no limit", depth)
+    return kind, depth
+
+
+def _region(index: int, content: Mapping[str, Any]) -> Region:
+    where = f"regions[{index}]."
+    _only_known(content, ("name", "phenomenon", "rectangle", "note"), where)
+    rectangle = _key(content, "rectangle", list, where)
+    numbers = len(rectangle) == 4 and all(type(v) in (int, float) for v in rectangle)
+    inside = numbers and all(0 <= v <= 1 for v in rectangle)
+    ordered = inside and rectangle[0] < rectangle[2] and rectangle[1] < rectangle[3]
+    _expect(ordered, f"{where}rectangle", "0 <= left < right <= 1, top < bottom alike", rectangle)
+    phenomenon = _key(content, "phenomenon", str, where)
+    known = ", ".join(PHENOMENA)
+    _expect(phenomenon in PHENOMENA, f"{where}phenomenon", f"one of {known}", phenomenon)
+    note = content.get("note", "")
+    _expect(isinstance(note, str), f"{where}note", "a str", note)
+    left, top, right, bottom = (float(v) for v in rectangle)
+    return Region(_key(content, "name", str, where), phenomenon, (left, top, right, bottom), note)
+
+
+def _key(content: Mapping[str, Any], name: str, kind: type, where: str = "") -> Any:
+    value = content.get(name)
+    # In Python a truth value is a whole number; in a recipe it is a mistake.
+    good = isinstance(value, kind) and not isinstance(value, bool)
+    _expect(good, f"{where}{name}", f"a {kind.__name__}", value)
+    return value
+
+
+def _only_known(content: Mapping[str, Any], known: tuple[str, ...], where: str = "") -> None:
+    """Refuse a key that would be ignored: it is misspelt or from another version."""
+    for name in content:
+        _expect(name in known, f"key {where}{name}", f"one of {', '.join(known)}", name)
+
+
+def _expect(holds: bool, key: str, expected: object, got: object) -> None:
+    if not holds:
+        message = f"{key} must be {expected}, got {reprlib.repr(got)}"
+        raise InputError(message)
+
+
+def choose_regions(patterns: xr.Dataset, *, edge: int = 5, most: int = 8) -> tuple[Region, ...]:
+    """Choose one region for every pattern of an image, where the pattern is purest.
+
+    That is the window of `edge` x `edge` pixels with the most pixels of the label; of equal ones,
+    the one deepest inside its patch, so that marks do not sit on borders.
+
+    Parameters
+    ----------
+    patterns
+        What `chdstat.classify` returns: `label` (y, x) with its flag meanings.
+    edge
+        Edge of a region in pixels; less in smaller images.
+    most
+        Regions at most; the most frequent labels come first.
+    """
+    label = patterns["label"]
+    codes = np.asarray(label.values)
+    meanings = dict(
+        zip(label.attrs["flag_values"], str(label.attrs["flag_meanings"]).split(), strict=True)
+    )
+    edge = min(edge, *codes.shape)
+    found = [code for code in meanings if (codes == code).any()]
+    found.sort(key=lambda code: -np.count_nonzero(codes == code))
+    return tuple(
+        Region(
+            meanings[code].replace("_", "-"),
+            meanings[code].replace("_", "-"),
+            _purest(codes == code, edge),
+            f"{(codes == code).mean():.0%} of the pixels have this label",
+        )
+        for code in found[:most]
+    )
+
+
+def _purest(mask: npt.NDArray[np.bool_], edge: int) -> tuple[float, float, float, float]:
+    height, width = mask.shape
+    depth = ndimage.distance_transform_edt(np.pad(mask, 1))[1:-1, 1:-1]
+    score = ndimage.uniform_filter(mask.astype(float), edge, mode="constant") + 1e-3 * depth
+    y, x = np.unravel_index(np.argmax(np.where(mask, score, -1)), mask.shape)
+    top = int(np.clip(y - edge // 2, 0, height - edge))
+    left = int(np.clip(x - edge // 2, 0, width - edge))
+    return left / width, top / height, (left + edge) / width, (top + edge) / height

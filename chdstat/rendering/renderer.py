@@ -1,0 +1,358 @@
+"""The renderer: one scene in one Mitsuba variant, giving single samples instead of averages.
+
+A scalar variant draws a chunk in passes of one sample per pixel; llvm and cuda draw it as one
+wavefront. Which random numbers each sample owns is told by `chdstat.rendering.seeds`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.executor import Interrupted
+from chdstat.errors import RenderError, SceneError, brief
+from chdstat.rendering.backend import BACKENDS, Verdict, activate
+from chdstat.rendering.seeds import Streams
+from chdstat.samples.store import Chunk
+from chdstat.scenes import Scene
+from chdstat.scenes.files import code_of, plugins_made
+from chdstat.scenes.loading import Asked, asked_for
+
+__all__ = ["Job", "Renderer", "film_size", "integrator_type"]
+
+_BLOCK = 32
+_RUN = 16
+"""Samples of a pixel in neighbouring lanes: their paths begin alike, which saves a tenth."""
+_FEATURE_SPP = 16
+_FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
+
+Image = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Job:
+    """All that the samples depend on, without Mitsuba objects: it can travel to another process."""
+
+    scene: Scene
+    verdict: Verdict
+    size: tuple[int, int] | None = None
+    seed: int = 0
+    max_depth: int | None = None
+    sensor: int = 0
+
+    @property
+    def settings(self) -> tuple[Any, ...]:
+        """What the samples depend on besides the scene."""
+        return (self.verdict.backend, self.size, self.seed, self.max_depth, self.sensor)
+
+    def asked(self) -> Asked:
+        """Return what the scene asks for, as Mitsuba reads its description.
+
+        Raises
+        ------
+        InputError, SceneError, RenderError
+            If there is no such sensor, or its film or the integrator cannot be used.
+        """
+        state = self.scene.parse(BACKENDS[self.verdict.backend])
+        return asked_for(self.scene.name, state, self.sensor)
+
+
+def film_size(job: Job) -> tuple[int, int]:
+    """Return the (width, height) of the image that the scene of a job describes."""
+    with activate(job.verdict):
+        return job.asked().film.crop_size
+
+
+def integrator_type(job: Job) -> str:
+    """Return Mitsuba's name of the integrator that the scene of a job asks for."""
+    with activate(job.verdict):
+        return str(job.asked().integrator.plugin_name())
+
+
+class Renderer:
+    """Renders chunks of samples of one job; safe to call from several threads.
+
+    Attributes
+    ----------
+    size
+        (width, height) of the image in pixels.
+    film
+        The film, of which the image may be a crop.
+    files, code
+        Digests of the files that the scene reads and of the code of its Python plugins, by name.
+    notes
+        What the scene asks for and does not get.
+    """
+
+    def __init__(self, job: Job) -> None:
+        with activate(job.verdict) as mi:
+            self._mi = mi
+            self._scalar = job.verdict.backend == "scalar"
+            self.files, self.scene_hash = job.scene.files(), job.scene.hash
+            asked = job.asked()
+            self.notes = list(asked.notes)
+            self._sensor_properties = asked.sensor
+            self.film, note = asked.film.resized(job.size)
+            self.notes += note
+            self.size = self.film.crop_size
+            self._read_integrator(asked.integrator, job)
+            self._streams = Streams(self.size, job.seed)
+            self._local = threading.local()
+            with plugins_made(mi, asked.plugins) as plugins:
+                _ = self._integrator  # one that cannot be used is refused before any work
+                self._scene = job.scene.build(asked.state)
+            self.code = code_of(plugins)
+            self._sensor_medium = self._scene.sensors()[job.sensor].get_medium()
+            if job.scene.files() != self.files:
+                message = f"files of scene {job.scene.name!r} changed while they were read; again"
+                raise SceneError(message)
+            self._try_out()
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What tells the scene from another one, as stores keep it."""
+        return {
+            "scene_hash": self.scene_hash,
+            "scene_files": {name: digest[:16] for name, digest in self.files.items()},
+            "scene_code": self.code,
+        }
+
+    def chunk(self, chunk: Chunk, *, before_pass: Callable[[], None] = lambda: None) -> Image:
+        """Draw the samples of one chunk, shape (y, x, channel, sample).
+
+        `before_pass` is called just before each pass, to end the chunk by an exception. Raises
+        `Interrupted` if Mitsuba cancelled a pass.
+        """
+        with self._telling():
+            if self._scalar:
+                return self._chunk_scalar(chunk, before_pass)
+            before_pass()
+            return self._chunk_wavefront(chunk)
+
+    def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, seed: int | None = None) -> Image:
+        """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample).
+
+        Another seed than that of the job draws other samples, independent of these.
+        """
+        streams = self._streams if seed is None else Streams(self.size, seed)
+        draw = self._pixel_scalar if self._scalar else self._pixel_wavefront
+        numbers = [streams.of_pixel(int(y), int(x)) for y, x in pixels]
+        places = zip(pixels, numbers, strict=True)
+        with self._telling():
+            return np.stack([draw(number, int(y), int(x), spp) for (y, x), number in places])
+
+    @property
+    def depth(self) -> int | None:
+        """Longest path in segments, below 0 for no limit; None where the integrator has none."""
+        properties = self._mi.Properties(self._integrator_properties)
+        properties["max_depth"] = longest = int(properties.get("max_depth", -1))
+        self._mi.PluginManager.instance().create_object(properties)
+        return longest if properties.was_queried("max_depth") else None
+
+    def features(self) -> dict[str, Image]:
+        """Render the first-hit features: albedo, shading normal, depth and position."""
+        aovs = ",".join(f"{name}:{kind}" for name, kind in _FEATURES.items())
+        integrator = self._mi.load_dict({"type": "aov", "aovs": aovs, "block_size": _BLOCK})
+        sensor = self._sensor((0, 0), self.size)
+        stack = np.array(integrator.render(self._scene, sensor, seed=0, spp=_FEATURE_SPP))
+        parts = dict(zip(_FEATURES, np.split(stack, (3, 6, 7), axis=-1), strict=True))
+        images = {name: p.astype(np.float32) for name, p in parts.items()}
+        return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in images.items()}
+
+    # --- settings -------------------------------------------------------------------------------
+
+    def _read_integrator(self, asked: Any, job: Job) -> None:
+        properties = self._mi.Properties(asked)
+        for name in ("samples_per_pass", "timeout", "block_size"):
+            if name in properties:
+                del properties[name]
+        if job.max_depth is not None:
+            properties["max_depth"] = job.max_depth
+        self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **properties}
+        properties["block_size"] = _BLOCK  # the default depends on the number of cores
+        self._integrator_properties = properties
+
+    def _try_out(self) -> None:
+        """Draw one sample where that costs nothing: what cannot be drawn is refused at once."""
+        sensor = self._sensor((0, 0), (1, 1))
+        if self._scalar:
+            with self._telling():
+                self._integrator.render(self._scene, sensor, seed=0, spp=1)
+
+    @contextlib.contextmanager
+    def _telling(self) -> Iterator[None]:
+        """Turn what Mitsuba says of samples that it cannot draw into an error that names why."""
+        try:
+            yield
+        except RuntimeError as error:
+            raise _unusable(self.integrator["type"], error) from error
+
+    # --- Mitsuba objects ------------------------------------------------------------------------
+
+    def _sensor(self, offset: tuple[int, int], extent: tuple[int, int]) -> Any:
+        """Return the scene's sensor with a film that covers a part of the image."""
+        mi = self._mi
+        properties = mi.Properties(self._sensor_properties)
+        kinds = mi.Properties.Type
+        for name in list(properties.keys()):
+            if properties.type(name) in (kinds.Object, kinds.Reference, kinds.ResolvedReference):
+                del properties[name]
+        film = {
+            "type": "hdrfilm",
+            "width": self.film.size[0],
+            "height": self.film.size[1],
+            "crop_offset_x": self.film.corner[0] + offset[0],
+            "crop_offset_y": self.film.corner[1] + offset[1],
+            "crop_width": extent[0],
+            "crop_height": extent[1],
+            "pixel_format": "rgb",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        }
+        properties["film"] = mi.load_dict(film)
+        properties["sampler"] = mi.load_dict({"type": "independent"})
+        if self._sensor_medium is not None:
+            properties["medium"] = self._sensor_medium
+        try:
+            return mi.PluginManager.instance().create_object(properties)
+        except RuntimeError as error:
+            message = f"sensor {properties.plugin_name()!r} cannot be used: {brief(error)}"
+            raise RenderError(message) from error
+
+    @property
+    def _integrator(self) -> Any:
+        """The integrator of the calling thread; it keeps state while it renders."""
+        if not hasattr(self._local, "integrator"):
+            create = self._mi.PluginManager.instance().create_object
+            name = self.integrator["type"]
+            try:
+                integrator = create(self._mi.Properties(self._integrator_properties))
+            except RuntimeError as error:
+                raise _unusable(name, error) from error
+            if not isinstance(integrator, self._mi.SamplingIntegrator):
+                raise _unusable(name, "does not sample pixel by pixel")
+            self._local.integrator = integrator
+        return self._local.integrator
+
+    # --- scalar ---------------------------------------------------------------------------------
+
+    def _chunk_scalar(self, chunk: Chunk, before_pass: Callable[[], None]) -> Image:
+        height, width, samples = chunk.shape
+        sensor = self._sensor((chunk.xs.start, chunk.ys.start), (width, height))
+        block = np.empty((samples, height, width, 3), np.float32)
+        integrator = self._integrator
+        for i, sample in enumerate(range(chunk.ss.start, chunk.ss.stop)):
+            seed = self._streams.of_pass(chunk, sample)
+            before_pass()
+            block[i] = integrator.render(self._scene, sensor, seed=seed, spp=1)
+            if integrator.should_stop():
+                raise Interrupted
+        return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
+
+    def _pixel_scalar(self, number: int, y: int, x: int, spp: int) -> Image:
+        mi, scene, integrator = self._mi, self._scene, self._integrator
+        sensor = self._sensor((0, 0), self.size)
+        sampler = sensor.sampler()
+        sampler.seed(number, 1)
+        corner, scale = np.array((x, y)), 1 / np.array(self.size)
+        result = np.empty((spp, 3), np.float32)
+        for i in range(spp):
+            position = (corner + np.array(sampler.next_2d())) * scale
+            time, lens = _time_and_lens(mi, sensor, sampler)
+            ray, weight = sensor.sample_ray_differential(time, 0.0, mi.Point2f(position), lens)
+            color, _, _ = integrator.sample(scene, sampler, ray, self._sensor_medium, True)
+            result[i] = weight * color
+        return result.T
+
+    # --- wavefront (llvm, cuda) -----------------------------------------------------------------
+
+    def _chunk_wavefront(self, chunk: Chunk) -> Image:
+        height, width, samples = chunk.shape
+        corner = (chunk.xs.start, chunk.ys.start)
+        return self._wavefront(self._streams.of_chunk(chunk), corner, (width, height), samples)
+
+    def _pixel_wavefront(self, number: int, y: int, x: int, spp: int) -> Image:
+        block = self._wavefront(number, (x, y), (1, 1), spp)
+        samples: Image = block[0, 0]
+        return samples
+
+    def _wavefront(
+        self, number: int, corner: tuple[int, int], extent: tuple[int, int], samples: int
+    ) -> Image:
+        """Draw samples of a rectangle of pixels in one wavefront, shape (y, x, channel, sample).
+
+        Lanes run over the samples of a run, then pixels, then runs. Whole runs are drawn, so that
+        fewer samples are a prefix of more.
+        """
+        import drjit as dr
+
+        width, height = extent
+        runs = -(-samples // _RUN)
+        inputs = (number, *corner, width, width * height)
+        opaque = [dr.opaque(self._mi.UInt32, value) for value in inputs]
+        colors = np.array(self._launch(*opaque, width * height * runs * _RUN), dtype=np.float32)
+        block = colors.reshape(3, runs, height, width, _RUN).transpose(2, 3, 0, 1, 4)
+        return np.ascontiguousarray(block.reshape(height, width, 3, -1)[..., :samples])
+
+    def _launch(self, *inputs: Any) -> Any:
+        """Launch the kernel, frozen where it can be: tracing costs up to a third of a launch.
+
+        Dr.Jit refuses to freeze it while other scenes are alive in the process, since virtual
+        calls then reach objects that are not part of this one; the plain kernel gives the same.
+        """
+        if not hasattr(self._local, "kernel"):
+            import drjit as dr
+
+            sensor = self._sensor((0, 0), self.size)
+            objects = (self._scene, sensor, self._integrator)
+            self._local.kernel = self._wavefront_kernel(dr, sensor)
+            self._local.frozen = dr.freeze(self._local.kernel, state_fn=lambda *_, **__: objects)
+        try:
+            return self._local.frozen(*inputs)
+        except RuntimeError:
+            self._local.frozen = self._local.kernel
+            return self._local.kernel(*inputs)
+
+    def _wavefront_kernel(self, dr: Any, sensor: Any) -> Callable[..., Any]:
+        mi, scene, integrator, medium = self._mi, self._scene, self._integrator, self._sensor_medium
+        size = tuple(map(float, self.size))
+
+        def kernel(number: Any, left: Any, top: Any, width: Any, pixels: Any, lanes: int) -> Any:
+            sampler = sensor.sampler().clone()
+            sampler.seed(number, lanes)
+            index = dr.arange(mi.UInt32, lanes) // _RUN % pixels
+            pixel = mi.Point2f(mi.Float(index % width + left), mi.Float(index // width + top))
+            position = (pixel + sampler.next_2d()) / mi.Point2f(*size)
+            time, lens = _time_and_lens(mi, sensor, sampler)
+            ray, weight = sensor.sample_ray_differential(time, 0.0, position, lens)
+            color, _, _ = integrator.sample(scene, sampler, ray, medium, True)
+            return weight * color
+
+        return kernel
+
+
+def _unusable(integrator: str, why: str | Exception) -> RenderError:
+    reason = why if isinstance(why, str) else f"cannot sample this scene here ({brief(why)})"
+    return RenderError(
+        f"integrator {integrator!r} {reason}; "
+        "use one that samples pixel by pixel, such as path, volpath or direct"
+    )
+
+
+def _time_and_lens(mi: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:
+    """Draw the time within the shutter interval and the point on the lens, where needed.
+
+    Not a method: a kernel that held its renderer would keep the scene alive in a circle, and the
+    next scene's kernel could not be frozen.
+    """
+    time = sensor.shutter_open()
+    if sensor.shutter_open_time() > 0:
+        time = time + sampler.next_1d() * sensor.shutter_open_time()
+    lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
+    return time, lens

@@ -1,0 +1,173 @@
+"""Numbers as a reader wants them.
+
+Typesetting: a document of text, tables and figures to PDF, with Typst.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from chdstat._core.files import replacing
+from chdstat.errors import ChdstatError
+from chdstat.viz import style
+from chdstat.viz.styling import spelt
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["NAMES", "Document", "between", "number", "percent", "typeset"]
+
+NAMES = {
+    "mean": "sample mean",
+    "trimmed_mean": "trimmed mean",
+    "winsorized_mean": "winsorized mean",
+    "huber": "Huber",
+    "tukey": "Tukey",
+    "catoni": "Catoni",
+    "median_of_means": "median of means",
+    "gmon_binary": "G-MoN, binary",
+    "gmon_adaptive": "G-MoN, adaptive",
+    "bayesian_median_of_means": "aBMM",
+    "lee_valiant": "Lee and Valiant",
+    "jung2015": "Jung et al. 2015",
+    "gmon_shrinkage": "shrinkage to G-MoN",
+    "gamma_shrinkage": "shrinkage to gamma",
+    "lognormal_shrinkage": "shrinkage to log-normal",
+    "mixture_shrinkage": "shrinkage to mixture",
+    "zirr2018_pixel": "Zirr et al. 2018, pixel",
+    "zirr2018": "Zirr et al. 2018",
+    "decoro2010": "DeCoro et al. 2010",
+    "delbracio2014": "Delbracio et al. 2014",
+    "sakai2024": "Sakai et al. 2024",
+    "shared_patches": "shared patches",
+    "shared_shape": "shared shape",
+    "elek2019": "Elek et al. 2019",
+    "progressive": "progressive (ours)",
+    "progressive_mse": "progressive, for MSE",
+    "progressive_relmse": "progressive, for relMSE",
+    "progressive_features": "progressive, with features",
+    "progressive_direct": "progressive, with direct light apart",
+    "self_trained": "self-trained (ours)",
+    "oidn": "OIDN, colour",
+    "oidn_features": "OIDN, features",
+    "gamma": "gamma",
+    "lognormal": "log-normal",
+    "weibull": "Weibull",
+    "burr": "Burr",
+    "null_heavy": "null-heavy",
+    "long_tail": "long tail",
+    "firefly_dominated": "firefly-dominated",
+    "gamma_like": "gamma-like",
+    "lognormal_like": "log-normal-like",
+}
+"""Names of estimators, families and patterns in running text."""
+
+
+def number(value: float) -> str:
+    """Return a number with three digits, and a real minus sign.
+
+    Examples
+    --------
+    >>> number(0.012345), number(1234.5), number(-2.0), number(float("nan"))
+    ('0.0123', '1230', '−2.00', '—')
+    """
+    if not math.isfinite(value):
+        return "—"
+    if value == 0:
+        return "0"
+    rounded = float(f"{value:.3g}")
+    digits = max(0, 2 - math.floor(math.log10(abs(rounded))))
+    text = f"{rounded:.{digits}f}" if abs(rounded) >= 1e-4 else f"{rounded:.1e}"
+    return text.replace("-", "−")
+
+
+def percent(share: float, *, sign: bool = False) -> str:
+    r"""Return a share in per cent, which no line break splits.
+
+    Examples
+    --------
+    >>> percent(0.574), percent(0.0012), percent(-0.031, sign=True), percent(0.0)
+    ('57\xa0%', '0.1\xa0%', '−3.1\xa0%', '0\xa0%')
+    """
+    if not math.isfinite(share):
+        return "—"
+    digits = 0 if abs(share) >= 0.0995 or share == 0 else 1
+    text = f"{100 * share:{'+' if sign and share else ''}.{digits}f}\N{NO-BREAK SPACE}%"
+    return text.replace("-", "−")
+
+
+def between(value: float, margin: float) -> str:
+    """Return a value with its margin of error.
+
+    Examples
+    --------
+    >>> between(0.31, 0.2)
+    '0.31 ± 0.20'
+    """
+    if not (math.isfinite(value) and math.isfinite(margin)):
+        return "—"
+    return f"{value:.2f} ± {margin:.2f}".replace("-", "−")
+
+
+@dataclass(frozen=True)
+class Document:
+    """What a template is filled with.
+
+    Parameters
+    ----------
+    template
+        Name of a file in ``templates/``.
+    content
+        Text, numbers and tables, ready for JSON.
+    figures
+        Figures by name; the template finds them as ``<name>.svg``.
+    """
+
+    template: str
+    content: Mapping[str, Any]
+    figures: Mapping[str, Figure]
+
+
+def typeset(document: Document, folder: Path, target: Path) -> Path:
+    """Write a document as PDF.
+
+    Parameters
+    ----------
+    document
+        What to typeset.
+    folder
+        An empty folder for the parts.
+    target
+        The PDF; it is replaced only when the new one is complete.
+
+    Raises
+    ------
+    ChdstatError
+        If Typst refuses the document, or the PDF cannot be written.
+    """
+    import typst
+
+    for part in (resources.files("chdstat.reporting") / "templates").iterdir():
+        (folder / part.name).write_text(part.read_text(encoding="utf-8"), encoding="utf-8")
+    (folder / "content.json").write_text(
+        json.dumps({**document.content, "figures": sorted(document.figures)}), encoding="utf-8"
+    )
+    with style(), spelt():
+        for name, figure in document.figures.items():
+            figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+    try:
+        with replacing(target) as partial:
+            typst.compile(folder / document.template, output=partial)
+    except (RuntimeError, typst.TypstError) as error:
+        message = f"typesetting the report failed: {error}"
+        raise ChdstatError(message) from error
+    except OSError as error:
+        message = f"cannot write {target}: {error.strerror or error}"
+        raise ChdstatError(message) from error
+    return target

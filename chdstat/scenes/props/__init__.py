@@ -1,0 +1,3 @@
+"""What the built-in scenes are furnished with: shapes, textures, lights, and whole rooms."""
+
+__all__: list[str] = []

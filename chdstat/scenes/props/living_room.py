@@ -1,0 +1,417 @@
+"""Furniture of the living room, as plain scene entries.
+
+Each function takes the matrix that places the piece and returns its entries, as in
+`chdstat.scenes.props.furniture`: a piece stands on its own origin with its back towards +y.
+
+The living room that the day and the night share: its shell, furniture and camera.
+
+The room is 5.0 m wide (x), 6.2 m deep (y) and 2.75 m high (z). Three tall windows are in the left
+wall, the sofa and the shelf at the back, a dark red carpet in the middle, the camera at the front.
+What is outside the windows, and what burns inside, the scenes add.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from chdstat.scenes.props import furniture, textures
+from chdstat.scenes.props.furniture import Matrix
+from chdstat.scenes.props.lights import camera, lamp
+from chdstat.scenes.props.shapes import (
+    Mesh,
+    ball,
+    box,
+    join,
+    loft,
+    quad,
+    revolve,
+    rounded_rectangle,
+    surface,
+    tube,
+)
+from chdstat.scenes.props.textures import Entry, glossy, matte, metal, rgb, translucent, walnut
+from chdstat.scenes.scene import rotate, translate
+
+__all__ = [
+    "WINDOWS",
+    "armchair",
+    "bookshelf",
+    "bowl",
+    "coffee_table",
+    "curtain",
+    "living_room",
+    "pad",
+    "painting",
+    "side_table",
+    "sofa",
+]
+
+_BRASS = metal("Au", roughness=0.25)
+_BOWL = [
+    *[(0.0, 0.0), (0.05, 0.0), (0.06, 0.012), (0.13, 0.06), (0.155, 0.1)],
+    *[(0.15, 0.1), (0.125, 0.065), (0.055, 0.02), (0.0, 0.016)],
+]
+_JAR = [
+    *[(0.0, 0.0), (0.06, 0.0), (0.1, 0.05), (0.115, 0.12), (0.1, 0.19), (0.05, 0.25)],
+    *[(0.03, 0.27), (0.0, 0.27)],
+]
+
+_SPINES = (
+    *[(0.55, 0.08, 0.05), (0.72, 0.62, 0.45), (0.05, 0.13, 0.24), (0.09, 0.24, 0.14)],
+    *[(0.62, 0.36, 0.07), (0.03, 0.03, 0.035), (0.78, 0.76, 0.71), (0.30, 0.06, 0.10)],
+)
+"""Colours of the books."""
+
+
+def pad(width: float, depth: float, height: float, *, radius: float) -> Mesh:
+    """Return a soft-edged block that stands on the origin; no side is under 3.2 radii."""
+    turn = np.linspace(-np.pi / 2, 0, 6)
+    inset, rise = radius * (1 - np.cos(turn)), radius * (1 + np.sin(turn))
+    outlines = [
+        rounded_rectangle(width - 2 * i, depth - 2 * i, 1.6 * radius - i)
+        for i in (*inset, *inset[::-1])
+    ]
+    return loft(outlines, [*rise, *(height - rise[::-1])], crease=60.0)
+
+
+# --- seats ----------------------------------------------------------------------------------------
+
+
+def sofa(place: Matrix, *, color: Entry, accents: Sequence[Entry]) -> Entry:
+    """Return a sofa for three, 2.1 m wide, with a scatter cushion of each accent colour."""
+    seats = [
+        pad(0.59, 0.68, 0.17, radius=0.05).moved(translate(x, -0.57, 0.27))
+        for x in (-0.6, 0.0, 0.6)
+    ]
+    backs = [
+        pad(0.59, 0.44, 0.17, radius=0.06).moved(translate(x, -0.12, 0.62) @ rotate("x", 78))
+        for x in (-0.6, 0.0, 0.6)
+    ]
+    frame = [
+        pad(1.86, 0.86, 0.2, radius=0.03).moved(translate(0, -0.45, 0.09)),
+        pad(2.1, 0.16, 0.74, radius=0.06).moved(translate(0, -0.08, 0.09)),
+        *[pad(0.17, 0.92, 0.52, radius=0.06).moved(translate(x, -0.46, 0.09)) for x in (-1, 1)],
+    ]
+    entries = {
+        f"cushion-{i}": _scatter_cushion(x, turn).moved(place).shape(matte(accent))
+        for i, (x, turn, accent) in enumerate(
+            zip((-0.7, 0.66, 0.36), (12, -14, 9), accents, strict=False)
+        )
+    }
+    return {
+        "sofa": join(*seats, *backs, *frame).moved(place).shape(matte(color)),
+        "sofa-feet": _feet(0.9, 0.75, 0.1).moved(place @ translate(0, -0.45, 0)).shape(walnut(3)),
+        **entries,
+    }
+
+
+def armchair(place: Matrix, *, color: Entry) -> Entry:
+    """Return a deep chair on turned feet."""
+    parts = [
+        pad(0.56, 0.62, 0.18, radius=0.06).moved(translate(0, -0.42, 0.27)),
+        pad(0.56, 0.5, 0.16, radius=0.06).moved(translate(0, -0.13, 0.6) @ rotate("x", 74)),
+        pad(0.72, 0.76, 0.18, radius=0.04).moved(translate(0, -0.4, 0.12)),
+        pad(0.74, 0.14, 0.78, radius=0.06).moved(translate(0, -0.06, 0.12) @ rotate("x", -6)),
+        *[
+            pad(0.13, 0.78, 0.46, radius=0.055).moved(translate(x, -0.4, 0.12))
+            for x in (-0.37, 0.37)
+        ],
+    ]
+    return {
+        "armchair": join(*parts).moved(place).shape(matte(color)),
+        "armchair-feet": _feet(0.3, 0.6, 0.13)
+        .moved(place @ translate(0, -0.4, 0))
+        .shape(walnut(3)),
+    }
+
+
+def _scatter_cushion(x: float, turn: float) -> Mesh:
+    standing = translate(x, -0.36, 0.64) @ rotate("z", turn) @ rotate("x", 68)
+    return pad(0.4, 0.4, 0.13, radius=0.06).moved(standing @ translate(0, 0, -0.03))
+
+
+def _feet(half: float, depth: float, height: float) -> Mesh:
+    """Return four turned feet under the corners of a piece."""
+    foot = revolve([(0, 0), (0.018, 0), (0.028, height), (0, height)], segments=16)
+    corners = [(x, y) for x in (-half, half) for y in (-depth / 2, depth / 2)]
+    return join(*(foot.moved(translate(x, y, 0)) for x, y in corners))
+
+
+# --- tables and shelves ---------------------------------------------------------------------------
+
+
+def coffee_table(place: Matrix) -> Entry:
+    """Return a long low table of walnut under a clear coat, on brass legs."""
+    top = box((-0.6, -0.32, 0.36), (0.6, 0.32, 0.4), bevel=0.006)
+    legs = [
+        tube(
+            [(0.52 * i, 0.25 * j, 0.37), (0.55 * i, 0.275 * j, 0.18), (0.57 * i, 0.29 * j, 0)],
+            0.012,
+        )
+        for i in (-1, 1)
+        for j in (-1, 1)
+    ]
+    return {
+        "table": top.mapped(scale=(0.8, 1.6)).moved(place).shape(walnut(7, roughness=0.1)),
+        "table-legs": join(*legs).moved(place).shape(_BRASS),
+    }
+
+
+def side_table(place: Matrix) -> Entry:
+    """Return a round table of lacquer, 0.55 m high."""
+    top = revolve([(0, 0.52), (0.23, 0.52), (0.24, 0.535), (0.23, 0.55), (0, 0.55)])
+    stem = revolve([(0, 0), (0.15, 0), (0.15, 0.012), (0.016, 0.03), (0.016, 0.52), (0, 0.52)])
+    lacquer = glossy(rgb(0.035, 0.035, 0.04), roughness=0.1)
+    return {
+        "side-table": top.moved(place).shape(lacquer),
+        "side-table-stem": stem.moved(place).shape(_BRASS),
+    }
+
+
+def bookshelf(place: Matrix, *, width: float = 1.0, shelves: int = 5, seed: int = 4) -> Entry:
+    """Return an open shelf full of books, 0.38 m a storey, with a jar on one of them."""
+    rng = np.random.default_rng(seed)
+    half, storey, depth = width / 2, 0.38, 0.3
+    top = shelves * storey + 0.06
+    boards = [
+        box((-half, -depth, z), (half, -0.012, z + 0.025), bevel=0.002)
+        for z in 0.05 + storey * np.arange(shelves + 1)
+    ]
+    sides = [
+        box((a, -depth, 0), (a + 0.025, -0.012, top + 0.05), bevel=0.002, grain="z")
+        for a in (-half - 0.025, half)
+    ]
+    back = box((-half, -0.012, 0), (half, 0.0, top + 0.05))
+    lengths = [0.62 * width if k == 2 else width for k in range(shelves)]
+    books = [
+        book.moved(translate(-half, -0.02, 0.075 + k * storey))
+        for k, length in enumerate(lengths)
+        for book in _books(rng, length)
+    ]
+    jar = revolve(_JAR).moved(translate(half - 0.17, -0.16, 2 * storey + 0.075))
+    spines = textures.bitmap(textures.panes([_SPINES]), sharp=True)
+    return {
+        "shelf": join(*boards, *sides, back).moved(place).shape(walnut(2)),
+        "books": join(*books).moved(place).shape(matte(spines)),
+        "jar": jar.moved(place).shape(glossy(rgb(0.06, 0.2, 0.25), roughness=0.06)),
+    }
+
+
+def _books(rng: np.random.Generator, length: float) -> list[Mesh]:
+    """Return a row of books from the origin along +x; each shows one pane of the palette."""
+    books, x = [], 0.0
+    while (x := x + 0.003) < length - 0.05:
+        thick = 0.018 + 0.03 * rng.random()
+        book = box((x, -0.17 - 0.05 * rng.random(), 0), (x + thick, 0, 0.2 + 0.11 * rng.random()))
+        pane = (rng.integers(len(_SPINES)) + 0.5) / len(_SPINES)
+        books.append(replace(book, uv=np.full_like(book.uv, 0.5) * [2 * pane, 1.0]))
+        x += thick
+    return books
+
+
+# --- small pieces ---------------------------------------------------------------------------------
+
+
+def painting(place: Matrix, colors: Sequence[Sequence[tuple[float, float, float]]]) -> Entry:
+    """Return a picture of coloured panes, 0.4 m each, in a thin frame about its origin."""
+    high, wide = 0.4 * len(colors), 0.4 * len(colors[0])
+    canvas = quad((-wide / 2, -0.03, -high / 2), (wide, 0, 0), (0, 0, high))
+    canvas = canvas.mapped(scale=(1 / wide, 1 / high))
+    a, b = wide / 2, high / 2
+    frame = [
+        box((-a - 0.025, -0.04, s * b - 0.012), (a + 0.025, 0.0, s * b + 0.012)) for s in (-1, 1)
+    ] + [box((s * a - 0.012, -0.04, -b), (s * a + 0.012, 0.0, b)) for s in (-1, 1)]
+    image = textures.bitmap(textures.panes(colors), sharp=True)
+    return {
+        "painting": canvas.moved(place).shape(matte(image)),
+        "painting-frame": join(*frame)
+        .moved(place)
+        .shape(glossy(rgb(0.03, 0.03, 0.03), roughness=0.2)),
+    }
+
+
+def bowl(place: Matrix, *, color: Entry) -> Entry:
+    """Return a glazed bowl with three fruits in it."""
+    orange = ball(0.042, segments=24)
+    spots = [(0.045, 0.02, 0.07), (-0.04, 0.035, 0.07), (-0.005, -0.045, 0.075)]
+    fruit = join(*(orange.moved(translate(*spot)) for spot in spots))
+    return {
+        "bowl": revolve(_BOWL).moved(place).shape(glossy(color, roughness=0.05)),
+        "fruit": fruit.moved(place).shape(glossy(rgb(0.62, 0.22, 0.03), roughness=0.25)),
+    }
+
+
+def curtain(place: Matrix, *, name: str, width: float, height: float, color: Entry) -> Entry:
+    """Return cloth that hangs in folds from its origin, which is the middle of its upper edge."""
+    x = np.linspace(-width / 2, width / 2, 70)
+    z = np.linspace(-height, 0, 6)[:, None]
+    fall = 0.6 + 0.4 * (-z / height)
+    fold = fall * (0.045 * np.sin(2 * np.pi * x / 0.13) + 0.012 * np.sin(37 * x + 1.0))
+    sheet = surface(np.stack(np.broadcast_arrays(x, fold, z), axis=-1))
+    return {name: sheet.moved(place).shape(translucent(color, through=0.25))}
+
+
+_WIDTH, _DEPTH, _HEIGHT = 5.0, 6.2, 2.75
+_SILL, _HEAD, _REVEAL = 0.45, 2.4, 0.18
+
+WINDOWS = ((2.12, 3.18), (3.42, 4.48), (4.72, 5.78))
+"""Where each window begins and ends along y, in metres."""
+
+_PLASTER = matte(rgb(0.87, 0.85, 0.81))
+_LACQUER = glossy(rgb(0.78, 0.77, 0.74), roughness=0.15)
+
+_RED, _CREAM, _BLACK = (0.5, 0.05, 0.035), (0.80, 0.77, 0.68), (0.03, 0.03, 0.03)
+_OCHRE, _TEAL, _ROSE = (0.6, 0.34, 0.06), (0.04, 0.2, 0.22), (0.62, 0.3, 0.25)
+_PICTURE = (
+    (_RED, _BLACK, _CREAM, _TEAL),
+    (_CREAM, _OCHRE, _BLACK, _CREAM),
+    (_BLACK, _CREAM, _ROSE, _RED),
+)
+"""Panes from a twenty-fifth to four fifths of reflectance, side by side under the same light."""
+
+
+def living_room(*, bulb: Entry | None) -> Entry:
+    """Return all but the integrator and the outside; the lamps burn with `bulb`, or not at all."""
+    return {
+        "sensor": camera((4.6, 0.3, 1.6), (1.45, 5.0, 0.95), fov=60.0),
+        **_shell(),
+        **_windows(),
+        **_furniture(),
+        **_lamps(bulb),
+        **_small_things(),
+    }
+
+
+def _shell() -> Entry:
+    boards = textures.planks((0.28, 0.17, 0.09), (0.6, 0.41, 0.25), seed=8)
+    floor = quad((0, 0, 0), (_WIDTH, 0, 0), (0, _DEPTH, 0)).mapped(scale=(1 / 1.8, 1 / 0.9))
+    walls = [
+        quad((0, _DEPTH, _HEIGHT), (_WIDTH, 0, 0), (0, -_DEPTH, 0)),
+        quad((0, _DEPTH, 0), (_WIDTH, 0, 0), (0, 0, _HEIGHT)),
+        quad((_WIDTH, 0, 0), (-_WIDTH, 0, 0), (0, 0, _HEIGHT)),
+        quad((_WIDTH, _DEPTH, 0), (0, -_DEPTH, 0), (0, 0, _HEIGHT)),
+    ]
+    skirting = join(
+        box((0.015, _DEPTH - 0.015, 0), (_WIDTH, _DEPTH, 0.11), bevel=0.004),
+        box((0, 0, 0), (0.015, _DEPTH, 0.11), bevel=0.004),
+    )
+    cornice = join(
+        box((0, _DEPTH - 0.09, _HEIGHT - 0.07), (_WIDTH, _DEPTH, _HEIGHT), bevel=0.02),
+        box((0, 0, _HEIGHT - 0.07), (0.09, _DEPTH - 0.09, _HEIGHT), bevel=0.02),
+    )
+    return {
+        "floor": floor.shape(glossy(textures.bitmap(boards), roughness=0.2)),
+        "walls": join(*walls, *_window_wall()).shape(_PLASTER),
+        "skirting": join(skirting, cornice).shape(_LACQUER),
+    }
+
+
+def _window_wall() -> list[Mesh]:
+    """Return the left wall around the windows: inside, outside, and the sides of the openings.
+
+    Outside it reaches beyond the room, so that no light slips in where the walls meet.
+    """
+    pieces = []
+    for x, low, high in ((0.0, 0.0, 0.0), (-_REVEAL, -1.0, 1.0)):
+        edges = [low, *(y for window in WINDOWS for y in window), _DEPTH + high]
+        piers = zip(edges[::2], edges[1::2], strict=True)
+        pieces += [_wall_piece(x, (a, b), (low, _HEIGHT + high)) for a, b in piers]
+        for window in WINDOWS:
+            pieces += [
+                _wall_piece(x, window, (low, _SILL)),
+                _wall_piece(x, window, (_HEAD, _HEIGHT + high)),
+            ]
+    for y0, y1 in WINDOWS:
+        wide, high_, deep = (0, y1 - y0, 0), (0, 0, _HEAD - _SILL), (-_REVEAL, 0, 0)
+        pieces += [
+            quad((-_REVEAL, y0, _SILL), (_REVEAL, 0, 0), wide),
+            quad((0, y0, _HEAD), deep, wide),
+            quad((0, y0, _SILL), deep, high_),
+            quad((-_REVEAL, y1, _SILL), (_REVEAL, 0, 0), high_),
+        ]
+    return pieces
+
+
+def _wall_piece(x: float, y: tuple[float, float], z: tuple[float, float]) -> Mesh:
+    return quad((x, y[0], z[0]), (0, y[1] - y[0], 0), (0, 0, z[1] - z[0]))
+
+
+def _windows() -> Entry:
+    """Return frames with a cross of glazing bars, and sills."""
+    x0, x1, bar, into = 0.02 - _REVEAL, 0.07 - _REVEAL, 0.05, 0.01
+    parts = []
+    for y0, y1 in WINDOWS:
+        middle, transom = (y0 + y1) / 2, _HEAD - 0.6
+        parts += [
+            box((x0, y0 - into, _SILL - into), (x1, y0 + bar, _HEAD + into), bevel=0.005),
+            box((x0, y1 - bar, _SILL - into), (x1, y1 + into, _HEAD + into), bevel=0.005),
+            box((x0, y0 + bar, _SILL - into), (x1, y1 - bar, _SILL + bar), bevel=0.005),
+            box((x0, y0 + bar, _HEAD - bar), (x1, y1 - bar, _HEAD + into), bevel=0.005),
+            box((x0, middle - 0.02, _SILL + bar), (x1, middle + 0.02, _HEAD - bar), bevel=0.005),
+            box((x0, y0 + bar, transom), (x1, middle - 0.02, transom + 0.04), bevel=0.005),
+            box((x0, middle + 0.02, transom), (x1, y1 - bar, transom + 0.04), bevel=0.005),
+            box((-_REVEAL, y0 - 0.05, _SILL - 0.03), (0.1, y1 + 0.05, _SILL + 0.012), bevel=0.006),
+        ]
+    return {"windows": join(*parts).shape(_LACQUER)}
+
+
+def _furniture() -> Entry:
+    carpet = box((1.15, 2.6, 0.0), (3.75, 4.85, 0.016), bevel=0.006)
+    pile = matte(rgb(0.30, 0.028, 0.022))
+    return {
+        "carpet": carpet.shape(pile),
+        **sofa(
+            translate(2.2, _DEPTH - 0.12, 0),
+            color=rgb(0.10, 0.22, 0.13),
+            accents=(rgb(0.62, 0.36, 0.07), rgb(0.76, 0.72, 0.64), rgb(0.5, 0.06, 0.04)),
+        ),
+        **armchair(translate(0.62, 3.15, 0) @ rotate("z", 62), color=rgb(0.55, 0.44, 0.32)),
+        **coffee_table(translate(2.45, 3.95, 0.016)),
+        **bookshelf(translate(4.2, _DEPTH, 0), width=1.0),
+        **painting(translate(1.75, _DEPTH, 1.76), _PICTURE),
+        **furniture.mirror(translate(3.15, _DEPTH - 0.02, 1.72), radius=0.36),
+    }
+
+
+def _lamps(bulb: Entry | None) -> Entry:
+    return {
+        **lamp(
+            translate(0.55, 5.6, 0),
+            name="floor-lamp",
+            height=1.62,
+            shade=rgb(0.9, 0.72, 0.5),
+            light=bulb,
+        ),
+        **side_table(translate(3.5, 5.6, 0)),
+        **lamp(
+            translate(3.5, 5.6, 0.55),
+            name="table-lamp",
+            height=0.55,
+            shade=rgb(0.9, 0.5, 0.35),
+            light=bulb,
+        ),
+    }
+
+
+def _small_things() -> Entry:
+    table = 0.416
+    curtains: Entry = {}
+    for i, y in enumerate((1.98, 3.3, 4.6, 5.92)):
+        hanging = translate(0.09, y, 2.55) @ rotate("z", 90)
+        curtains |= curtain(
+            hanging, name=f"curtain-{i}", width=0.3, height=2.5, color=rgb(0.55, 0.07, 0.05)
+        )
+    books = join(
+        box((2.62, 3.8, table), (2.84, 4.12, table + 0.03), bevel=0.003),
+        box((2.64, 3.84, table + 0.03), (2.84, 4.1, table + 0.055), bevel=0.003),
+    )
+    return {
+        **curtains,
+        **bowl(translate(2.15, 3.98, table), color=rgb(0.75, 0.74, 0.7)),
+        **furniture.vase(translate(2.5, 4.08, table)),
+        **furniture.plant(translate(-0.06, 3.95, _SILL + 0.012)),
+        "table-books": books.shape(matte(rgb(0.08, 0.16, 0.3))),
+    }

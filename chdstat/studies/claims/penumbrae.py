@@ -1,0 +1,125 @@
+"""Penumbrae: two modes, whose weights follow the position across (finding 6)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from chdstat._core.resampling import mean_of
+from chdstat.inference import modality
+from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
+from chdstat.studies.scene_data import Evidence, Patch, correlation_of
+
+__all__ = ["FOLLOWS", "MAJORITY", "measure"]
+
+Floats = npt.NDArray[np.float64]
+
+MAJORITY = 0.5
+"""Share of bimodal pixels from which a penumbra is bimodal; its ends are fully lit, or not."""
+FOLLOWS = 0.7
+"""Rank correlation of position and weight from which one follows the other: half of the variance of
+the ranks."""
+_PARTS = 2
+_BINS = 400
+_DISTINCT = 1e-3
+"""Range of log radiance below which there are no two modes to be parted."""
+
+
+def measure(evidence: Evidence) -> Conclusion:
+    """Count bimodal pixels, and correlate the weight of the bright mode with the position."""
+    patch = evidence.patch("penumbra")
+    if patch is None:
+        return Conclusion(missing=("needs a region in a penumbra",))
+    x, level = evidence.light(patch), level_of(_PARTS)
+    modes = modality(x).modes
+    several = np.where(modes > 0, modes > 1, np.nan)
+    places, weights = _across(patch, x)
+    ranks = (_ranks(patch, places), _ranks(patch, weights))
+    parts = (
+        Part.of(
+            "share of bimodal pixels",
+            mean_of(several, patch.blocks, level=level),
+            least=MAJORITY,
+        ),
+        Part.of(
+            "rank correlation of the weight of the bright mode with position",
+            correlation_of(*ranks, patch.blocks, level=level),
+            least=FOLLOWS,
+        ),
+    )
+    return Conclusion(
+        parts,
+        details={"bright_weight": patch.by_region(weights)},
+        exhibit=Exhibit(
+            "points",
+            {
+                name: (places[patch.region == i], weights[patch.region == i])
+                for i, name in enumerate(patch.names)
+            },
+            "position across the penumbra in pixels",
+            "weight of the bright mode",
+        ),
+    )
+
+
+def _across(patch: Patch, x: Floats) -> tuple[Floats, Floats]:
+    """Return position along the gradient, and weight of the bright mode, of every pixel.
+
+    One half of the samples says where the border between the modes is and which way the penumbra
+    runs, the other half what the weights are: noise cannot make them agree.
+    """
+    places, weights = np.full((2, len(patch)), np.nan)
+    for i in range(len(patch.names)):
+        here = patch.region == i
+        one, two = x[here, 0::2], x[here, 1::2]
+        border = _border(one)
+        y, x_ = patch.y[here].astype(np.float64), patch.x[here].astype(np.float64)
+        places[here] = _along(_bright(one, border), y - y.mean(), x_ - x_.mean())
+        weights[here] = _bright(two, border)
+    return places, weights
+
+
+def _border(x: Floats) -> float:
+    """Return the radiance between dark and bright samples of a region (Otsu 1979, of logarithms).
+
+    Otsu, "A threshold selection method from gray-level histograms", 1979,
+    doi:10.1109/TSMC.1979.4310076.
+    """
+    logs = np.log(x[x > 0])
+    if not logs.size or np.ptp(logs) < _DISTINCT:
+        return np.nan
+    counts, edges = np.histogram(logs, _BINS)
+    centers = (edges[1:] + edges[:-1]) / 2
+    below, moment = np.cumsum(counts)[:-1], np.cumsum(counts * centers)[:-1]
+    n, total = counts.sum(), (counts * centers).sum()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        between = (total * below - moment * n) ** 2 / (below * (n - below))
+    return float(np.exp(edges[1:-1][np.nanargmax(between)]))
+
+
+def _bright(x: Floats, border: float) -> Floats:
+    """Return the share of the samples of each row above the border, nulls counted."""
+    good = np.isfinite(x).sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((x > border).sum(axis=1) / good)
+
+
+def _along(values: Floats, y: Floats, x: Floats) -> Floats:
+    """Return positions along the direction in which values rise, in pixels."""
+    design, known = np.stack([y, x], axis=1), np.isfinite(values)
+    if not known.any():
+        return np.full(len(values), np.nan)
+    rise = values[known] - values[known].mean()
+    slope = np.linalg.lstsq(design[known] - design[known].mean(axis=0), rise, rcond=None)[0]
+    length = float(np.linalg.norm(slope))
+    return np.asarray(design @ slope / length if length > 0 else np.zeros(len(values)))
+
+
+def _ranks(patch: Patch, values: Floats) -> Floats:
+    """Return ranks within each region over the number of its pixels; NaN where a value is."""
+    found = np.full(len(patch), np.nan)
+    for i in range(len(patch.names)):
+        here = np.flatnonzero((patch.region == i) & np.isfinite(values))
+        found[here] = stats.rankdata(values[here]) / max(len(here), 1)
+    return found

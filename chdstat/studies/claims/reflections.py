@@ -1,0 +1,94 @@
+"""Noisy reflections: one shape of the CHD, though the estimates scatter (finding 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.moments import Moments
+from chdstat._core.resampling import Blocks, Spread, interval_of, median_of
+from chdstat.studies.log_chds import EDGES, SAME_SHAPE, WIDTH, LogChds, aligned
+from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
+from chdstat.studies.scene_data import Evidence
+
+__all__ = ["NOISY", "measure", "shape_spread"]
+
+Floats = npt.NDArray[np.float64]
+
+NOISY = 1.0
+"""Deviation over mean of the samples from which a pixel is noisy: that of an exponential
+distribution, whose average of 32 samples scatters by 18 %."""
+_PARTS = 2
+
+
+def measure(evidence: Evidence) -> Conclusion:
+    """Measure how far the shapes in a reflection differ, and how noisy it is."""
+    patch = evidence.patch("noisy-reflection")
+    if patch is None:
+        return Conclusion(missing=("needs a region with a noisy reflection",))
+    level = level_of(_PARTS)
+    x = evidence.light(patch)
+    shapes, variation = aligned(x), _variation(x)
+    parts = (
+        Part.of(
+            "distance of a pixel's shape to that of the region",
+            shape_spread(shapes, patch.blocks, level=level),
+            most=SAME_SHAPE,
+            unit="decade^1/2",
+        ),
+        Part.of(
+            "deviation over mean of the samples",
+            median_of(variation, patch.blocks, level=level),
+            least=NOISY,
+        ),
+    )
+    return Conclusion(
+        parts,
+        details={"deviation_over_mean": patch.by_region(variation)},
+        exhibit=_exhibit(shapes),
+    )
+
+
+def shape_spread(shapes: LogChds, blocks: Blocks, *, level: float) -> Spread:
+    """Return the root mean square distance of shapes to the mean of their region, without noise.
+
+    The mean of products of halves less the product of the means is the covariance of the halves
+    over pixels: the variance of the true shapes, of n - 1 degrees of freedom in each region.
+    """
+    known = shapes.known
+    if np.count_nonzero(known) < 2:
+        return Spread.unknown(level=level)
+    kept, halves = blocks[known], shapes.halves[known]
+    product = kept.sums((halves[:, 0] * halves[:, 1]).sum(axis=-1) * WIDTH)
+    sums, count = kept.sums(halves), kept.sums(np.ones(len(halves)))
+
+    def spread(weights: Floats) -> Floats:
+        squares, degrees = weights @ product, np.zeros(len(weights))
+        for region in np.unique(kept.region):
+            here = kept.region == region
+            n = weights[:, here] @ count[here]
+            total = np.tensordot(weights[:, here], sums[here], 1)
+            squares -= (total[:, 0] * total[:, 1]).sum(axis=-1) * WIDTH / n
+            degrees += n - 1
+        return np.asarray(np.sqrt(np.maximum(squares / degrees, 0)))
+
+    return interval_of(spread, kept, level=level, bounds=(0.0, np.inf))
+
+
+def _variation(x: Floats) -> Floats:
+    """Return deviation over mean of good samples, nulls counted, shape (pixel,).
+
+    NaN where the mean is not positive.
+    """
+    good = np.isfinite(x)
+    moments = Moments.of(np.where(good, x, 0), good)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(
+            np.sqrt(moments.variance) / np.where(moments.mean > 0, moments.mean, np.nan)
+        )
+
+
+def _exhibit(shapes: LogChds) -> Exhibit:
+    some = shapes.whole[shapes.known][:64]
+    series = {f"pixel {i + 1}": (EDGES, curve) for i, curve in enumerate(some)}
+    return Exhibit("curves", series, "log10 radiance around its mean", "share below")

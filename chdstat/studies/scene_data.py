@@ -1,0 +1,283 @@
+"""Slopes: straight lines and correlations over pixels, with their intervals.
+
+Use `slope_of` for how one quantity follows another; with an instrument where that other is noisy.
+
+Evidence: what the findings on one scene may look at.
+
+`Evidence` holds samples, regions and what else a claim compares with; `Patch` is what it says of
+the pixels of regions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import generator, is_bad, luminance
+from chdstat._core.resampling import Blocks, Spread, interval_of
+from chdstat.analysis import analyze
+from chdstat.rendering.recipes import Region
+from chdstat.samples.samples import Samples
+from chdstat.studies.log_chds import LogChds, of_histograms
+from chdstat.summary.statistics import summarize
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from chdstat.comparison import Comparison
+
+__all__ = ["Evidence", "Patch", "correlation_of", "logs", "slope_of"]
+
+Floats = npt.NDArray[np.float64]
+
+
+def slope_of(
+    x: Floats, y: Floats, blocks: Blocks, *, instrument: Floats | None = None, level: float
+) -> Spread:
+    """Return the slope of y on x, ``cov(y, z) / cov(x, z)``.
+
+    Least squares take x itself for the instrument z. Noise in x flattens that slope; an instrument
+    that follows x and shares no noise with x and y does not let it.
+
+    Parameters
+    ----------
+    x, y
+        Shape (pixel,) or (pixel, channel); NaN takes no part.
+    blocks
+        Blocks of the pixels.
+    instrument
+        Shape of `x`; None for `x`.
+    level
+        Coverage of the interval.
+
+    References
+    ----------
+    Durbin, "Errors in variables", 1954, doi:10.2307/1401917.
+
+    Examples
+    --------
+    >>> x = np.arange(64.0)
+    >>> slope_of(x, 3 * x + 1, Blocks.grid(8, 8), level=0.95).value
+    3.0
+    """
+    sums = _sums(x, y, x if instrument is None else instrument, blocks)
+
+    def slope(weights: Floats) -> Floats:
+        n, a, b, c, ac, bc, *_ = (weights @ sums).T
+        return np.asarray((bc - b * c / n) / (ac - a * c / n))
+
+    return interval_of(slope, blocks, level=level)
+
+
+def correlation_of(x: Floats, y: Floats, blocks: Blocks, *, level: float) -> Spread:
+    """Return Pearson's correlation of x and y, shapes as for `slope_of`."""
+    sums = _sums(x, y, x, blocks)
+
+    def correlate(weights: Floats) -> Floats:
+        n, a, b, _, aa, ab, bb = (weights @ sums).T
+        spread = np.sqrt((aa / n - a**2 / n**2) * (bb / n - b**2 / n**2))
+        return np.asarray((ab / n - a * b / n**2) / spread)
+
+    return interval_of(correlate, blocks, level=level, bounds=(-1.0, 1.0))
+
+
+def logs(values: npt.NDArray[np.float64]) -> Floats:
+    """Return logarithms to base 10; NaN where they are not finite."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = np.log10(values)
+    return np.asarray(np.where(np.isfinite(found), found, np.nan))
+
+
+def _sums(x: Floats, y: Floats, z: Floats, blocks: Blocks) -> Floats:
+    """Return number and sums of x, y, z, xz, yz, yy of each block, where all are known."""
+    known = np.isfinite(x + y + z)
+    x, y, z = (np.where(known, v, 0) for v in (x, y, z))
+    columns = np.stack([known, x, y, z, x * z, y * z, y * y], axis=-1)
+    return blocks.sums(columns.reshape(len(x), -1, columns.shape[-1]).sum(axis=1))
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Pixels of one region or several, one after the other.
+
+    Attributes
+    ----------
+    names
+        Of the regions.
+    y, x
+        Where the pixels are, shape (pixel,).
+    region
+        Region of each pixel, shape (pixel,).
+    blocks
+        Blocks of them to resample.
+    """
+
+    names: tuple[str, ...]
+    y: npt.NDArray[np.int64]
+    x: npt.NDArray[np.int64]
+    region: npt.NDArray[np.int64]
+    blocks: Blocks
+
+    @classmethod
+    def of(cls, regions: tuple[Region, ...], height: int, width: int) -> Patch:
+        """Return the pixels of regions."""
+        ys, xs, numbers, blocks = [], [], [], []
+        for i, region in enumerate(regions):
+            rows, columns = region.pixels(height, width)
+            y, x = np.mgrid[rows, columns]
+            ys.append(y.ravel())
+            xs.append(x.ravel())
+            numbers.append(np.full(y.size, i))
+            blocks.append(Blocks.grid(*y.shape))
+        names = tuple(region.name for region in regions)
+        y, x, number = (np.concatenate(v) for v in (ys, xs, numbers))
+        return cls(names, y, x, number, Blocks.join(blocks))
+
+    def __len__(self) -> int:
+        """Return the number of pixels."""
+        return len(self.y)
+
+    def take(self, image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return the values of the pixels of an image (y, x, ...), shape (pixel, ...)."""
+        return image[self.y, self.x]
+
+    def by_region(self, values: npt.NDArray[Any]) -> dict[str, float]:
+        """Return the mean of values (pixel, ...) over each region, NaN left out."""
+        found = {}
+        for i, name in enumerate(self.names):
+            here = values[self.region == i]
+            here = here[np.isfinite(here)]
+            found[name] = float(here.mean()) if here.size else float("nan")
+        return found
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One scene, as far as it is known.
+
+    Attributes
+    ----------
+    name
+        Name of the scene: what is expected of nulls depends on it.
+    samples
+        The image.
+    regions
+        Named regions with the phenomenon that each shows.
+    given
+        What `chdstat.analyze` returned for these samples; None to compute it when it is needed.
+    shorter
+        The same scene and view at a smaller path length.
+    integrator
+        The same scene and view by another integrator.
+    given_shorter
+        What `chdstat.summarize` returned for `shorter`; None to compute it when it is needed.
+    comparison
+        Estimators side by side on this scene, a learned one among them.
+    complexity
+        Any measure of how complex the scene is, alike for all scenes; None to take the share of
+        neighbouring pixels that see different surfaces.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> from chdstat.rendering.recipes import Region
+    >>> samples = chd.simulate("gamma", size=(8, 8), spp=64)
+    >>> wall = Region("wall", "diffuse", (0, 0, 0.5, 0.5))
+    >>> len(Evidence("simulated", samples, (wall,)).patch("diffuse"))
+    16
+    """
+
+    name: str
+    samples: Samples
+    regions: tuple[Region, ...] = ()
+    given: xr.Dataset | None = None
+    shorter: Samples | None = None
+    integrator: Samples | None = None
+    given_shorter: xr.Dataset | None = None
+    comparison: Comparison | None = None
+    complexity: float | None = None
+
+    @cached_property
+    def analysis(self) -> xr.Dataset:
+        """Everything per pixel."""
+        return analyze(self.samples, progress=False) if self.given is None else self.given
+
+    @cached_property
+    def summary(self) -> xr.Dataset:
+        """Statistics and histograms per pixel, from the analysis where that is at hand."""
+        if self.given is not None or "analysis" in self.__dict__:
+            return self.analysis
+        return summarize(self.samples, progress=False)
+
+    @cached_property
+    def shorter_summary(self) -> xr.Dataset | None:
+        """Statistics and histograms per pixel of the shorter paths."""
+        if self.shorter is None or self.given_shorter is not None:
+            return self.given_shorter
+        return summarize(self.shorter, progress=False)
+
+    @cached_property
+    def chds(self) -> LogChds:
+        """Distribution functions of all pixels, nulls counted, of the channel in the middle."""
+        return of_histograms(self.summary)
+
+    def patch(self, *phenomena: str) -> Patch | None:
+        """Return the pixels of all regions that show one of the phenomena; None without any."""
+        chosen = tuple(region for region in self.regions if region.phenomenon in phenomena)
+        return Patch.of(chosen, *self.samples.shape[:2]) if chosen else None
+
+    def whole(self, across: int = 8) -> Patch:
+        """Return all pixels of the image, in reading order, in `across` x `across` blocks."""
+        height, width = self.samples.shape[:2]
+        y, x = np.mgrid[:height, :width].reshape(2, -1)
+        region = np.zeros(len(y), dtype=np.int64)
+        return Patch(("image",), y, x, region, Blocks.grid(height, width, across=across))
+
+    def scattered(
+        self, pixels: int, *, across: int = 8, able: npt.NDArray[np.bool_] | None = None
+    ) -> Iterator[Patch]:
+        """Yield pixels drawn from each of `across` x `across` blocks, a patch a block.
+
+        About `pixels` in all, of those that are `able`, shape (y, x); None draws from all.
+        """
+        rng, whole = generator(0), self.whole(across)
+        each = max(1, pixels // len(whole.blocks))
+        taking_part = np.ones(len(whole), dtype=bool) if able is None else able.ravel()
+        for block in range(len(whole.blocks)):
+            here = np.flatnonzero((whole.blocks.of_pixel == block) & taking_part)
+            some = np.sort(rng.permutation(here)[:each])
+            if len(some):
+                number = np.full(len(some), block)
+                blocks = Blocks(number, whole.blocks.region)
+                yield Patch((f"block {block}",), whole.y[some], whole.x[some], 0 * some, blocks)
+
+    def radiance(self, patch: Patch) -> Floats:
+        """Return the samples of a patch, shape (pixel, channel, sample); bad ones are NaN."""
+        return radiance_of(self.samples, patch)
+
+    def light(self, patch: Patch) -> Floats:
+        """Return the luminance of the samples of a patch, shape (pixel, sample); bad: NaN."""
+        return np.asarray(luminance(self.radiance(patch)))
+
+    def feature(self, name: str) -> Floats | None:
+        """Return a first-hit feature (y, x) or (y, x, component); None without it."""
+        found = self.samples.features.get(name)
+        return None if found is None else np.asarray(found, dtype=np.float64)
+
+
+def radiance_of(samples: Samples, patch: Patch) -> Floats:
+    """Return the samples of the pixels of a patch; a sample with a bad channel is NaN in all."""
+    parts = []
+    for i in range(len(patch.names)):
+        y, x = patch.y[patch.region == i], patch.x[patch.region == i]
+        top, left = int(y.min()), int(x.min())
+        block = samples.read(slice(top, int(y.max()) + 1), slice(left, int(x.max()) + 1))
+        parts.append(block[y - top, x - left].astype(np.float64))
+    found = np.concatenate(parts)
+    bad = is_bad(found).any(axis=-2, keepdims=True)
+    return np.where(bad, np.nan, found)

@@ -1,0 +1,362 @@
+"""Summary: what each pixel's samples look like, in memory that does not grow with spp.
+
+Use `summarize` on an image, `Summary` on samples that come in blocks, from several renderers or
+from workers that see a part each: update, merge, read. Merging equals summarising everything at
+once, up to rounding.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import as_pixels
+from chdstat._core.moments import Batches, Moments
+from chdstat.errors import InputError
+from chdstat.samples.blocks import Blocks, reduce_tiles
+from chdstat.samples.samples import Mapped, Samples, checked
+from chdstat.summary.bins import (
+    SCALES,
+    Counts,
+    Floats,
+    GivenSupport,
+    Mask,
+    sample_masks,
+    tile_support,
+)
+from chdstat.summary.histograms import Histogram, StreamingHistogram, label_histogram
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Statistics", "Summary", "summarize"]
+
+_RADIANCE = "W sr-1 m-2"
+_PER_PIXEL = {
+    "count": ("good samples, null ones included", "1"),
+    "null_count": ("null samples: all channels are 0", "1"),
+    "null_share": ("share of null samples among the good ones", "1"),
+    "bad_count": ("samples left out: a channel is NaN or infinite", "1"),
+    "nan_count": ("samples with a NaN channel", "1"),
+    "inf_count": ("samples with an infinite channel", "1"),
+    "negative_count": ("good samples with a negative channel", "1"),
+}
+_PER_CHANNEL = {
+    "mean": ("sample mean", _RADIANCE),
+    "variance": ("unbiased sample variance", f"({_RADIANCE})2"),
+    "skewness": ("skewness", "1"),
+    "kurtosis": ("excess kurtosis", "1"),
+    "minimum": ("smallest sample", _RADIANCE),
+    "maximum": ("largest sample", _RADIANCE),
+    "standard_error": ("standard error of the sample mean", _RADIANCE),
+}
+_FLAGS = ("null_count", "bad_count", "nan_count", "inf_count", "negative_count")
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Statistics of samples, as `Summary.read` returns them.
+
+    A sample with a bad channel is bad as a whole: counted, and left out of everything else.
+
+    Attributes
+    ----------
+    draws
+        Samples per pixel, good or bad.
+    count, null_count, bad_count, nan_count, inf_count, negative_count
+        Good samples (null ones included), null ones, bad ones and why, shape (...): one sample may
+        have NaN and infinite channels. And good samples with a negative channel, which count.
+    null_share
+        ``null_count / count``, shape (...).
+    mean, variance, skewness, kurtosis, minimum, maximum, standard_error
+        Moments of the good samples, shape (..., channel). The variance is unbiased, the kurtosis
+        is excess. NaN where there are too few samples, or for the last two moments, equal ones.
+    batch_means
+        Means of consecutive batches, shape (..., channel, batch). An incomplete last batch is left
+        out, unless it is the only one.
+    batch_spp
+        Draws of each batch, shape (batch,).
+    linear, log
+        Histograms of the good, non-null samples, of shape (..., channel, bin).
+    """
+
+    draws: int
+    count: Counts
+    null_count: Counts
+    bad_count: Counts
+    nan_count: Counts
+    inf_count: Counts
+    negative_count: Counts
+    null_share: Floats
+    mean: Floats
+    variance: Floats
+    skewness: Floats
+    kurtosis: Floats
+    minimum: Floats
+    maximum: Floats
+    standard_error: Floats
+    batch_means: Floats
+    batch_spp: Counts
+    linear: Histogram
+    log: Histogram
+
+
+class Summary:
+    """Statistics of samples that come in blocks, merged with those of others.
+
+    The first block fixes the support of the linear histogram, so it should hold 50 draws or more;
+    otherwise give a `support`. Summaries merge only with the same support.
+
+    Parameters
+    ----------
+    batch_size
+        Draws per batch mean, to begin with.
+    max_batches
+        Batches to keep, an even number: when there would be more, neighbours merge and the batch
+        size doubles.
+    bins
+        Bins of each histogram.
+    support
+        Support of the linear histogram, see `chdstat.summary.histograms.linear_support`.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range.
+
+    References
+    ----------
+    Pebay, "Formulas for robust, one-pass parallel computation of covariances and arbitrary-order
+    statistical moments", Sandia report SAND2008-6212, 2008.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> red, black = np.array([[2.0], [0.0], [0.0]]), np.zeros((3, 1))
+    >>> one = Summary(support=(0, 4)).update(np.hstack([red, black]))
+    >>> two = Summary(support=(0, 4)).update(np.hstack([red, red]))
+    >>> both = one.merge(two).read()
+    >>> both.mean
+    array([1.5, 0. , 0. ])
+    >>> int(both.count), float(both.null_share)
+    (4, 0.25)
+    """
+
+    def __init__(
+        self,
+        *,
+        batch_size: int = 32,
+        max_batches: int = 64,
+        bins: int = 100,
+        support: GivenSupport | None = None,
+    ) -> None:
+        self._batches = Batches((), size=batch_size, limit=max_batches)
+        self._linear = StreamingHistogram(scale="linear", bins=bins, support=support)
+        self._log = StreamingHistogram(scale="log", bins=bins)
+        self._moments: Moments | None = None
+        self._flags: dict[str, Counts] = {}
+
+    @property
+    def shape(self) -> tuple[int, ...] | None:
+        """Shape of the batch, (..., channel); None before the first update."""
+        return None if self._moments is None else self._moments.count.shape
+
+    def update(self, block: npt.ArrayLike) -> Summary:
+        """Take the next samples, shape (..., channel, sample).
+
+        Raises
+        ------
+        InputError
+            If the block has no channel axis, or another shape before its samples than the first.
+        """
+        x = as_pixels(block, name="block")
+        self._check(x)
+        null, bad = sample_masks(x)
+        good = None if bad is None else ~bad
+        # The histograms go first: they are what may refuse the block.
+        for histogram in (self._linear, self._log):
+            histogram.update(x, null=null, bad=bad)
+        moments = Moments.of(x, good)
+        flags = _count_flags(x, null, bad)
+        if self._moments is None:
+            self._batches = self._batches.empty(x.shape[:-1])
+            self._moments, self._flags = moments, flags
+        else:
+            self._moments = self._moments.merge(moments)
+            self._flags = {name: self._flags[name] + flags[name] for name in _FLAGS}
+        self._batches.update(x, good)
+        return self
+
+    def merge(self, other: Summary) -> Summary:
+        """Take what `other` has seen; its batches come after those of this one.
+
+        Raises
+        ------
+        InputError
+            If the two differ in shape, options or the support of the linear histogram.
+        """
+        if other._moments is None:
+            return self
+        if self._moments is not None and self.shape != other.shape:
+            message = (
+                f"summaries merge only with the same shape, got {self.shape} and {other.shape}"
+            )
+            raise InputError(message)
+        self._batches.check(other._batches)
+        self._linear.merge(other._linear)
+        self._log.merge(other._log)
+        if self._moments is None:
+            self._batches = self._batches.empty(other._moments.count.shape)
+            self._moments, self._flags = other._moments, other._flags
+        else:
+            self._moments = self._moments.merge(other._moments)
+            self._flags = {name: self._flags[name] + other._flags[name] for name in _FLAGS}
+        self._batches.merge(other._batches)
+        return self
+
+    def read(self) -> Statistics:
+        """Return the statistics of all samples so far.
+
+        Raises
+        ------
+        InputError
+            If there are none.
+        """
+        if self._moments is None:
+            message = "the summary has seen no samples; call update first"
+            raise InputError(message)
+        moments = self._moments
+        means, spp = self._batches.read()
+        count = moments.count[..., 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            null_share = np.asarray(self._flags["null_count"] / count)
+        return Statistics(
+            draws=self._batches.total,
+            count=count.astype(np.int64),
+            **self._flags,
+            null_share=null_share,
+            mean=moments.seen(moments.mean),
+            variance=moments.variance,
+            skewness=moments.skewness,
+            kurtosis=moments.kurtosis,
+            minimum=moments.seen(moments.minimum),
+            maximum=moments.seen(moments.maximum),
+            standard_error=moments.standard_error,
+            batch_means=means,
+            batch_spp=spp,
+            linear=self._linear.read(),
+            log=self._log.read(),
+        )
+
+    def _check(self, x: npt.NDArray[Any]) -> None:
+        if self.shape not in (None, x.shape[:-1]):
+            message = (
+                f"every block must have the shape of the first before its samples, {self.shape}, "
+                f"got {x.shape[:-1]}"
+            )
+            raise InputError(message)
+
+
+def summarize(
+    samples: Samples,
+    *,
+    batch_size: int = 32,
+    max_batches: int = 64,
+    bins: int = 100,
+    progress: bool | None = None,
+) -> xr.Dataset:
+    """Return the statistics of every pixel, walking the samples in constant memory.
+
+    Parameters
+    ----------
+    samples
+        The samples of an image.
+    batch_size, max_batches, bins
+        As for `Summary`.
+    progress
+        Show a progress bar; None shows it on a terminal.
+
+    Returns
+    -------
+    xarray.Dataset
+        The fields of `Statistics`, with dims (y, x) for the counts of samples and ``null_share``,
+        (y, x, channel) for the moments and (y, x, channel, batch) for ``batch_means``; and the
+        histograms as `chdstat.histogram` returns them, ``linear_counts`` and so on.
+        Attribute ``batch_size`` is the size at which the batches ended.
+
+    Raises
+    ------
+    InputError
+        If an option is out of range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> radiance = np.random.default_rng(1).gamma(2.0, size=(2, 3, 3, 64))
+    >>> dataset = summarize(Samples.from_array(radiance))
+    >>> dataset["mean"].dims, dataset["batch_means"].shape
+    (('y', 'x', 'channel'), (2, 3, 3, 2))
+    """
+
+    def of_tile(ys: slice, xs: slice, blocks: Blocks) -> Mapped:
+        support = tile_support(samples, ys, xs)
+        summary = Summary(
+            batch_size=batch_size, max_batches=max_batches, bins=bins, support=support
+        )
+        for block in blocks:
+            summary.update(block)
+        return _variables(summary.read())
+
+    spp = checked(samples).spp
+    # A run of the batches alone says how they will end, and refuses wrong options at once.
+    batches = Batches((), size=batch_size, limit=max_batches)
+    batches.update(np.zeros(spp))
+    dataset = reduce_tiles(samples, of_tile, description="summarising", progress=progress)
+    return _label(dataset, batches)
+
+
+def _count_flags(x: npt.NDArray[Any], null: Mask, bad: Mask | None) -> dict[str, Counts]:
+    def count(mask: Mask) -> Counts:
+        return np.asarray(np.count_nonzero(mask.any(axis=-2), axis=-1), dtype=np.int64)
+
+    flags = {name: np.zeros(x.shape[:-2], dtype=np.int64) for name in _FLAGS}
+    flags["null_count"] = count(null)
+    if bad is not None:
+        flags["bad_count"] = count(bad)
+        flags["nan_count"] = count(np.isnan(x))
+        flags["inf_count"] = count(np.isinf(x))
+    if not x.min(initial=0) >= 0:
+        flags["negative_count"] = count(x < 0 if bad is None else (x < 0) & ~bad)
+    return flags
+
+
+def _variables(statistics: Statistics) -> Mapped:
+    counts = {
+        name: ((), np.asarray(getattr(statistics, name)).astype(np.int32))
+        for name in _PER_PIXEL
+        if name != "null_share"
+    }
+    moments = {name: (("channel",), getattr(statistics, name)) for name in _PER_CHANNEL}
+    return {
+        **counts,
+        "null_share": ((), statistics.null_share),
+        **moments,
+        "batch_means": (("channel", "batch"), statistics.batch_means.astype(np.float32)),
+        **statistics.linear.variables(),
+        **statistics.log.variables(),
+    }
+
+
+def _label(dataset: xr.Dataset, batches: Batches) -> xr.Dataset:
+    for name, (long_name, units) in (_PER_PIXEL | _PER_CHANNEL).items():
+        dataset[name].attrs.update(long_name=long_name, units=units)
+    dataset["batch_means"].attrs.update(
+        long_name="means of consecutive batches of samples", units=_RADIANCE
+    )
+    spp = ("batch", batches.read()[1], {"long_name": "draws of the batch", "units": "1"})
+    for scale in SCALES:
+        dataset = label_histogram(dataset, scale)
+    return dataset.assign_coords(batch_spp=spp).assign_attrs(batch_size=batches.size)
