@@ -45,7 +45,7 @@ def test_scalar_needs_no_trial(no_cache, child):
 def test_answers_are_cached_until_asked_afresh(no_cache, child):
     child("pass")
     first = probe("llvm")
-    assert first == Verdict("llvm", works=True, detail="rendered a picture", library=LIBRARY)
+    assert first == Verdict("llvm", works=True, detail="rendered an image", library=LIBRARY)
     assert len(json.loads(no_cache.read_text())) == 1
     child("raise SystemExit('broken since')")
     assert probe("llvm") == first
@@ -81,7 +81,7 @@ def test_an_exception_is_a_verdict(no_cache, child):
 def test_a_child_that_hangs_is_a_verdict(no_cache, child, monkeypatch):
     monkeypatch.setattr(backend, "_TIMEOUT", 0.2)
     child("import time; time.sleep(60)")
-    assert "no picture in" in probe("llvm").detail
+    assert "no image in" in probe("llvm").detail
 
 
 def test_the_child_gets_the_library_and_the_variant(no_cache, child):

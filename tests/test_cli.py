@@ -140,13 +140,13 @@ def test_compare_judges_with_a_denoiser_too(run, store, monkeypatch):
 def test_a_model_is_trained_and_estimates(run, store, tmp_path):
     import chdstat
 
-    model, picture = tmp_path / "box.safetensors", tmp_path / "box.exr"
+    model, image = tmp_path / "box.safetensors", tmp_path / "box.exr"
     asked = ("train", store, "-o", model, "--no-reference", "--iterations", 3, "--spp", 8, "-q")
     assert run(*asked)[:2] == (0, f"wrote {model}\n")
-    asked = ("estimate", store, "-o", picture, "--model", model, "--level", 0.5, "-q")
-    assert run(*asked)[:2] == (0, f"wrote {picture}\n")
-    found = chdstat.io.read_exr(picture)
-    assert found.picture.shape == (10, 12, 3)
+    asked = ("estimate", store, "-o", image, "--model", model, "--level", 0.5, "-q")
+    assert run(*asked)[:2] == (0, f"wrote {image}\n")
+    found = chdstat.io.read_exr(image)
+    assert found.image.shape == (10, 12, 3)
     assert set(found.extra) == {"certainty", "low", "high", "mean"}
     assert (found.attributes["spp"], found.attributes["level"]) == ("16", "0.5")
 
@@ -154,27 +154,27 @@ def test_a_model_is_trained_and_estimates(run, store, tmp_path):
 def test_estimate_renders_a_scene_and_trains_on_it(run, tmp_path):
     import chdstat
 
-    picture, kept = tmp_path / "box.exr", tmp_path / "box.zarr"
-    asked = ("estimate", "cornell-box", "-o", picture, "--spp", 8, "--size", "10x8", "-q")
+    image, kept = tmp_path / "box.exr", tmp_path / "box.zarr"
+    asked = ("estimate", "cornell-box", "-o", image, "--spp", 8, "--size", "10x8", "-q")
     code, _, err = run(*asked, "--iterations", 3, "--backend", "scalar", "--store", kept)
     assert (code, err) == (0, "")
     assert chdstat.open(kept).spp == 8
-    found = chdstat.io.read_exr(picture)
+    found = chdstat.io.read_exr(image)
     assert "features" in json.loads(found.attributes["model"])["inputs"]
-    assert found.picture.shape == (8, 10, 3)
+    assert found.image.shape == (8, 10, 3)
 
 
 def test_estimate_learns_while_a_scene_renders_and_keeps_no_samples(run, store, tmp_path):
     import chdstat
 
-    picture = tmp_path / "box.exr"
-    asked = ("estimate", "cornell-box", "--while-rendering", "-o", picture, "--size", "10x8", "-q")
+    image = tmp_path / "box.exr"
+    asked = ("estimate", "cornell-box", "--while-rendering", "-o", image, "--size", "10x8", "-q")
     asked = (*asked, "--spp", 8, "--iterations", 3, "--backend", "scalar")
     code, _, err = run(*asked)
     assert (code, err) == (0, "")
-    assert list(tmp_path.iterdir()) == [picture]
-    found = chdstat.io.read_exr(picture)
-    assert found.picture.shape == (8, 10, 3)
+    assert list(tmp_path.iterdir()) == [image]
+    found = chdstat.io.read_exr(image)
+    assert found.image.shape == (8, 10, 3)
     assert set(found.extra) == {"certainty", "low", "high", "mean"}
     for more in (("--store", tmp_path / "a.zarr"), ("--spp", 3)):
         assert run(*asked, *more)[0] == 1
@@ -213,14 +213,14 @@ def test_what_cannot_be_estimated_ends_with_a_message_and_no_file(
 
 
 def test_a_scene_is_rendered_as_its_model_looks_at_it(run, tmp_path):
-    model, picture = tmp_path / "m.safetensors", tmp_path / "a.exr"
+    model, image = tmp_path / "m.safetensors", tmp_path / "a.exr"
     size = ("--size", "8x8", "-q")
     asked = ("--direct", "--no-reference", "--spp", "16", "--iterations", "2", "-o", model)
     assert run("train", "cornell-box", *asked, *size)[0] == 0
     assert (
-        run("estimate", "cornell-box", "--spp", "4", "--model", model, "-o", picture, *size)[0] == 0
+        run("estimate", "cornell-box", "--spp", "4", "--model", model, "-o", image, *size)[0] == 0
     )
-    assert picture.is_file()
+    assert image.is_file()
 
 
 def test_report_writes_a_pdf(run, store, tmp_path):

@@ -19,7 +19,7 @@ from chdstat.patterns import Label
 THREE = ("mean", "median_of_means", "elek2019")
 
 
-def picture(height=20, width=16, spp=160, seed=0):
+def image(height=20, width=16, spp=160, seed=0):
     rng = np.random.default_rng(seed)
     brightness = rng.lognormal(0, 1, size=(height, width, 1, 1)) * np.array([1, 0.8, 0.5])[:, None]
     x = brightness * rng.gamma(0.7, size=(height, width, 3, spp))
@@ -28,12 +28,12 @@ def picture(height=20, width=16, spp=160, seed=0):
 
 @pytest.fixture(scope="module")
 def model():
-    return MLP.preset("elek2019").train(picture(), iterations=200)
+    return MLP.preset("elek2019").train(image(), iterations=200)
 
 
 @pytest.fixture(scope="module")
 def found(model):
-    return chd.compare(picture(), THREE, model=model)
+    return chd.compare(image(), THREE, model=model)
 
 
 def expected_measures(x, n, estimator, keep):
@@ -50,7 +50,7 @@ def expected_measures(x, n, estimator, keep):
 
 @pytest.mark.parametrize("name", ["mean", "median_of_means", "elek2019"])
 def test_measures_are_those_of_metrics_on_held_out_batches_and_pixels(found, model, name):
-    samples = picture()
+    samples = image()
     function = model.predict if name == "elek2019" else getattr(chd.estimators, name)
     p, y, m = expected_measures(samples.read(), 32, function, found.test_pixels)
     scene_mean = samples.read().mean(axis=(0, 1, 3), dtype=np.float64)
@@ -76,8 +76,8 @@ def test_the_mean_is_the_unit_of_the_ratios(found):
     assert row["estimator"] == "mean"
     assert (row["mse_ratio"], row["relmse_ratio"], row["improved"]) == (1, 1, 0)
     # Without "mean" among them, the others are still measured against it.
-    alone = chd.compare(picture(), ["median_of_means"])
-    both = chd.compare(picture(), ["mean", "median_of_means"])
+    alone = chd.compare(image(), ["median_of_means"])
+    both = chd.compare(image(), ["mean", "median_of_means"])
     assert alone.table()[0]["mse_ratio"] == both.table()[1]["mse_ratio"] > 1
 
 
@@ -93,15 +93,15 @@ def test_an_estimate_that_holds_the_reference_of_a_leaky_protocol_is_not_free_of
     # The mean of all samples of a pixel is what a leaky protocol takes for the reference, so there
     # its error would be 0. Here, with two batches of means a and b, (a + b)/2 is judged by b: half
     # of the error a - b of the sample mean, a quarter when squared.
-    samples = picture(spp=64)
+    samples = image(spp=64)
     truth = samples.read().mean(axis=-1)
     leak = Estimator("leak", lambda x: truth[: x.shape[0]], source="this test")
     row = chd.compare(samples, [leak]).table()[0]
     assert row["mse_ratio"] == pytest.approx(0.25, rel=1e-4)
 
 
-def test_pictures_are_one_estimate_of_the_first_samples(found, model):
-    x = picture().read()
+def test_images_are_one_estimate_of_the_first_samples(found, model):
+    x = image().read()
     assert found.estimates.shape == (3, 20, 16, 3)
     assert found.estimates[0] == pytest.approx(x[..., :32].mean(axis=-1), rel=1e-5)
     assert found.estimates[2] == pytest.approx(model.predict(x[..., :32]), rel=1e-4, abs=1e-5)
@@ -124,7 +124,7 @@ def test_the_result_is_ready_for_json_and_netcdf(found):
 
 
 def test_the_same_seed_compares_the_same():
-    first, again = (chd.compare(picture(), ["median_of_means"], seed=3).to_dict() for _ in range(2))
+    first, again = (chd.compare(image(), ["median_of_means"], seed=3).to_dict() for _ in range(2))
     assert first == again
 
 
@@ -138,7 +138,7 @@ def test_a_missing_model_is_trained_on_pixels_of_the_seed(monkeypatch):
     entry = registry.lookup("elek2019")
     quick = registry.LearnedEstimator("elek2019", train, entry.source, entry.inputs, entry.pixels)
     monkeypatch.setitem(registry._ENTRIES, "elek2019", quick)
-    found = chd.compare(picture(), ["elek2019"], seed=4)
+    found = chd.compare(image(), ["elek2019"], seed=4)
     assert calls == [(4, 160)]
     assert not found.test_pixels[tuple(found.models["elek2019"].train_pixels.T)].any()
 
@@ -150,10 +150,10 @@ def test_no_row_depends_on_who_else_is_compared(monkeypatch):
         few = 40 if name == "elek2019" else 100
         quick = replace(entry, train=partial(entry.train, iterations=20), pixels=few)
         monkeypatch.setitem(registry._ENTRIES, name, quick)
-    alone = chd.compare(picture(), ["mean", "elek2019"], seed=4)
-    beside = chd.compare(picture(), ["mean", "elek2019", "progressive"], seed=4)
+    alone = chd.compare(image(), ["mean", "elek2019"], seed=4)
+    beside = chd.compare(image(), ["mean", "elek2019", "progressive"], seed=4)
     assert [len(m.train_pixels) for m in beside.models.values()] == [40, 100]
-    again = chd.compare(picture(), ["mean", "elek2019"], seed=4, model=alone.models)
+    again = chd.compare(image(), ["mean", "elek2019"], seed=4, model=alone.models)
     for other in (beside, again):
         for row, same in zip(alone.table(), other.table(), strict=False):
             assert same.pop("estimator") == row["estimator"]
@@ -161,13 +161,13 @@ def test_no_row_depends_on_who_else_is_compared(monkeypatch):
             assert same == pytest.approx(expected, rel=1e-12, nan_ok=True)
 
 
-def test_a_model_of_another_picture_holds_no_pixel_back(model):
-    found = chd.compare(picture(height=8, width=8, seed=1), ["elek2019"], model=model)
+def test_a_model_of_another_image_holds_no_pixel_back(model):
+    found = chd.compare(image(height=8, width=8, seed=1), ["elek2019"], model=model)
     assert found.test_pixels.all()
 
 
 def test_batches_with_bad_samples_are_left_out_and_counted():
-    x = picture(spp=96).read().copy()
+    x = image(spp=96).read().copy()
     x[3, 4, 1, 40] = np.nan
     x[5, 5, 2, 80] = -np.inf
     found = chd.compare(chd.Samples.from_array(x), ["mean", "median_of_means"])
@@ -180,13 +180,13 @@ def test_batches_with_bad_samples_are_left_out_and_counted():
 
 
 def test_max_batches_limits_what_estimates_and_not_the_reference():
-    few, whole = (chd.compare(picture(), ["mean"], max_batches=k) for k in (1, None))
+    few, whole = (chd.compare(image(), ["mean"], max_batches=k) for k in (1, None))
     assert few.batches == 320
     assert whole.batches == 5 * 320
     assert (few.reference == whole.reference).all()
 
 
-def test_an_all_null_picture_has_no_error_and_no_ratio():
+def test_an_all_null_image_has_no_error_and_no_ratio():
     black = chd.Samples.from_array(np.zeros((6, 6, 3, 64)))
     model = MLP.preset("elek2019").train(black, iterations=5)
     for row in chd.compare(black, THREE, model=model).table():
@@ -216,16 +216,16 @@ def test_one_channel_is_enough():
 )
 def test_what_cannot_be_compared_is_refused(estimators, options, match):
     with pytest.raises(InputError, match=match):
-        chd.compare(picture(), estimators, **options)
+        chd.compare(image(), estimators, **options)
 
 
 def test_a_model_that_nobody_asked_for_is_refused(model):
     with pytest.raises(InputError, match="not among"):
-        chd.compare(picture(), ["mean"], model=model)
+        chd.compare(image(), ["mean"], model=model)
 
 
-def test_a_picture_that_trained_everywhere_cannot_judge():
-    samples = picture(height=4, width=4)
+def test_an_image_that_trained_everywhere_cannot_judge():
+    samples = image(height=4, width=4)
     pixels = np.stack(np.indices((4, 4)), axis=-1).reshape(-1, 2)
     model = MLP.preset("elek2019").train(samples, pixels=pixels, iterations=5)
     with pytest.raises(InputError, match="none is left"):
@@ -233,7 +233,7 @@ def test_a_picture_that_trained_everywhere_cannot_judge():
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_a_picture_of_bad_samples_cannot_judge():
+def test_an_image_of_bad_samples_cannot_judge():
     with pytest.raises(InputError, match="every sample"):
         chd.compare(chd.Samples.from_array(np.full((2, 2, 3, 64), np.nan)), ["mean"])
     x = np.ones((2, 2, 3, 64))
@@ -281,7 +281,7 @@ def test_an_estimate_that_is_no_number_improves_nothing():
 def test_the_mean_in_another_order_is_unchanged_everywhere():
     backwards = Estimator("backwards", lambda x: x[..., ::-1].mean(axis=-1), source="this test")
     brighter = Estimator("brighter", lambda x: 1.001 * x.mean(axis=-1), source="this test")
-    rows = chd.compare(picture(), [backwards, brighter]).table()
+    rows = chd.compare(image(), [backwards, brighter]).table()
     assert (rows[0]["unchanged"], rows[0]["improved"]) == (1, 0)
     assert rows[1]["unchanged"] == 0
     assert 0.3 < rows[1]["improved"] < 0.7
@@ -300,12 +300,12 @@ def test_fireflies_left_are_those_of_the_estimator_over_those_of_the_mean():
 def test_an_estimator_of_another_shape_is_refused():
     wrong = Estimator("wrong", lambda x: x[..., 0, 0], source="this test")
     with pytest.raises(InputError, match=r"wrong must return .* \(20, 16, 3\), got \(20, 16\)"):
-        chd.compare(picture(), [wrong])
+        chd.compare(image(), [wrong])
 
 
 def test_an_estimator_that_fails_has_no_measure_and_spoils_no_other():
     fails = Estimator("fails", lambda x: np.full(x.shape[:-1], np.inf), source="this test")
-    fails_row, mean = chd.compare(picture(), [fails, "mean"]).table()
+    fails_row, mean = chd.compare(image(), [fails, "mean"]).table()
     assert np.isnan([fails_row["mse"], fails_row["mse_high"], fails_row["bias"]]).all()
     assert mean["mse_ratio"] == 1
 
@@ -320,7 +320,7 @@ def test_by_default_the_published_network_and_ours_take_part():
 
 
 def test_those_that_use_neighbours_come_last_and_are_marked():
-    found = chd.compare(picture(), ["zirr2018", "mean", "zirr2018_pixel"])
+    found = chd.compare(image(), ["zirr2018", "mean", "zirr2018_pixel"])
     assert found.estimators == ("mean", "zirr2018_pixel", "zirr2018")
     assert found.uses_neighbours.tolist() == [False, False, True]
     assert [row["uses_neighbours"] for row in found.table()] == [False, False, True]
@@ -353,7 +353,7 @@ def test_a_few_pixels_are_units_of_their_own_in_order():
 
 
 def test_intervals_know_that_neighbours_gain_and_lose_together():
-    """The spread over 40 pictures of other blocks; with pixels for units it would be 3 times as
+    """The spread over 40 images of other blocks; with pixels for units it would be 3 times as
     large as claimed."""
     rng = np.random.default_rng(3)
     rows = []
@@ -397,7 +397,7 @@ def test_intervals_over_batches_say_how_other_random_numbers_would_do():
 
 
 def test_a_single_batch_has_no_interval_over_batches():
-    row = chd.compare(picture(), ["median_of_means"], max_batches=1).table()[0]
+    row = chd.compare(image(), ["median_of_means"], max_batches=1).table()[0]
     assert np.isnan([row["mse_low_over_batches"], row["mse_se_over_batches"]]).all()
     assert np.isfinite([row["mse_low"], row["mse_se"]]).all()
 
@@ -418,18 +418,18 @@ def test_models_come_by_the_name_of_the_estimator_that_they_are(monkeypatch):
     )
     monkeypatch.setitem(registry._ENTRIES, "half", entry)
     model = Half(np.array([[0, 0]]), (20, 16))
-    found = chd.compare(picture(), ["half"], n=16, model={"half": model})
+    found = chd.compare(image(), ["half"], n=16, model={"half": model})
     assert found.models == {"half": model}
     assert found.reusable_models == {}
     with pytest.raises(InputError, match="'elek2019', which is not among"):
-        chd.compare(picture(), ["half"], n=16, model={"elek2019": model})
+        chd.compare(image(), ["half"], n=16, model={"elek2019": model})
 
 
 # --- memory -------------------------------------------------------------------------------------
 
 
 def test_memory_grows_neither_with_batches_nor_with_estimators():
-    samples = picture(height=64, width=64, spp=256)
+    samples = image(height=64, width=64, spp=256)
 
     def peak(names, batches):
         tracemalloc.start()
@@ -441,7 +441,7 @@ def test_memory_grows_neither_with_batches_nor_with_estimators():
 
     few = peak(["mean", "median"], 2)
     assert peak(["mean", "median"], 16) < 1.1 * few
-    # Each more takes its picture, its error, and its sums over units: not those of every batch.
+    # Each more takes its image, its error, and its sums over units: not those of every batch.
     each = 64 * 64 * 3 * (4 + 4 + 3 * 6 * 8)
     assert peak(["mean", "median", "huber", "trimmed_mean"], 16) < few + 2 * each + 2**23
 
@@ -457,7 +457,7 @@ def labelled():
 
 
 def test_measures_by_label_add_up_to_those_of_all(model, labelled):
-    found = chd.compare(picture(), THREE, model=model, labels=labelled)
+    found = chd.compare(image(), THREE, model=model, labels=labelled)
     parts = found.breakdown
     assert parts.labels == ("long_tail", "null_heavy", "other")
     assert parts.pixels.sum() == found.test_pixels.sum() == 160
@@ -467,9 +467,9 @@ def test_measures_by_label_add_up_to_those_of_all(model, labelled):
 
 
 def test_one_label_is_a_comparison_of_its_pixels(labelled):
-    found = chd.compare(picture(), ["mean", "median_of_means"], labels=labelled)
-    x = picture().read()[:5]
-    bright = picture().read().mean(axis=(0, 1, 3), dtype=np.float64)
+    found = chd.compare(image(), ["mean", "median_of_means"], labels=labelled)
+    x = image().read()[:5]
+    bright = image().read().mean(axis=(0, 1, 3), dtype=np.float64)
     p, y, _ = expected_measures(x, 32, chd.estimators.median_of_means, np.s_[:])
     relmse = metrics.relmse(p, y, scene_mean=bright).mean()
     assert found.breakdown.measures["relmse"].value[0, 1] == pytest.approx(relmse, rel=1e-4)
@@ -479,8 +479,8 @@ def test_one_label_is_a_comparison_of_its_pixels(labelled):
 
 
 def test_labels_do_not_change_the_measures_of_all(labelled):
-    plain = chd.compare(picture(), ["median_of_means"])
-    split = chd.compare(picture(), ["median_of_means"], labels=labelled)
+    plain = chd.compare(image(), ["median_of_means"])
+    split = chd.compare(image(), ["median_of_means"], labels=labelled)
     for measure, interval in plain.measures.items():
         assert split.measures[measure].value == pytest.approx(interval.value, nan_ok=True)
         assert split.measures[measure].low == pytest.approx(interval.low, nan_ok=True)
@@ -490,9 +490,9 @@ def test_labels_do_not_change_the_measures_of_all(labelled):
 
 def test_the_best_of_a_label_has_the_smallest_error(labelled):
     # The truth is best, be it of neighbours or not; the mean is best where nothing else is.
-    truth = picture().read().mean(axis=-1)
+    truth = image().read().mean(axis=-1)
     oracle = Estimator("oracle", lambda _: truth, source="this test", uses_neighbours=True)
-    found = chd.compare(picture(), ["mean", "median", oracle], labels=labelled)
+    found = chd.compare(image(), ["mean", "median", oracle], labels=labelled)
     assert found.breakdown.best() == ("mean",) * 3
     assert found.breakdown.best("mse", neighbours=True) == ("oracle",) * 3
     with pytest.raises(InputError, match="'mse' or 'relmse', got 'bias'"):
@@ -500,7 +500,7 @@ def test_the_best_of_a_label_has_the_smallest_error(labelled):
 
 
 def test_labels_come_as_codes_as_a_map_or_as_the_order_to_classify():
-    samples = picture(height=6, width=5, spp=128)
+    samples = image(height=6, width=5, spp=128)
     classified = chd.classify(samples)
     ways = [classified, classified["label"], classified["label"].values, "classify"]
     rows = [chd.compare(samples, ["mean"], labels=labels).to_dict()["per_label"] for labels in ways]
@@ -513,7 +513,7 @@ def test_a_map_of_other_codes_brings_its_names():
 
     attrs = {"flag_values": [0, 7], "flag_meanings": "wall lamp"}
     where = xr.DataArray(np.where(np.eye(6, 6, dtype=bool), 7, 0), dims=("y", "x"), attrs=attrs)
-    found = chd.compare(picture(height=6, width=6), ["mean"], labels=where)
+    found = chd.compare(image(height=6, width=6), ["mean"], labels=where)
     assert found.breakdown.labels == ("wall", "lamp")
     assert found.breakdown.pixels.tolist() == [30, 6]
 
@@ -528,16 +528,16 @@ def test_a_map_of_other_codes_brings_its_names():
         ),
         (np.zeros((20, 16)), "must be integers"),
         (np.full((20, 16), 99), r"got \[99\] too"),
-        (chd.summarize(picture(spp=8)), "has a variable 'label'"),
+        (chd.summarize(image(spp=8)), "has a variable 'label'"),
     ],
 )
 def test_labels_that_fit_nothing_are_refused(labels, match):
     with pytest.raises(InputError, match=match):
-        chd.compare(picture(), ["mean"], labels=labels)
+        chd.compare(image(), ["mean"], labels=labels)
 
 
 def test_labels_are_in_the_dataset(labelled):
-    dataset = chd.compare(picture(), ["mean", "median"], labels=labelled).to_dataset()
+    dataset = chd.compare(image(), ["mean", "median"], labels=labelled).to_dataset()
     assert dataset["label_relmse"].dims == ("label", "estimator")
     assert dataset["label_pixels"].sel(label="null_heavy") == 12
     assert dataset["mse_low_over_batches"].dims == ("estimator", "part")
@@ -553,7 +553,7 @@ def test_pixels_are_drawn_from_those_that_judge(found, model):
     assert found.test_pixels[ys, xs].all()
     assert len(set(zip(ys, xs, strict=True))) == 25
     assert (np.diff(drawn.reference.sum(axis=-1)) >= 0).all()
-    x = picture().read()[ys, xs]
+    x = image().read()[ys, xs]
     assert drawn.mean == pytest.approx(x[..., :32].mean(axis=-1), rel=1e-5)
     assert drawn.reference == pytest.approx(x[..., 32:].mean(axis=-1), rel=1e-4)
     assert drawn.estimates[2] == pytest.approx(model.predict(x[..., :32]), rel=1e-4, abs=1e-5)

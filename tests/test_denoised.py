@@ -14,7 +14,7 @@ from chdstat.errors import InputError
 from chdstat.estimators import Estimator, Progressive, lookup, registry
 
 
-def picture(*, height=16, width=12, spp=64, features=True):
+def image(*, height=16, width=12, spp=64, features=True):
     rng = np.random.default_rng(0)
     brightness = rng.lognormal(size=(height, width, 1, 1))
     known = {"albedo": np.full((height, width, 3), 0.5), "normal": np.zeros((height, width, 3))}
@@ -26,7 +26,7 @@ def picture(*, height=16, width=12, spp=64, features=True):
 
 @pytest.fixture
 def network(monkeypatch):
-    """Take the place of the denoiser: it doubles a picture and notes what it was given."""
+    """Take the place of the denoiser: it doubles an image and notes what it was given."""
     seen = []
 
     def double(colour, *, hdr, **guides):
@@ -39,7 +39,7 @@ def network(monkeypatch):
 
 @pytest.fixture(scope="module")
 def model():
-    return Progressive().train(picture(), sizes=[16], iterations=10, progress=False)
+    return Progressive().train(image(), sizes=[16], iterations=10, progress=False)
 
 
 def test_names_say_what_the_denoiser_is_given():
@@ -49,8 +49,8 @@ def test_names_say_what_the_denoiser_is_given():
     assert denoised("mean").uses_neighbours
 
 
-def test_the_denoiser_is_given_the_estimate_and_its_picture_is_judged(network):
-    samples = picture()
+def test_the_denoiser_is_given_the_estimate_and_its_image_is_judged(network):
+    samples = image()
     found = chd.compare(samples, ["mean", denoised("median")], n=16)
     assert found.estimators == ("mean", "median + OIDN")
     assert found.uses_neighbours.tolist() == [False, True]
@@ -60,18 +60,18 @@ def test_the_denoiser_is_given_the_estimate_and_its_picture_is_judged(network):
 
 
 def test_features_are_given_where_they_are_asked_for(network):
-    chd.compare(picture(), [denoised("mean", features=True)], n=16)
+    chd.compare(image(), [denoised("mean", features=True)], n=16)
     assert {tuple(guides) for _, guides in network[1:]} == {("albedo", "normal")}
 
 
 def test_what_is_negative_counts_as_black(network):
     below = Estimator("below", lambda x: x.mean(axis=-1) - 1e6, source="this test")
-    found = chd.compare(picture(), [denoised(below)], n=16)
+    found = chd.compare(image(), [denoised(below)], n=16)
     assert (found.estimates == 0).all()
 
 
 def test_what_is_certain_stays(network, model):
-    samples = picture()
+    samples = image()
     asked = [denoised("progressive_mse", certainty=True)]
     found = chd.compare(samples, asked, n=16, model=model)
     said = model.estimate(samples.read(ss=slice(0, 16)), balance=0)
@@ -80,7 +80,7 @@ def test_what_is_certain_stays(network, model):
 
 
 def test_every_contestant_is_judged_in_every_way(network, model):
-    found = chd.compare(picture(), ["mean", "progressive"], n=16, model=model, denoise=True)
+    found = chd.compare(image(), ["mean", "progressive"], n=16, model=model, denoise=True)
     assert found.estimators == (
         "mean",
         "progressive",
@@ -91,12 +91,12 @@ def test_every_contestant_is_judged_in_every_way(network, model):
         "progressive + OIDN certainty",
         "progressive + OIDN features certainty",
     )
-    alone = chd.compare(picture(), ["mean", "progressive"], n=16, model=model)
+    alone = chd.compare(image(), ["mean", "progressive"], n=16, model=model)
     assert [row["mse"] for row in alone.table()] == [row["mse"] for row in found.table()[:2]]
 
 
 def test_without_features_none_are_given(network):
-    found = chd.compare(picture(features=False), ["mean"], n=16, denoise=True)
+    found = chd.compare(image(features=False), ["mean"], n=16, denoise=True)
     assert found.estimators == ("mean", "mean + OIDN")
 
 
@@ -109,35 +109,35 @@ def test_a_denoised_contestant_shares_the_training_of_its_own(network, monkeypat
 
     entry = registry.LearnedEstimator("mine", train, "this test", inputs=None, pixels=64)
     monkeypatch.setitem(registry._ENTRIES, "mine", entry)
-    found = chd.compare(picture(), ["mine", denoised("mine")], n=16)
+    found = chd.compare(image(), ["mine", denoised("mine")], n=16)
     assert len(calls) == 1
     assert list(found.models) == ["mine"]
     assert not found.test_pixels[tuple(found.models["mine"].train_pixels.T)].any()
     # Alone, it trains what it needs.
-    assert list(chd.compare(picture(), [denoised("mine")], n=16).models) == ["mine"]
+    assert list(chd.compare(image(), [denoised("mine")], n=16).models) == ["mine"]
 
 
 def test_curves_take_them_too(network):
-    curve = chd.error_curve(picture(), [denoised("mean")], sizes=[8, 16])
+    curve = chd.error_curve(image(), [denoised("mean")], sizes=[8, 16])
     assert curve.estimators == ("mean + OIDN",)
 
 
 def test_what_cannot_be_denoised_is_refused_before_any_work(monkeypatch, network):
     with pytest.raises(InputError, match="needs the albedo"):
-        chd.compare(picture(features=False), [denoised("mean", features=True)], n=16)
+        chd.compare(image(features=False), [denoised("mean", features=True)], n=16)
     with pytest.raises(InputError, match="'mean' does not"):
         denoised("mean", certainty=True)
     with pytest.raises(InputError, match="at least 11 samples"):
-        chd.compare(picture(), [denoised("median_of_means")], n=8)
+        chd.compare(image(), [denoised("median_of_means")], n=8)
     monkeypatch.setitem(sys.modules, "pyoidn", None)
     with pytest.raises(InputError, match="not installed"):
-        chd.compare(picture(), ["mean"], n=16, denoise=True)
+        chd.compare(image(), ["mean"], n=16, denoise=True)
     with pytest.raises(InputError, match="not installed"):
-        chd.compare(picture(), [denoised("mean")], n=16)
+        chd.compare(image(), [denoised("mean")], n=16)
 
 
 def test_a_model_without_certainty_is_refused(network):
-    samples = picture()
+    samples = image()
     with pytest.raises(InputError, match="elek2019 says no certainty"):
         chd.compare(
             samples,
@@ -147,7 +147,7 @@ def test_a_model_without_certainty_is_refused(network):
 
 
 def test_open_image_denoise_makes_a_noisy_wall_smooth():
-    """The noise of a flat picture falls to less than half; negative control: the mean itself."""
+    """The noise of a flat image falls to less than half; negative control: the mean itself."""
     pytest.importorskip("pyoidn")
     rng = np.random.default_rng(1)
     wall = chd.Samples.from_array(rng.gamma(0.7, size=(32, 32, 3, 64)))

@@ -11,7 +11,7 @@ from chdstat.errors import InputError
 from chdstat.estimators import MLP
 
 
-def picture(spp=160):
+def image(spp=160):
     rng = np.random.default_rng(0)
     brightness = rng.lognormal(0, 1, size=(16, 12, 1, 1)) * np.array([1, 0.8, 0.5])[:, None]
     return chd.Samples.from_array(brightness * rng.gamma(0.7, size=(16, 12, 3, spp)))
@@ -19,7 +19,7 @@ def picture(spp=160):
 
 @pytest.fixture(scope="module")
 def model():
-    return MLP.preset("elek2019").train(picture(), iterations=20)
+    return MLP.preset("elek2019").train(image(), iterations=20)
 
 
 @pytest.fixture(scope="module")
@@ -31,10 +31,10 @@ def curve():
 
 def test_default_sizes_hold_one_that_each_estimator_takes():
     names = ["mean", "median_of_means", "elek2019"]
-    assert curve_sizes(picture(spp=64), names) == (4, 8, 11, 32)
-    assert curve_sizes(picture(spp=1024), names) == (4, 8, 16, 32, 64, 128)
+    assert curve_sizes(image(spp=64), names) == (4, 8, 11, 32)
+    assert curve_sizes(image(spp=1024), names) == (4, 8, 16, 32, 64, 128)
     with pytest.raises(InputError, match=r"elek2019 takes exactly 32 samples, got sizes \(4, 11"):
-        curve_sizes(picture(spp=48), names)
+        curve_sizes(image(spp=48), names)
 
 
 def test_sizes_double_up_to_an_eighth_of_the_samples(curve):
@@ -68,7 +68,7 @@ def test_where_an_estimator_takes_too_few_there_is_no_number(curve):
 
 
 def test_a_point_of_the_curve_is_a_comparison():
-    samples = picture(spp=128)
+    samples = image(spp=128)
     names = ["mean", "zirr2018", "trimmed_mean"]
     curve = error_curve(samples, names, sizes=[32, 8])
     assert curve.estimators == ("mean", "trimmed_mean", "zirr2018")
@@ -81,7 +81,7 @@ def test_a_point_of_the_curve_is_a_comparison():
 
 
 def test_what_learns_is_measured_at_its_own_size(model):
-    curve = error_curve(picture(), ["mean", "elek2019"], sizes=[16, 32], model=model)
+    curve = error_curve(image(), ["mean", "elek2019"], sizes=[16, 32], model=model)
     assert np.isfinite(curve.measures["relmse"].value).tolist() == [[True, False], [True, True]]
     assert curve.test_pixels == 96
     assert curve.batches.tolist() == [96 * 10, 96 * 5]
@@ -114,7 +114,7 @@ def test_the_curve_is_ready_for_json_and_netcdf(curve):
 )
 def test_what_has_no_curve_is_refused(names, options, match):
     with pytest.raises(InputError, match=match):
-        error_curve(picture(), names, **options)
+        error_curve(image(), names, **options)
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")

@@ -1,4 +1,4 @@
-"""Estimates: one call from samples to a picture, and the file of it."""
+"""Estimates: one call from samples to an image, and the file of it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from chdstat.io import read_exr
 QUICK = {"iterations": 5, "progress": False}
 
 
-def picture(spp=16, channels=3, features=False):
+def image(spp=16, channels=3, features=False):
     rng = np.random.default_rng(0)
     x = rng.lognormal(size=(16, 20, 1, 1)) * rng.gamma(0.7, size=(16, 20, channels, spp))
     known = {"albedo": np.full((16, 20, 3), 0.5)} if features else None
@@ -27,7 +27,7 @@ def picture(spp=16, channels=3, features=False):
 
 
 def test_samples_that_memory_cannot_hold_are_refused_in_words(monkeypatch):
-    samples = picture(spp=64)
+    samples = image(spp=64)
     monkeypatch.setattr(executor, "memory", lambda: 1.5 * samples.nbytes)
     with pytest.raises(InputError, match=r"64 spp.* GB of memory, of which there are .*--spp"):
         estimate(samples, **QUICK)
@@ -36,7 +36,7 @@ def test_samples_that_memory_cannot_hold_are_refused_in_words(monkeypatch):
 
 @pytest.fixture(scope="module")
 def model():
-    return train_model(picture(spp=64), "progressive", **QUICK)
+    return train_model(image(spp=64), "progressive", **QUICK)
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def doubling(monkeypatch):
 
 
 def test_it_trains_on_the_very_samples_and_is_the_same_every_time():
-    first, again = (estimate(picture(features=True), seed=2, **QUICK) for _ in range(2))
+    first, again = (estimate(image(features=True), seed=2, **QUICK) for _ in range(2))
     assert first.radiance.shape == first.low.shape == (16, 20, 3)
     assert first.level == 0.9
     assert (first.radiance == again.radiance).all()
@@ -55,44 +55,44 @@ def test_it_trains_on_the_very_samples_and_is_the_same_every_time():
 
 
 def test_only_the_first_samples_count():
-    whole, part = picture(), chd.Samples.from_array(picture().read(ss=slice(0, 8)))
+    whole, part = image(), chd.Samples.from_array(image().read(ss=slice(0, 8)))
     assert (estimate(whole, spp=8, **QUICK).radiance == estimate(part, **QUICK).radiance).all()
 
 
 def test_a_model_is_taken_as_it_is_or_from_its_file(model, tmp_path):
     model.save(tmp_path / "a.safetensors")
     asked = {"balance": 1.0, "level": 0.5}
-    expected = model.estimate(picture().read(), **asked)
+    expected = model.estimate(image().read(), **asked)
     for given in (model, tmp_path / "a.safetensors", str(tmp_path / "a.safetensors")):
-        found = estimate(picture(), given, **asked)
+        found = estimate(image(), given, **asked)
         assert (found.radiance == expected.radiance).all()
         assert (found.high == expected.high).all()
 
 
 def test_a_network_that_says_no_more_than_an_estimate(tmp_path):
-    network = train_model(picture(spp=64), "elek2019", **QUICK)
-    found = estimate(picture(spp=64), network, spp=32)
+    network = train_model(image(spp=64), "elek2019", **QUICK)
+    found = estimate(image(spp=64), network, spp=32)
     assert np.isfinite(found.radiance).all()
     assert np.isnan([found.level, found.certainty.mean(), found.low.mean()]).all()
-    file = write_estimates(tmp_path / "a.exr", picture(spp=32), network)
+    file = write_estimates(tmp_path / "a.exr", image(spp=32), network)
     assert set(read_exr(file).extra) == {"mean"}
     with pytest.raises(InputError, match="exactly 32 samples"):
-        estimate(picture(), network)
+        estimate(image(), network)
 
 
 def test_the_denoiser_comes_last(doubling, model):
-    plain, smooth = (estimate(picture(), model, denoise=way) for way in (False, True))
+    plain, smooth = (estimate(image(), model, denoise=way) for way in (False, True))
     assert smooth.radiance == pytest.approx(2 * plain.radiance, rel=1e-5)
     assert (smooth.low == plain.low).all()
 
 
 def test_the_file_holds_the_estimate_and_what_belongs_to_it(tmp_path, model, doubling):
-    file = write_estimates(tmp_path / "a.exr", picture(), model, denoise=True)
-    found, expected = read_exr(file), estimate(picture(), model)
+    file = write_estimates(tmp_path / "a.exr", image(), model, denoise=True)
+    found, expected = read_exr(file), estimate(image(), model)
     assert set(found.extra) == {"certainty", "low", "high", "mean", "estimate"}
     assert (found.extra["estimate"] == expected.radiance).all()
     assert (found.extra["certainty"] == expected.certainty).all()
-    assert found.extra["mean"] == pytest.approx(picture().read().mean(axis=-1), rel=1e-5)
+    assert found.extra["mean"] == pytest.approx(image().read().mean(axis=-1), rel=1e-5)
     said = found.attributes
     assert (said["scene"], said["spp"], said["level"]) == ("made up", "16", "0.9")
     assert said["denoiser"] == "Open Image Denoise"
@@ -100,30 +100,30 @@ def test_the_file_holds_the_estimate_and_what_belongs_to_it(tmp_path, model, dou
 
 
 @pytest.mark.parametrize("channels", [1, 2])
-def test_pictures_of_other_channels_have_a_file_too(tmp_path, channels):
-    samples = picture(channels=channels)
+def test_images_of_other_channels_have_a_file_too(tmp_path, channels):
+    samples = image(channels=channels)
     file = write_estimates(tmp_path / "a.exr", samples, **QUICK)
     names = None if channels == 1 else samples.channels
-    assert read_exr(file, channels=names).picture.shape == (16, 20, channels)
+    assert read_exr(file, channels=names).image.shape == (16, 20, channels)
 
 
 def test_where_the_mean_is_finite_so_is_the_estimate(tmp_path):
-    x = picture().read().copy()
+    x = image().read().copy()
     x[0, 0, 0, 3], x[1, 1, 2, 5], x[2, 2, :, 0] = np.nan, np.inf, -1
     x[3, 3], x[5, 5] = 0, np.nan
     found = read_exr(write_estimates(tmp_path / "a.exr", chd.Samples.from_array(x), **QUICK))
     finite = np.isfinite(found.extra["mean"])
     assert finite.sum() == 3 * (16 * 20 - 1)
-    assert np.isfinite(found.picture[finite]).all()
+    assert np.isfinite(found.image[finite]).all()
 
 
 def test_what_cannot_be_estimated_is_refused_and_leaves_no_file(tmp_path, model, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    other, short = picture(channels=1), picture(spp=2)
+    other, short = image(channels=1), image(spp=2)
     for options, match in (
-        ((picture(), model, {"balance": 2}), "balance must lie between 0"),
-        ((picture(), model, {"level": 1.0}), "level must lie between 0 and 1"),
-        ((picture(), None, {"spp": 17}), "spp must be from 1 to 16"),
+        ((image(), model, {"balance": 2}), "balance must lie between 0"),
+        ((image(), model, {"level": 1.0}), "level must lie between 0 and 1"),
+        ((image(), None, {"spp": 17}), "spp must be from 1 to 16"),
         ((other, model, {}), "3 channels, got 1"),
         ((short, None, {}), "at least 4 spp, got 2"),
     ):
@@ -136,13 +136,13 @@ def test_what_cannot_be_estimated_is_refused_and_leaves_no_file(tmp_path, model,
         (tmp_path, r"must end in \.exr"),
     ):
         with pytest.raises(InputError, match=match):
-            write_estimates(path, picture(), model)
+            write_estimates(path, image(), model)
     (tmp_path / "b.exr").mkdir()
     with pytest.raises(InputError, match="cannot be written"):
-        write_estimates("b.exr", picture(), model)
+        write_estimates("b.exr", image(), model)
     with pytest.raises(StoreError, match="no model at nowhere"):
-        write_estimates("a.exr", picture(), "nowhere.safetensors")
+        write_estimates("a.exr", image(), "nowhere.safetensors")
     monkeypatch.setitem(sys.modules, "pyoidn", None)
     with pytest.raises(InputError, match="not installed"):
-        write_estimates("a.exr", picture(), denoise=True)
+        write_estimates("a.exr", image(), denoise=True)
     assert [path.name for path in tmp_path.iterdir()] == ["b.exr"]

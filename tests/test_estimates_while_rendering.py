@@ -29,7 +29,7 @@ def box() -> chd.Samples:
 def test_the_file_holds_what_that_of_samples_holds(tmp_path, box):
     file = write_estimates(tmp_path / "a.exr", rendering(), iterations=4)
     found = read_exr(file)
-    assert found.picture.shape == (8, 10, 3)
+    assert found.image.shape == (8, 10, 3)
     assert set(found.extra) == {"certainty", "low", "high", "mean"}
     assert found.extra["mean"] == pytest.approx(box.read().mean(axis=-1), rel=1e-4, abs=1e-6)
     said, model = found.attributes, json.loads(found.attributes["model"])

@@ -8,14 +8,14 @@ from chdstat.errors import InputError
 
 
 @pytest.fixture
-def picture():
+def image():
     rng = np.random.default_rng(0)
     reference = rng.gamma(2, size=(5, 7, 3))
     return reference * rng.lognormal(0, 0.3, size=reference.shape), reference
 
 
-def test_measures_follow_their_definition_channel_by_channel(picture):
-    p, y = picture
+def test_measures_follow_their_definition_channel_by_channel(image):
+    p, y = image
     for c in range(3):
         pc, yc = p[..., c].ravel(), y[..., c].ravel()
         m = yc.mean()
@@ -26,8 +26,8 @@ def test_measures_follow_their_definition_channel_by_channel(picture):
         assert metrics.bias(p, y)[c] == pytest.approx(np.mean(pc - yc) / m)
 
 
-def test_scaling_the_radiance_scales_mse_and_nothing_else(picture):
-    p, y = picture
+def test_scaling_the_radiance_scales_mse_and_nothing_else(image):
+    p, y = image
     mean = y * 1.3
     assert metrics.mse(8 * p, 8 * y) == pytest.approx(64 * metrics.mse(p, y))
     assert metrics.relmse(8 * p, 8 * y) == pytest.approx(metrics.relmse(p, y))
@@ -35,15 +35,15 @@ def test_scaling_the_radiance_scales_mse_and_nothing_else(picture):
     assert metrics.improved(8 * p, 8 * y, 8 * mean) == pytest.approx(metrics.improved(p, y, mean))
 
 
-def test_scene_mean_is_that_of_the_whole_scene_where_a_part_is_measured(picture):
-    p, y = picture
+def test_scene_mean_is_that_of_the_whole_scene_where_a_part_is_measured(image):
+    p, y = image
     scene_mean = y.mean(axis=(0, 1))
     parts = [metrics.relmse(p[k], y[k], scene_mean=scene_mean) for k in range(len(p))]
     assert np.mean(parts, axis=0) == pytest.approx(metrics.relmse(p, y))
 
 
-def test_a_tie_is_no_improvement(picture):
-    p, y = picture
+def test_a_tie_is_no_improvement(image):
+    p, y = image
     assert (metrics.improved(p, y, p) == 0).all()
     assert (metrics.improved(y, y, p) == 1).all()
 
@@ -57,9 +57,9 @@ def test_a_black_scene_has_no_error_and_no_bias_to_speak_of():
 
 
 @pytest.mark.parametrize("shape", [(5, 7, 1), (7, 3), (1, 7, 3)])
-def test_shapes_must_agree(picture, shape):
+def test_shapes_must_agree(image, shape):
     with pytest.raises(InputError, match="same shape"):
-        metrics.mse(np.ones(shape), picture[1])
+        metrics.mse(np.ones(shape), image[1])
 
 
 def test_bootstrap_standard_error_is_that_of_a_mean():

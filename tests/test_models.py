@@ -13,7 +13,7 @@ from chdstat.estimators.model_files import write_model
 from chdstat.estimators.models import first_samples, load_model, train_model
 
 
-def picture(spp=64, features=False):
+def image(spp=64, features=False):
     rng = np.random.default_rng(0)
     x = rng.lognormal(size=(16, 16, 1, 1)) * rng.gamma(0.7, size=(16, 16, 3, spp))
     known = {"albedo": np.full((16, 16, 3), 0.5)} if features else None
@@ -30,17 +30,17 @@ def picture(spp=64, features=False):
     ],
 )
 def test_what_is_saved_is_read_as_what_it_is(tmp_path, name, options, kind):
-    model = train_model(picture(), name, iterations=5, progress=False, **options)
+    model = train_model(image(), name, iterations=5, progress=False, **options)
     model.save(tmp_path / "a.safetensors")
     again = load_model(tmp_path / "a.safetensors")
     assert type(model) is type(again) is kind
-    x = picture().read(ss=slice(0, 32))
+    x = image().read(ss=slice(0, 32))
     assert (again.predict(x) == model.predict(x)).all()
 
 
 def test_options_reach_the_training():
     model = train_model(
-        picture(features=True), inputs=["features"], reference=False, iterations=5, seed=3, spp=16
+        image(features=True), inputs=["features"], reference=False, iterations=5, seed=3, spp=16
     )
     assert model.inputs.features
     assert model.inputs.neighbours
@@ -50,7 +50,7 @@ def test_options_reach_the_training():
 
 
 def test_the_first_samples_are_the_first():
-    samples = picture(features=True)
+    samples = image(features=True)
     part = first_samples(samples, 5)
     assert (part.read() == samples.read(ss=slice(0, 5))).all()
     assert (part.name, part.features.keys()) == ("made up", samples.features.keys())
@@ -76,12 +76,12 @@ def test_the_first_samples_are_the_first():
 )
 def test_what_cannot_be_trained_is_refused(name, options, match):
     with pytest.raises(InputError, match=match):
-        train_model(picture(), name, **options)
+        train_model(image(), name, **options)
 
 
 def test_foreign_and_damaged_files_are_refused(tmp_path):
     path = tmp_path / "a.safetensors"
-    train_model(picture(), "elek2019", iterations=2, progress=False).save(path)
+    train_model(image(), "elek2019", iterations=2, progress=False).save(path)
     whole = path.read_bytes()
     for content in (whole[:-50], b"", b"not a model" * 9):
         path.write_bytes(content)
@@ -99,7 +99,7 @@ def test_foreign_and_damaged_files_are_refused(tmp_path):
 
 def test_one_bit_of_a_model_is_enough_to_refuse_it(tmp_path):
     path = tmp_path / "a.safetensors"
-    train_model(picture(), "elek2019", iterations=2, progress=False).save(path)
+    train_model(image(), "elek2019", iterations=2, progress=False).save(path)
     sound = path.read_bytes()
     rng = np.random.default_rng(0)
     for place in rng.integers(len(sound), size=64):
@@ -118,5 +118,5 @@ def test_one_bit_of_a_model_is_enough_to_refuse_it(tmp_path):
 def test_equal_models_are_equal_files(tmp_path):
     files = [tmp_path / f"{i}.safetensors" for i in range(2)]
     for path in files:
-        train_model(picture(), "elek2019", iterations=2, progress=False).save(path)
+        train_model(image(), "elek2019", iterations=2, progress=False).save(path)
     assert files[0].read_bytes() == files[1].read_bytes()

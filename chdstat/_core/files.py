@@ -88,10 +88,10 @@ def checked_target(path: str | Path, suffix: str) -> Path:
 
     Examples
     --------
-    >>> checked_target("picture.png", ".exr")
+    >>> checked_target("image.png", ".exr")
     Traceback (most recent call last):
         ...
-    chdstat.errors.InputError: the path to write must end in .exr, got 'picture.png'
+    chdstat.errors.InputError: the path to write must end in .exr, got 'image.png'
     """
     target = Path(path)
     if target.suffix.lower() != suffix:

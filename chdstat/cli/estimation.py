@@ -107,7 +107,7 @@ def train(
 @app.command(epilog="Example: chdstat estimate bathroom.zarr -o bathroom.exr --denoise")
 def estimate(
     source: SceneOrStore,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The picture to write, .exr.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The image to write, .exr.")],
     model: Annotated[
         Path | None,
         typer.Option(
@@ -122,7 +122,7 @@ def estimate(
         float | None, typer.Option(help="Probability of the interval.", show_default=False)
     ] = None,
     denoise: Annotated[
-        bool, typer.Option("--denoise", help="Put the picture through Open Image Denoise.")
+        bool, typer.Option("--denoise", help="Put the image through Open Image Denoise.")
     ] = False,
     while_rendering: Annotated[
         bool,
@@ -140,7 +140,7 @@ def estimate(
     store: StoreKept = None,
     quiet: Quiet = False,
 ) -> None:
-    """Make a better picture of the samples there are; of a store, --spp takes the first samples.
+    """Make a better image of the samples there are; of a store, --spp takes the first samples.
 
     Trains on these very samples, without a reference; with --while-rendering between the batches
     of a render, in memory that does not grow with --spp. The file holds the estimate, and as layers

@@ -5,7 +5,7 @@ A unit is a block of pixels with all their batches, or a batch with all its pixe
 
 Tally: many estimators judged on the same batches, their errors added up as they come.
 
-Memory is bounded: one batch of the picture, one estimate of it, and sums over blocks of pixels.
+Memory is bounded: one batch of the image, one estimate of it, and sums over blocks of pixels.
 Neighbours see the same light and gain or lose together, so that blocks, not pixels, tell how sure a
 measure is (Künsch 1989, doi:10.1214/aos/1176347265).
 """
@@ -33,8 +33,8 @@ __all__ = [
     "SUMS",
     "Directed",
     "ErrorSums",
+    "EstimateImages",
     "Function",
-    "Pictures",
     "Tally",
     "Units",
     "asked",
@@ -215,12 +215,12 @@ class Directed:
 Function = Callable[[npt.ArrayLike], Array] | Directed
 
 _ACROSS = 8
-"""Blocks along each side of the picture."""
+"""Blocks along each side of the image."""
 
 
 @dataclass(frozen=True)
 class Units:
-    """Pixels that judge, gathered into units: those of a label in a block of the picture.
+    """Pixels that judge, gathered into units: those of a label in a block of the image.
 
     Attributes
     ----------
@@ -243,7 +243,7 @@ class Units:
 
     @classmethod
     def of(cls, test: npt.NDArray[np.bool_], labels: npt.NDArray[np.int64] | None = None) -> Units:
-        """Gather the pixels of `test`, in 8 x 8 blocks of the picture."""
+        """Gather the pixels of `test`, in 8 x 8 blocks of the image."""
         ys, xs = np.nonzero(test)
         label = np.zeros(len(ys), np.int64) if labels is None else labels[ys, xs]
         block = block_numbers(*test.shape, across=_ACROSS)[ys, xs]
@@ -254,9 +254,9 @@ class Units:
         pixels = np.diff(starts, append=len(ys))
         return cls(ys[order], xs[order], starts, label[starts], block[starts], pixels)
 
-    def __call__(self, picture: Array) -> Array:
-        """Return a picture's values at the pixels, shape (pixel, ...)."""
-        return np.asarray(picture[self.ys, self.xs])
+    def __call__(self, image: Array) -> Array:
+        """Return an image's values at the pixels, shape (pixel, ...)."""
+        return np.asarray(image[self.ys, self.xs])
 
     def sum(self, values: Array) -> Array:
         """Add up values (pixel, ...) within each unit."""
@@ -264,8 +264,8 @@ class Units:
 
 
 @dataclass(frozen=True)
-class Pictures:
-    """The first batch over the whole picture, radiance.
+class EstimateImages:
+    """The first batch over the whole image, radiance.
 
     Attributes
     ----------
@@ -297,7 +297,7 @@ class Tally:
         Sums over pixels, one row a batch.
     excluded
         Batches of test pixels without a reference.
-    pictures
+    images
         What the first batch looks like; None where nobody asked.
     """
 
@@ -305,12 +305,12 @@ class Tally:
     by_block: ErrorSums
     by_batch: ErrorSums
     excluded: int
-    pictures: Pictures | None
+    images: EstimateImages | None
 
 
 @dataclass(frozen=True)
 class _Batch:
-    """One batch of the picture, and what the estimates of it are judged by."""
+    """One batch of the image, and what the estimates of it are judged by."""
 
     samples: npt.NDArray[np.float32]
     direct: npt.NDArray[np.float32] | None
@@ -346,12 +346,12 @@ def judge(
     *,
     n: int,
     limit: int | None,
-    pictures: bool = True,
+    images: bool = True,
     progress: bool | None = None,
 ) -> Tally:
     """Let every estimator estimate from the same batches and add up its errors.
 
-    The picture is read with n samples at a time and estimated by one estimator at a time.
+    The image is read with n samples at a time and estimated by one estimator at a time.
     """
     height, width, channels, spp = samples.shape
     rounds = spp // n if limit is None else min(limit, spp // n)
@@ -361,10 +361,10 @@ def judge(
     shown, excluded = None, 0
     work = rounds * height * width * len(functions)
     with track(f"comparing at N = {n}", work, unit="px", show=progress) as advance:
-        for index, (picture, direct) in enumerate(_read(samples, n, limit, functions)):
-            batch = _Batch(picture, direct, mean(picture), totals.mean_without(picture))
-            if index == 0 and pictures:
-                shown = _empty_pictures(batch, len(functions))
+        for index, (image, direct) in enumerate(_read(samples, n, limit, functions)):
+            batch = _Batch(image, direct, mean(image), totals.mean_without(image))
+            if index == 0 and images:
+                shown = _empty_images(batch, len(functions))
             excluded += _add_references(batch, units, by_unit, by_batch[index : index + 1])
             for k, estimate in enumerate(batch.estimates(functions)):
                 sums = units.sum(_errors(estimate, batch, units, scene_mean))
@@ -379,11 +379,11 @@ def judge(
 def _read(
     samples: Samples, n: int, limit: int | None, functions: Mapping[str, Function]
 ) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]]:
-    """Yield the picture with n samples at a time, and their direct part where it is asked for."""
-    pictures = batches(samples, n, limit=limit)
+    """Yield the image with n samples at a time, and their direct part where it is asked for."""
+    images = batches(samples, n, limit=limit)
     if not any(isinstance(function, Directed) for function in functions.values()):
-        return ((picture, None) for picture in pictures)
-    return zip(pictures, batches(direct_of(samples), n, limit=limit), strict=True)
+        return ((image, None) for image in images)
+    return zip(images, batches(direct_of(samples), n, limit=limit), strict=True)
 
 
 def _add_references(batch: _Batch, units: Units, by_unit: ErrorSums, by_batch: ErrorSums) -> int:
@@ -412,15 +412,15 @@ def _errors(estimate: Array, batch: _Batch, units: Units, scene_mean: Array) -> 
     return whole
 
 
-def _empty_pictures(batch: _Batch, estimators: int) -> Pictures:
+def _empty_images(batch: _Batch, estimators: int) -> EstimateImages:
     estimates = np.empty((estimators, *batch.mean.shape), np.float32)
-    return Pictures(
+    return EstimateImages(
         estimates, np.empty_like(estimates), batch.mean.astype(np.float32), batch.reference
     )
 
 
-def _keep(pictures: Pictures, k: int, estimate: Array) -> None:
-    """Keep an estimate; float32 is what a picture holds, and 1e30 squared is beyond it."""
-    pictures.estimates[k] = estimate
+def _keep(images: EstimateImages, k: int, estimate: Array) -> None:
+    """Keep an estimate; float32 is what an image holds, and 1e30 squared is beyond it."""
+    images.estimates[k] = estimate
     with np.errstate(over="ignore"):
-        pictures.squared_error[k] = np.square(pictures.estimates[k] - pictures.reference)
+        images.squared_error[k] = np.square(images.estimates[k] - images.reference)

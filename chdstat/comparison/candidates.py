@@ -132,7 +132,7 @@ class Contestants:
     models
         Those that were trained, by name; entries that share a training share a model.
     features
-        First-hit features of the picture, for those who look at them.
+        First-hit features of the image, for those who look at them.
     judging
         Pixels that no training draws, shape (y, x), whoever takes part.
     direct
@@ -266,7 +266,7 @@ class Contestants:
             test[tuple(pixels.T)] = False
         if not test.any():
             message = (
-                "the models were trained on every pixel of this picture; none is left to judge by"
+                "the models were trained on every pixel of this image; none is left to judge by"
             )
             raise InputError(message)
         return test
@@ -282,7 +282,7 @@ def totals_of(samples: Samples) -> Totals:
     """
     totals = Totals.of(samples)
     if not totals.count.any():
-        message = "every sample of the picture is bad (NaN or infinite); none can judge"
+        message = "every sample of the image is bad (NaN or infinite); none can judge"
         raise InputError(message)
     return totals
 

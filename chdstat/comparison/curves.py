@@ -153,7 +153,7 @@ def error_curve(
     Parameters
     ----------
     samples
-        The picture, at least twice as many samples per pixel as the largest N.
+        The image, at least twice as many samples per pixel as the largest N.
     estimators
         Names of registered estimators, or entries of your own. Where one does not take N samples,
         there is no number.
@@ -205,7 +205,7 @@ def error_curve(
             units,
             n=n,
             limit=max_batches,
-            pictures=False,
+            images=False,
             progress=progress,
         )
         for n in chosen

@@ -1,7 +1,7 @@
 """Error measures: how far estimates are from a reference, per channel, and how sure that is.
 
 `mse` and `relmse` measure the error, `improved` counts the estimates that beat the sample mean, and
-`bias` belongs next to each of them: an estimator that darkens the picture can have a small error.
+`bias` belongs next to each of them: an estimator that darkens the image can have a small error.
 `bootstrap` gives any of them a standard error and an interval over pixels, or blocks of them.
 
 Arrays hold channels on the last axis; every leading axis (pixels, batches) is averaged over.
@@ -131,7 +131,7 @@ def relmse(
         Radiance, shape (..., channel); leading axes are averaged over.
     scene_mean
         m, the mean reference of the whole scene per channel; None takes the mean of `reference`.
-        Give it where `reference` is only a part of the picture.
+        Give it where `reference` is only a part of the image.
 
     Returns
     -------
@@ -222,7 +222,7 @@ def bootstrap(
     r"""Bootstrap a statistic of pixel means: draw pixels with replacement, ask for its spread.
 
     Pixels are the unit that is drawn, so whatever varies within a pixel (batches, channels) stays
-    together. The interval takes pixels for independent draws of the picture, as their noise is; for
+    together. The interval takes pixels for independent draws of the image, as their noise is; for
     what neighbours share, such as the gain of an estimator, give means over blocks in their place.
 
     Parameters

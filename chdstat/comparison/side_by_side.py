@@ -1,4 +1,4 @@
-"""Labels: a name for every pixel of a picture, from whatever says so.
+"""Labels: a name for every pixel of an image, from whatever says so.
 
 Side by side: estimators on the same samples, against a held-out reference.
 
@@ -56,7 +56,7 @@ class Labels:
 
 
 def labels_of(given: Any, samples: Samples, *, progress: bool | None = None) -> Labels | None:
-    """Return the labels of a picture; None stays None.
+    """Return the labels of an image; None stays None.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def compare(
     Parameters
     ----------
     samples
-        The picture, at least 2 n samples per pixel.
+        The image, at least 2 n samples per pixel.
     estimators
         Names of registered estimators, or entries of your own, such as `denoised` returns. Those
         that use neighbours come last in the result, and are marked: they see more than n samples.
@@ -159,7 +159,7 @@ def compare(
         name of the estimator that they are. Where one was trained on an image of the same size,
         its pixels do not judge.
     denoise
-        Judge every estimator with Open Image Denoise after it, too: with the picture alone, with
+        Judge every estimator with Open Image Denoise after it, too: with the image alone, with
         first-hit features where there are any, and mixed with the estimate as far as it says how
         certain it is.
     labels
@@ -179,7 +179,7 @@ def compare(
     ------
     InputError
         If an estimator is unknown, named twice, or does not take n samples; if there are too few
-        samples; if labels do not fit the picture; if Open Image Denoise is wanted and missing; if
+        samples; if labels do not fit the image; if Open Image Denoise is wanted and missing; if
         a model is given that nobody asked for; or if no pixel is left to judge by.
 
     Examples
@@ -240,9 +240,9 @@ def _comparison(
     n: int,
     settings: Mapping[str, Any],
 ) -> Comparison:
-    pictures = tally.pictures
-    if pictures is None:
-        message = "a comparison needs the pictures of its first batch"
+    images = tally.images
+    if images is None:
+        message = "a comparison needs the images of its first batch"
         raise InputError(message)
     return Comparison(
         estimators=contestants.names,
@@ -250,10 +250,10 @@ def _comparison(
         channels=samples.channels,
         measures=tally.by_block.measures(seed=settings["seed"]),
         over_batches=tally.by_batch.measures(seed=settings["seed"]),
-        estimates=pictures.estimates,
-        squared_error=pictures.squared_error,
-        first_mean=pictures.mean,
-        first_reference=pictures.reference,
+        estimates=images.estimates,
+        squared_error=images.squared_error,
+        first_mean=images.mean,
+        first_reference=images.reference,
         reference=totals.mean(),
         test_pixels=test,
         n=n,

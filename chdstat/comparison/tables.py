@@ -254,13 +254,13 @@ class Comparison:
     measures
         By the names of `MEASURES`: intervals over 8 x 8 blocks of pixels, shape (estimator,
         channel + 1), the last place being the average over channels. They say how the measure would
-        vary with other parts of such a picture.
+        vary with other parts of such an image.
     over_batches
         The same measures with intervals over batches: how they would vary with other random
         numbers, in the same pixels. The batches of a pixel share most of their reference.
         NaN for a single batch.
     estimates
-        One estimate of the whole picture from its first n samples, radiance, float32, shape
+        One estimate of the whole image from its first n samples, radiance, float32, shape
         (estimator, y, x, channel).
     squared_error
         Squared error of `estimates` against the mean of all other samples, same shape; NaN where
@@ -389,7 +389,7 @@ class Comparison:
         return {key: ready_for_json(value) for key, value in content.items()}
 
     def to_dataset(self) -> xr.Dataset:
-        """Return measures and pictures with named dims.
+        """Return measures and images with named dims.
 
         Measures have dims (estimator, part), a part being a channel or "mean"; beside each stand
         ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``. Those by label
@@ -408,7 +408,7 @@ class Comparison:
             "y": np.arange(height),
             "x": np.arange(width),
         }
-        variables |= self._pictures()
+        variables |= self._images()
         looks = about_of("whether it looks at the pixels around", "1")
         variables["uses_neighbours"] = (("estimator",), self.uses_neighbours, looks)
         if self.breakdown is not None:
@@ -416,7 +416,7 @@ class Comparison:
             variables |= _breakdown_variables(self.breakdown)
         return dataset_of(variables, coordinates, {"n": self.n, **self.provenance})
 
-    def _pictures(self) -> dict[str, Any]:
+    def _images(self) -> dict[str, Any]:
         dims = ("estimator", "y", "x", "channel")
         radiance, squared = "W sr-1 m-2", "(W sr-1 m-2)^2"
         return {

@@ -48,7 +48,7 @@ def zirr2018(
     pixel itself; kappa is the number that makes a layer reliable. Bias is to the dark.
 
     Formulas are those of the authors' published code (their WebGL viewer), the paper's text was not
-    at hand. The code measures radiance in units of a picture that is exposed as usual: see `unit`.
+    at hand. The code measures radiance in units of an image that is exposed as usual: see `unit`.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def zirr2018(
         which is 1 for 32. At most 1e-6 switches the reweighting off, as there: the result is the
         mean but for what exceeds the top layer. `Cascade.resolve` sweeps it.
     unit
-        Radiance of the lowest layer's brightness, B_0; None exposes the picture so that the
+        Radiance of the lowest layer's brightness, B_0; None exposes the image so that the
         log-average of its pixels is 0.18.
 
     Returns
@@ -73,7 +73,7 @@ def zirr2018(
     Raises
     ------
     InputError
-        If `x` is no picture of 1 or 3 channels, or `kappa` or `unit` is not positive.
+        If `x` is no image of 1 or 3 channels, or `kappa` or `unit` is not positive.
 
     References
     ----------
@@ -82,9 +82,9 @@ def zirr2018(
 
     Examples
     --------
-    >>> picture = np.ones((3, 3, 1, 32))
-    >>> picture[1, 1, 0, 0] = 900.0
-    >>> float(picture[1, 1].mean()), float(zirr2018(picture, unit=1.0)[1, 1, 0].round(2))
+    >>> image = np.ones((3, 3, 1, 32))
+    >>> image[1, 1, 0, 0] = 900.0
+    >>> float(image[1, 1].mean()), float(zirr2018(image, unit=1.0)[1, 1, 0].round(2))
     (29.09375, 0.97)
     """
     return _estimate(x, kappa, unit, radius=1)
@@ -157,7 +157,7 @@ class Cascade:
         channels, n = samples.shape[-2:]
         rows = samples.reshape(-1, channels, n)
         count = np.empty(len(rows), np.int64)
-        # The picture is exposed by what it shows, before anything is reweighted.
+        # The image is exposed by what it shows, before anything is reweighted.
         means = np.nan_to_num(mean_of_good(rows))
         found = exposure_unit(luminance(means, channel_axis=-1), unit)
         layers = np.empty((LAYERS, len(rows), channels))
@@ -174,7 +174,7 @@ class Cascade:
         kappa
             Samples that confirm a brightness, larger than 0, shape () or (kappa,).
         radius
-            1 for 3 x 3 pixels, which needs a picture (y, x, channel); 0 for the pixel alone.
+            1 for 3 x 3 pixels, which needs an image (y, x, channel); 0 for the pixel alone.
 
         Returns
         -------
@@ -184,7 +184,7 @@ class Cascade:
         Raises
         ------
         InputError
-            If a kappa is not positive, or neighbours are asked of what is no picture.
+            If a kappa is not positive, or neighbours are asked of what is no image.
 
         Examples
         --------
@@ -197,7 +197,7 @@ class Cascade:
             message = f"kappa must be one or more numbers larger than 0, got {kappa!r}"
             raise InputError(message)
         if radius and self.layers.ndim != 4:
-            message = f"neighbours need a picture (y, x, channel), got {self.layers.shape[1:]}"
+            message = f"neighbours need an image (y, x, channel), got {self.layers.shape[1:]}"
             raise InputError(message)
         near = self._luminances(0)
         around = self._luminances(radius) if radius else near

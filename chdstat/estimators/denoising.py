@@ -1,4 +1,4 @@
-"""Denoised: estimators whose picture goes through Open Image Denoise, as contestants.
+"""Denoised: estimators whose image goes through Open Image Denoise, as contestants.
 
 Use it to see whether a denoiser does better from a better start. ``compare(..., denoise=True)``
 enters every contestant so; `denoised` enters one.
@@ -62,14 +62,14 @@ class Denoised:
         x: npt.ArrayLike,
         **options: Any,
     ) -> Array:
-        """Denoise what an estimator makes of a picture's samples.
+        """Denoise what an estimator makes of an image's samples.
 
         Parameters
         ----------
         estimate
             Returns estimates (y, x, channel), and their certainty (y, x) or None.
         features
-            First-hit features of the picture.
+            First-hit features of the image.
         x
             Samples, shape (y, x, channel, sample).
         **options
@@ -83,11 +83,11 @@ class Denoised:
         )
 
     def check(self, samples: Samples) -> None:
-        """Raise InputError where the denoiser is missing, or the picture lacks what it takes."""
+        """Raise InputError where the denoiser is missing, or the image lacks what it takes."""
         check_denoiser(samples)
         if self.features and "albedo" not in samples.features:
             message = (
-                f"{self.name!r} needs the albedo of the first hit, which this picture lacks; it "
+                f"{self.name!r} needs the albedo of the first hit, which this image lacks; it "
                 f"has {sorted(samples.features) or 'none'}. Give denoised(..., features=False)"
             )
             raise InputError(message)
@@ -108,7 +108,7 @@ def denoised(
     estimator
         Name of a registered estimator, or an entry.
     features
-        Give the denoiser albedo and normal of the first hit; the picture must have them.
+        Give the denoiser albedo and normal of the first hit; the image must have them.
     certainty
         Mix with the estimate as far as it is certain, ``c estimate + (1 - c) denoised``; only for
         learned estimators whose models say so.
@@ -153,7 +153,7 @@ def through_denoiser(
 def variants(
     entry: Estimator | LearnedEstimator, *, certain: bool, features: Mapping[str, Array]
 ) -> list[Denoised]:
-    """Return every way to denoise an estimator that the picture and its model allow."""
+    """Return every way to denoise an estimator that the image and its model allow."""
     return [
         Denoised(entry, guided, kept)
         for kept in ((False, True) if certain else (False,))
@@ -162,5 +162,5 @@ def variants(
 
 
 def check_denoiser(samples: Samples) -> None:
-    """Raise InputError where the denoiser is missing or takes no such picture: before the work."""
+    """Raise InputError where the denoiser is missing or takes no such image: before the work."""
     denoise(np.zeros((1, 1, samples.shape[2])))

@@ -20,7 +20,7 @@ from chdstat.estimators.rows import Floats
 __all__ = ["decoro2010", "dense"]
 
 _BLACK = 1e-2
-"""Radiance, of a picture exposed as usual, below which colours are as good as black."""
+"""Radiance, of an image exposed as usual, below which colours are as good as black."""
 _FAR = 1e30
 """Half a squared distance that is never bridged."""
 _CHUNK = 2**17
@@ -49,7 +49,7 @@ def decoro2010(
 
     Reconstructed from the paper's abstract, which characterises outliers by their density among
     nearby paths in joint image and colour space; metric, bounds and defaults are ours. Colours are
-    those of a picture exposed as usual, and what is darker than 0.01 of that is black: dim samples
+    those of an image exposed as usual, and what is darker than 0.01 of that is black: dim samples
     and negative ones are not outliers. Bias is to the dark, more where a bright event is rare but
     real.
 
@@ -65,7 +65,7 @@ def decoro2010(
     radius
         r, in pixels: samples up to r pixels away count; 0 for those of the pixel alone.
     unit
-        Radiance that is exposed as 1; None makes the log-average of the picture 0.18.
+        Radiance that is exposed as 1; None makes the log-average of the image 0.18.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def decoro2010(
     Raises
     ------
     InputError
-        If `x` is no picture, or an option is out of range.
+        If `x` is no image, or an option is out of range.
 
     References
     ----------
@@ -88,9 +88,9 @@ def decoro2010(
 
     Examples
     --------
-    >>> picture = np.ones((3, 3, 3, 8))
-    >>> picture[1, 1, :, 0] = 900.0
-    >>> decoro2010(picture)[1, 1].tolist()
+    >>> image = np.ones((3, 3, 3, 8))
+    >>> image[1, 1, :, 0] = 900.0
+    >>> decoro2010(image)[1, 1].tolist()
     [1.0, 1.0, 1.0]
     """
     if neighbours < 1 or not bandwidth > 0 or radius < 0:
@@ -126,7 +126,7 @@ def dense(
     half = 0.5 * np.vecdot(colours, colours)
     here = np.concatenate([colours, np.ones((*half.shape, 1))], axis=-1)
     edge = ((radius, radius), (radius, radius), (0, 0))
-    # Bad samples, and what lies outside the picture, are far from everything.
+    # Bad samples, and what lies outside the image, are far from everything.
     far = np.pad(np.where(bad, _FAR, half), edge, constant_values=_FAR)
     padded = np.concatenate([np.pad(colours, (*edge, (0, 0))), -far[..., np.newaxis]], axis=-1)
     found = np.empty((height, width, n), dtype=bool)

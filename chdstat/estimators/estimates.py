@@ -1,8 +1,8 @@
-"""Estimates: a better picture from the samples that are there, and a file of it.
+"""Estimates: a better image from the samples that are there, and a file of it.
 
 `estimate` is the one call from samples to radiance: by default it trains on the very samples that
 it estimates from, and needs no reference. Given a rendering in place of samples, it learns while
-the batches arrive, and keeps none of them. `write_estimates` puts the picture in an EXR file, with
+the batches arrive, and keeps none of them. `write_estimates` puts the image in an EXR file, with
 the certainty, the interval and the mean beside it. `chdstat.estimators` has the parts.
 """
 
@@ -63,7 +63,7 @@ def estimate(
     Parameters
     ----------
     samples
-        The picture; or a rendering, as `chdstat.render_batches` makes it: then nothing is kept of
+        The image; or a rendering, as `chdstat.render_batches` makes it: then nothing is kept of
         its batches but what the estimate needs, in memory that does not grow with `spp`.
     model
         A trained estimator, or the file that one was saved to; None trains one. One of another
@@ -76,7 +76,7 @@ def estimate(
     level
         Probability of the interval.
     denoise
-        Put the picture through Open Image Denoise, with first-hit features where there are any.
+        Put the image through Open Image Denoise, with first-hit features where there are any.
         Certainty and interval remain those of the estimate before it.
     seed, iterations
         Of the training, as for `chdstat.estimators.models.train_model`; no iterations with a model.
@@ -105,8 +105,8 @@ def estimate(
     --------
     >>> import chdstat as chd
     >>> rng = np.random.default_rng(0)
-    >>> picture = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
-    >>> found = estimate(picture, iterations=5, progress=False)
+    >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
+    >>> found = estimate(image, iterations=5, progress=False)
     >>> found.radiance.shape, found.certainty.shape
     ((16, 16, 3), (16, 16))
     """
@@ -131,8 +131,8 @@ def write_estimates(
 ) -> Path:
     """Estimate the radiance of every pixel and write it to an EXR file.
 
-    The picture is the estimate. The layers are ``certainty``, ``low``, ``high`` and ``mean``, and
-    ``estimate`` where the picture was denoised after it. The header says where all this comes from.
+    The image is the estimate. The layers are ``certainty``, ``low``, ``high`` and ``mean``, and
+    ``estimate`` where the image was denoised after it. The header says where all this comes from.
 
     Parameters
     ----------
@@ -156,9 +156,9 @@ def write_estimates(
     >>> from tempfile import TemporaryDirectory
     >>> import chdstat as chd
     >>> rng = np.random.default_rng(0)
-    >>> picture = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
+    >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
     >>> with TemporaryDirectory() as folder:
-    ...     file = write_estimates(f"{folder}/a.exr", picture, iterations=5, progress=False)
+    ...     file = write_estimates(f"{folder}/a.exr", image, iterations=5, progress=False)
     ...     sorted(chd.io.read_exr(file).extra)
     ['certainty', 'high', 'low', 'mean']
     """
@@ -288,15 +288,15 @@ def _of_samples(
     if own is None:
         seen: tuple[Input, ...] = ("features",) if samples.features else ()
         own = train_model(samples, inputs=seen, reference=False, **training)
-    picture = samples.read()
+    image = samples.read()
     direct = (
         direct_of(samples).read() if isinstance(own, Progressive) and own.inputs.direct else None
     )
     known = model is None or (isinstance(own, Progressive) and own.trained_on(samples.attrs))
     trust = 1.0 if known else None
-    found = _ask(own, picture, samples.features, direct, trust=trust, **asked)
+    found = _ask(own, image, samples.features, direct, trust=trust, **asked)
     where = "on these samples, without a reference"
-    return _Start(own, own.provenance, where, found, mean_of_good(picture))
+    return _Start(own, own.provenance, where, found, mean_of_good(image))
 
 
 def _of_rendering(
@@ -359,7 +359,7 @@ def _check_options(balance: float, level: float) -> None:
 
 def _ask(
     model: AnyModel,
-    picture: npt.NDArray[np.float32],
+    image: npt.NDArray[np.float32],
     features: Mapping[str, npt.NDArray[Any]],
     direct: npt.NDArray[Any] | None,
     *,
@@ -369,13 +369,13 @@ def _ask(
 ) -> Estimates:
     if isinstance(model, Progressive):
         return model.estimate(
-            picture,
+            image,
             features=features if model.inputs.features else None,
             direct=direct,
             balance=balance,
             level=level,
             trust=trust,
         )
-    radiance = model.predict(picture)
+    radiance = model.predict(image)
     unknown = np.full_like(radiance, np.nan)
     return Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)

@@ -78,7 +78,7 @@ class MLP:
 
     @property
     def train_shape(self) -> tuple[int, int]:
-        """Height and width of the picture that it was trained on."""
+        """Height and width of the image that it was trained on."""
         return self._state.train_shape
 
     @property
@@ -104,12 +104,12 @@ class MLP:
         pixels: npt.ArrayLike | None = None,
         progress: bool | None = None,
     ) -> Self:
-        """Train on a part of a picture's pixels, against their leave-batch-out references.
+        """Train on a part of an image's pixels, against their leave-batch-out references.
 
         Parameters
         ----------
         samples
-            The picture; batches with a bad sample are left out and counted.
+            The image; batches with a bad sample are left out and counted.
         seed
             Draws the pixels, the validation part, the first weights and the minibatches.
         iterations

@@ -35,12 +35,12 @@ def train_model(
     iterations: int | None = None,
     progress: bool | None = None,
 ) -> AnyModel:
-    """Train an estimator on a picture.
+    """Train an estimator on an image.
 
     Parameters
     ----------
     samples
-        The picture.
+        The image.
     name
         A registered estimator that learns, as `chdstat.estimators.names` lists them.
     inputs
@@ -73,8 +73,8 @@ def train_model(
     >>> import chdstat as chd
     >>> import numpy as np
     >>> rng = np.random.default_rng(0)
-    >>> picture = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
-    >>> train_model(picture, reference=False, iterations=5, progress=False).inputs.names
+    >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
+    >>> train_model(image, reference=False, iterations=5, progress=False).inputs.names
     ('neighbours',)
     """
     entry = check_choice(name, inputs=inputs, reference=reference)

@@ -1,6 +1,6 @@
 """Windows: sums over the pixels around, weighted by how alike each of them is.
 
-`pool` walks over the offsets of a window and shifts the picture by each, so that all pixels of an
+`pool` walks over the offsets of a window and shifts the image by each, so that all pixels of an
 offset are compared at once. A pair of pixels is compared once and counts both ways: what one pixel
 takes from another, that one takes from it.
 
@@ -25,7 +25,7 @@ from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.registry import register
 from chdstat.estimators.rows import Floats
 from chdstat.estimators.similarity import (
-    Picture,
+    ScaledSamples,
     chi_square,
     corrected_means,
     histograms,
@@ -82,14 +82,14 @@ def pool(
     Returns
     -------
     tuple of ndarray
-        Both sums, shape (y, x, value); outside the picture there is nothing.
+        Both sums, shape (y, x, value); outside the image there is nothing.
     """
     beside = np.zeros((*values.shape[:2], 0)) if squares is None else squares
     height, width = values.shape[:2]
     sums, squared = np.empty_like(values), np.empty_like(beside)
     halo = radius + reach
     for rows in spans(height, max(halo, _PIXELS // max(width, 1), 1)):
-        # Strips with what they depend on around them give what the whole picture does.
+        # Strips with what they depend on around them give what the whole image does.
         strip = slice(max(rows.start - halo, 0), rows.stop + halo)
         found = _pool(weigh, [f[strip] for f in fields], values[strip], beside[strip], radius)
         inner = slice(rows.start - strip.start, rows.stop - strip.start)
@@ -228,7 +228,7 @@ def delbracio2014(
     patch
         Radius of the patches: 1 for 3 x 3, 0 for single pixels.
     unit
-        Radiance that is exposed as 1, see `zirr2018`; None makes the log-average of the picture
+        Radiance that is exposed as 1, see `zirr2018`; None makes the log-average of the image
         0.18. Histograms end at about 7.5 of it; their last bin is full at 34.
 
     Returns
@@ -240,7 +240,7 @@ def delbracio2014(
     Raises
     ------
     InputError
-        If `x` is no picture, or an option is out of range.
+        If `x` is no image, or an option is out of range.
 
     References
     ----------
@@ -251,18 +251,18 @@ def delbracio2014(
 
     Examples
     --------
-    >>> picture = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
-    >>> alone, shared = picture.mean(axis=-1), delbracio2014(picture)
+    >>> image = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
+    >>> alone, shared = image.mean(axis=-1), delbracio2014(image)
     >>> bool(shared.std() < alone.std() / 3)
     True
     """
     check_window(radius, patch=patch, above_zero={"threshold": threshold})
     samples = as_pixels(x, image=True)
-    picture = Picture.of(samples)
-    mean = picture.mean()
-    found = exposure_unit(mean.mean(axis=-1) * picture.unit, unit)
-    counts = picture.count[..., np.newaxis].astype(np.float64)
-    fields = (histograms(picture, found), counts)
+    image = ScaledSamples.of(samples)
+    mean = image.mean()
+    found = exposure_unit(mean.mean(axis=-1) * image.unit, unit)
+    counts = image.count[..., np.newaxis].astype(np.float64)
+    fields = (histograms(image, found), counts)
 
     def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
         distance, used = chi_square(*here, *there)
@@ -270,9 +270,9 @@ def delbracio2014(
         # A patch lends to each of its pixels what lies at the same place of the other patch.
         return patch_sum(alike.astype(np.float64), patch) / (2 * patch + 1) ** 2
 
-    values = with_weight(mean, picture.count)
+    values = with_weight(mean, image.count)
     sums, _ = pool(weigh, fields, values, radius=radius, reach=2 * patch)
-    return with_own(quotient(sums) * picture.unit, samples, picture.count)
+    return with_own(quotient(sums) * image.unit, samples, image.count)
 
 
 @register(
@@ -315,7 +315,7 @@ def sakai2024(
     Raises
     ------
     InputError
-        If `x` is no picture, has less than 2 samples, or an option is out of range.
+        If `x` is no image, has less than 2 samples, or an option is out of range.
 
     References
     ----------
@@ -330,16 +330,16 @@ def sakai2024(
 
     Examples
     --------
-    >>> picture = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
-    >>> picture[:, 4:] *= 100
-    >>> sakai2024(picture)[4, [0, 3, 4, 7], 0].round(1).tolist()
+    >>> image = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
+    >>> image[:, 4:] *= 100
+    >>> sakai2024(image)[4, [0, 3, 4, 7], 0].round(1).tolist()
     [1.0, 1.0, 95.0, 95.0]
     """
     check_window(radius, alpha=alpha)
     samples = as_pixels(x, minimum=2, image=True)
-    picture = Picture.of(samples)
+    image = ScaledSamples.of(samples)
     # 2 (sqrt(x) - 1) gives the same test as sqrt(x).
-    fields = significance(corrected_means(picture, root), picture.count, alpha)
-    values = with_weight(picture.mean(), picture.count)
+    fields = significance(corrected_means(image, root), image.count, alpha)
+    values = with_weight(image.mean(), image.count)
     sums, _ = pool(not_different, fields, values, radius=radius)
-    return with_own(quotient(sums) * picture.unit, samples, picture.count)
+    return with_own(quotient(sums) * image.unit, samples, image.count)

@@ -1,7 +1,7 @@
 """Registry of estimators: what there is, where it comes from and what it needs.
 
 A fixed estimator is a function of samples, ``x (..., sample) -> (...)``, entered with `register`.
-Every one takes a picture (y, x, channel, sample); two flags say which need more of that shape than
+Every one takes an image (y, x, channel, sample); two flags say which need more of that shape than
 the last axis: those that look at the channels of a sample together, and those that look at other
 pixels.
 
@@ -52,7 +52,7 @@ class Model(Protocol):
 
     @property
     def train_shape(self) -> tuple[int, int]:
-        """Height and width of the picture that `train_pixels` lie in."""
+        """Height and width of the image that `train_pixels` lie in."""
 
     def predict(self, x: npt.ArrayLike, /) -> Array:
         """Estimate from samples (..., sample); the result has shape (...)."""
@@ -73,12 +73,12 @@ class Estimator:
     minimum_samples
         Fewest samples that it takes.
     uses_neighbours
-        Whether it looks across pixels; then it takes a picture (y, x, channel, sample).
+        Whether it looks across pixels; then it takes an image (y, x, channel, sample).
     joint_channels
         Whether it looks at the channels together; then it takes samples (..., channel, sample), and
         a sample of which any channel is bad is left out as a whole.
     uses_features
-        Whether it takes ``features=``, the first-hit features of the picture, where there are any.
+        Whether it takes ``features=``, the first-hit features of the image, where there are any.
     learns
         Whether it trains on the samples at hand each time that it is called.
     uses_direct

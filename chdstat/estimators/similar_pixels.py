@@ -29,7 +29,7 @@ from chdstat.estimators.registry import register
 from chdstat.estimators.rows import Floats
 from chdstat.estimators.similarity import (
     Means,
-    Picture,
+    ScaledSamples,
     corrected_means,
     not_different,
     root,
@@ -111,7 +111,7 @@ def shared_patches(
     Raises
     ------
     InputError
-        If `x` is no picture, has less than 2 samples, or an option is out of range.
+        If `x` is no image, has less than 2 samples, or an option is out of range.
 
     References
     ----------
@@ -122,9 +122,9 @@ def shared_patches(
 
     Examples
     --------
-    >>> picture = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
-    >>> picture[:, 4:] *= 100
-    >>> shared_patches(picture, fireflies="keep")[4, [0, 3, 4, 7], 0].round(1).tolist()
+    >>> image = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
+    >>> image[:, 4:] *= 100
+    >>> shared_patches(image, fireflies="keep")[4, [0, 3, 4, 7], 0].round(1).tolist()
     [1.0, 0.9, 100.0, 93.1]
     """
     check_window(radius, patch=patch, above_zero={"threshold": threshold})
@@ -132,12 +132,12 @@ def shared_patches(
         message = f"fireflies must be 'limit' or 'keep', got {fireflies!r}"
         raise InputError(message)
     samples = as_pixels(x, minimum=2, image=True)
-    picture = Picture.of(samples)
-    own = picture.mean() if fireflies == "keep" else _limited(picture, _LIMIT, _ALPHA, _AROUND)
-    window = _Patches(threshold, radius, patch, _members(picture))
-    means = window.averaged(_statistics(picture), picture.count)
-    sums, _ = window.pool(means, _SECOND, with_weight(own, picture.count > 0))
-    return with_own(quotient(sums) * picture.unit, samples, picture.count)
+    image = ScaledSamples.of(samples)
+    own = image.mean() if fireflies == "keep" else _limited(image, _LIMIT, _ALPHA, _AROUND)
+    window = _Patches(threshold, radius, patch, _members(image))
+    means = window.averaged(_statistics(image), image.count)
+    sums, _ = window.pool(means, _SECOND, with_weight(own, image.count > 0))
+    return with_own(quotient(sums) * image.unit, samples, image.count)
 
 
 @register(
@@ -187,7 +187,7 @@ def shared_shape(
     Raises
     ------
     InputError
-        If `x` is no picture, has less than 2 samples, or an option is out of range.
+        If `x` is no image, has less than 2 samples, or an option is out of range.
 
     References
     ----------
@@ -196,36 +196,36 @@ def shared_shape(
 
     Examples
     --------
-    >>> picture = np.random.default_rng(0).gamma(4.0, size=(8, 8, 3, 32))
-    >>> picture *= np.linspace(1, 100, 8).reshape(8, 1, 1, 1)
-    >>> picture[3, 3, :, 0] = 1e6
-    >>> found = shared_shape(picture)
+    >>> image = np.random.default_rng(0).gamma(4.0, size=(8, 8, 3, 32))
+    >>> image *= np.linspace(1, 100, 8).reshape(8, 1, 1, 1)
+    >>> image[3, 3, :, 0] = 1e6
+    >>> found = shared_shape(image)
     >>> found[2:5, 3, 0].round().tolist()
     [108.0, 338.0, 205.0]
     """
     check_window(radius, alpha=alpha, above_zero={"limit": limit})
     samples = as_pixels(x, minimum=2, image=True)
-    picture = Picture.of(samples)
-    found = _limited(picture, limit, alpha, radius)
-    return with_own(found * picture.unit, samples, picture.count)
+    image = ScaledSamples.of(samples)
+    found = _limited(image, limit, alpha, radius)
+    return with_own(found * image.unit, samples, image.count)
 
 
-def _limited(picture: Picture, limit: float, alpha: float, radius: int) -> Floats:
+def _limited(image: ScaledSamples, limit: float, alpha: float, radius: int) -> Floats:
     """Return the means, that of the positive samples limited by the shape of what is around."""
-    below = picture.mean_below_zero()
-    mean = picture.mean() - below
-    level, positive = _level(picture)
+    below = image.mean_below_zero()
+    mean = image.mean() - below
+    level, positive = _level(image)
     known = (level > 0) & (mean > 0)
     depth = np.divide(level, mean, out=np.zeros_like(mean), where=known)
     weight = np.where(known, positive, 0)
-    fields = significance(shape_means(picture), picture.count, alpha)
+    fields = significance(shape_means(image), image.count, alpha)
     values = np.concatenate([weight * depth, weight], axis=-1)
     depths, weights = np.split(pool(not_different, fields, values, radius=radius)[0], 2, axis=-1)
     by_shape = np.divide(level * weights, depths, out=mean.copy(), where=known & (depths > 0))
     return np.minimum(mean, limit * by_shape, out=mean, where=known) + below
 
 
-def _level(picture: Picture) -> tuple[Floats, Floats]:
+def _level(image: ScaledSamples) -> tuple[Floats, Floats]:
     """Return levels and the number k of positive samples, without the largest sample."""
 
     def work(rows: Floats, _: object, n: npt.NDArray[np.int64]) -> tuple[Floats, Floats]:
@@ -237,19 +237,19 @@ def _level(picture: Picture) -> tuple[Floats, Floats]:
         pairs[pairs < _ROUNDING * total**2] = 0
         return pairs / (np.maximum(positive - 1, 1) * np.maximum(n, 1)), positive
 
-    level, positive = picture.walk(work)
+    level, positive = image.walk(work)
     return level, positive
 
 
-def _statistics(picture: Picture) -> Means:
+def _statistics(image: ScaledSamples) -> Means:
     """Return means of samples, of their roots and of the differences of these between channels."""
 
     def transform(rows: Floats) -> Floats:
         roots = root(rows)
         return np.concatenate([rows, roots, -np.diff(roots, axis=-2)], axis=-2)
 
-    means = corrected_means(picture, transform)
-    channels = picture.samples.shape[2]
+    means = corrected_means(image, transform)
+    channels = image.samples.shape[2]
     roots = means.value[..., channels : 2 * channels].mean(axis=-1, keepdims=True)
     # Equal samples differ by rounding alone.
     floor = (_ROUNDING * means.value) ** 2
@@ -257,9 +257,9 @@ def _statistics(picture: Picture) -> Means:
     return Means(means.value, means.variance + floor)
 
 
-def _members(picture: Picture) -> tuple[Floats, Floats]:
+def _members(image: ScaledSamples) -> tuple[Floats, Floats]:
     """Return what `sakai2024` compares, at its default level."""
-    return significance(corrected_means(picture, root), picture.count, _ALPHA)
+    return significance(corrected_means(image, root), image.count, _ALPHA)
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from chdstat.estimators.rows import Floats
 __all__ = [
     "BINS",
     "Means",
-    "Picture",
+    "ScaledSamples",
     "chi_square",
     "corrected_means",
     "histograms",
@@ -69,8 +69,8 @@ class Means:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """Samples of a picture, and the unit that brings its exposure near 1.
+class ScaledSamples:
+    """Samples of an image, and the unit that brings its exposure near 1.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class Picture:
     unit: float
 
     @classmethod
-    def of(cls, x: npt.NDArray[np.floating[Any]]) -> Picture:
+    def of(cls, x: npt.NDArray[np.floating[Any]]) -> ScaledSamples:
         """Tell good and bad samples (y, x, channel, sample) apart."""
         good, kept = None, x
         if not all_good(x):
@@ -139,7 +139,7 @@ class Picture:
         )
 
 
-def corrected_means(picture: Picture, transform: Transform) -> Means:
+def corrected_means(image: ScaledSamples, transform: Transform) -> Means:
     """Return means of transformed samples, corrected for their skewness, and standard errors.
 
     ``mu + mu_3 / (6 s^2 n)``: Johnson 1978, doi:10.1080/01621459.1978.10480051, with mu_3 = M_3 / n
@@ -149,7 +149,7 @@ def corrected_means(picture: Picture, transform: Transform) -> Means:
     def work(
         rows: Floats, good: npt.NDArray[np.bool_] | None, n: npt.NDArray[np.int64]
     ) -> tuple[Floats, Floats]:
-        # Where radiances of one picture differ by a factor of 1e100, errors may be infinite.
+        # Where radiances of one image differ by a factor of 1e100, errors may be infinite.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             y = transform(rows)
             mean = y.sum(axis=-1) / n
@@ -163,7 +163,7 @@ def corrected_means(picture: Picture, transform: Transform) -> Means:
             shift = np.where((second > 0) & np.isfinite(shift), shift, 0)
             return mean + shift, second / (n * np.where(n > 1, n - 1, np.nan))
 
-    return Means(*picture.walk(work))
+    return Means(*image.walk(work))
 
 
 def root(x: Floats) -> Floats:
@@ -171,7 +171,7 @@ def root(x: Floats) -> Floats:
     return np.sqrt(x) if x.min() >= 0 else np.copysign(np.sqrt(np.abs(x)), x)
 
 
-def shape_means(picture: Picture) -> Means:
+def shape_means(image: ScaledSamples) -> Means:
     """Return ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)`` of every channel, and its standard error.
 
     Negative samples count as 0.
@@ -192,7 +192,7 @@ def shape_means(picture: Picture) -> Means:
             relative = (b - a * a) / b - a * (c - a * b) / b**2 + a * a * (d - b * b) / (4 * b**3)
             return a / np.sqrt(b), np.maximum(relative, 0) / np.where(m > 1, m - 1, np.nan)
 
-    return Means(*picture.walk(work))
+    return Means(*image.walk(work))
 
 
 def without_largest(rows: Floats) -> Floats:
@@ -202,7 +202,7 @@ def without_largest(rows: Floats) -> Floats:
     return kept
 
 
-def histograms(picture: Picture, unit: float) -> Floats:
+def histograms(image: ScaledSamples, unit: float) -> Floats:
     """Return the histograms of all channels, one after the other, shape (y, x, channel x bin).
 
     A sample is split between the two bins that it lies between, ``v = (x / unit)^(1/2.2) / 2.5``:
@@ -210,11 +210,11 @@ def histograms(picture: Picture, unit: float) -> Floats:
     into the first. As in the code of
     Bayesian collaborative denoising, Boughida and Boubekeur 2017, doi:10.1111/cgf.13231.
     """
-    channels = picture.samples.shape[2]
+    channels = image.samples.shape[2]
 
     def work(rows: Floats, good: npt.NDArray[np.bool_] | None, _: object) -> tuple[Floats]:
         with np.errstate(over="ignore"):
-            v = (np.maximum(rows, 0) * (picture.unit / unit)) ** (1 / _GAMMA) / _HIGHEST
+            v = (np.maximum(rows, 0) * (image.unit / unit)) ** (1 / _GAMMA) / _HIGHEST
         v = np.minimum(v, _SATURATION)
         place = v * (BINS - 2)
         low = np.minimum(place.astype(np.intp), BINS - 2)
@@ -227,7 +227,7 @@ def histograms(picture: Picture, unit: float) -> Floats:
         found = low_bins + np.bincount(where + 1, (counted * high).reshape(-1), size)
         return (np.asarray(found, dtype=np.float64).reshape(len(rows), -1),)
 
-    return picture.walk(work)[0]
+    return image.walk(work)[0]
 
 
 def significance(means: Means, count: npt.NDArray[np.int64], alpha: float) -> tuple[Floats, Floats]:

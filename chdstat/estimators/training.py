@@ -1,6 +1,6 @@
 """Presets: published networks, each a frozen list of choices.
 
-Training: from a picture's samples to a trained network with its history and provenance.
+Training: from an image's samples to a trained network with its history and provenance.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class Trained:
     train_pixels
         Pixels used, rows (y, x).
     train_shape
-        Height and width of the picture they lie in.
+        Height and width of the image they lie in.
     scale
         Mean training reference; the network works in units of it.
     provenance
@@ -151,7 +151,7 @@ def train(
     pixels: npt.ArrayLike | None = None,
     progress: bool | None = None,
 ) -> Trained:
-    """Train a network on a part of a picture's pixels; see `MLP.train`."""
+    """Train a network on a part of an image's pixels; see `MLP.train`."""
     wanted = preset.iterations if iterations is None else iterations
     if wanted < 1:
         message = f"iterations must be at least 1, got {wanted}"
@@ -166,7 +166,7 @@ def train(
     if len(batches) < 2:
         message = (
             f"training needs at least 2 batches without a bad sample, got {len(batches)} from "
-            f"{len(chosen)} pixels with {samples.spp} spp; give a larger picture or more samples"
+            f"{len(chosen)} pixels with {samples.spp} spp; give a larger image or more samples"
         )
         raise InputError(message)
     scale = float(references.mean())

@@ -1,6 +1,6 @@
 """Held-out protocol: what a learned estimator may see, and what it is judged by.
 
-The samples of a picture are cut into batches of n. The reference of a batch is the mean of all
+The samples of an image are cut into batches of n. The reference of a batch is the mean of all
 other samples of its pixel, so the noise of the batch is in the estimate and not in the reference.
 The pixels that train are drawn here; those that judge are the others.
 
@@ -57,7 +57,7 @@ class Totals:
 
     @classmethod
     def of(cls, samples: Samples) -> Totals:
-        """Add up a picture in one walk through its blocks."""
+        """Add up an image in one walk through its blocks."""
         height, width, channels, _ = samples.shape
         total = np.zeros((height, width, channels))
         count = np.zeros((height, width), np.int64)
@@ -114,7 +114,7 @@ def without(
 def batches(
     samples: Samples, n: int, *, limit: int | None = None
 ) -> Iterator[npt.NDArray[np.float32]]:
-    """Yield the picture with n consecutive samples at a time, shape (y, x, channel, n).
+    """Yield the image with n consecutive samples at a time, shape (y, x, channel, n).
 
     Samples that do not fill a batch are left over.
     """
@@ -140,7 +140,7 @@ def check_spp(samples: Samples, n: int) -> None:
 
 
 def direct_of(samples: Samples) -> Samples:
-    """Return the direct part of a picture, as many samples of it.
+    """Return the direct part of an image, as many samples of it.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def direct_of(samples: Samples) -> Samples:
     if direct is None or direct.spp < samples.spp:
         known = "none" if direct is None else f"that of {direct.spp}"
         message = (
-            f"the direct light of all {samples.spp} samples is wanted, this picture has {known}; "
+            f"the direct light of all {samples.spp} samples is wanted, this image has {known}; "
             "render it with direct=True (chdstat render --direct) into the same store"
         )
         raise InputError(message)
@@ -209,19 +209,19 @@ def _trainable(shape: tuple[int, int]) -> int:
 
 
 def checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
-    """Return given pixels of a picture, rows (y, x), each once.
+    """Return given pixels of an image, rows (y, x), each once.
 
     Raises
     ------
     InputError
-        If they are not rows of two whole numbers, or one lies outside the picture.
+        If they are not rows of two whole numbers, or one lies outside the image.
     """
     chosen = np.asarray(pixels)
     if chosen.ndim != 2 or chosen.shape[1] != 2 or chosen.dtype.kind not in "iu":
         message = f"pixels must be integer rows (y, x), got {chosen.dtype} of shape {chosen.shape}"
         raise InputError(message)
     if ((chosen < 0) | (chosen >= shape)).any():
-        message = f"pixels must lie in the picture of {shape[1]} x {shape[0]} pixels (y, x)"
+        message = f"pixels must lie in the image of {shape[1]} x {shape[0]} pixels (y, x)"
         raise InputError(message)
     return np.unique(chosen, axis=0).astype(np.int64)
 
@@ -234,7 +234,7 @@ def training_batches(
     Parameters
     ----------
     samples
-        The picture.
+        The image.
     pixels
         Rows (y, x).
     n
@@ -250,8 +250,8 @@ def training_batches(
     where = pixels[:, 0], pixels[:, 1]
     totals = Totals.of(samples)[where]
     found, references = [], []
-    for picture in batches(samples, n):
-        batch = picture[where]
+    for image in batches(samples, n):
+        batch = image[where]
         reference = totals.mean_without(batch)
         usable = np.isfinite(reference).all(axis=-1)
         found.append(batch[usable])

@@ -2,7 +2,7 @@
 
 Learned: what trained estimators say of one place, beside the fixed ones of `judged`.
 
-One that looks at the pixels around is asked about a part of the picture, not all of it: its
+One that looks at the pixels around is asked about a part of the image, not all of it: its
 estimate is close to that of `chdstat.estimate`, not the same to the bit.
 """
 
@@ -158,7 +158,7 @@ def judged_around(
 ) -> list[Estimate]:
     """Judge the estimators that look at the pixels around, on a few batches: they are slow.
 
-    Those that want first-hit features are left out: they learn from a whole picture.
+    Those that want first-hit features are left out: they learn from a whole image.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ class Learner:
 
     @property
     def looks_around(self) -> bool:
-        """Whether it wants a picture, for first-hit features or for neighbours."""
+        """Whether it wants an image, for first-hit features or for neighbours."""
         return isinstance(self.model, Progressive) and (
             self.model.inputs.features or self.model.inputs.neighbours
         )
@@ -349,7 +349,7 @@ def judged_learners(
     """Judge trained estimators on the batches of a place.
 
     Left out is what cannot be asked: a model for another number of samples or channels, and one
-    that looks around where there is no picture, as for a region.
+    that looks around where there is no image, as for a region.
 
     Parameters
     ----------
@@ -362,7 +362,7 @@ def judged_learners(
     place
         (y, x), or the four numbers of a region.
     unit
-        Mean radiance of the picture; None where it is not known.
+        Mean radiance of the image; None where it is not known.
     step
         Called before each; whatever it raises ends the judgement.
     """
@@ -403,7 +403,7 @@ def _alone(
 def _around(
     learner: Learner, some: Batches, source: StoreSource, place: tuple[int, int], unit: float | None
 ) -> Estimates | None:
-    """Ask about a part of the picture, batch by batch, and keep what is said of its middle."""
+    """Ask about a part of the image, batch by batch, and keep what is said of its middle."""
     model = learner.model
     known = set(source.samples.features)
     if isinstance(model, MLP) or some.x.shape[-2] != model.channels:

@@ -86,7 +86,7 @@ def exported(format: str, shown: Shown, view: View, overall: Overall, exposure: 
     shown, view
         What is selected, and how it is looked at.
     overall, exposure
-        The picture, and the stops that it is shown with.
+        The image, and the stops that it is shown with.
     """
     stem = "-".join([_plain(shown.source), *("_".join(map(str, key)) for key in shown.keys)])[:80]
     if format == "csv":
@@ -190,9 +190,9 @@ def _named(key: tuple[int, ...]) -> str:
 
 def _pdf(shown: Shown, view: View, overall: Overall, exposure: float) -> bytes:
     marks = [_mark(key) for key in shown.keys]
-    picture = np.nan_to_num(overall.mean, nan=0.0, posinf=0.0, neginf=0.0)
+    image = np.nan_to_num(overall.mean, nan=0.0, posinf=0.0, neginf=0.0)
     figures = {
-        "picture": viz.with_marks(picture, marks, exposure=exposure),
+        "image": viz.with_marks(image, marks, exposure=exposure),
         "chds": _figure(shown, view),
     }
     place = shown.places[shown.active]
@@ -240,7 +240,7 @@ _SELECTION = """\
 ]
 #text(13pt, weight: "bold")[#data.title]
 #v(-2mm)
-#align(center, image("picture.svg", height: 66mm, fit: "contain"))
+#align(center, image("image.svg", height: 66mm, fit: "contain"))
 #let tall = calc.min(100mm, 36mm * data.rows + 8mm)
 #align(center, image("chds.svg", width: 100%, height: tall, fit: "contain"))
 #text(9pt)[What follows is about #data.place.]

@@ -1,8 +1,8 @@
-"""Images: pictures and maps as what a browser shows, and the pass over a store that makes them.
+"""Images: images and maps as what a browser shows, and the pass over a store that makes them.
 
 Live: a scene that was never rendered, sampled where it is looked at.
 
-The picture is drawn coarsely, tile by tile; a pixel gets its own samples when it is picked, and
+The image is drawn coarsely, tile by tile; a pixel gets its own samples when it is picked, and
 more for as long as one looks at it. Only the thread that owns the renderer draws.
 """
 
@@ -43,7 +43,7 @@ Image = npt.NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Overall:
-    """The picture and what comes with it for nothing.
+    """The image and what comes with it for nothing.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Overall:
     null_share
         Share of nulls among the good samples, shape (y, x).
     good_count, bad_count
-        Good and bad samples, shape (y, x): while a picture is drawn, some pixels have more.
+        Good and bad samples, shape (y, x): while an image is drawn, some pixels have more.
     variance
         Unbiased variance of luminance, squared radiance, shape (y, x).
     variation
@@ -82,24 +82,24 @@ class Overall:
 
     @property
     def unit(self) -> float:
-        """Mean radiance of the picture, which a few fireflies do not move."""
+        """Mean radiance of the image, which a few fireflies do not move."""
         return mean_of_pixels(self.extreme, self.others, self.good_count)
 
     @cached_property
     def exposure(self) -> float:
-        """Stops that show the picture well."""
+        """Stops that show the image well."""
         return display_stops(self.mean)
 
     @classmethod
     def empty(cls, height: int, width: int, channels: int) -> Overall:
-        """Return the picture of no samples."""
+        """Return the image of no samples."""
         mean = np.full((height, width, channels), np.nan, np.float32)
         maps = np.full((7, height, width), np.nan, np.float32)
         return cls.of_maps(mean, maps)
 
     @classmethod
     def of_maps(cls, mean: Image, maps: Image) -> Overall:
-        """Return the picture of a mean and of the other maps, stacked in their order."""
+        """Return the image of a mean and of the other maps, stacked in their order."""
         null, good, bad, variance, variation, extreme, others = maps
         return cls(mean, null, good, bad, variance, variation, extreme, others, 0)
 
@@ -111,7 +111,7 @@ class Overall:
 
 
 def preview(source: StoreSource) -> Overall:
-    """Return the picture of the first samples, which takes a second where all take minutes."""
+    """Return the image of the first samples, which takes a second where all take minutes."""
     spp = min(source.samples.spp, _PREVIEW_SPP)
     whole = Overall.empty(*source.size, len(source.channels))
     for ys, xs in source.tiles(_TILE):
@@ -120,7 +120,7 @@ def preview(source: StoreSource) -> Overall:
 
 
 def stream(source: StoreSource, step: Callable[[float], None]) -> Overall:
-    """Return the picture of all samples, in constant memory.
+    """Return the image of all samples, in constant memory.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ class Tally:
         self._moments = found if self._moments is None else self._moments.merge(found)
 
     def overall(self) -> Overall:
-        """Return the picture of what was counted; `spp` is left to who knows it."""
+        """Return the image of what was counted; `spp` is left to who knows it."""
         moments, sums = self._moments, self._sums
         if moments is None or sums is None:
             message = "no samples were counted yet"
@@ -182,8 +182,8 @@ class Tally:
             bads = np.broadcast_to(self._bads, share.shape)
             maps = np.stack([share, moments.count[..., 0], bads, variance, variation])
             maps = np.concatenate([maps, [sums.extreme, sums.others]]).astype(np.float32)
-        picture = mean[..., :-1].astype(np.float32)
-        return Overall.of_maps(picture, maps)
+        image = mean[..., :-1].astype(np.float32)
+        return Overall.of_maps(image, maps)
 
 
 def _of_blocks(blocks: Iterator[Image]) -> Overall:
@@ -197,7 +197,7 @@ def _of_blocks(blocks: Iterator[Image]) -> Overall:
 
 
 def rgba(mean: Image, exposure: float, tone: str) -> npt.NDArray[np.uint32]:
-    """Return a picture as a browser wants it: packed RGBA, shape (y, x).
+    """Return an image as a browser wants it: packed RGBA, shape (y, x).
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ _PIECE = 4096
 """Samples drawn at once while one looks at a pixel: a tenth of a second, so that a click waits for
 no more."""
 _PASSES = (1, 1, 2, 2, 2, 2, 2, 2, 2)
-"""Samples per pixel of the passes over the picture."""
+"""Samples per pixel of the passes over the image."""
 _KEPT_BYTES = 128 * 2**20
 
 
@@ -314,7 +314,7 @@ class SceneSource:
             return mixed(self._renderer.pixels(np.array(at), each))
 
     def passes(self) -> Iterator[float]:
-        """Draw the picture better and better; yield the share that is done after each tile."""
+        """Draw the image better and better; yield the share that is done after each tile."""
         height, width = self.size
         tiles = [(ys, xs) for ys in spans(height, TILE) for xs in spans(width, TILE)]
         start, done, total = 0, 0, len(tiles) * len(_PASSES)
@@ -331,11 +331,11 @@ class SceneSource:
                 yield done / total
             start += spp
         if not np.nan_to_num(self.overall().mean).any():
-            message = f"the picture of {self.name!r} is black: does it have an emitter?"
+            message = f"the image of {self.name!r} is black: does it have an emitter?"
             raise SceneError(message)
 
     def overall(self) -> Overall:
-        """Return the picture as far as it is drawn."""
+        """Return the image as far as it is drawn."""
         whole = Overall.empty(*self.size, 3)
         for ys, xs, tally in self._tallies.values():
             whole.put(ys, xs, tally.overall())

@@ -1,6 +1,6 @@
-"""Maps: one number or label per pixel in the place of the picture, computed when asked for.
+"""Maps: one number or label per pixel in the place of the image, computed when asked for.
 
-`MAPS` is the table. The cheap ones come with the picture (`chdstat.explorer.images`); the others
+`MAPS` is the table. The cheap ones come with the image (`chdstat.explorer.images`); the others
 walk the store tile by tile, show what they have so far, and are kept in the cache.
 """
 
@@ -33,7 +33,7 @@ from chdstat.patterns import (
     patterns_variables,
 )
 
-__all__ = ["MAPS", "PICTURES", "Map", "MapKind", "map_kind", "of_overall", "walk", "with_sizes"]
+__all__ = ["IMAGES", "MAPS", "Map", "MapKind", "map_kind", "of_overall", "walk", "with_sizes"]
 
 _ERROR = "error:"
 _JUDGED = 32
@@ -113,8 +113,8 @@ class Map:
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-PICTURES = ("null_share", "variance", "variation", "relative_error", "bad_count")
-"""Maps that come with the picture, a scene's too."""
+IMAGES = ("null_share", "variance", "variation", "relative_error", "bad_count")
+"""Maps that come with the image, a scene's too."""
 
 MAPS: dict[str, MapKind] = {
     kind.name: kind
@@ -164,8 +164,8 @@ def map_kind(name: str) -> MapKind:
 
 
 def of_overall(overall: Overall, name: str) -> Map | None:
-    """Return a map that comes with the picture, None for one that does not."""
-    if name not in PICTURES:
+    """Return a map that comes with the image, None for one that does not."""
+    if name not in IMAGES:
         return None
     kind = MAPS[name]
     values = getattr(overall, name)

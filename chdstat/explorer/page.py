@@ -1,6 +1,6 @@
 """Cargo: panels and colour bars as what travels to the page.
 
-Page: the Bokeh document of the explorer: pictures, panels, and two wires for everything else.
+Page: the Bokeh document of the explorer: images, panels, and two wires for everything else.
 
 Bokeh draws and carries; the shell around the plots is the HTML page in ``web/``. Each wire is a
 hidden text field: what a person does comes in as JSON, what is said goes out as JSON.
@@ -27,7 +27,7 @@ from jinja2 import Environment
 from chdstat.explorer.maps import Map, MapKind
 from chdstat.explorer.palette import ramp
 from chdstat.explorer.panels import Panel, Trace, extent
-from chdstat.explorer.plots import Linked, PanelPlot, Picture
+from chdstat.explorer.plots import ImagePlot, Linked, PanelPlot
 from chdstat.explorer.view import BATCH_SIZES, FAMILIES
 from chdstat.reporting.typst import NAMES
 
@@ -113,7 +113,7 @@ class Page:
     document
         Where they go.
     titles
-        Of the pictures: one, or two that are compared.
+        Of the images: one, or two that are compared.
     size
         (height, width) of the image in pixels.
     channels
@@ -121,7 +121,7 @@ class Page:
     heading
         Of the page.
     maps
-        What can be shown in the place of the picture.
+        What can be shown in the place of the image.
     errors
         Estimators whose error can be mapped.
     """
@@ -152,11 +152,11 @@ class Page:
         self.inbox = TextInput(name="inbox", visible=False)
         self.outbox = TextInput(name="outbox", visible=False)
         self._linked = Linked.of(*self._size)
-        self._pictures = [
-            Picture(f"picture{i}", self._size, self._linked) for i in range(len(titles))
+        self._images = [
+            ImagePlot(f"image{i}", self._size, self._linked) for i in range(len(titles))
         ]
         self._panels = {name: PanelPlot(name) for name in _PANELS}
-        roots = [p.figure for p in self._pictures] + [p.figure for p in self._panels.values()]
+        roots = [p.figure for p in self._images] + [p.figure for p in self._panels.values()]
         for root in (*roots, self.inbox, self.outbox):
             self._document.add_root(root)
 
@@ -166,17 +166,17 @@ class Page:
         """Send what the shell is to show."""
         self.outbox.value = json.dumps({"number": next(self._numbers), "items": items})
 
-    def show_picture(self, index: int, packed: npt.NDArray[np.uint32], mean: Image) -> None:
-        """Show a picture, packed RGBA (y, x), with the radiance (y, x, channel) to be read."""
+    def show_image(self, index: int, packed: npt.NDArray[np.uint32], mean: Image) -> None:
+        """Show an image, packed RGBA (y, x), with the radiance (y, x, channel) to be read."""
         radiance = {
             name: [np.ascontiguousarray(mean[..., i], np.float32)]
             for i, name in enumerate(self._channels)
         }
-        self._pictures[index].source.data = {"image": [packed], **radiance}
+        self._images[index].source.data = {"image": [packed], **radiance}
 
     def show_map(self, shown: Map | None) -> None:
-        """Put a map in the place of the first picture; None takes it away."""
-        first = self._pictures[0]
+        """Put a map in the place of the first image; None takes it away."""
+        first = self._images[0]
         first.map.visible = shown is not None
         if shown is None:
             return
@@ -195,12 +195,12 @@ class Page:
         models: dict[str, Any] = {
             "inbox": self.inbox,
             "outbox": self.outbox,
-            "radiance": self._pictures[0].source,
-            "map": self._pictures[0].map_source,
+            "radiance": self._images[0].source,
+            "map": self._images[0].map_source,
             "x_range": self._linked.x_range,
             "y_range": self._linked.y_range,
-            "pans": [p.pan for p in self._pictures],
-            "boxes": [p.box for p in self._pictures],
+            "pans": [p.pan for p in self._images],
+            "boxes": [p.box for p in self._images],
             "marks": self._linked.marks,
             "region": self._linked.region,
             "panels": {name: panel.filled for name, panel in self._panels.items()},
@@ -212,9 +212,9 @@ class Page:
         start = CustomJS(args=models, code=f"window.chdstat.start({{{names}}})")
         self._document.js_on_event("document_ready", start)
         self._document.js_on_event("connection_lost", CustomJS(code="window.chdstat.lost()"))
-        for picture in self._pictures:
+        for image in self._images:
             for event, call in _EVENTS.items():
-                picture.figure.js_on_event(event, CustomJS(code=f"window.chdstat.{call}(cb_obj)"))
+                image.figure.js_on_event(event, CustomJS(code=f"window.chdstat.{call}(cb_obj)"))
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Plots: the Bokeh figures of a page: pictures that are linked, and panels that the page fills."""
+"""Plots: the Bokeh figures of a page: images that are linked, and panels that the page fills."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bokeh.plotting import figure
 from chdstat.explorer.palette import FAINT, GROUND, LINES, MAP_MISSING, TEXT, ramp
 from chdstat.explorer.panels import LOG_X, LOG_Y
 
-__all__ = ["Linked", "PanelPlot", "Picture"]
+__all__ = ["ImagePlot", "Linked", "PanelPlot"]
 
 _AXES = {
     "linear": ("radiance", "density"),
@@ -82,7 +82,7 @@ _LABEL_WIDTH = 7
 
 @dataclass(frozen=True)
 class Linked:
-    """What all pictures of a page have in common.
+    """What all images of a page have in common.
 
     Attributes
     ----------
@@ -112,8 +112,8 @@ class Linked:
         )
 
 
-class Picture:
-    """One picture with its map and its marks.
+class ImagePlot:
+    """One image with its map and its marks.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class Picture:
     size
         (height, width) of the image in pixels.
     linked
-        What it has in common with other pictures.
+        What it has in common with other images.
     """
 
     def __init__(self, name: str, size: tuple[int, int], linked: Linked) -> None:

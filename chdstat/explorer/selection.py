@@ -1,6 +1,6 @@
 """Answers: what there is to say about a selection, computed apart from any page.
 
-Panels come first, as pictures are looked at first; then tables; then what takes long.
+Panels come first, as images are looked at first; then tables; then what takes long.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Showing: the picture of a page, and the map in its place.
+"""Showing: the image of a page, and the map in its place.
 
 Session: one page and the person before it: commands in, what they change out.
 
 Every command is checked, and what it cannot do becomes a message on the page. What is selected is
-worked on by an `Inquiry`, the picture shown by a `Showing`; this is what lies between.
+worked on by an `Inquiry`, the image shown by a `Showing`; this is what lies between.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from chdstat.errors import ChdstatError, InputError
 from chdstat.explorer.estimators import judged_names
 from chdstat.explorer.exports import File, exported
 from chdstat.explorer.images import Overall, SceneSource, rgba
-from chdstat.explorer.maps import MAPS, PICTURES, map_kind, of_overall
+from chdstat.explorer.maps import IMAGES, MAPS, map_kind, of_overall
 from chdstat.explorer.page import EXPORTS, Page, Wire, colorbar
 from chdstat.explorer.palette import PIXEL_COLORS
 from chdstat.explorer.shared import Shared
@@ -36,7 +36,7 @@ __all__ = ["Session", "Showing"]
 
 
 class Showing:
-    """Shows pictures and maps on a page, as a view wants them.
+    """Shows images and maps on a page, as a view wants them.
 
     Parameters
     ----------
@@ -51,23 +51,23 @@ class Showing:
 
     @property
     def overall(self) -> Overall:
-        """The picture so far."""
+        """The image so far."""
         source = self._shared.source
         return self._shared.overall or Overall.empty(*source.size, len(source.channels))
 
     def exposure(self, view: View) -> float:
-        """Return the stops that the picture is shown with."""
+        """Return the stops that the image is shown with."""
         return self.overall.exposure if view.exposure is None else view.exposure
 
-    def picture(self, view: View) -> None:
-        """Show the picture, or both."""
+    def image(self, view: View) -> None:
+        """Show the image, or both."""
         exposure, mean = self.exposure(view), self.overall.mean
         if not np.isfinite(mean).any():  # nothing is drawn yet, which is no error
             mean = np.zeros_like(mean)
-        self._page.show_picture(0, rgba(mean, exposure, view.tone), mean)
+        self._page.show_image(0, rgba(mean, exposure, view.tone), mean)
         other = self._shared.other_overall
         if other is not None:
-            self._page.show_picture(1, rgba(other.mean, exposure, view.tone), other.mean)
+            self._page.show_image(1, rgba(other.mean, exposure, view.tone), other.mean)
 
     def want_map(self, name: str) -> None:
         """See to it that a map gets computed.
@@ -78,7 +78,7 @@ class Showing:
             If there is no such map, or no store to make it of.
         """
         if isinstance(self._shared.source, SceneSource):
-            if (kind := map_kind(name)).name in PICTURES:
+            if (kind := map_kind(name)).name in IMAGES:
                 return
             message = (
                 f"{kind.title!r} needs a store: render the scene with "
@@ -90,7 +90,7 @@ class Showing:
     def map(self, view: View) -> None:
         """Show what there is of the map, or take it away."""
         found = None
-        if view.map != "picture":
+        if view.map != "image":
             overall = self._shared.overall
             found = of_overall(overall, view.map) if overall is not None else None
             found = found or self._shared.maps.get(view.map)
@@ -152,14 +152,14 @@ class Session:
         if other is not None:
             parts.append(f"against {other.name}: {other.describe()}")
         self._wire.say({"kind": "described", "text": "  |  ".join(parts)})
-        self._showing.picture(self.view)
+        self._showing.image(self.view)
         notes = list(self._notes)
-        if self.view.map != "picture":
+        if self.view.map != "image":
             try:
                 self._showing.want_map(self.view.map)
             except InputError as error:
                 notes.append(str(error))
-                self.view = self.view.changed(map="picture")
+                self.view = self.view.changed(map="image")
         self._showing.map(self.view)
         if notes:
             self._wire.alert("; ".join(notes))
@@ -187,7 +187,7 @@ class Session:
     def _set(self, seq: int, *, option: str, value: Any) -> None:
         option = str(option)
         if option == "map":
-            if value != "picture":
+            if value != "image":
                 self._showing.want_map(str(value))
             self.view = self.view.changed(map=str(value))
             self._showing.map(self.view)
@@ -198,7 +198,7 @@ class Session:
             self._go(seq, view)
             return
         self.view = view
-        self._showing.picture(view)
+        self._showing.image(view)
         self._show_view()
 
     def _export(self, seq: int, *, format: str) -> None:  # noqa: A002 - its name on the page
@@ -264,8 +264,8 @@ class Session:
             self._wire.say({"kind": "working", "text": self._shared.working})
             if self._shared.failed:
                 self._wire.alert(self._shared.failed)
-        elif what == "picture":
-            self._showing.picture(self.view)
+        elif what == "image":
+            self._showing.image(self.view)
             self._show_view()
             self._showing.map(self.view)
         elif what == "source":
@@ -308,6 +308,6 @@ def _page(document: Document, shared: Shared) -> Page:
         size=source.size,
         channels=source.channels,
         heading=" and ".join(titles),
-        maps=[kind for kind in MAPS.values() if rendered or kind.name in PICTURES],
+        maps=[kind for kind in MAPS.values() if rendered or kind.name in IMAGES],
         errors=judged_names() if rendered else (),
     )

@@ -1,8 +1,8 @@
-"""Cache: pictures and maps of a store, kept in the user's cache folder, never beside the store.
+"""Cache: images and maps of a store, kept in the user's cache folder, never beside the store.
 
 Opening: from what a person names to the sources of an explorer.
 
-Shared: what all pages of one explorer have in common: sources, the picture, maps, threads.
+Shared: what all pages of one explorer have in common: sources, the image, maps, threads.
 
 Clicks are worked on in one thread, passes over the image in another; a pass stands still while a
 click is being answered. What reads ahead or exports has a third, what is added to an answer a
@@ -185,7 +185,7 @@ class Shared:
     Attributes
     ----------
     overall, other_overall
-        Pictures so far; None before there is any.
+        Images so far; None before there is any.
     maps
         Maps by name, finished or not.
     working
@@ -221,7 +221,7 @@ class Shared:
 
     @property
     def unit(self) -> float | None:
-        """Radiance that trained estimators count from, None before there is a picture."""
+        """Radiance that trained estimators count from, None before there is an image."""
         overall = self.overall
         known = overall is not None and np.isfinite(overall.mean).any()
         return overall.unit if overall is not None and known else None
@@ -240,7 +240,7 @@ class Shared:
         return source.samples.spp if shared else 0
 
     def start(self) -> None:
-        """Show the first picture, then begin to improve it."""
+        """Show the first image, then begin to improve it."""
         quick_names()
         if isinstance(self.source, StoreSource):
             self.overall = preview(self.source)
@@ -255,7 +255,7 @@ class Shared:
             pool.shutdown(wait=False, cancel_futures=True)
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call a listener with "picture", "working" or the name of a map when it changes.
+        """Call a listener with "image", "working" or the name of a map when it changes.
 
         Returns what to call to end that.
         """
@@ -320,14 +320,14 @@ class Shared:
             for share in source.passes():
                 if self._due() or share >= 1:
                     self.overall = source.overall()
-                    self._say(f"drawing the picture, {100 * share:.0f} %")
-                    self.tell("picture")
+                    self._say(f"drawing the image, {100 * share:.0f} %")
+                    self.tell("image")
                 self._wait()
             return
         self.overall = self._streamed(source)
         if self.other is not None:
             self.other_overall = self._streamed(self.other)
-        self.tell("picture")
+        self.tell("image")
 
     def _streamed(self, source: StoreSource) -> Overall:
         def step(share: float) -> None:

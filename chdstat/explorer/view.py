@@ -61,7 +61,7 @@ class View:
         (top, left, bottom, right) of the selected box, the last two exclusive; then there are no
         pixels.
     map
-        Name of the map in the place of the picture; "picture" for the picture itself.
+        Name of the map in the place of the image; "image" for the image itself.
     channel
         "all", "luminance", or the number of a channel. Several pixels show luminance for "all".
     families
@@ -85,7 +85,7 @@ class View:
     pixels: tuple[Pixel, ...] = ()
     active: int = 0
     region: Box | None = None
-    map: str = "picture"
+    map: str = "image"
     channel: str = "all"
     families: tuple[str, ...] = ("best",)
     batch: int = 32

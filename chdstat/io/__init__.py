@@ -1,6 +1,6 @@
 """Exchange with other programs: EXR files, and the hand-over of estimates to a denoiser.
 
-`write_exr` and `read_exr` keep pictures with their layers in EXR files; `denoise` gives a picture
+`write_exr` and `read_exr` keep images with their layers in EXR files; `denoise` gives an image
 of estimates to Open Image Denoise.
 """
 

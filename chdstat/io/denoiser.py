@@ -33,13 +33,13 @@ def denoise(
     certainty: npt.ArrayLike | None = None,
     hdr: bool = True,
 ) -> npt.NDArray[np.floating[Any]]:
-    """Denoise a picture of estimates with Open Image Denoise.
+    """Denoise an image of estimates with Open Image Denoise.
 
     With a certainty c, ``c estimate + (1 - c) denoised``: a pixel that is known is left alone, one
     of which nothing is known is what the denoiser makes of its surroundings. The network itself has
     no input for a certainty.
 
-    Linear radiance is brought to the exposure that the network was trained for, so that pictures
+    Linear radiance is brought to the exposure that the network was trained for, so that images
     of any unit come out alike.
 
     Parameters
@@ -85,21 +85,21 @@ def denoise(
     >>> estimate = chd.estimators.zirr2018(rng.exponential(size=(64, 64, 3, 8)))
     >>> smooth = denoise(estimate)  # doctest: +SKIP
     """
-    picture = _picture(estimate, hdr=hdr)
-    features = _features(picture.shape, albedo, normal)
-    keep = _certainty(picture.shape, certainty)
+    image = _image(estimate, hdr=hdr)
+    features = _features(image.shape, albedo, normal)
+    keep = _certainty(image.shape, certainty)
     network = _network()
-    known = np.asarray((np.isfinite(picture) & (picture >= 0)).all(axis=-1))
-    filled = _without_holes(picture, known)
+    known = np.asarray((np.isfinite(image) & (image >= 0)).all(axis=-1))
+    filled = _without_holes(image, known)
     unit = exposure_unit(filled.mean(axis=-1)) if hdr else 1.0
-    colour = np.broadcast_to(filled / unit, (*picture.shape[:2], 3)).astype(np.float32)
+    colour = np.broadcast_to(filled / unit, (*image.shape[:2], 3)).astype(np.float32)
     try:
         found = network.denoise(colour, **features, hdr=hdr)
     except RuntimeError as error:
-        message = f"Open Image Denoise failed on a picture of shape {picture.shape}: {error}"
+        message = f"Open Image Denoise failed on an image of shape {image.shape}: {error}"
         raise ChdstatError(message) from error
     smooth = found.astype(np.float64) * unit
-    if picture.shape[-1] == 1:
+    if image.shape[-1] == 1:
         smooth = smooth.mean(axis=-1, keepdims=True)
     result = keep * filled + (1 - keep) * smooth
     result[~known] = np.nan
@@ -114,21 +114,21 @@ def _network() -> Any:
         raise InputError(_INSTALL) from error
 
 
-def _picture(estimate: npt.ArrayLike, *, hdr: bool) -> Floats:
-    picture = np.asarray(estimate)
-    if picture.ndim != 3 or picture.shape[-1] not in (1, 3) or 0 in picture.shape:
-        message = f"estimate must be a picture (y, x, 1 or 3 channels), got shape {picture.shape}"
+def _image(estimate: npt.ArrayLike, *, hdr: bool) -> Floats:
+    image = np.asarray(estimate)
+    if image.ndim != 3 or image.shape[-1] not in (1, 3) or 0 in image.shape:
+        message = f"estimate must be an image (y, x, 1 or 3 channels), got shape {image.shape}"
         raise InputError(message)
-    if picture.dtype.kind not in "fiu":
-        message = f"estimate must hold real numbers, got dtype {picture.dtype}"
+    if image.dtype.kind not in "fiu":
+        message = f"estimate must hold real numbers, got dtype {image.dtype}"
         raise InputError(message)
-    if not hdr and picture[np.isfinite(picture)].max(initial=0) > 1:
+    if not hdr and image[np.isfinite(image)].max(initial=0) > 1:
         message = (
             "with hdr=False, estimate must hold display values from 0 to 1, "
-            f"got up to {picture[np.isfinite(picture)].max()}"
+            f"got up to {image[np.isfinite(image)].max()}"
         )
         raise InputError(message)
-    return picture.astype(np.float64)
+    return image.astype(np.float64)
 
 
 def _features(
@@ -175,14 +175,14 @@ def _certainty(shape: tuple[int, ...], certainty: npt.ArrayLike | None) -> Float
     return keep if keep.ndim == 3 else keep[..., np.newaxis]
 
 
-def _without_holes(picture: Floats, known: npt.NDArray[np.bool_]) -> Floats:
+def _without_holes(image: Floats, known: npt.NDArray[np.bool_]) -> Floats:
     """Fill what is not known by the average of the known pixels next to it, 0 where none is."""
     if known.all():
-        return picture
-    padded = np.pad(np.where(known[..., np.newaxis], picture, 0), ((1, 1), (1, 1), (0, 0)))
+        return image
+    padded = np.pad(np.where(known[..., np.newaxis], image, 0), ((1, 1), (1, 1), (0, 0)))
     counted = np.pad(known.astype(np.float64), 1)[..., np.newaxis]
     total, count = (_around(values, known.shape) for values in (padded, counted))
-    return np.where(known[..., np.newaxis], picture, total / np.maximum(count, 1))
+    return np.where(known[..., np.newaxis], image, total / np.maximum(count, 1))
 
 
 def _around(padded: Floats, shape: tuple[int, ...]) -> Floats:

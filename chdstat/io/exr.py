@@ -1,8 +1,8 @@
 """EXR files: named channels and a header, whatever they stand for.
 
-EXR: pictures of linear radiance for Nuke, tev and other programs, with what belongs to them.
+EXR: images of linear radiance for Nuke, tev and other programs, with what belongs to them.
 
-`write_exr` puts certainties, intervals and other layers beside the picture in one file; `read_exr`
+`write_exr` puts certainties, intervals and other layers beside the image in one file; `read_exr`
 reads such files, and those of other programs.
 """
 
@@ -140,22 +140,22 @@ _CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 
 @dataclass(frozen=True)
 class ExrImage:
-    """A picture as an EXR file holds it.
+    """An image as an EXR file holds it.
 
     Attributes
     ----------
-    picture
+    image
         Linear radiance, float32, shape (y, x, channel).
     channels
         Names of its channels.
     extra
         Other layers by name, shape (y, x); or (y, x, channel) where a layer has a channel for each
-        one of the picture. float32, or uint32 where the file holds whole numbers.
+        one of the image. float32, or uint32 where the file holds whole numbers.
     attributes
         Text in the header of the file.
     """
 
-    picture: npt.NDArray[np.float32]
+    image: npt.NDArray[np.float32]
     channels: tuple[str, ...]
     extra: Mapping[str, Array]
     attributes: Mapping[str, str]
@@ -163,14 +163,14 @@ class ExrImage:
 
 def write_exr(
     path: str | Path,
-    picture: npt.ArrayLike,
+    image: npt.ArrayLike,
     *,
     channels: Sequence[str] | None = None,
     extra: Mapping[str, npt.ArrayLike] | None = None,
     attributes: Mapping[str, str] | None = None,
     pixel_type: Literal["float", "half"] = "float",
 ) -> Path:
-    """Write a picture and its layers to an EXR file, compressed without loss.
+    """Write an image and its layers to an EXR file, compressed without loss.
 
     The file is written as a whole or not at all: one that is there already is replaced at the end.
 
@@ -178,17 +178,17 @@ def write_exr(
     ----------
     path
         The file.
-    picture
+    image
         Linear radiance, shape (y, x, channel). NaN and infinite values are kept.
     channels
         Names of the channels; None for R, G, B, or for Y where there is one. Viewers take R, G, B
-        for a picture, and linear sRGB for its colours.
+        for an image, and linear sRGB for its colours.
     extra
         Layers by name: of shape (y, x), one channel of that name; of shape (y, x, channel), a
         layer, whose channels are called as in ``low.R``, ``low.G``, ``low.B``. uint32 stays, as
         for object numbers.
     attributes
-        Text for the header, such as the provenance of the picture.
+        Text for the header, such as the provenance of the image.
     pixel_type
         'float' for 32 bits, or 'half' for 16, which hold 11 significant bits, up to 65504.
 
@@ -211,10 +211,10 @@ def write_exr(
     Examples
     --------
     >>> from tempfile import TemporaryDirectory
-    >>> picture = np.random.default_rng(0).gamma(2.0, size=(4, 6, 3))
-    >>> layers = {"certainty": np.full((4, 6), 0.9), "low": picture / 2}
+    >>> image = np.random.default_rng(0).gamma(2.0, size=(4, 6, 3))
+    >>> layers = {"certainty": np.full((4, 6), 0.9), "low": image / 2}
     >>> with TemporaryDirectory() as folder:
-    ...     file = write_exr(f"{folder}/picture.exr", picture, extra=layers)
+    ...     file = write_exr(f"{folder}/image.exr", image, extra=layers)
     ...     read = read_exr(file)
     >>> read.channels, sorted(read.extra), read.extra["low"].shape
     (('R', 'G', 'B'), ['certainty', 'low'], (4, 6, 3))
@@ -222,13 +222,13 @@ def write_exr(
     if pixel_type not in _TYPES:
         message = f"pixel_type must be one of {', '.join(_TYPES)}, got {pixel_type!r}"
         raise InputError(message)
-    image = _real("picture", picture)
-    if image.ndim != 3 or 0 in image.shape:
-        message = f"picture must have shape (y, x, channel), got {image.shape}"
+    array = _real("image", image)
+    if array.ndim != 3 or 0 in array.shape:
+        message = f"image must have shape (y, x, channel), got {array.shape}"
         raise InputError(message)
-    image = image if image.dtype.kind == "f" else image.astype(np.float64)
-    names = _channel_names(channels, image.shape[-1])
-    planes = _planes(image, names, extra or {})
+    array = array if array.dtype.kind == "f" else array.astype(np.float64)
+    names = _channel_names(channels, array.shape[-1])
+    planes = _planes(array, names, extra or {})
     stored = {name: _stored(name, plane, pixel_type) for name, plane in planes.items()}
     header: dict[str, Any] = _checked_attributes(attributes or {})
     if names == _USUAL[3]:
@@ -238,14 +238,14 @@ def write_exr(
 
 
 def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrImage:
-    """Read a picture and its layers from an EXR file of one part.
+    """Read an image and its layers from an EXR file of one part.
 
     Parameters
     ----------
     path
         The file.
     channels
-        Which channels are the picture; None for R, G, B, or for Y where these are missing. All
+        Which channels are the image; None for R, G, B, or for Y where these are missing. All
         others become `ExrImage.extra`.
 
     Returns
@@ -273,7 +273,7 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
     names = _found_names(file, planes, channels)
     stacked = np.stack([planes.pop(name) for name in names], axis=-1)
     return ExrImage(
-        picture=stacked.astype(np.float32, copy=False),
+        image=stacked.astype(np.float32, copy=False),
         channels=names,
         extra=_layers(planes, names),
         attributes=text,
@@ -290,11 +290,11 @@ def _real(name: str, values: npt.ArrayLike) -> Array:
 
 def _channel_names(channels: Sequence[str] | None, count: int) -> tuple[str, ...]:
     if channels is None and count not in _USUAL:
-        message = f"name the {count} channels of the picture with channels=: only 1 or 3 are usual"
+        message = f"name the {count} channels of the image with channels=: only 1 or 3 are usual"
         raise InputError(message)
     names = _USUAL[count] if channels is None else tuple(channels)
     if len(names) != count or len(set(names)) != count:
-        message = f"channels must be {count} different names, as the picture has, got {names}"
+        message = f"channels must be {count} different names, as the image has, got {names}"
         raise InputError(message)
     if any("." in name for name in names):
         message = f"channels must be names without a dot, which marks layers, got {names}"
@@ -312,7 +312,7 @@ def _planes(
         if array.shape not in (image.shape, image.shape[:2]):
             message = (
                 f"extra {layer!r} must have shape {image.shape[:2]} or {image.shape}, "
-                f"as the picture, got {array.shape}"
+                f"as the image, got {array.shape}"
             )
             raise InputError(message)
         whole = array.ndim == 2
@@ -378,13 +378,13 @@ def _found_names(
             return names
     message = (
         f"{path} has no channels {' or '.join(', '.join(names) for names in wanted)}; "
-        f"name those of the picture with channels=, out of {', '.join(planes)}"
+        f"name those of the image with channels=, out of {', '.join(planes)}"
     )
     raise InputError(message)
 
 
 def _layers(planes: Mapping[str, Array], names: tuple[str, ...]) -> dict[str, Array]:
-    """Stack the channels of each layer that has those of the picture, and no others."""
+    """Stack the channels of each layer that has those of the image, and no others."""
     members: dict[str, set[str]] = {}
     for name in planes:
         layer, _, channel = name.rpartition(".")

@@ -2,7 +2,7 @@
 
 `scalar` needs nothing but the Mitsuba wheel. `llvm` and `cuda` depend on libraries outside it, and
 some versions of LLVM abort the process instead of raising. So each candidate is tried in a child
-process that renders one small picture; what it says is cached per library and Mitsuba version.
+process that renders one small image; what it says is cached per library and Mitsuba version.
 
 Doctor: what runs on this machine, and why.
 """
@@ -202,10 +202,10 @@ def _try_in_child(backend: str, library: str | None) -> Verdict:
         )
     except subprocess.TimeoutExpired:
         return Verdict(
-            backend, works=False, detail=f"no picture in {_TIMEOUT:.0f} s", library=library
+            backend, works=False, detail=f"no image in {_TIMEOUT:.0f} s", library=library
         )
     if done.returncode == 0:
-        return Verdict(backend, works=True, detail="rendered a picture", library=library)
+        return Verdict(backend, works=True, detail="rendered an image", library=library)
     return Verdict(backend, works=False, detail=_failure(done), library=library)
 
 

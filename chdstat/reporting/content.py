@@ -111,7 +111,7 @@ def document(study: Study) -> Document:
     if panels:
         drawn["chds"] = figures.chds(panels)
     else:
-        drawn["picture"] = viz.with_marks(study.dataset["mean"].values)
+        drawn["image"] = viz.with_marks(study.dataset["mean"].values)
     shown = exhibits({f"{f.number} {f.name}": f for f in study.claims})
     if shown is not None:
         drawn["exhibits"] = shown

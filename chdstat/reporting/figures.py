@@ -80,7 +80,7 @@ def names_of(variable: xr.DataArray) -> dict[int, str]:
 
 
 def marks_of(regions: Sequence[Region], samples: Samples) -> list[viz.Mark]:
-    """Return the marks of regions in the picture."""
+    """Return the marks of regions in the image."""
     height, width = samples.shape[:2]
     return [viz.Mark(r.name, *r.pixels(height, width), r.center(height, width)) for r in regions]
 
@@ -179,14 +179,14 @@ def averages(found: xr.Dataset, scene: Overview) -> Figure:
 
 
 def estimates(comparison: Comparison) -> Figure:
-    """Draw every estimate of the picture, and its error, beside the reference."""
+    """Draw every estimate of the image, and its error, beside the reference."""
     names = [NAMES.get(name, name) for name in comparison.estimators]
     images: dict[str, npt.ArrayLike] = dict(zip(names, comparison.estimates, strict=True))
     errors: dict[str, npt.ArrayLike] = {
         name: error.mean(axis=-1)
         for name, error in zip(names, comparison.squared_error, strict=True)
     }
-    return viz.pictures(images | {"reference": comparison.reference}, errors=errors)
+    return viz.side_by_side(images | {"reference": comparison.reference}, errors=errors)
 
 
 def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[str, Figure]:

@@ -42,7 +42,7 @@ def verdicts(study: Study) -> Figure:
 
 
 def overview(study: Study) -> Figure:
-    """Draw all pictures, each under an exposure of its own."""
+    """Draw all images, each under an exposure of its own."""
     from matplotlib.figure import Figure
 
     shown = [(s.name, viz.tonemap(s.evidence.summary["mean"].values)) for s in study.scenes]
@@ -53,8 +53,8 @@ def overview(study: Study) -> Figure:
         cells = figure.subplots(rows, columns, squeeze=False).ravel()
         for cell in cells[len(shown) :]:
             cell.set_axis_off()
-        for cell, (name, picture) in zip(cells, shown, strict=False):
-            cell.imshow(picture, interpolation="nearest")
+        for cell, (name, image) in zip(cells, shown, strict=False):
+            cell.imshow(image, interpolation="nearest")
             cell.set(xticks=[], yticks=[])
             cell.spines[:].set_visible(False)
             cell.set_title(verbatim(name), fontsize=8)

@@ -116,7 +116,7 @@ class Samples:
         >>> Samples.from_array(radiance, axes="yxsc")
         <Samples 'samples' 6 x 4 pixels, 3 channels, 32 spp, in memory>
         """
-        data = _picture(array, "samples", axes)
+        data = _image(array, "samples", axes)
         for name, image in (features or {}).items():
             if np.ndim(image) not in (2, 3) or np.shape(image)[:2] != data.shape[:2]:
                 message = (
@@ -126,7 +126,7 @@ class Samples:
                 raise InputError(message)
         part = None
         if direct is not None:
-            part = cls(array=_picture(direct, "direct", axes), attrs=attrs)
+            part = cls(array=_image(direct, "direct", axes), attrs=attrs)
             if part.shape != data.shape:
                 message = (
                     f"direct must have the shape of the samples, {data.shape}, got {part.shape}"
@@ -450,7 +450,7 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
     return Samples(store=store, attrs=store.attrs, direct=_direct_of(store, spp), spp=spp)
 
 
-def _picture(array: npt.ArrayLike, name: str, axes: str | None) -> npt.NDArray[np.float32]:
+def _image(array: npt.ArrayLike, name: str, axes: str | None) -> npt.NDArray[np.float32]:
     """Return samples (y, x, channel, sample) in single precision."""
     named = hasattr(array, "dims")
     data = as_samples(array, minimum=1 if axes is None else 0, name=name)

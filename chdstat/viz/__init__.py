@@ -22,7 +22,7 @@ from chdstat.viz.estimators import (
     pattern_breakdown,
     pixel_estimates,
 )
-from chdstat.viz.image import Mark, firefly_pair, pictures, tonemap, view_pair, with_marks
+from chdstat.viz.image import Mark, firefly_pair, side_by_side, tonemap, view_pair, with_marks
 from chdstat.viz.maps import (
     atlas,
     categorical_map,
@@ -62,9 +62,9 @@ __all__ = [
     "map_grid",
     "n_needed",
     "pattern_breakdown",
-    "pictures",
     "pixel_estimates",
     "region_study",
+    "side_by_side",
     "style",
     "tonemap",
     "training",

@@ -260,7 +260,7 @@ def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
     Parameters
     ----------
     panels
-        In the order of the marks in the picture, so that colours agree.
+        In the order of the marks in the image, so that colours agree.
     columns
         Pixels side by side; each takes two panels.
 

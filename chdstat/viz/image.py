@@ -1,4 +1,4 @@
-"""Pictures: linear radiance shown as a person would see it, with marks, insets and errors.
+"""Images: linear radiance shown as a person would see it, with marks, insets and errors.
 
 Contrasts: two pixels side by side, or one view rendered in two ways.
 """
@@ -20,14 +20,14 @@ from chdstat.errors import InputError
 from chdstat.viz.chd import Curve
 from chdstat.viz.styling import HEIGHT, PALETTE, WIDTH, style, verbatim
 
-__all__ = ["Mark", "firefly_pair", "pictures", "tonemap", "view_pair", "with_marks"]
+__all__ = ["Mark", "firefly_pair", "side_by_side", "tonemap", "view_pair", "with_marks"]
 
 Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A region to mark in a picture.
+    """A region to mark in an image.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
     """
     linear = np.asarray(image, dtype=np.float64)
     if linear.ndim != 3 or linear.shape[2] not in {1, 3}:
-        message = f"a picture must have shape (y, x, 1) or (y, x, 3), got {linear.shape}"
+        message = f"an image must have shape (y, x, 1) or (y, x, 3), got {linear.shape}"
         raise InputError(message)
     linear = np.broadcast_to(linear, (*linear.shape[:2], 3))
     finite = np.asarray(np.isfinite(linear).all(axis=-1))
@@ -87,7 +87,7 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
 def with_marks(
     image: npt.ArrayLike, marks: Sequence[Mark] = (), *, exposure: float | None = None
 ) -> Figure:
-    """Draw a picture with coloured marks and, beside it, each marked region magnified.
+    """Draw an image with coloured marks and, beside it, each marked region magnified.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def with_marks(
     marks
         Regions; each has its colour of `chdstat.viz.PALETTE`, in order.
     exposure
-        As in `tonemap`; picture and insets share it.
+        As in `tonemap`; image and insets share it.
     """
     shown = tonemap(image, exposure=exposure)
     columns = 2 if marks else 0
@@ -108,7 +108,7 @@ def with_marks(
         figure = Figure(figsize=(WIDTH, min(height, HEIGHT)), layout="constrained")
         grid = figure.add_gridspec(rows, 1 + columns, width_ratios=[4.2, *[1] * columns])
         main = figure.add_subplot(grid[:, 0])
-        _picture(main, shown)
+        _show(main, shown)
         for i, mark in enumerate(marks):
             color = PALETTE[i % len(PALETTE)]
             _mark(main, mark, color, number=i + 1)
@@ -116,7 +116,7 @@ def with_marks(
     return figure
 
 
-def _picture(axes: Axes, shown: Array) -> None:
+def _show(axes: Axes, shown: Array) -> None:
     axes.imshow(shown, interpolation="nearest")
     axes.set(xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
@@ -159,14 +159,14 @@ def _inset(axes: Axes, shown: Array, mark: Mark, color: str, number: int) -> Non
     axes.set_title(f"{number} {verbatim(mark.name)}", fontsize=7.5, pad=4)
 
 
-def pictures(
+def side_by_side(
     images: Mapping[str, npt.ArrayLike],
     *,
     errors: Mapping[str, npt.ArrayLike] | None = None,
     exposure: float | None = None,
     crop: tuple[slice, slice] | None = None,
 ) -> Figure:
-    """Draw pictures side by side under one exposure, each with its squared error below.
+    """Draw images side by side under one exposure, each with its squared error below.
 
     Parameters
     ----------
@@ -182,10 +182,10 @@ def pictures(
     Raises
     ------
     InputError
-        If there is no picture.
+        If there is no image.
     """
     if not images:
-        message = "pictures needs at least one image, got none"
+        message = "side_by_side needs at least one image, got none"
         raise InputError(message)
     window = crop or (slice(None), slice(None))
     exposed = np.asarray(list(images.values())[-1])[window]
@@ -198,7 +198,7 @@ def pictures(
         figure = Figure(figsize=(WIDTH, min(rows * each + 0.35, HEIGHT)), layout="constrained")
         axes = figure.subplots(rows, len(images), squeeze=False)
         for column, (title, image) in zip(axes.T, images.items(), strict=True):
-            _picture(column[0], tonemap(np.asarray(image)[window], exposure=exposure))
+            _show(column[0], tonemap(np.asarray(image)[window], exposure=exposure))
             column[0].set_title(title)
         if errors:
             _error_row(figure, list(axes[1]), list(images), errors, window)

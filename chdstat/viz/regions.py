@@ -1,6 +1,6 @@
 """Regions: the study figure of a scene, after the case study of Elek et al. 2019.
 
-A picture with its regions in colours and, for each of them, an inset and the linear and logarithmic
+An image with its regions in colours and, for each of them, an inset and the linear and logarithmic
 histograms of its channels in the colour of the region.
 
 Curves: how averages become Gaussian, and how training goes.
@@ -44,7 +44,7 @@ def region_study(
     notes: Sequence[str] = (),
     exposure: float | None = None,
 ) -> Figure:
-    """Draw a picture with its regions, and the CHD of one pixel of each.
+    """Draw an image with its regions, and the CHD of one pixel of each.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def region_study(
     panels
         CHDs of these pixels, in the same order; fits are not drawn.
     notes
-        A line of text for each region, beside the picture.
+        A line of text for each region, beside the image.
     exposure
         As in `chdstat.viz.tonemap`.
 

@@ -1,4 +1,4 @@
-"""Make chd.png, the picture in the README: two pixels of the bathroom and what is behind them."""
+"""Make chd.png, the image in the README: two pixels of the bathroom and what is behind them."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ PIXELS = {"wall": (19, 112), "edge of the shadow": (141, 55)}
 
 
 def main() -> None:
-    picture = chd.render("bathroom", spp=256, size=SIZE, seed=1).read().mean(axis=-1)
+    image = chd.render("bathroom", spp=256, size=SIZE, seed=1).read().mean(axis=-1)
     x = chd.render_pixels("bathroom", list(PIXELS.values()), spp=65536, size=SIZE, seed=2)
     with viz.style():
         figure = Figure(figsize=(6.7, 2.7), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=[1, 1.25])
         main_axes = figure.add_subplot(grid[:, 0])
-        main_axes.imshow(viz.tonemap(picture))
+        main_axes.imshow(viz.tonemap(image))
         main_axes.set_axis_off()
         for i, (name, (row, column)) in enumerate(PIXELS.items()):
             color = viz.PALETTE[i]

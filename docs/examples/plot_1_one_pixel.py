@@ -1,5 +1,5 @@
 """
-The distributions behind a picture
+The distributions behind an image
 ==================================
 
 A path tracer draws many radiance samples for each pixel, averages them, and throws them away. Here
@@ -8,7 +8,7 @@ distribution*, CHD for short.
 """
 
 # %%
-# Render a picture and keep every sample
+# Render an image and keep every sample
 # --------------------------------------
 #
 # The built-in bathroom is lit through one window, so that most paths find no light.
@@ -24,7 +24,7 @@ samples = chd.render("bathroom", spp=64, size=(96, 96), seed=1, backend="scalar"
 samples
 
 # %%
-# The picture is the average over the last axis: of 64 numbers per pixel and channel it keeps one.
+# The image is the average over the last axis: of 64 numbers per pixel and channel it keeps one.
 # We mark four pixels, and the pixels around each.
 
 pixels = {
@@ -37,14 +37,14 @@ marks = [
     viz.Mark(name, slice(y - 2, y + 3), slice(x - 2, x + 3), (y, x))
     for name, (y, x) in pixels.items()
 ]
-picture = samples.read().mean(axis=-1)
-viz.with_marks(picture, marks)
+image = samples.read().mean(axis=-1)
+viz.with_marks(image, marks)
 
 # %%
 # Thousands of samples of a few pixels
 # ------------------------------------
 #
-# A distribution shows itself with more samples than a picture needs. `chdstat.render_pixels` draws
+# A distribution shows itself with more samples than an image needs. `chdstat.render_pixels` draws
 # them for the pixels that we ask for, and for no others.
 
 x = chd.render_pixels("bathroom", list(pixels.values()), spp=8192, size=(96, 96), seed=2)
@@ -82,7 +82,7 @@ def panel(name: str, x: np.ndarray) -> viz.Panel:
 viz.chd_grid([panel(*pixel) for pixel in zip(pixels, x, strict=True)])
 
 # %%
-# Dashed lines are the averages, nulls included, which is all that the picture keeps. In the sunlit
+# Dashed lines are the averages, nulls included, which is all that the image keeps. In the sunlit
 # tub, hardly any sample is near the average: either a path sees the sun, and brings nearly always
 # the same, or it does not. At the edge of the shadow the sun makes a second, narrower hump to the
 # right of a broad one, at a place of its own in each channel, since the floor is brown. The log

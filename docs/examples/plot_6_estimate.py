@@ -25,7 +25,7 @@ mean = few.mean(axis=-1)
 reference = samples.read(ss=slice(64, 512)).mean(axis=-1)
 
 # %%
-# Learn from the picture itself
+# Learn from the image itself
 # -----------------------------
 #
 # Half of a pixel's samples are looked at, and the mean of the other half is what is asked for. It
@@ -54,7 +54,7 @@ errors = {
     for name, image in images.items()
     if name != "reference"
 }
-viz.pictures(images, errors=errors)
+viz.side_by_side(images, errors=errors)
 
 # %%
 # In numbers: the errors, and what they cost in energy.

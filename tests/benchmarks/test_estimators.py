@@ -51,5 +51,5 @@ def test_learned_estimate(benchmark, samples):
 @pytest.mark.slow
 def test_published_training(benchmark):
     rng = np.random.default_rng(0)
-    picture = chd.Samples.from_array(rng.gamma(0.5, size=(128, 128, 3, 256)).astype(np.float32))
-    benchmark.pedantic(MLP.preset("elek2019").train, args=(picture,), rounds=1)
+    image = chd.Samples.from_array(rng.gamma(0.5, size=(128, 128, 3, 256)).astype(np.float32))
+    benchmark.pedantic(MLP.preset("elek2019").train, args=(image,), rounds=1)

@@ -86,7 +86,7 @@ def clicked(
     page.goto(url)
     page.wait_for_selector("body[data-shown]", timeout=60000)
     page.wait_for_function("document.querySelector('#working').innerText === ''", timeout=300000)
-    box = page.locator(".picture").bounding_box()
+    box = page.locator(".image").bounding_box()
     before = sum(process.cpu_times()[:2])
     for i, (y, x) in enumerate(np.random.default_rng(1).uniform(0.01, 0.99, (count, 2))):
         page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])

@@ -45,7 +45,7 @@ def recipe(path: str) -> None:
 def image(path: str) -> None:
     import chdstat as chd
 
-    assert chd.io.read_exr(path).picture.ndim == 3
+    assert chd.io.read_exr(path).image.ndim == 3
 
 
 READERS: dict[str, Callable[[str], None]] = {"scene": render, "recipe": recipe, "exr": image}

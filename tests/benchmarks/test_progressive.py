@@ -1,7 +1,7 @@
 """The progressive estimator: its errors with and without a reference, and how fast it is.
 
 Measured on the stores that the environment variable CHDSTAT_STORES names, their paths separated by
-colons; without it, on a simulated picture. Errors are relative to those of the sample mean.
+colons; without it, on a simulated image. Errors are relative to those of the sample mean.
 """
 
 import functools
@@ -22,7 +22,7 @@ BUDGETS = (8, 16, 32, 64, 128, 256, 512)
 SIZES = (4, 8, 16, 32, 64, 128, 256, 512)
 CLOSE = 1.01
 """Validation loss, over the final one, that training counts as done at."""
-PICTURE = (800, 800, 3, 32)
+IMAGE = (800, 800, 3, 32)
 
 
 @functools.cache
@@ -58,7 +58,7 @@ each_source = pytest.mark.parametrize("source", sources())
 
 
 class Judge:
-    """Estimates of a whole picture from its first samples, against the mean of all others."""
+    """Estimates of a whole image from its first samples, against the mean of all others."""
 
     def __init__(self, samples, spp):
         self.samples = samples
@@ -230,7 +230,7 @@ def test_estimating_time():
         chd.Samples.from_array(np.tile(small[:16, :16], 2)), iterations=5, progress=False
     )
     x = np.tile(small, (8, 8, 1, 1))
-    assert x.shape == PICTURE
+    assert x.shape == IMAGE
     work = {
         "predict": lambda: model.predict(x),
         "estimate with intervals": lambda: model.estimate(x),

@@ -11,7 +11,7 @@ from chdstat.estimators.cascades import BASE, LAYERS, Cascade, layer_weights
 BRIGHTNESS = BASE ** np.arange(LAYERS)
 
 
-def picture(seed=0, shape=(4, 5, 3, 32)):
+def image(seed=0, shape=(4, 5, 3, 32)):
     return np.random.default_rng(seed).lognormal(0, 2.5, size=shape)
 
 
@@ -94,14 +94,14 @@ def resolve_by_hand(layers, n, kappa, radius):
 @pytest.mark.parametrize("kappa", [0.3, 1.0, 4.0, 32.0])
 @pytest.mark.parametrize("radius", [0, 1])
 def test_layers_and_their_weights_are_the_authors_formulas(kappa, radius):
-    x = picture()
+    x = image()
     found = (estimators.zirr2018 if radius else estimators.zirr2018_pixel)(x, kappa=kappa, unit=1.0)
     expected = resolve_by_hand(split_by_hand(x), 32, kappa, radius)
     assert found == pytest.approx(expected, rel=1e-5)  # luminance weights have float32 digits
 
 
 def test_kappa_sweeps_from_the_mean_to_the_dark():
-    x = np.minimum(picture(1), 1e3)
+    x = np.minimum(image(1), 1e3)
     kappas = np.geomspace(1e-12, 1e3, 16)
     sweep = Cascade.of(x, unit=1.0).resolve(kappas)
     assert sweep.shape == (4, 5, 3, 16)
@@ -127,7 +127,7 @@ def test_a_confirmed_brightness_stays():
 
 
 def test_the_unit_makes_thresholds_relative():
-    x = picture(2)
+    x = image(2)
     found = estimators.zirr2018(x, unit=3.0)
     assert estimators.zirr2018(x / 3.0, unit=1.0) * 3.0 == pytest.approx(found, rel=1e-12)
     assert estimators.zirr2018(x) != pytest.approx(found, rel=1e-3)
@@ -135,7 +135,7 @@ def test_the_unit_makes_thresholds_relative():
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_a_sample_with_one_bad_channel_is_left_out_as_a_whole():
-    x = picture(3, (1, 1, 3, 8))
+    x = image(3, (1, 1, 3, 8))
     spoilt = x.copy()
     spoilt[0, 0, 1, 7] = np.nan
     found = estimators.zirr2018_pixel(spoilt, unit=1.0)
@@ -148,8 +148,8 @@ def test_options_out_of_range_are_refused(options):
         estimators.zirr2018(np.ones((2, 2, 3, 8)), **options)
 
 
-def test_neighbours_are_those_of_a_picture():
-    with pytest.raises(InputError, match=r"picture \(y, x, channel\), got \(4, 3\)"):
+def test_neighbours_are_those_of_an_image():
+    with pytest.raises(InputError, match=r"image \(y, x, channel\), got \(4, 3\)"):
         Cascade.of(np.ones((4, 3, 8))).resolve(1.0, radius=1)
 
 

@@ -9,14 +9,14 @@ from chdstat.errors import InputError
 from chdstat.estimators.density import dense
 
 
-def picture(seed=0, shape=(6, 7, 3, 5)):
+def image(seed=0, shape=(6, 7, 3, 5)):
     return np.random.default_rng(seed).lognormal(0, 1.5, size=shape)
 
 
 @pytest.mark.parametrize("radius", [0, 1, 2, 3])
 @pytest.mark.parametrize("neighbours", [1, 4])
 def test_a_sample_stays_if_its_kth_neighbour_is_near(radius, neighbours):
-    x = picture(shape=(6, 7, 3, 8))
+    x = image(shape=(6, 7, 3, 8))
     bad = np.zeros((6, 7, 8), bool)
     found = dense(x, bad, neighbours, 1.2, radius, 1.0)
     y, column, _ = np.indices(bad.shape)
@@ -29,7 +29,7 @@ def test_a_sample_stays_if_its_kth_neighbour_is_near(radius, neighbours):
 
 
 def test_estimate_is_the_mean_of_what_stays():
-    x = picture(1)
+    x = image(1)
     kept = dense(x, np.zeros((6, 7, 5), bool), 4, 1.0, 1, None)
     some = kept.any(axis=-1)
     expected = (x * kept[:, :, np.newaxis]).sum(axis=-1) / np.maximum(kept.sum(axis=-1), 1)[
@@ -79,4 +79,4 @@ def test_all_alone_gives_the_mean():
 @pytest.mark.parametrize("options", [{"neighbours": 0}, {"bandwidth": 0.0}, {"radius": -1}])
 def test_options_out_of_range_are_refused(options):
     with pytest.raises(InputError, match="got"):
-        estimators.decoro2010(picture(), **options)
+        estimators.decoro2010(image(), **options)

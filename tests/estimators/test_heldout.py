@@ -94,7 +94,7 @@ def test_training_batches_are_those_of_the_pixels_named(samples):
     assert references[1] == pytest.approx(x[5, 4, :, 25:].mean(axis=-1), rel=1e-6)
 
 
-def test_pixels_are_drawn_once_each_and_leave_half_of_the_picture():
+def test_pixels_are_drawn_once_each_and_leave_half_of_the_image():
     drawn = draw_pixels((9, 7), 6400, seed=0)
     assert len(np.unique(drawn, axis=0)) == len(drawn) == 31
     assert (drawn >= 0).all()

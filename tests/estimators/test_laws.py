@@ -29,7 +29,7 @@ TOLERATED = {
 """Fireflies of any size, one per bucket, among 32 samples that do not carry the estimate away."""
 
 
-def pictures(seed=0, shape=(4, 5, 3, 32)):
+def images(seed=0, shape=(4, 5, 3, 32)):
     return np.random.default_rng(seed).gamma(0.7, size=shape)
 
 
@@ -40,7 +40,7 @@ def test_the_mean_comes_first():
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("factor", [1e-290, 2.0**-100, 0.3, 1e4, 2.0**90, 1e290])
 def test_scaling_the_radiance_scales_the_estimate(name, factor):
-    x = pictures()
+    x = images()
     assert ENTRIES[name](factor * x) == pytest.approx(factor * ENTRIES[name](x), rel=1e-9)
 
 
@@ -61,7 +61,7 @@ def test_null_samples_give_zero(name, dtype):
 
 @pytest.mark.parametrize("name", ORDER_FREE)
 def test_the_order_of_the_samples_does_not_matter(name):
-    x = pictures()
+    x = images()
     shuffled = np.random.default_rng(1).permuted(np.arange(32))
     assert ENTRIES[name](x[..., shuffled]) == pytest.approx(ENTRIES[name](x), rel=1e-9)
 
@@ -69,14 +69,14 @@ def test_the_order_of_the_samples_does_not_matter(name):
 @pytest.mark.parametrize("name", sorted(BUCKETED | {"jung2015"}))
 def test_buckets_and_resamples_do_depend_on_the_order(name):
     """Negative control of the law above."""
-    x = pictures()
+    x = images()
     estimate = ENTRIES[name](x)
     assert ENTRIES[name](np.sort(x)) != pytest.approx(estimate, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", OF_PIXELS)
 def test_a_pixel_is_estimated_from_its_own_samples(name):
-    x = pictures()
+    x = images()
     options = {"unit": 1.0} if name.startswith("zirr") else {}
     together = ENTRIES[name](x, **options)
     for y, row in enumerate(x):
@@ -87,13 +87,13 @@ def test_a_pixel_is_estimated_from_its_own_samples(name):
 
 @pytest.mark.parametrize("name", [n for n in OF_PIXELS if not ENTRIES[n].joint_channels])
 def test_a_channel_is_estimated_from_its_own_samples(name):
-    x = pictures()
+    x = images()
     assert ENTRIES[name](x[1, 2, 1]) == pytest.approx(ENTRIES[name](x)[1, 2, 1], rel=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_estimates_lie_within_the_samples(name):
-    x = pictures()
+    x = images()
     estimate = ENTRIES[name](x)
     assert (estimate >= 0).all()
     assert (estimate <= x.max(axis=-1)).all()
@@ -120,7 +120,7 @@ def test_it_is_finite_exactly_where_the_mean_is(name, x):
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("name", NAMES)
 def test_bad_samples_are_left_out(name):
-    x = pictures(shape=(3, 3, 3, 33))
+    x = images(shape=(3, 3, 3, 33))
     spoilt = x.copy()
     spoilt[..., 32] = np.nan
     spoilt[0, 0, :, 32] = np.inf
@@ -149,7 +149,7 @@ def test_estimators_of_colours_refuse_samples_without_channels(name):
 
 @pytest.mark.parametrize("name", TOLERATED)
 def test_fireflies_up_to_the_breakdown_do_not_carry_the_estimate_away(name):
-    x = pictures(shape=(50, 32)) + 0.1
+    x = images(shape=(50, 32)) + 0.1
     dirty = x.copy()
     dirty[:, : TOLERATED[name]] = 1e30
     assert (ENTRIES[name](dirty) <= x.max(axis=-1)).all()
@@ -158,7 +158,7 @@ def test_fireflies_up_to_the_breakdown_do_not_carry_the_estimate_away(name):
 @pytest.mark.parametrize("name", TOLERATED)
 def test_one_firefly_more_does(name):
     """Negative control; the mean, which tolerates none, is the first example."""
-    x = pictures(shape=(50, 32)) + 0.1
+    x = images(shape=(50, 32)) + 0.1
     for entry, count in ((ENTRIES["mean"], 1), (ENTRIES[name], TOLERATED[name] + 1)):
         dirty = x.copy()
         dirty[:, :count] = 1e30

@@ -15,7 +15,7 @@ from chdstat.estimators.network import RECORD_EVERY, evaluate, initial_weights
 from chdstat.estimators.validation import draw_pixels
 
 
-def picture(height=24, width=24, spp=128, seed=0):
+def image(height=24, width=24, spp=128, seed=0):
     """Return pixels of many brightnesses, half of their samples null: far from Gaussian."""
     rng = np.random.default_rng(seed)
     brightness = rng.lognormal(0, 1, size=(height, width, 1, 1)) * np.array([1, 0.8, 0.5])[:, None]
@@ -27,7 +27,7 @@ def picture(height=24, width=24, spp=128, seed=0):
 
 @pytest.fixture(scope="module")
 def trained():
-    return MLP.preset("elek2019").train(picture(), seed=0, iterations=600)
+    return MLP.preset("elek2019").train(image(), seed=0, iterations=600)
 
 
 def test_the_preset_is_the_published_one():
@@ -50,8 +50,8 @@ def test_training_beats_the_mean_where_half_of_the_samples_are_null(trained):
     assert (history.iteration == np.arange(100, 601, RECORD_EVERY)).all()
     assert history.train_loss[-1] < history.train_loss[0]
     assert history.validation_baseline[0] > 0
-    # The baseline is in squared radiance: the error of a 32-sample mean of this picture.
-    x = picture().read()
+    # The baseline is in squared radiance: the error of a 32-sample mean of this image.
+    x = image().read()
     noise = x.var(axis=-1).mean() / 32
     assert history.validation_baseline[0] == pytest.approx(noise * (1 + 32 / 96), rel=0.5)
 
@@ -65,15 +65,15 @@ def test_pixels_that_trained_are_exposed_and_at_most_half(trained):
 
 
 def test_the_same_seed_trains_the_same_network_and_another_does_not(trained):
-    x = picture(seed=5).read()[..., :32]
-    again = MLP.preset("elek2019").train(picture(), seed=0, iterations=600)
-    other = MLP.preset("elek2019").train(picture(), seed=1, iterations=600)
+    x = image(seed=5).read()[..., :32]
+    again = MLP.preset("elek2019").train(image(), seed=0, iterations=600)
+    other = MLP.preset("elek2019").train(image(), seed=1, iterations=600)
     assert (again.predict(x) == trained.predict(x)).all()
     assert (other.predict(x) != trained.predict(x)).any()
 
 
 def test_scaling_the_radiance_scales_the_estimate():
-    dim = picture(spp=64)
+    dim = image(spp=64)
     bright = chd.Samples.from_array(1024 * dim.read())
     x = dim.read()[..., :32]
     models = [MLP.preset("elek2019").train(s, iterations=200) for s in (dim, bright)]
@@ -82,13 +82,13 @@ def test_scaling_the_radiance_scales_the_estimate():
 
 def test_training_leaves_the_global_state_of_torch_alone():
     threads, state = torch.get_num_threads(), torch.random.get_rng_state()
-    MLP.preset("elek2019").train(picture(spp=64), iterations=1)
+    MLP.preset("elek2019").train(image(spp=64), iterations=1)
     assert torch.get_num_threads() == threads
     assert torch.equal(torch.random.get_rng_state(), state)
 
 
 def test_leading_axes_are_a_batch(trained):
-    x = picture().read()[..., :32]
+    x = image().read()[..., :32]
     whole = trained.predict(x)
     assert whole.shape == (24, 24, 3)
     assert whole.dtype == np.float32
@@ -120,7 +120,7 @@ def test_a_black_scene_is_estimated_black():
 
 
 def test_fireflies_beyond_all_bounds_leave_a_finite_network():
-    x = picture(spp=64).read().copy()
+    x = image(spp=64).read().copy()
     x[::2, :, :, 7] = 1e37
     model = MLP.preset("elek2019").train(chd.Samples.from_array(x), iterations=200)
     assert np.isfinite(model.predict(x[..., :32])).all()
@@ -128,7 +128,7 @@ def test_fireflies_beyond_all_bounds_leave_a_finite_network():
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_batches_with_bad_samples_do_not_train_and_are_counted():
-    x = picture(spp=64).read().copy()
+    x = image(spp=64).read().copy()
     x[:, :, 1, 40] = np.nan
     model = MLP.preset("elek2019").train(chd.Samples.from_array(x), iterations=10)
     assert model.provenance["batches_used"] == model.provenance["batches_excluded"] == 288
@@ -145,12 +145,12 @@ def test_batches_with_bad_samples_do_not_train_and_are_counted():
 )
 def test_training_refuses_what_it_cannot_use(options, match):
     with pytest.raises(InputError, match=match):
-        MLP.preset("elek2019").train(picture(spp=64), **options)
+        MLP.preset("elek2019").train(image(spp=64), **options)
 
 
 def test_training_says_how_many_samples_it_needs():
     with pytest.raises(InputError, match="at least 64 spp, got 63"):
-        MLP.preset("elek2019").train(picture(spp=63))
+        MLP.preset("elek2019").train(image(spp=63))
     with pytest.raises(InputError, match="at least 2 batches"):
         MLP.preset("elek2019").train(chd.Samples.from_array(np.ones((1, 1, 3, 64))))
 
@@ -167,7 +167,7 @@ def test_untrained_and_misfed_networks_say_so(trained):
 def test_a_saved_network_comes_back_the_same(trained, tmp_path):
     trained.save(tmp_path / "model.safetensors")
     loaded = MLP.load(tmp_path / "model.safetensors")
-    x = picture(seed=9).read()[..., :32]
+    x = image(seed=9).read()[..., :32]
     assert (loaded.predict(x) == trained.predict(x)).all()
     assert loaded.config == trained.config
     assert loaded.provenance == trained.provenance
@@ -219,7 +219,7 @@ def test_a_model_cannot_be_written_where_there_is_no_folder(trained, tmp_path):
 
 def test_presets_are_open_to_other_networks():
     small = Preset(name="small", source="this test", inputs=8, hidden=(4,), iterations=20)
-    model = MLP(small).train(picture(spp=32))
+    model = MLP(small).train(image(spp=32))
     assert model.predict(np.ones((3, 8))).shape == (3,)
 
 

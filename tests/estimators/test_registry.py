@@ -73,7 +73,7 @@ def test_what_looks_at_other_pixels_or_channels_says_so():
     channels[1, 1, 0] = channels[1, 1, 0, ::-1] * 1000
     for name in estimators.names("fixed"):
         entry = estimators.lookup(name)
-        # The exposure of a picture depends on all of it, and is not what is asked here.
+        # The exposure of an image depends on all of it, and is not what is asked here.
         options = {"unit": 1.0} if name.startswith(("zirr", "decoro")) else {}
         before = entry(x, **options)[1, 1, 1]
         by_pixels = entry(pixels, **options)[1, 1, 1] != pytest.approx(before, rel=1e-9)

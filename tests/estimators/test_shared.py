@@ -8,7 +8,7 @@ from chdstat import estimators
 from chdstat.errors import InputError
 from chdstat.estimators import neighbourhood, similar_pixels
 from chdstat.estimators.neighbourhood import patch_sum, pool
-from chdstat.estimators.similarity import Picture, corrected_means, histograms, shape_means
+from chdstat.estimators.similarity import ScaledSamples, corrected_means, histograms, shape_means
 
 ALL = (
     neighbourhood.delbracio2014,
@@ -19,7 +19,7 @@ ALL = (
 AVERAGES = (neighbourhood.delbracio2014, neighbourhood.sakai2024, similar_pixels.shared_patches)
 
 
-def picture(seed=0, shape=(9, 11, 3, 16), sigma=1.0):
+def image(seed=0, shape=(9, 11, 3, 16), sigma=1.0):
     return np.random.default_rng(seed).lognormal(0, sigma, size=shape)
 
 
@@ -54,7 +54,7 @@ def sakai_by_hand(x, alpha, radius):
 
 @pytest.mark.parametrize("radius", [0, 1, 3])
 def test_sakai_shares_what_the_formula_says(radius):
-    x = picture(sigma=0.5)
+    x = image(sigma=0.5)
     x[:, 5:] *= 1.3
     expected, members = sakai_by_hand(x, 0.05, radius)
     assert neighbourhood.sakai2024(x, alpha=0.05, radius=radius) == pytest.approx(
@@ -78,10 +78,10 @@ def histogram_by_hand(values, unit):
 
 
 def test_histograms_are_those_of_the_published_code():
-    x = picture(1, (2, 3, 2, 16), sigma=3)
+    x = image(1, (2, 3, 2, 16), sigma=3)
     x[0, 0, 0] = 0
     x[1, 1, 1, 3] = 1e30
-    found = histograms(Picture.of(x), 0.7).reshape(2, 3, 2, 20)
+    found = histograms(ScaledSamples.of(x), 0.7).reshape(2, 3, 2, 20)
     for place in np.ndindex(2, 3, 2):
         assert found[place] == pytest.approx(histogram_by_hand(x[place], 0.7), abs=1e-12)
     assert found.sum(axis=-1) == pytest.approx(16)
@@ -90,10 +90,10 @@ def test_histograms_are_those_of_the_published_code():
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("threshold", [0.4, 0.7])
 def test_delbracio_shares_what_the_formula_says(threshold):
-    x = picture(2, (5, 6, 2, 16))
-    h = histograms(Picture.of(x), 1.0)
+    x = image(2, (5, 6, 2, 16))
+    h = histograms(ScaledSamples.of(x), 1.0)
     x[2, 2, :, 8:] = np.nan
-    h[2, 2] = histograms(Picture.of(x[..., :8]), 1.0)[2, 2]
+    h[2, 2] = histograms(ScaledSamples.of(x[..., :8]), 1.0)[2, 2]
     n = np.full((5, 6), 16)
     n[2, 2] = 8
     mean = np.nanmean(x, axis=-1)
@@ -115,9 +115,9 @@ def test_delbracio_shares_what_the_formula_says(threshold):
 
 
 def test_mean_is_corrected_for_skewness_as_by_johnson():
-    x = picture(3, (1, 1, 1, 40), sigma=2)
-    found = corrected_means(Picture.of(x), np.sqrt)
-    y = np.sqrt(x[0, 0, 0] / Picture.of(x).unit)
+    x = image(3, (1, 1, 1, 40), sigma=2)
+    found = corrected_means(ScaledSamples.of(x), np.sqrt)
+    y = np.sqrt(x[0, 0, 0] / ScaledSamples.of(x).unit)
     shift = stats.moment(y, order=3) / (6 * y.var(ddof=1) * 40)
     assert found.value.item() == pytest.approx(y.mean() + shift, rel=1e-12)
     assert found.variance.item() == pytest.approx(stats.sem(y) ** 2, rel=1e-12)
@@ -130,7 +130,7 @@ def test_shape_has_the_standard_error_that_repeats_have():
     """
     rng = np.random.default_rng(4)
     x = rng.gamma(0.7, size=(4000, 1, 1, 400)) * (rng.random((4000, 1, 1, 400)) < 0.6)
-    found = shape_means(Picture.of(x))
+    found = shape_means(ScaledSamples.of(x))
     assert found.variance.mean() == pytest.approx(found.value.var(), rel=0.08)
 
 
@@ -138,7 +138,7 @@ def test_shape_has_the_standard_error_that_repeats_have():
 
 
 @pytest.mark.parametrize(("radius", "patch"), [(0, 0), (1, 0), (2, 1), (4, 2), (20, 1)])
-def test_strips_give_what_the_whole_picture_gives(radius, patch, monkeypatch):
+def test_strips_give_what_the_whole_image_gives(radius, patch, monkeypatch):
     field = np.random.default_rng(5).normal(size=(23, 7, 1))
 
     def weigh(here, there):
@@ -219,14 +219,14 @@ def test_noise_shrinks_where_pixels_are_alike(function):
 
 def test_shape_is_shared_and_level_is_not():
     """Scaling one pixel scales its own estimate and moves no other."""
-    x = picture(10, (8, 8, 3, 32), sigma=1.5)
+    x = image(10, (8, 8, 3, 32), sigma=1.5)
     factor = np.random.default_rng(10).lognormal(0, 3, size=(8, 8, 1))
     found = similar_pixels.shared_shape(x * factor[..., np.newaxis])
     assert found == pytest.approx(factor * similar_pixels.shared_shape(x), rel=1e-9)
 
 
 def test_limit_by_shape_moves_no_mean_up_and_is_lifted_by_infinity():
-    x = picture(20, (8, 8, 3, 32), sigma=2)
+    x = image(20, (8, 8, 3, 32), sigma=2)
     mean = x.mean(axis=-1)
     found = similar_pixels.shared_shape(x)
     assert (found <= mean * (1 + 1e-12)).all()
@@ -254,7 +254,7 @@ def rms(values):
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("function", ALL)
 def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(function):
-    x = picture(12, (6, 6, 3, 16))
+    x = image(12, (6, 6, 3, 16))
     x[2, 3, :, :] = np.nan
     x[4, 4, 0, :] = -np.inf
     found = function(x)
@@ -273,7 +273,7 @@ def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(function):
     [neighbourhood.sakai2024, similar_pixels.shared_patches, similar_pixels.shared_shape],
 )
 def test_one_good_sample_is_not_compared(function):
-    x = picture(13, (5, 5, 3, 16))
+    x = image(13, (5, 5, 3, 16))
     x[2, 2, :, 1:] = np.inf
     assert np.isfinite(function(x)).all()
     if function is neighbourhood.sakai2024:
@@ -283,7 +283,7 @@ def test_one_good_sample_is_not_compared(function):
 @pytest.mark.parametrize("function", ALL)
 @pytest.mark.parametrize("level", [1e-40, 1e30])
 def test_radiances_that_squares_of_overflow(function, level):
-    x = np.float32(level) * picture(14, (6, 6, 3, 16)).astype(np.float32)
+    x = np.float32(level) * image(14, (6, 6, 3, 16)).astype(np.float32)
     x[0, 0] = 0
     x[5, 5] = 1.0
     assert np.isfinite(function(x)).all()
@@ -292,15 +292,15 @@ def test_radiances_that_squares_of_overflow(function, level):
 
 
 @pytest.mark.parametrize("function", ALL)
-def test_one_pixel_and_one_row_are_pictures(function):
-    one, row = picture(15, (1, 1, 3, 16)), picture(16, (1, 9, 3, 16))
+def test_one_pixel_and_one_row_are_images(function):
+    one, row = image(15, (1, 1, 3, 16)), image(16, (1, 9, 3, 16))
     assert function(one) == pytest.approx(one.mean(axis=-1), rel=1e-9)
     assert function(row).shape == (1, 9, 3)
 
 
 @pytest.mark.parametrize("channels", [1, 2, 5])
 def test_any_number_of_channels_can_share(channels):
-    x = picture(17, (5, 5, channels, 16))
+    x = image(17, (5, 5, channels, 16))
     for function in ALL:
         assert function(x).shape == (5, 5, channels)
 
@@ -331,10 +331,10 @@ def test_fireflies_are_limited_or_kept():
 )
 def test_options_out_of_range_are_refused(function, options):
     with pytest.raises(InputError, match="got"):
-        function(picture(), **options)
+        function(image(), **options)
 
 
 @pytest.mark.parametrize("function", ALL)
-def test_samples_that_are_no_picture_are_refused(function):
+def test_samples_that_are_no_image_are_refused(function):
     with pytest.raises(InputError, match=r"must be an image of shape \(y, x, channel, sample\)"):
         function(np.ones((3, 16)))

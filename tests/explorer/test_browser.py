@@ -1,4 +1,4 @@
-"""The page in a real browser, from the first picture to the last export."""
+"""The page in a real browser, from the first image to the last export."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.explorer import explore
-from chdstat.explorer.maps import PICTURES
+from chdstat.explorer.maps import IMAGES
 from chdstat.samples.store import Store
 
 SIZE = 32
@@ -32,8 +32,8 @@ class Person:
         self.page.wait_for_selector("body[data-shown]", timeout=30000)
         return self
 
-    def place(self, y, x, picture=0, size=SIZE):
-        box = self.page.locator(".picture").nth(picture).bounding_box()
+    def place(self, y, x, image=0, size=SIZE):
+        box = self.page.locator(".image").nth(image).bounding_box()
         return box["x"] + (x + 0.5) / size * box["width"], box["y"] + (y + 0.5) / size * box[
             "height"
         ]
@@ -41,11 +41,11 @@ class Person:
     def point(self, y, x):
         self.page.mouse.move(*self.place(y, x))
 
-    def click(self, y, x, *, shift=False, picture=0):
+    def click(self, y, x, *, shift=False, image=0):
         with self.answered():
             if shift:
                 self.page.keyboard.down("Shift")
-            self.page.mouse.click(*self.place(y, x, picture))
+            self.page.mouse.click(*self.place(y, x, image))
             if shift:
                 self.page.keyboard.up("Shift")
 
@@ -216,7 +216,7 @@ def test_a_click_outside_changes_nothing(person, store_path):
     for _ in range(4):
         one.page.get_by_role("button", name="Zoom out").click()
     one.page.wait_for_timeout(200)
-    box = one.page.locator(".picture").bounding_box()
+    box = one.page.locator(".image").bounding_box()
     one.page.mouse.click(box["x"] + 5, box["y"] + 5)
     assert "outside the image" in one.alert()
     assert one.query == {"p": ["3,4"]}
@@ -224,7 +224,7 @@ def test_a_click_outside_changes_nothing(person, store_path):
     assert not one.page.locator("#alert").is_visible()
 
 
-def test_maps_take_the_place_of_the_picture(person, store_path):
+def test_maps_take_the_place_of_the_image(person, store_path):
     one = person(store_path).open("?p=20,10")
     for name, expected in {
         "null_share": "share of the good samples",
@@ -246,7 +246,7 @@ def test_maps_take_the_place_of_the_picture(person, store_path):
         )
     one.point(20, 10)
     assert "Error of huber" in one.text("#readout")
-    one.page.locator("select[data-option=map]").select_option("picture")
+    one.page.locator("select[data-option=map]").select_option("image")
     one.page.wait_for_selector("#colorbar", state="hidden")
 
 
@@ -370,7 +370,7 @@ def test_two_stores_are_compared(person, store_path, tmp_path):
     path = tmp_path / "other.zarr"
     chd.render("cornell-box", spp=64, size=(32, 32), max_depth=2, out=path, backend="scalar")
     one = person(store_path, other=path).open()
-    one.click(20, 10, picture=1)
+    one.click(20, 10, image=1)
     assert one.chips == ["1: y 20 x 10"]
     assert "p of equal CHDs" in one.text("#compared")
     assert "other.zarr against box.zarr" in one.text("#compared")
@@ -387,7 +387,7 @@ def test_a_scene_is_sampled_where_it_is_clicked(person):
     one.page.get_by_role("button", name="Pause").click()
     one.page.wait_for_selector("#live button:text('Continue')")
     maps = one.page.locator("select[data-option=map]")
-    assert maps.locator("option").count() == 1 + len(PICTURES)  # what the picture gives
+    assert maps.locator("option").count() == 1 + len(IMAGES)  # what the image gives
     maps.select_option("relative_error")
     one.page.wait_for_function(
         "document.querySelector('#colorbar').innerText.includes('log10, luminance')"
@@ -451,7 +451,7 @@ def test_nothing_overlaps_or_sticks_out(person, store_path):
 OVERLAPS = """() => {
   const parts = [...document.querySelectorAll(
     'header > *, .controls > *, .panel, .tables > .table:not([hidden]), #readout, #chips,'
-    + '.picture, #colorbar'
+    + '.image, #colorbar'
   )].filter((e) => e.getClientRects().length && e.innerText !== '');
   const found = [];
   for (const a of parts) for (const b of parts) {
@@ -480,7 +480,7 @@ def test_everything_is_reached_with_the_keyboard(person, store_path):
         if name in seen and name == seen[0]:
             break
         seen.append(name)
-    expected = ["csv", "map", "exposure", "auto", "tone", "picture", "pan", "in", "best", "channel"]
+    expected = ["csv", "map", "exposure", "auto", "tone", "image", "pan", "in", "best", "channel"]
     places = [seen.index(name) for name in expected]
     assert places == sorted(places)
-    assert re.search("picture", " ".join(seen))
+    assert re.search("image", " ".join(seen))

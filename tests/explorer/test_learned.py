@@ -41,13 +41,13 @@ def test_one_that_looks_at_a_pixel_says_what_it_says_elsewhere(samples, model):
     assert np.isfinite([found.mse_ratio, found.bias, found.improved]).all()
 
 
-def test_one_that_looks_around_is_asked_about_a_picture(samples):
+def test_one_that_looks_around_is_asked_about_an_image(samples):
     model = chd.train_model(samples, reference=False, iterations=5, progress=False)
     (found,) = judged(model, samples)
     assert model.inputs.neighbours
     assert found.value.shape == (3,)
     assert np.isfinite(found.value).all()
-    assert judged(model, samples, place=(0, 0, 4, 4)) == []  # a region is no picture
+    assert judged(model, samples, place=(0, 0, 4, 4)) == []  # a region is no image
 
 
 def test_one_for_another_number_of_samples_is_left_out(samples):

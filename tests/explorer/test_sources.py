@@ -1,4 +1,4 @@
-"""Where samples come from, and the pictures and maps made of them."""
+"""Where samples come from, and the images and maps made of them."""
 
 from __future__ import annotations
 
@@ -112,10 +112,10 @@ def test_memory_does_not_grow_with_the_store():
     assert peaks[1] < 1.2 * peaks[0]
 
 
-# --- pictures and maps --------------------------------------------------------------------------
+# --- images and maps --------------------------------------------------------------------------
 
 
-def test_the_streamed_picture_is_the_summary(flames):
+def test_the_streamed_image_is_the_summary(flames):
     found, expected = stream(StoreSource(flames), ignore), chd.summarize(flames, progress=False)
     np.testing.assert_allclose(found.mean, expected["mean"], rtol=1e-5)
     np.testing.assert_allclose(found.null_share, expected["null_share"], rtol=1e-6)
@@ -124,7 +124,7 @@ def test_the_streamed_picture_is_the_summary(flames):
     assert np.isnan(found.mean[0, 0]).all()
 
 
-def test_the_preview_is_the_picture_of_the_first_samples(flames):
+def test_the_preview_is_the_image_of_the_first_samples(flames):
     first = chd.Samples.from_array(flames.read(ss=slice(0, 64)))
     found, expected = preview(StoreSource(flames)), stream(StoreSource(first), ignore)
     np.testing.assert_array_equal(found.mean, expected.mean)
@@ -223,13 +223,13 @@ def test_tones_rise_with_radiance_and_show_what_is_not_finite(tone):
     assert [hex(v) for v in broken[0]] == ["0xffff00ff"] * 2  # magenta
 
 
-def test_exposure_brings_a_picture_near_white():
+def test_exposure_brings_an_image_near_white():
     def exposure(value):
         return replace(empty, mean=np.full((4, 4, 3), value, np.float32)).exposure
 
     empty = Overall.empty(4, 4, 3)
-    picture = np.full((4, 4, 3), 1e-3, np.float32)
-    assert (rgba(picture, exposure(1e-3), "srgb")[0, 0] & 0xFF) > 200
+    image = np.full((4, 4, 3), 1e-3, np.float32)
+    assert (rgba(image, exposure(1e-3), "srgb")[0, 0] & 0xFF) > 200
     assert exposure(0) == 0
     assert empty.exposure == 0
 
@@ -262,7 +262,7 @@ def test_samples_of_a_scene_have_the_mean_that_a_render_has(scene):
     assert abs(mine.mean() - theirs.mean()) < 6 * error
 
 
-def test_the_picture_of_a_scene_gets_better(scene):
+def test_the_image_of_a_scene_gets_better(scene):
     shares = list(scene.passes())
     assert shares[-1] == 1
     assert scene.overall().spp == 16
@@ -293,7 +293,7 @@ def test_errors_of_a_map_are_those_of_compare():
     assert found == pytest.approx(np.log10(squared[0] / squared[1]), rel=1e-4)
 
 
-def test_pixels_of_a_half_drawn_picture_have_the_errors_of_their_own_samples():
+def test_pixels_of_a_half_drawn_image_have_the_errors_of_their_own_samples():
     x = np.random.default_rng(0).gamma(2.0, size=(1, 2, 3, 64)).astype(np.float32)
     whole = Overall.empty(1, 2, 3)
     for i, n in enumerate((64, 16)):

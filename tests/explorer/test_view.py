@@ -35,7 +35,7 @@ def views(draw):
         exposure=draw(st.none() | st.floats(-10, 10)),
         tone=draw(st.sampled_from(TONES)),
         channel=draw(st.sampled_from(["all", "luminance", "0", "2"])),
-        map=draw(st.sampled_from(["picture", "null_share", "error:huber"])),
+        map=draw(st.sampled_from(["image", "null_share", "error:huber"])),
     )
 
 

@@ -97,7 +97,7 @@ def test_what_is_no_radiance_comes_back_nan_and_spoils_nothing(calls):
     assert calls[0][0][2, 2] * unit == pytest.approx(around, rel=1e-5)
 
 
-def test_a_black_picture_stays_black(calls):
+def test_a_black_image_stays_black(calls):
     assert not denoise(np.zeros((4, 4, 3))).any()
     assert np.isnan(denoise(np.full((4, 4, 3), np.nan))).all()
 
@@ -121,7 +121,7 @@ def test_a_failure_of_the_denoiser_says_what_it_says(monkeypatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"estimate": np.ones((4, 4))}, r"picture.*got shape \(4, 4\)"),
+        ({"estimate": np.ones((4, 4))}, r"image.*got shape \(4, 4\)"),
         ({"estimate": np.ones((4, 4, 2))}, r"1 or 3 channels.*\(4, 4, 2\)"),
         ({"estimate": np.ones((0, 4, 3))}, r"got shape \(0, 4, 3\)"),
         ({"estimate": np.ones((4, 4, 3), complex)}, "real numbers"),
@@ -149,8 +149,8 @@ def network():
     return pytest.importorskip("pyoidn")
 
 
-def test_noise_goes_and_the_picture_stays(network):
-    """Exponential noise: the picture's mean has a standard error of 1 %; tolerated are 10 %."""
+def test_noise_goes_and_the_image_stays(network):
+    """Exponential noise: the image's mean has a standard error of 1 %; tolerated are 10 %."""
     x = noisy((64, 64, 3))
     truth = np.broadcast_to(np.linspace(1, 3, 64)[:, np.newaxis], x.shape)
     found = denoise(x)

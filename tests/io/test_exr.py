@@ -12,7 +12,7 @@ from chdstat.io import read_exr, write_exr
 LAYOUT = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
 
 
-def picture(shape=(5, 7, 3), seed=0):
+def image(shape=(5, 7, 3), seed=0):
     return np.random.default_rng(seed).lognormal(0, 3, size=shape).astype(np.float32)
 
 
@@ -32,18 +32,18 @@ def channels_of(path):
 
 
 def test_what_is_written_is_read_back_to_the_bit(tmp_path):
-    x = picture()
+    x = image()
     x[0, 0], x[1, 1, 0], x[2, 2, 2] = np.nan, np.inf, 1e-45
     extra = {
-        "certainty": picture((5, 7), 1),
-        "low": picture(seed=2),
-        "light.high": picture(seed=3),
+        "certainty": image((5, 7), 1),
+        "low": image(seed=2),
+        "light.high": image(seed=3),
         "number": np.arange(35, dtype=np.uint32).reshape(5, 7) + 2**31,
     }
     attributes = {"comment": "Grüße, 日本", "empty": "", "store": "a\nb"}
     path = write_exr(tmp_path / "x.exr", x, extra=extra, attributes=attributes)
     found = read_exr(path)
-    np.testing.assert_array_equal(found.picture, x)
+    np.testing.assert_array_equal(found.image, x)
     assert found.channels == ("R", "G", "B")
     assert found.extra.keys() == extra.keys()
     for name, layer in extra.items():
@@ -53,7 +53,7 @@ def test_what_is_written_is_read_back_to_the_bit(tmp_path):
 
 
 def test_viewers_find_channels_and_layers_by_their_usual_names(tmp_path):
-    x = picture()
+    x = image()
     path = write_exr(
         tmp_path / "x.exr", x, extra={"certainty": x[..., 0], "low": x, "v.X": x[..., 1]}
     )
@@ -68,12 +68,12 @@ def test_viewers_find_channels_and_layers_by_their_usual_names(tmp_path):
 
 @pytest.mark.parametrize(("count", "names"), [(1, ("Y",)), (3, ("R", "G", "B")), (2, ("u", "v"))])
 def test_channels_have_usual_names_or_those_given(tmp_path, count, names):
-    x = picture((4, 3, count))
+    x = image((4, 3, count))
     given = None if count in (1, 3) else names
     path = write_exr(tmp_path / "x.exr", x, channels=given, extra={"low": x})
     found = read_exr(path, channels=given)
     assert found.channels == names
-    np.testing.assert_array_equal(found.picture, x)
+    np.testing.assert_array_equal(found.image, x)
     np.testing.assert_array_equal(found.extra["low"], x)
 
 
@@ -82,33 +82,33 @@ def test_channels_have_usual_names_or_those_given(tmp_path, count, names):
     [np.asfortranarray, lambda x: np.ascontiguousarray(x[::-1])[::-1], lambda x: x.astype(">f4")],
 )
 def test_the_order_in_memory_does_not_matter(tmp_path, arrange):
-    x = picture()
+    x = image()
     path = write_exr(tmp_path / "x.exr", arrange(x), extra={"one": arrange(x[..., 0])})
-    np.testing.assert_array_equal(read_exr(path).picture, x)
+    np.testing.assert_array_equal(read_exr(path).image, x)
     np.testing.assert_array_equal(read_exr(path).extra["one"], x[..., 0])
 
 
 def test_half_keeps_eleven_bits(tmp_path):
-    x = np.clip(picture(), 1e-3, 6e4)
+    x = np.clip(image(), 1e-3, 6e4)
     path = write_exr(tmp_path / "x.exr", x, pixel_type="half", extra={"one": x[..., 0]})
     assert {plane.dtype for plane in channels_of(path).values()} == {np.dtype(np.float16)}
     found = read_exr(path)
-    assert found.picture == pytest.approx(x, rel=2**-11)
-    assert found.picture.dtype == found.extra["one"].dtype == np.float32
+    assert found.image == pytest.approx(x, rel=2**-11)
+    assert found.image.dtype == found.extra["one"].dtype == np.float32
 
 
 def test_half_keeps_nan_and_infinity(tmp_path):
     x = np.full((2, 2, 3), np.nan)
     x[0] = np.inf
     path = write_exr(tmp_path / "x.exr", x, pixel_type="half")
-    np.testing.assert_array_equal(read_exr(path).picture, x)
+    np.testing.assert_array_equal(read_exr(path).image, x)
 
 
 def test_whole_numbers_and_masks_become_floats(tmp_path):
-    mask = picture()[..., 0] > 1
+    mask = image()[..., 0] > 1
     path = write_exr(tmp_path / "x.exr", np.ones((5, 7, 3), int), extra={"mask": mask})
     found = read_exr(path)
-    assert (found.picture == 1).all()
+    assert (found.image == 1).all()
     np.testing.assert_array_equal(found.extra["mask"], mask.astype(np.float32))
 
 
@@ -116,24 +116,24 @@ def test_whole_numbers_and_masks_become_floats(tmp_path):
 
 
 def test_other_channels_are_layers(tmp_path):
-    x = picture()
+    x = image()
     planes = {name: x[..., i].copy() for i, name in enumerate("RGB")}
     more = {"A": x[..., 0] + 1, "Z": x[..., 1] + 1, "N.X": x[..., 2] + 1}
     found = read_exr(foreign(tmp_path / "x.exr", {**planes, **more}))
-    np.testing.assert_array_equal(found.picture, x)
+    np.testing.assert_array_equal(found.image, x)
     assert found.extra.keys() == more.keys()
-    assert read_exr(tmp_path / "x.exr", channels=["Z"]).picture.shape == (5, 7, 1)
+    assert read_exr(tmp_path / "x.exr", channels=["Z"]).image.shape == (5, 7, 1)
 
 
-def test_the_picture_is_the_data_window(tmp_path):
-    x = picture((4, 6, 1))
+def test_the_image_is_the_data_window(tmp_path):
+    x = image((4, 6, 1))
     box = (np.array([10, 20], np.int32), np.array([15, 23], np.int32))
     path = foreign(tmp_path / "x.exr", {"Y": x[..., 0].copy()}, {**LAYOUT, "dataWindow": box})
-    np.testing.assert_array_equal(read_exr(path).picture, x)
+    np.testing.assert_array_equal(read_exr(path).image, x)
 
 
 def test_channels_that_are_not_there_are_named_with_those_that_are(tmp_path):
-    path = foreign(tmp_path / "x.exr", {"U": picture()[..., 0].copy()})
+    path = foreign(tmp_path / "x.exr", {"U": image()[..., 0].copy()})
     with pytest.raises(InputError, match=r"no channels R, G, B or Y; .*channels=, out of U"):
         read_exr(path)
     with pytest.raises(InputError, match=r"no channels Z; .*out of U"):
@@ -141,20 +141,20 @@ def test_channels_that_are_not_there_are_named_with_those_that_are(tmp_path):
 
 
 def test_several_parts_are_refused(tmp_path):
-    parts = [OpenEXR.Part(dict(LAYOUT), {"Y": picture()[..., 0].copy()}, name) for name in "ab"]
+    parts = [OpenEXR.Part(dict(LAYOUT), {"Y": image()[..., 0].copy()}, name) for name in "ab"]
     OpenEXR.File(parts).write(str(tmp_path / "x.exr"))
     with pytest.raises(StoreError, match="has 2 parts, expected one"):
         read_exr(tmp_path / "x.exr")
 
 
 def test_channels_of_lower_resolution_are_refused(tmp_path):
-    x = picture()[:4, :6, 0].copy()
+    x = image()[:4, :6, 0].copy()
     path = foreign(tmp_path / "x.exr", {"Y": x, "RY": OpenEXR.Channel("RY", x, 2, 2)})
     with pytest.raises(StoreError, match=r"'RY' is deep or of a resolution of its own.*\(4, 6\)"):
         read_exr(path)
 
 
-def test_deep_pictures_are_refused(tmp_path):
+def test_deep_images_are_refused(tmp_path):
     deep = np.empty((2, 3), object)
     for i in range(deep.size):
         deep.flat[i] = np.ones(i + 1, np.float32)
@@ -180,7 +180,7 @@ def test_a_file_that_is_not_there_or_not_one(tmp_path):
 
 @pytest.mark.parametrize("share", [0.001, 0.02, 0.3, 0.7, 0.999])
 def test_a_file_that_is_cut_off(tmp_path, share):
-    path = write_exr(tmp_path / "x.exr", picture((64, 64, 3)))
+    path = write_exr(tmp_path / "x.exr", image((64, 64, 3)))
     whole = path.read_bytes()
     path.write_bytes(whole[: max(4, int(share * len(whole)))])
     with pytest.raises(StoreError, match="damaged or cut off; write or copy it again"):
@@ -189,7 +189,7 @@ def test_a_file_that_is_cut_off(tmp_path, share):
 
 def test_a_damaged_file(tmp_path):
     """What does not shrink is stored as it is, without a checksum: only the rest can be checked."""
-    path = write_exr(tmp_path / "x.exr", np.round(picture((64, 64, 3))))
+    path = write_exr(tmp_path / "x.exr", np.round(image((64, 64, 3))))
     content = bytearray(path.read_bytes())
     middle = len(content) // 2
     content[middle : middle + 64] = bytes(64)
@@ -202,9 +202,9 @@ def test_a_damaged_file(tmp_path):
 
 
 def test_a_file_is_replaced(tmp_path):
-    path = write_exr(tmp_path / "x.exr", picture())
-    write_exr(path, picture(seed=1))
-    np.testing.assert_array_equal(read_exr(path).picture, picture(seed=1))
+    path = write_exr(tmp_path / "x.exr", image())
+    write_exr(path, image(seed=1))
+    np.testing.assert_array_equal(read_exr(path).image, image(seed=1))
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -213,12 +213,12 @@ def test_where_nothing_can_be_written(tmp_path):
     (tmp_path / "folder.exr").mkdir()
     for path in ("none/x.exr", "file/x.exr", "folder.exr"):
         with pytest.raises(StoreError, match="cannot write an EXR file to"):
-            write_exr(tmp_path / path, picture())
+            write_exr(tmp_path / path, image())
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.exr"]
 
 
 def test_what_fails_midway_leaves_the_old_file(tmp_path, monkeypatch):
-    path = write_exr(tmp_path / "x.exr", picture())
+    path = write_exr(tmp_path / "x.exr", image())
 
     class Full:
         def __init__(self, header, channels):
@@ -238,18 +238,18 @@ def test_what_fails_midway_leaves_the_old_file(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr(OpenEXR, "File", Full)
         with pytest.raises(StoreError, match="No space left"):
-            write_exr(path, picture(seed=1))
+            write_exr(path, image(seed=1))
     assert list(tmp_path.iterdir()) == [path]
-    np.testing.assert_array_equal(read_exr(path).picture, picture())
+    np.testing.assert_array_equal(read_exr(path).image, image())
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"picture": np.ones((4, 4))}, r"\(y, x, channel\), got \(4, 4\)"),
-        ({"picture": np.ones((0, 4, 3))}, r"got \(0, 4, 3\)"),
-        ({"picture": np.ones((4, 4, 3), complex)}, "picture must hold real numbers.*complex"),
-        ({"picture": np.ones((4, 4, 2))}, "name the 2 channels"),
+        ({"image": np.ones((4, 4))}, r"\(y, x, channel\), got \(4, 4\)"),
+        ({"image": np.ones((0, 4, 3))}, r"got \(0, 4, 3\)"),
+        ({"image": np.ones((4, 4, 3), complex)}, "image must hold real numbers.*complex"),
+        ({"image": np.ones((4, 4, 2))}, "name the 2 channels"),
         ({"channels": ("R", "G")}, "3 different names"),
         ({"channels": ("R", "G", "G")}, "3 different names"),
         ({"channels": ("a.R", "a.G", "a.B")}, "without a dot"),
@@ -268,7 +268,7 @@ def test_what_fails_midway_leaves_the_old_file(tmp_path, monkeypatch):
         ({"attributes": {"spp": 32}}, "'spp' must be text, got int"),
         ({"pixel_type": "double"}, "pixel_type must be one of float, half, got 'double'"),
         (
-            {"picture": np.full((4, 4, 3), 7e4), "pixel_type": "half"},
+            {"image": np.full((4, 4, 3), 7e4), "pixel_type": "half"},
             "'R' must be at most 65504.*70000",
         ),
         ({"extra": {"a": np.full((4, 4), -1e39)}}, r"'a' must be at most 3.40282e\+38.*1e\+39"),
@@ -276,5 +276,5 @@ def test_what_fails_midway_leaves_the_old_file(tmp_path, monkeypatch):
 )
 def test_wrong_input_is_refused_and_nothing_written(tmp_path, options, message):
     with pytest.raises(InputError, match=message):
-        write_exr(tmp_path / "x.exr", **{"picture": np.ones((4, 4, 3)), **options})
+        write_exr(tmp_path / "x.exr", **{"image": np.ones((4, 4, 3)), **options})
     assert not list(tmp_path.iterdir())

@@ -46,7 +46,7 @@ def test_pixels_that_are_no_radiance_are_seen(image):
 
 
 @pytest.mark.parametrize("shape", [(4, 4), (4, 4, 2), (4,)])
-def test_a_picture_of_another_shape_is_refused(shape):
+def test_an_image_of_another_shape_is_refused(shape):
     with pytest.raises(InputError, match=r"shape \(y, x, 1\) or \(y, x, 3\), got"):
         viz.tonemap(np.zeros(shape))
 
@@ -129,12 +129,12 @@ def test_a_map_without_spread_is_drawn(value):
     viz.map_grid([viz.value_map(np.full((4, 4), value), title="flat")]).canvas.draw()
 
 
-def test_pictures_share_an_exposure_and_show_errors(image):
+def test_images_share_an_exposure_and_show_errors(image):
     error = np.abs(image - 0.5).mean(axis=-1)
-    figure = viz.pictures({"a": image, "reference": image * 2}, errors={"a": error})
+    figure = viz.side_by_side({"a": image, "reference": image * 2}, errors={"a": error})
     assert {"a", "reference", "log10 squared error"} <= texts(figure)
     with pytest.raises(InputError, match="at least one image"):
-        viz.pictures({})
+        viz.side_by_side({})
 
 
 def test_curves_draw_what_they_are_given():
@@ -158,7 +158,7 @@ def test_a_high_image_fits_the_page(marks):
     high = np.ones((90, 30, 3))
     for figure in (
         viz.with_marks(high, marks),
-        viz.pictures({"a": high, "b": high}, errors={"a": high[..., 0]}),
+        viz.side_by_side({"a": high, "b": high}, errors={"a": high[..., 0]}),
         viz.map_grid(9 * [viz.value_map(high[..., 0], title="flat")], aspect=3),
     ):
         assert figure.get_figheight() <= 8

@@ -1,7 +1,7 @@
 """Progressive: our estimator, which learns how far each octave of a pixel's samples counts.
 
 `Progressive` is the estimator, `Estimates` what it says; `Stream` feeds it samples as they are
-rendered, and `self_trained` trains it on the very picture that it improves.
+rendered, and `self_trained` trains it on the very image that it improves.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ def describe(features: Features | None, shape: tuple[int, int]) -> Array:
     """Return numbers of about unit size for each pixel, shape (y, x, number).
 
     Albedo and its logarithm, the normal, the logarithm of the depth, and the position in units of
-    its spread over the picture with sine and cosine of it, as in Tancik et al. 2020, "Fourier
+    its spread over the image with sine and cosine of it, as in Tancik et al. 2020, "Fourier
     features let networks learn high frequency functions in low dimensional domains".
 
     Parameters
@@ -107,7 +107,7 @@ def surround(
     Parameters
     ----------
     profile
-        Of a picture, shape (y, x).
+        Of an image, shape (y, x).
     features
         First-hit features; what is missing does not tell surfaces apart.
 

@@ -1,6 +1,6 @@
-"""Pictures: which pixels of one or several scenes train, with their samples and descriptions.
+"""Images: which pixels of one or several scenes train, with their samples and descriptions.
 
-Lessons: what of a picture trains, with a reference or without one.
+Lessons: what of an image trains, with a reference or without one.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ _MOST_PIXELS = 4 * _PIXELS
 
 @dataclass(frozen=True)
 class Scene:
-    """A picture that trains.
+    """An image that trains.
 
     Attributes
     ----------
     samples
-        The picture.
+        The image.
     features
         Its first-hit features, where they are looked at.
     unit
@@ -107,15 +107,15 @@ class Lot:
 
 
 def chosen_pixels(
-    pictures: Sequence[Samples], given: Any, *, reference: bool, seed: int
+    images: Sequence[Samples], given: Any, *, reference: bool, seed: int
 ) -> list[npt.NDArray[np.int64] | None]:
-    """Return the pixels of each picture that train, rows (y, x): those given, or drawn, or all.
+    """Return the pixels of each image that train, rows (y, x): those given, or drawn, or all.
 
-    A picture draws fewer beside many others, from those that it draws alone.
+    An image draws fewer beside many others, from those that it draws alone.
 
     Parameters
     ----------
-    pictures
+    images
         All that train together.
     given
         An array for each, or None.
@@ -127,17 +127,17 @@ def chosen_pixels(
     Raises
     ------
     InputError
-        If there are not as many arrays as pictures, or one is not of pixels of its picture.
+        If there are not as many arrays as images, or one is not of pixels of its image.
     """
     if given is None and not reference:
-        return [None] * len(pictures)
+        return [None] * len(images)
     if given is None:
-        count = min(_PIXELS, _MOST_PIXELS // len(pictures))
-        return [draw_pixels(picture.shape[:2], count, seed=seed) for picture in pictures]
-    if len(given) != len(pictures):
-        message = f"pixels must be one array for each of {len(pictures)} pictures, got {len(given)}"
+        count = min(_PIXELS, _MOST_PIXELS // len(images))
+        return [draw_pixels(image.shape[:2], count, seed=seed) for image in images]
+    if len(given) != len(images):
+        message = f"pixels must be one array for each of {len(images)} images, got {len(given)}"
         raise InputError(message)
-    shapes = (picture.shape[:2] for picture in pictures)
+    shapes = (image.shape[:2] for image in images)
     return [checked_pixels(one, shape) for one, shape in zip(given, shapes, strict=True)]
 
 
@@ -180,9 +180,9 @@ asked: the larger share is the nearer to all samples, which are what the estimat
 _SPLITS_OF_SIZE = 5
 """Splits of each size that is asked for, instead."""
 _WINDOW = 256
-"""Side of the part of a large picture that trains: more would take long and tell little."""
+"""Side of the part of a large image that trains: more would take long and tell little."""
 
-Picture = npt.NDArray[np.float32]
+Image = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ class Material:
     splits, scenery, lesson
         For `training.learn`.
     pixels
-        The pixels of `splits` in their pictures, rows (y, x), scene by scene.
+        The pixels of `splits` in their images, rows (y, x), scene by scene.
     excluded
         Pixels left out for a bad sample.
     parts
@@ -305,7 +305,7 @@ def with_reference(
     )
 
 
-def _joined(parts: Sequence[Picture]) -> Picture:
+def _joined(parts: Sequence[Image]) -> Image:
     """Return pixels of several scenes as those of one; what is one already is not copied."""
     return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
@@ -412,26 +412,26 @@ def _share_of(spp: int, share: float) -> int:
 
 
 def _prepared(
-    picture: Picture, splits: Sequence[tuple[int, int]], rng: np.random.Generator
+    image: Image, splits: Sequence[tuple[int, int]], rng: np.random.Generator
 ) -> list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]]:
     """Return so many splits of each size with what alike pixels say, shape (pixel, channel)."""
-    spp, found = picture.shape[-1], []
+    spp, found = image.shape[-1], []
     for n, times in splits:
         # Of many samples, fewer splits differ enough, and each takes longer.
         for _ in range(times if spp <= 128 else max(1, times // 3)):
             places = rng.permutation(spp)
             found += [places[:n], places[n:]] if 2 * n == spp else [places[:n]]
-    return [(places, ask(picture[..., places])) for places in found]
+    return [(places, ask(image[..., places])) for places in found]
 
 
-def ask(picture: Picture) -> npt.NDArray[np.float32]:
+def ask(image: Image) -> npt.NDArray[np.float32]:
     """Return what alike pixels around say, shape (pixel, channel); 0 where there are none."""
-    answers = np.nan_to_num(shared_patches(picture), nan=0, posinf=0)
+    answers = np.nan_to_num(shared_patches(image), nan=0, posinf=0)
     return np.asarray(answers.reshape(-1, answers.shape[-1]), np.float32)
 
 
 def _window(scene: Scene, rng: np.random.Generator) -> tuple[slice, slice]:
-    """Return the part of a picture that trains, around one of the chosen pixels."""
+    """Return the part of an image that trains, around one of the chosen pixels."""
     shape = scene.samples.shape[:2]
     most = [max(length - _WINDOW, 0) for length in shape]
     if scene.pixels is None or not len(scene.pixels):

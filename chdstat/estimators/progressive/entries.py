@@ -71,7 +71,7 @@ def self_trained(
     iterations: int | None = None,
     progress: bool | None = False,
 ) -> npt.NDArray[np.float32]:
-    """Train a progressive estimator on a picture's own samples, and estimate from all of them.
+    """Train a progressive estimator on an image's own samples, and estimate from all of them.
 
     No reference and no second render is needed. It learns from splits of each pixel's samples, so
     that the truth is the expectation of what it learns from, and it looks at features and
@@ -82,7 +82,7 @@ def self_trained(
     x
         Samples, shape (y, x, channel, sample), at least 4.
     features
-        First-hit features of the picture, as of `Samples.features`.
+        First-hit features of the image, as of `Samples.features`.
     seed, iterations, progress
         As for `Progressive.train`.
 
@@ -94,7 +94,7 @@ def self_trained(
     Raises
     ------
     InputError
-        If `x` is no picture, or has less than 4 samples.
+        If `x` is no image, or has less than 4 samples.
 
     References
     ----------
@@ -103,12 +103,12 @@ def self_trained(
     Examples
     --------
     >>> rng = np.random.default_rng(0)
-    >>> picture = rng.exponential(size=(16, 16, 3, 16))
-    >>> self_trained(picture, iterations=5).shape
+    >>> image = rng.exponential(size=(16, 16, 3, 16))
+    >>> self_trained(image, iterations=5).shape
     (16, 16, 3)
     """
     samples = as_pixels(x, minimum=2, image=True)
-    picture = Samples.from_array(reordered(samples)[0], features=features, axes="yxcs")
+    image = Samples.from_array(reordered(samples)[0], features=features, axes="yxcs")
     model = Progressive(inputs=["features", "neighbours"] if features else ["neighbours"])
-    model.train(picture, seed=seed, iterations=iterations, progress=progress)
-    return model.predict(picture.read(), features=features, trust=1.0)
+    model.train(image, seed=seed, iterations=iterations, progress=progress)
+    return model.predict(image.read(), features=features, trust=1.0)

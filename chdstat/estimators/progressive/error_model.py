@@ -1,4 +1,4 @@
-"""Causes: what may make an estimate err, in squared units of the picture's radiance.
+"""Causes: what may make an estimate err, in squared units of the image's radiance.
 
 Trials: estimates from some samples of pixels, and what the other samples say of them.
 
@@ -9,7 +9,7 @@ tells errors without a reference.
 Bounds: how large squared errors may be, as far as pixels tell that trained nothing.
 
 Without a reference, products of what is left over tell squared errors without bias, but with so
-much noise that few pixels cannot tell six weights apart, and a picture whose rare bright samples
+much noise that few pixels cannot tell six weights apart, and an image whose rare bright samples
 have not come yet seems to have no errors. So the weights keep the proportions `USUAL`, and one
 scale k is measured,
 
@@ -73,7 +73,7 @@ __all__ = [
 
 CAUSES = 6
 DARK = 0.02
-"""Radiance, in units of the picture's, below which errors no longer fall with it."""
+"""Radiance, in units of the image's, below which errors no longer fall with it."""
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -112,7 +112,7 @@ reference it is small, and one tells enough."""
 
 @dataclass(frozen=True)
 class Trial:
-    """Estimates of some pixels, in units of the picture's radiance.
+    """Estimates of some pixels, in units of the image's radiance.
 
     Attributes
     ----------
@@ -192,7 +192,7 @@ def trials_of(
 def change_of(network: nn.Module, material: Material) -> Floats:
     """Return what a network adds to the mean of all samples of pixels, shape (pixel, channel).
 
-    It is the mean of what it adds under each aim, in units of the picture's radiance, and nothing
+    It is the mean of what it adds under each aim, in units of the image's radiance, and nothing
     where all samples are the same light: there the mean is kept.
     """
     import torch
@@ -212,7 +212,7 @@ def change_of(network: nn.Module, material: Material) -> Floats:
 
 USUAL = np.array([0.03, 0.03, 0.17, 0.05, 0.3, 0.0])
 """Weights of the causes, up to their scale: about what errors against references have on simulated
-and on rendered pictures, scaled to 1."""
+and on rendered images, scaled to 1."""
 _CONFIDENCE = 0.95
 _LEAST = 1e-3
 """Scale that no measurement falls below, so that an interval is never a point."""
@@ -279,7 +279,7 @@ _FEW = 5
 
 @dataclass(frozen=True)
 class Spread:
-    """What errors to expect, in units of the picture's radiance.
+    """What errors to expect, in units of the image's radiance.
 
     Attributes
     ----------

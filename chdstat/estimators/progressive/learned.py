@@ -195,11 +195,11 @@ class Learned:
     network, spread
         What estimates, and what says how large its errors are.
     unit
-        Mean radiance of the picture that it was trained on.
+        Mean radiance of the image that it was trained on.
     history
         Rows of `History`, losses in units of that of the sample mean.
     train_pixels, train_shape
-        Pixels used, rows (y, x), and height and width of the picture that they lie in.
+        Pixels used, rows (y, x), and height and width of the image that they lie in.
     provenance
         Where it comes from, ready for JSON.
     trust
@@ -221,7 +221,7 @@ class Learned:
 
 @dataclass(frozen=True)
 class Origin:
-    """A picture that trained.
+    """An image that trained.
 
     Attributes
     ----------
@@ -241,9 +241,9 @@ class Origin:
     unit: float
 
     @classmethod
-    def of(cls, picture: Samples, unit: float) -> Self:
+    def of(cls, image: Samples, unit: float) -> Self:
         """Return that of samples."""
-        return cls(picture.name, picture.attrs, picture.shape, unit)
+        return cls(image.name, image.attrs, image.shape, unit)
 
     def to_dict(self, pixels_used: int) -> dict[str, Any]:
         """Return the fields, and how many of its pixels were used, ready for JSON."""

@@ -72,7 +72,7 @@ class Progressive:
     With a reference it learns two answers, one for the least MSE and one for the least relMSE;
     `balance` mixes them. Without one it learns from halves of each pixel's own samples, whose
     expectation is the truth: then every answer is unbiased, and `balance` makes little difference.
-    How far it is then believed is measured on pixels that did not train it, so that a picture which
+    How far it is then believed is measured on pixels that did not train it, so that an image which
     teaches it nothing keeps its means.
 
     Where all samples of a pixel are the same light, as those of a lamp, their mean is kept.
@@ -130,19 +130,19 @@ class Progressive:
 
     @property
     def train_pixels(self) -> npt.NDArray[np.int64]:
-        """Pixels that it was trained on in pictures of `train_shape`, rows (y, x)."""
+        """Pixels that it was trained on in images of `train_shape`, rows (y, x)."""
         return self.seen(self.train_shape)
 
     @property
     def train_shape(self) -> tuple[int, int]:
-        """Height and width of the picture that it was trained on, of several the first."""
+        """Height and width of the image that it was trained on, of several the first."""
         return self._state.train_shape
 
     def seen(self, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
-        """Return the pixels that it was trained on in pictures of a shape, rows (y, x).
+        """Return the pixels that it was trained on in images of a shape, rows (y, x).
 
         Several scenes may have the same shape: then a pixel that trained in one of them counts as
-        seen in all, so that nobody need know which picture is which.
+        seen in all, so that nobody need know which image is which.
         """
         scenes = self.provenance["scenes"]
         ends = np.cumsum([scene["pixels_used"] for scene in scenes])
@@ -181,12 +181,12 @@ class Progressive:
         pixels: npt.ArrayLike | Sequence[npt.ArrayLike] | None = None,
         progress: bool | None = None,
     ) -> Self:
-        """Train on a picture, with a reference or on the very samples that it is to estimate from.
+        """Train on an image, with a reference or on the very samples that it is to estimate from.
 
         Parameters
         ----------
         samples
-            The picture, or with a reference several of them, of other scenes or sizes, each
+            The image, or with a reference several of them, of other scenes or sizes, each
             measured in its own unit. Pixels with a bad sample are left out and counted.
         reference
             True takes the other samples of a pixel for the truth, which needs many more than the
@@ -201,7 +201,7 @@ class Progressive:
         iterations
             Minibatches; None for 6000 with a reference and 2000 without.
         pixels
-            Train on these, rows (y, x); of several pictures, one array each. None draws some with a
+            Train on these, rows (y, x); of several images, one array each. None draws some with a
             reference, and takes all without; then those in a part of 256 x 256 pixels train.
         progress
             Show a progress bar; None shows it on a terminal.
@@ -215,26 +215,26 @@ class Progressive:
         ------
         InputError
             If there are too few samples or good pixels, neighbours are to be learned from with a
-            reference, there are several pictures without one, or they differ in channels, or one
+            reference, there are several images without one, or they differ in channels, or one
             has no features, or no direct part of all samples, where these are inputs.
         """
         if iterations is not None and iterations < 1:
             message = f"iterations must be at least 1, got {iterations}"
             raise InputError(message)
-        pictures = [samples] if isinstance(samples, Samples) else list(samples)
+        images = [samples] if isinstance(samples, Samples) else list(samples)
         supervised = not self.inputs.neighbours if reference is None else reference
-        self.inputs.check_training(pictures, reference=supervised)
+        self.inputs.check_training(images, reference=supervised)
         given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
-        chosen = chosen_pixels(pictures, given, reference=supervised, seed=seed)
+        chosen = chosen_pixels(images, given, reference=supervised, seed=seed)
         scenes = [
             Scene(
-                picture,
-                self.inputs.features_of(picture),
-                mean_radiance(picture),
+                image,
+                self.inputs.features_of(image),
+                mean_radiance(image),
                 own,
-                direct_of(picture) if self.inputs.direct else None,
+                direct_of(image) if self.inputs.direct else None,
             )
-            for picture, own in zip(pictures, chosen, strict=True)
+            for image, own in zip(images, chosen, strict=True)
         ]
         if supervised:
             material = with_reference(scenes, sizes=sizes, iterations=iterations)
@@ -247,7 +247,7 @@ class Progressive:
                 rng=generator(seed),
             )
         units = [scene.unit for scene in scenes]
-        self._learned = self._learn(pictures, material, units, seed=seed, progress=progress)
+        self._learned = self._learn(images, material, units, seed=seed, progress=progress)
         return self
 
     def predict(
@@ -286,11 +286,11 @@ class Progressive:
         Parameters
         ----------
         x
-            Samples, shape (..., channel, sample), any number of them; a picture (y, x, channel,
+            Samples, shape (..., channel, sample), any number of them; an image (y, x, channel,
             sample) where it looks at features or neighbours. A sample of which any channel is NaN
             or infinite is left out.
         features
-            First-hit features of the picture.
+            First-hit features of the image.
         direct
             Direct part of the samples, of the shape of `x`, where it looks at that.
         balance
@@ -309,7 +309,7 @@ class Progressive:
         Raises
         ------
         InputError
-            If it is not trained, `x` has another number of channels or is no picture where it must
+            If it is not trained, `x` has another number of channels or is no image where it must
             be, features or direct part are missing, or an option is out of range.
         """
         if not 0 < level < 1:
@@ -440,7 +440,7 @@ class Progressive:
 
     def _learn(
         self,
-        pictures: Sequence[Samples],
+        images: Sequence[Samples],
         material: Material,
         units: Sequence[float],
         *,
@@ -448,9 +448,9 @@ class Progressive:
         progress: bool | None,
     ) -> Learned:
         network, trust, spread, history = teach(
-            material, channels=pictures[0].shape[2], seed=seed, progress=progress
+            material, channels=images[0].shape[2], seed=seed, progress=progress
         )
-        origins = [Origin.of(one, unit) for one, unit in zip(pictures, units, strict=True)]
+        origins = [Origin.of(one, unit) for one, unit in zip(images, units, strict=True)]
         provenance = provenance_of(origins, material, inputs=self.inputs, seed=seed, trust=trust)
         return Learned(
             network,
@@ -458,10 +458,10 @@ class Progressive:
             float(np.exp(np.mean(np.log(units)))),
             history,
             material.pixels,
-            pictures[0].shape[:2],
+            images[0].shape[:2],
             provenance,
             trust,
-            Marks.of(material, pictures[0].shape[2], generator(seed).spawn(2)[1]),
+            Marks.of(material, images[0].shape[2], generator(seed).spawn(2)[1]),
         )
 
     def _asked(self, x: npt.ArrayLike, **given: Any) -> Question:

@@ -28,14 +28,14 @@ from chdstat.estimators.progressive.auxiliary import BANDS
 __all__ = ["Answer", "Network", "Sight", "device"]
 
 _FAINT = 1e-3
-"""Radiance share, in units of the picture's, below which differences hardly show."""
+"""Radiance share, in units of the image's, below which differences hardly show."""
 _LARGEST_WORTH = 12.0
 """log2 of the most samples that experience may be worth."""
 
 
 @dataclass(frozen=True)
 class Sight:
-    """What is seen of some pixels; all radiance in units of the picture's.
+    """What is seen of some pixels; all radiance in units of the image's.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class Answer:
-    """What the network makes of pixels, in units of the picture's radiance.
+    """What the network makes of pixels, in units of the image's radiance.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Course: a network that goes on learning from a picture while its samples arrive.
+"""Course: a network that goes on learning from an image while its samples arrive.
 
 What is kept of the samples are `Buckets`, of as many pixels as tell enough. Each time that it
 learns, the step size falls from its start to 0 again and the weights go on from where they were
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Course"]
 
 _PIXELS = 2**16
-"""Of a picture that train: those of a larger one would take much memory and tell little more."""
+"""Of an image that train: those of a larger one would take much memory and tell little more."""
 _WATCHING = 0.1
 """Share of these that only watch, and tell how large the errors are."""
 _FEWEST = 4
@@ -47,9 +47,9 @@ class Course:
     Parameters
     ----------
     shape, channels
-        Height and width of the picture, and channels of a sample.
+        Height and width of the image, and channels of a sample.
     unit
-        Mean radiance of the picture.
+        Mean radiance of the image.
     described
         Of the first hit, shape (pixel, number).
     seed
@@ -102,7 +102,7 @@ class Course:
         return int(self._history[-1, 0]) if len(self._history) else 0
 
     def add(self, samples: npt.NDArray[Any], direct: npt.NDArray[Any] | None = None) -> None:
-        """Take more samples of the picture, shape (y, x, channel, sample), and the direct part."""
+        """Take more samples of the image, shape (y, x, channel, sample), and the direct part."""
         given = (samples,) if direct is None else (samples, direct)
         self._buckets.add(*(x.reshape(-1, *x.shape[2:])[self._rows] for x in given))
 
@@ -155,7 +155,7 @@ class Course:
         if not 0 < watching < len(pixels):
             message = (
                 "learning needs pixels without a bad sample, to train and to watch; got "
-                f"{len(pixels)} of {len(self._rows)}: give a larger picture"
+                f"{len(pixels)} of {len(self._rows)}: give a larger image"
             )
             raise InputError(message)
         return pixels

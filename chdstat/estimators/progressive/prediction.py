@@ -45,15 +45,15 @@ class Question:
     samples
         Shape (..., channel, sample).
     features
-        First-hit features of the picture.
+        First-hit features of the image.
     direct
         Direct part of the samples, of their shape; None where it is no input.
     balance
         From 0, the least MSE, to 1, the least relMSE.
     unit
-        Mean radiance of the picture that the samples belong to.
+        Mean radiance of the image that the samples belong to.
     whole
-        Whether they are the picture, in which its unit was measured.
+        Whether they are the image, in which its unit was measured.
     """
 
     samples: Array
@@ -133,7 +133,7 @@ class Question:
         Raises
         ------
         InputError
-            If the samples are no picture where they must be, or features are not as in training.
+            If the samples are no image where they must be, or features are not as in training.
         """
         profile, alike = None, None
         if inputs.neighbours:
@@ -281,7 +281,7 @@ class Alike:
     same
         Whether all others are equal to it and good, shape (...).
     lit
-        Whether any sample of the picture is not 0.
+        Whether any sample of the image is not 0.
     count
         Samples so far.
     """
@@ -312,7 +312,7 @@ class Alike:
         self.same[~last] = False
         same = self.same
         same[same] = (samples[same] == self.first[same][..., np.newaxis]).all(axis=(-2, -1))
-        # Of nearly all pictures one sample a pixel is enough to tell.
+        # Of nearly all images one sample a pixel is enough to tell.
         self.lit = self.lit or bool(samples[..., 0].any() or samples.any())
         self.count += samples.shape[-1]
 
@@ -320,7 +320,7 @@ class Alike:
 def with_constants(found: Estimates, alike: Alike) -> Estimates:
     """Put the mean where all samples of a pixel are the same light: there is no noise to remove.
 
-    In a picture without any light nothing is known of its unit, either: it stays black. The
+    In an image without any light nothing is known of its unit, either: it stays black. The
     interval is kept, and widened to hold the mean: what few samples say may still be wrong.
     """
     if alike.count < _FEWEST_ALIKE:

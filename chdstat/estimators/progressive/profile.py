@@ -56,7 +56,7 @@ class Profile:
     count
         Good samples, nulls among them, shape (...).
     unit
-        Radiance that octaves are counted from: that of the picture, so that a brighter picture of
+        Radiance that octaves are counted from: that of the image, so that a brighter image of
         the same scene has the same profiles.
     """
 

@@ -4,7 +4,7 @@ The mean of the other samples of a pixel is an unbiased target, however noisy it
 2018, "Noise2Noise: learning image restoration without clean data"); where there are many more of
 them, it is as good as a reference. So the same splits serve both ways of training.
 
-Buckets: samples of a picture dealt in turn to a few profiles a pixel, to learn from.
+Buckets: samples of an image dealt in turn to a few profiles a pixel, to learn from.
 
 The memory does not grow with the samples, and yet they can be cut in two at random: some of the
 buckets to learn from, and the mean of the others, which is as unbiased a target as that of other
@@ -249,7 +249,7 @@ def _in_unit(samples: Array, unit: float) -> Array:
 BUCKETS = 8
 """Of a pixel: 3 kB of RGB."""
 _BRIGHTEST = 1e15
-"""Radiance, in units of the picture's, that can still be squared in single precision."""
+"""Radiance, in units of the image's, that can still be squared in single precision."""
 _ROUNDING_OF_SUMS = 2e-6
 """Relative difference of two means below which it is that of their sums in single precision."""
 
@@ -363,12 +363,12 @@ class BucketParts:
 
     @property
     def mean(self) -> Floats:
-        """Mean radiance, in units of the picture's, shape (pixel, channel)."""
+        """Mean radiance, in units of the image's, shape (pixel, channel)."""
         return np.asarray(self._sums.sum(axis=0) / self.spp)
 
     @property
     def variance(self) -> Floats:
-        r"""Variance of a sample, in squared units of the picture's, shape (pixel, channel).
+        r"""Variance of a sample, in squared units of the image's, shape (pixel, channel).
 
         That between buckets tells it without bias: the expectation of
         :math:`\sum_b n_b (m_b - m)^2 / (B - 1)`, with means m over n samples, is the variance of

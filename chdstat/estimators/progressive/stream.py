@@ -43,7 +43,7 @@ class Stream:
         An estimator that looks at no neighbours: these need the samples. It was trained before, or
         learns here.
     features
-        First-hit features of the picture, where it looks at these.
+        First-hit features of the image, where it looks at these.
     unit
         Mean radiance of the image, as of `mean_radiance`; None measures it on the first batch with
         light. Given, the pixels may be a part of an image, which tells too little of how far a
@@ -151,7 +151,7 @@ class Stream:
         Raises
         ------
         InputError
-            If these are other pixels, `x` has no channels, it is no picture (y, x, channel, sample)
+            If these are other pixels, `x` has no channels, it is no image (y, x, channel, sample)
             where the model learns, or `direct` is missing or not their direct part.
         """
         samples = as_pixels(x)
@@ -260,7 +260,7 @@ class Stream:
 
     def _new_course(self, shape: tuple[int, ...], channels: int, unit: float) -> Course:
         if len(shape) != 2:
-            message = f"learning takes a picture (y, x, channel, sample), got pixels {shape}"
+            message = f"learning takes an image (y, x, channel, sample), got pixels {shape}"
             raise InputError(message)
         start = self._model._learned
         if start is not None and self._model.channels != channels:

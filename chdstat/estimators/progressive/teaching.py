@@ -68,7 +68,7 @@ def teach(
     if count < _FEWEST:
         message = (
             f"training needs at least {_FEWEST} pixels without a bad sample, got {count}; give a "
-            "larger picture"
+            "larger image"
         )
         raise InputError(message)
     rng = generator(seed).spawn(1)[0]

@@ -1,6 +1,6 @@
-"""Training: against a reference where there is one, or against the picture's own other samples.
+"""Training: against a reference where there is one, or against the image's own other samples.
 
-Squared errors are divided by a power of ``y^2 + 0.01 m^2``, m being the picture's mean. With a
+Squared errors are divided by a power of ``y^2 + 0.01 m^2``, m being the image's mean. With a
 reference, y is the reference, and the powers 0 and 1 of the two answers make them minimise MSE and
 relMSE. Without one, y is the estimate itself, held fixed: then the weight says which pixels matter,
 and the minimiser remains the mean of the target, whatever its noise (the relative loss of Lehtinen
@@ -27,9 +27,9 @@ from chdstat.estimators.progressive.splits import Part, Parts
 __all__ = ["FLOOR", "learn", "look", "threads"]
 
 FLOOR = 0.01
-"""Part of the squared mean radiance of the picture that keeps relative errors finite."""
+"""Part of the squared mean radiance of the image that keeps relative errors finite."""
 _DARKEST = 1e-3
-"""Mean radiance of a channel, in units of the picture's, below which it counts as this: relative
+"""Mean radiance of a channel, in units of the image's, below which it counts as this: relative
 errors of a channel that is black would outweigh all others."""
 _WITH_REFERENCE = (0.0, 1.0)
 _WITHOUT = (0.5, 0.75)

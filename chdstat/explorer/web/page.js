@@ -23,7 +23,7 @@ window.chdstat = (() => {
     return sent;
   }
 
-  // --- the picture ---
+  // --- the image ---
   const inside = (x, y) => x >= 0 && y >= 0 && x < models.width && y < models.height;
 
   function tap(event) {
@@ -71,7 +71,7 @@ window.chdstat = (() => {
 
   function hover(event) {
     const [x, y] = [Math.floor(event.x), Math.floor(event.y)];
-    if (!inside(x, y)) { $("#readout").textContent = "outside the picture"; return; }
+    if (!inside(x, y)) { $("#readout").textContent = "outside the image"; return; }
     near(y, x);
     const at = y * models.width + x, data = models.radiance.data;
     const parts = models.channels.map((c) => `${c} ${number(data[c][0][at])}`);
@@ -252,7 +252,7 @@ window.chdstat = (() => {
     const focused = document.activeElement && document.activeElement.closest("#chips");
     const place = focused ? all("#chips button").indexOf(document.activeElement) : -1;
     $("#chips").replaceChildren(...found);
-    if (place >= 0) (all("#chips button")[place] ?? $(".picture")).focus();
+    if (place >= 0) (all("#chips button")[place] ?? $(".image")).focus();
   }
 
   function table(parent, content) {
@@ -324,7 +324,7 @@ window.chdstat = (() => {
     models.outbox.properties.value.change.connect(receive);
     receive();
     document.addEventListener("keydown", key);
-    for (const p of all(".picture")) p.addEventListener("pointerdown", () => p.focus({ preventScroll: true }));
+    for (const p of all(".image")) p.addEventListener("pointerdown", () => p.focus({ preventScroll: true }));
     for (const s of all("select[data-option]")) s.addEventListener("change", () => {
       const value = s.dataset.option === "batch" ? Number(s.value) : s.value;
       send("set", { option: s.dataset.option, value });

@@ -216,7 +216,7 @@ def _books(rng: np.random.Generator, length: float) -> list[Mesh]:
 
 
 def painting(place: Matrix, colors: Sequence[Sequence[tuple[float, float, float]]]) -> Entry:
-    """Return a picture of coloured panes, 0.4 m each, in a thin frame about its origin."""
+    """Return an image of coloured panes, 0.4 m each, in a thin frame about its origin."""
     high, wide = 0.4 * len(colors), 0.4 * len(colors[0])
     canvas = quad((-wide / 2, -0.03, -high / 2), (wide, 0, 0), (0, 0, high))
     canvas = canvas.mapped(scale=(1 / wide, 1 / high))
@@ -265,7 +265,7 @@ _LACQUER = glossy(rgb(0.78, 0.77, 0.74), roughness=0.15)
 
 _RED, _CREAM, _BLACK = (0.5, 0.05, 0.035), (0.80, 0.77, 0.68), (0.03, 0.03, 0.03)
 _OCHRE, _TEAL, _ROSE = (0.6, 0.34, 0.06), (0.04, 0.2, 0.22), (0.62, 0.3, 0.25)
-_PICTURE = (
+_IMAGE = (
     (_RED, _BLACK, _CREAM, _TEAL),
     (_CREAM, _OCHRE, _BLACK, _CREAM),
     (_BLACK, _CREAM, _ROSE, _RED),
@@ -371,7 +371,7 @@ def _furniture() -> Entry:
         **armchair(translate(0.62, 3.15, 0) @ rotate("z", 62), color=rgb(0.55, 0.44, 0.32)),
         **coffee_table(translate(2.45, 3.95, 0.016)),
         **bookshelf(translate(4.2, _DEPTH, 0), width=1.0),
-        **painting(translate(1.75, _DEPTH, 1.76), _PICTURE),
+        **painting(translate(1.75, _DEPTH, 1.76), _IMAGE),
         **furniture.mirror(translate(3.15, _DEPTH - 0.02, 1.72), radius=0.36),
     }
 

@@ -1,4 +1,4 @@
-"""Pictures whose radiance is known, and estimators that were trained on them once for all tests."""
+"""Images whose radiance is known, and estimators that were trained on them once for all tests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from chdstat.estimators import Progressive
 
 @dataclass(frozen=True)
 class Known:
-    """A picture and the radiance that its samples are draws of, shape (y, x, channel)."""
+    """An image and the radiance that its samples are draws of, shape (y, x, channel)."""
 
     samples: chd.Samples
     radiance: npt.NDArray[np.float64]
@@ -37,14 +37,14 @@ class Known:
         return lost / baseline
 
     def bias(self, estimate: npt.NDArray[Any]) -> float:
-        """Return how much brighter than the truth the picture is on average, as a share."""
+        """Return how much brighter than the truth the image is on average, as a share."""
         return float((estimate - self.radiance).mean() / self.radiance.mean())
 
 
 def _make(size: int, spp: int, *, seed: int, smooth: bool = False) -> Known:
     """Simulate pixels of many brightnesses whose light comes seldom, and then in gamma amounts.
 
-    The albedo is known; where `smooth`, the light varies slowly over the picture, or else from
+    The albedo is known; where `smooth`, the light varies slowly over the image, or else from
     pixel to pixel.
     """
     rng = np.random.default_rng(seed)
@@ -64,8 +64,8 @@ def _make(size: int, spp: int, *, seed: int, smooth: bool = False) -> Known:
 
 
 @pytest.fixture(scope="session")
-def picture() -> Callable[..., Known]:
-    """Return what makes pictures: ``picture(size, spp, seed=, smooth=False)``."""
+def image() -> Callable[..., Known]:
+    """Return what makes images: ``image(size, spp, seed=, smooth=False)``."""
     return _make
 
 

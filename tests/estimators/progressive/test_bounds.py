@@ -49,7 +49,7 @@ def trials(rng, scale, *, pixels=300, noise=2.0, tail=1.0, draws=4):
 @pytest.mark.parametrize("scale", [0.3, 1.0, 4.0])
 @pytest.mark.parametrize("pixels", [60, 1000])
 def test_the_bound_is_seldom_too_small_and_not_much_too_large(scale, pixels):
-    """Of 40 pictures, 5 % or a few more may have a bound below the scale of their own errors.
+    """Of 40 images, 5 % or a few more may have a bound below the scale of their own errors.
 
     With a chance of 0.1 each, more than 12 of 40 are below once in 4000 seeds.
     """
@@ -62,7 +62,7 @@ def test_the_bound_is_seldom_too_small_and_not_much_too_large(scale, pixels):
 
 
 def test_intervals_of_bounded_weights_hold_the_truth():
-    """Intervals of 90 %, 300 pixels with noisy targets, 20 pictures.
+    """Intervals of 90 %, 300 pixels with noisy targets, 20 images.
 
     Those of the weights themselves are the negative control: divided by 4, they hold far fewer.
     """

@@ -28,7 +28,7 @@ from chdstat.estimators.validation import direct_of
 
 @dataclass(frozen=True)
 class Lit:
-    """A picture with its direct part, and its radiance, shape (y, x, channel)."""
+    """An image with its direct part, and its radiance, shape (y, x, channel)."""
 
     samples: chd.Samples
     radiance: npt.NDArray[np.float64]
@@ -194,10 +194,10 @@ def test_a_shape_of_old_files_has_one_part():
     assert shape.inputs == OCTAVES * 4 + 1
 
 
-def error(picture: Lit, fresh: Lit, *, direct: bool) -> float:
-    """Train, and return the MSE on a new picture at 32 spp over that of the mean."""
+def error(image: Lit, fresh: Lit, *, direct: bool) -> float:
+    """Train, and return the MSE on a new image at 32 spp over that of the mean."""
     model = Progressive(inputs=["direct"] if direct else []).train(
-        picture.samples, sizes=(32,), iterations=150, progress=False
+        image.samples, sizes=(32,), iterations=150, progress=False
     )
     few = fresh.samples.first(32)
     found = model.predict(few.read(), direct=direct_of(few).read(), balance=0.0)
@@ -211,30 +211,30 @@ def test_parts_tell_more_than_the_whole():
     Where all light counts as indirect, nothing is gained. Measured with three pairs of seeds: 0.12,
     0.12, 0.10 without the parts; 0.08, 0.09, 0.08 with them; 0.12, 0.12, 0.10 with empty ones.
     """
-    picture, fresh = lit(seed=0), lit(seed=1)
-    plain = error(picture, fresh, direct=False)
-    assert error(picture, fresh, direct=True) < 0.8 * plain
+    image, fresh = lit(seed=0), lit(seed=1)
+    plain = error(image, fresh, direct=False)
+    assert error(image, fresh, direct=True) < 0.8 * plain
     same = error(lit(seed=0, none=True), lit(seed=1, none=True), direct=True)
     assert same == pytest.approx(plain, rel=0.1)
 
 
 def test_without_a_reference_it_learns_from_parts():
-    picture = lit(16, 16)
+    image = lit(16, 16)
     model = Progressive(inputs=["direct", "neighbours"]).train(
-        picture.samples, reference=False, iterations=20, progress=False
+        image.samples, reference=False, iterations=20, progress=False
     )
     assert model.provenance["inputs"] == ["neighbours", "direct"]
-    found = model.estimate(picture.samples.read(), direct=picture.samples.direct.read())
+    found = model.estimate(image.samples.read(), direct=image.samples.direct.read())
     assert np.isfinite(found.radiance).all()
     assert np.isfinite(found.high).all()
 
 
 def test_it_is_saved_with_all_it_looks_at(tmp_path, model):
-    picture = lit(8, 8, seed=2)
+    image = lit(8, 8, seed=2)
     model.save(tmp_path / "a.safetensors")
     again = Progressive.load(tmp_path / "a.safetensors")
     assert again.inputs.direct
-    given = picture.samples.read(), {"direct": picture.samples.direct.read()}
+    given = image.samples.read(), {"direct": image.samples.direct.read()}
     assert (again.predict(given[0], **given[1]) == model.predict(given[0], **given[1])).all()
     assert "direct" in repr(again)
 
@@ -249,7 +249,7 @@ def test_files_of_earlier_versions_are_refused(tmp_path, trained):
         Progressive.load(tmp_path / "old.safetensors")
 
 
-def test_pixels_of_several_pictures_train_together():
+def test_pixels_of_several_images_train_together():
     model = Progressive(inputs=["direct"]).train(
         [lit(12, 32, seed=k).samples for k in range(2)], sizes=(8,), iterations=5, progress=False
     )
@@ -257,10 +257,10 @@ def test_pixels_of_several_pictures_train_together():
 
 
 def test_a_pixel_of_which_the_direct_part_is_bad_trains_nothing():
-    picture = lit(16, 16)
-    direct = picture.samples.direct.read().copy()
+    image = lit(16, 16)
+    direct = image.samples.direct.read().copy()
     direct[3, 4, 0, 5] = np.nan
-    samples = chd.Samples.from_array(picture.samples.read(), direct=direct)
+    samples = chd.Samples.from_array(image.samples.read(), direct=direct)
     rows, _ = np.divmod(np.arange(256), 16)
     pixels = np.stack([rows, np.arange(256) % 16], axis=-1)
     model = Progressive(inputs=["direct"]).train(
@@ -286,17 +286,17 @@ def test_the_scale_of_radiance_does_not_matter(model):
 
 
 def test_trust_halves_both(model):
-    picture = lit(24, 16, seed=4)
-    given = {"direct": picture.samples.direct.read()}
-    share = model.trust(picture.samples.read(), **given)
+    image = lit(24, 16, seed=4)
+    given = {"direct": image.samples.direct.read()}
+    share = model.trust(image.samples.read(), **given)
     assert 0 <= share <= 1
-    found = model.predict(picture.samples.read(), **given)
-    assert found == pytest.approx(model.predict(picture.samples.read(), **given, trust=share))
+    found = model.predict(image.samples.read(), **given)
+    assert found == pytest.approx(model.predict(image.samples.read(), **given, trust=share))
 
 
 def test_a_stream_takes_both_and_says_the_same(model):
-    picture = lit(12, 24, seed=5)
-    x, direct = picture.samples.read(), picture.samples.direct.read()
+    image = lit(12, 24, seed=5)
+    x, direct = image.samples.read(), image.samples.direct.read()
     unit = float(x.mean())
     stream = Stream(model, unit=unit)
     for first in range(0, 24, 8):
@@ -325,11 +325,11 @@ def test_a_stream_takes_both_and_says_the_same(model):
         ),
         (
             lambda m, x: m.train(chd.Samples.from_array(x), iterations=1),
-            "direct light of all 8 samples is wanted, this picture has none",
+            "direct light of all 8 samples is wanted, this image has none",
         ),
         (
             lambda m, x: m.train(chd.Samples.from_array(x), reference=False, iterations=1),
-            "this picture has none",
+            "this image has none",
         ),
     ],
 )
@@ -345,8 +345,8 @@ def test_that_of_fewer_samples_is_refused():
         direct_of(samples)
 
 
-def test_whoever_does_not_look_at_it_may_be_told(trained, picture):
-    x = picture(8, 8, seed=0).x
+def test_whoever_does_not_look_at_it_may_be_told(trained, image):
+    x = image(8, 8, seed=0).x
     assert (trained.predict(x, direct=x) == trained.predict(x)).all()
 
 

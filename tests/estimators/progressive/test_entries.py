@@ -25,24 +25,24 @@ def quick(monkeypatch):
     return made
 
 
-def test_operating_points_share_one_model(quick, picture):
-    found = chd.compare(picture(12, 32, seed=0).samples, ["mean", *NAMES], n=8)
+def test_operating_points_share_one_model(quick, image):
+    found = chd.compare(image(12, 32, seed=0).samples, ["mean", *NAMES], n=8)
     assert len(quick) == 1
     assert len({id(found.models[name]) for name in NAMES}) == 1
     mixed, first, last = (found.estimates[1 + i].astype(float) for i in range(3))
     assert mixed == pytest.approx((first + last) / 2, rel=1e-4, abs=1e-5)
 
 
-def test_a_model_at_hand_is_not_trained_again(quick, trained, picture):
-    samples = picture(16, 32, seed=9).samples
+def test_a_model_at_hand_is_not_trained_again(quick, trained, image):
+    samples = image(16, 32, seed=9).samples
     found = chd.compare(samples, ["mean", *NAMES], n=8, model=trained)
     assert quick == []
     expected = trained.predict(samples.read(ss=slice(0, 8)), balance=1.0)
     assert found.estimates[3] == pytest.approx(expected, rel=0.05, abs=1e-3)
 
 
-def test_features_reach_those_who_look_at_them(quick, picture):
-    samples = picture(12, 32, seed=0).samples
+def test_features_reach_those_who_look_at_them(quick, image):
+    samples = image(12, 32, seed=0).samples
     found = chd.compare(samples, ["mean", "progressive_features"], n=8)
     assert quick[0].inputs.features
     assert np.isfinite(found.estimates).all()
@@ -60,25 +60,25 @@ def test_they_are_marked_for_what_they_look_at():
     assert entry.minimum_samples == 4
 
 
-def test_a_picture_improves_itself(picture):
+def test_an_image_improves_itself(image):
     """Light that varies smoothly and comes seldom, so that much is to be gained: measured 0.5."""
-    source = picture(24, 16, seed=6, smooth=True)
+    source = image(24, 16, seed=6, smooth=True)
     found = self_trained(source.x, features=source.samples.features, iterations=150)
     assert found.dtype == np.float32
     assert source.error(found) < 0.8
     assert source.error(found, relative=True) < 0.8
 
 
-def test_it_repeats_with_its_seed(picture):
-    source = picture(24, 16, seed=6, smooth=True)
+def test_it_repeats_with_its_seed(image):
+    source = image(24, 16, seed=6, smooth=True)
     first, again, other = (self_trained(source.x, seed=seed, iterations=100) for seed in (0, 0, 1))
     assert (first == again).all()
     assert (first != other).any()
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_features_are_optional_and_bad_samples_no_obstacle(picture):
-    x = picture(8, 8, seed=6).x.copy()
+def test_features_are_optional_and_bad_samples_no_obstacle(image):
+    x = image(8, 8, seed=6).x.copy()
     x[0, 0] = np.nan
     x[1, 1, 0, 0] = np.inf
     found = self_trained(x, iterations=2)
@@ -95,11 +95,11 @@ def test_features_are_optional_and_bad_samples_no_obstacle(picture):
         (np.full((4, 4, 3, 8), np.nan), "at least 2 pixels"),
     ],
 )
-def test_what_is_no_picture_or_has_too_few_samples_is_refused(x, match):
+def test_what_is_no_image_or_has_too_few_samples_is_refused(x, match):
     with pytest.raises(InputError, match=match):
         self_trained(x, iterations=1)
 
 
-def test_self_training_wants_a_picture_with_channels():
+def test_self_training_wants_an_image_with_channels():
     with pytest.raises(InputError, match=r"\(y, x, channel, sample\), got \(4, 3, 8\)"):
         self_trained(np.ones((4, 3, 8)), iterations=1)

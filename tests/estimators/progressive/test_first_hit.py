@@ -48,7 +48,7 @@ def test_what_is_not_finite_gives_finite_numbers(name):
     assert np.isfinite(likeness_fields(holes, (8, 10))[name]).all()
 
 
-def test_a_picture_of_one_surface_is_described():
+def test_an_image_of_one_surface_is_described():
     flat = {name: np.ones_like(field) for name, field in features().items()}
     assert np.isfinite(describe(flat, (8, 10))).all()
 

@@ -17,15 +17,15 @@ BALANCES = (0.0, 0.5, 1.0)
 
 
 @pytest.fixture(scope="module")
-def fresh(picture):
-    """A picture that trained nothing."""
-    return picture(16, 32, seed=5)
+def fresh(image):
+    """An image that trained nothing."""
+    return image(16, 32, seed=5)
 
 
 @pytest.fixture(scope="module")
-def smooth(picture):
-    """A picture with features, for those who look around."""
-    return picture(24, 32, seed=1, smooth=True)
+def smooth(image):
+    """An image with features, for those who look around."""
+    return image(24, 32, seed=1, smooth=True)
 
 
 @pytest.mark.parametrize("factor", [2.0**-40, 0.125, 2.0**60])
@@ -57,7 +57,7 @@ def test_the_order_of_samples_does_not_matter(trained, fresh):
     assert trained.predict(shuffled) == pytest.approx(trained.predict(fresh.x), rel=1e-4, abs=1e-6)
 
 
-def test_pixels_are_on_their_own_within_a_picture(trained, fresh):
+def test_pixels_are_on_their_own_within_an_image(trained, fresh):
     whole = trained.predict(fresh.x, unit=1.0)
     one = trained.predict(fresh.x[3, 4], unit=1.0)
     assert one.shape == (3,)
@@ -109,7 +109,7 @@ def test_intervals_widen_with_their_probability(trained, fresh):
 
 
 def wild(x):
-    """Return a picture with every kind of bad and extreme pixel, one a column."""
+    """Return an image with every kind of bad and extreme pixel, one a column."""
     x = np.array(x[:, :12])
     x[:, 0] = 0
     x[:, 1, 1, 3] = np.nan
@@ -150,7 +150,7 @@ def test_no_estimate_of_one_that_looks_around_is_nan_either(alone, smooth):
 
 
 @pytest.mark.parametrize("level", [0.0, 1e-44, 1e-30, 1e30, 3e38])
-def test_a_picture_of_any_radiance(trained, level):
+def test_an_image_of_any_radiance(trained, level):
     x = np.full((4, 4, 3, 8), level, np.float32)
     found = trained.predict(x)
     assert np.isfinite(found).all()
@@ -162,7 +162,7 @@ def test_radiance_beyond_single_precision_warns_of_nothing(trained, level):
     assert not np.isnan(trained.predict(np.full((4, 4, 3, 8), level))).any()
 
 
-def test_a_single_lit_sample_in_a_black_picture(trained):
+def test_a_single_lit_sample_in_a_black_image(trained):
     x = np.zeros((16, 16, 3, 8), np.float32)
     x[3, 3, :, 0] = 1e-45
     assert np.isfinite(trained.predict(x)).all()
@@ -186,7 +186,7 @@ def test_it_refuses_what_it_cannot_use(trained, call, match):
         call(trained)
 
 
-def test_an_estimator_that_looks_around_refuses_what_is_no_picture(alone, smooth):
+def test_an_estimator_that_looks_around_refuses_what_is_no_image(alone, smooth):
     features = smooth.samples.features
     with pytest.raises(InputError, match=r"must be an image of shape \(y, x, channel, sample\)"):
         alone.predict(smooth.x[0], features=features)
@@ -307,7 +307,7 @@ def test_a_model_cannot_be_written_where_there_is_no_folder(trained, tmp_path):
         trained.save(tmp_path / "nowhere" / "model")
 
 
-def test_pixels_outside_the_picture_are_refused():
+def test_pixels_outside_the_image_are_refused():
     samples = chd.Samples.from_array(np.ones((8, 8, 3, 16)))
-    with pytest.raises(InputError, match="lie in the picture of 8 x 8"):
+    with pytest.raises(InputError, match="lie in the image of 8 x 8"):
         Progressive().train(samples, pixels=[[0, 8]], iterations=1, progress=False)

@@ -69,7 +69,7 @@ def test_blocks_of_any_size_give_the_same_profiles(monkeypatch, at_once):
 
 
 @pytest.mark.parametrize("power", [-30, 3, 40])
-def test_a_brighter_picture_has_the_same_profiles_to_the_bit(power):
+def test_a_brighter_image_has_the_same_profiles_to_the_bit(power):
     x = samples()
     found = Profile.of(x * np.float32(2.0**power), unit=2.0**power)
     assert (found.bins == Profile.of(x, unit=1.0).bins).all()

@@ -15,13 +15,13 @@ from chdstat.estimators.validation import judging_pixels
 
 
 def flat(height=24, width=24, spp=64, seed=0):
-    """Return a picture of one radiance under strong noise: the best estimate is a constant."""
+    """Return an image of one radiance under strong noise: the best estimate is a constant."""
     rng = np.random.default_rng(seed)
     return chd.Samples.from_array(rng.gamma(0.2, 5, (height, width, 1, spp)), scene="flat")
 
 
 def varied(height=24, width=20, spp=64, seed=1, scale=1.0):
-    """Return a picture of many radiances under noise that does not tell them apart."""
+    """Return an image of many radiances under noise that does not tell them apart."""
     rng = np.random.default_rng(seed)
     radiance = rng.lognormal(0, 1.5, (height, width, 1, 1))
     x = scale * radiance * rng.gamma(0.5, 2, (height, width, 1, spp))
@@ -74,7 +74,7 @@ def test_the_scene_with_the_fewest_samples_sets_their_number():
         trained([flat(spp=64), varied(spp=16)], sizes=[16])
 
 
-def test_seen_pixels_are_told_by_the_shape_of_the_picture():
+def test_seen_pixels_are_told_by_the_shape_of_the_image():
     drawn = [[[0, 0], [1, 2], [3, 4]], [[5, 6], [7, 8]], [[1, 2], [9, 9]]]
     model = trained([flat(), varied(), flat(seed=3)], pixels=drawn)
     assert model.seen((24, 24)).tolist() == [[0, 0], [1, 2], [3, 4], [9, 9]]
@@ -111,11 +111,11 @@ def test_pixels_with_a_bad_sample_are_left_out_of_their_own_scene():
 
 
 @pytest.mark.parametrize(
-    ("pictures", "options", "words"),
+    ("images", "options", "words"),
     [
         ([], {}, "at least one image"),
         ([flat(), varied()], {"reference": False, "sizes": None}, "give the one image"),
-        ([flat(), varied()], {"pixels": [[[0, 0], [1, 1]]]}, "each of 2 pictures, got 1"),
+        ([flat(), varied()], {"pixels": [[[0, 0], [1, 1]]]}, "each of 2 images, got 1"),
         (
             [flat(), chd.Samples.from_array(np.ones((8, 8, 3, 64)))],
             {},
@@ -124,9 +124,9 @@ def test_pixels_with_a_bad_sample_are_left_out_of_their_own_scene():
         ([flat(), varied()], {"inputs": ["features"]}, "no first-hit features"),
     ],
 )
-def test_scenes_that_do_not_fit_are_refused(pictures, options, words):
+def test_scenes_that_do_not_fit_are_refused(images, options, words):
     with pytest.raises(InputError, match=words):
-        trained(pictures, **options)
+        trained(images, **options)
 
 
 def test_scenes_with_different_features_are_refused():
@@ -201,7 +201,7 @@ def test_the_mixture_at_all_samples_is_better_than_the_mean(bias):
 
 
 def test_what_pays_by_chance_alone_is_mostly_left_alone():
-    """Moves at random: one standard error is passed with probability 0.16, in 100 pictures by 30
+    """Moves at random: one standard error is passed with probability 0.16, in 100 images by 30
     with probability below 1e-3, and half of them would move without it.
     """
     rng = np.random.default_rng(0)
@@ -215,7 +215,7 @@ def test_what_pays_by_chance_alone_is_mostly_left_alone():
 def test_what_moves_nothing_or_the_wrong_way_is_not_trusted():
     x = varied().read()
     assert share_of(x, lambda half: half.mean(axis=-1)) == 0
-    # Away from where the other half will be: twice as far from the middle of the picture.
+    # Away from where the other half will be: twice as far from the middle of the image.
     assert share_of(x, lambda half: 2 * half.mean(axis=-1)) == 0
 
 

@@ -14,8 +14,8 @@ def parts(x, *ends):
     return np.split(x, list(ends), axis=-1)
 
 
-def test_a_stream_gives_the_estimate_of_all_samples(trained, picture):
-    x = picture(12, 64, seed=4).x
+def test_a_stream_gives_the_estimate_of_all_samples(trained, image):
+    x = image(12, 64, seed=4).x
     stream = Stream(trained, unit=0.3)
     for part in parts(x, 1, 9, 32):
         stream.update(part)
@@ -28,8 +28,8 @@ def test_a_stream_gives_the_estimate_of_all_samples(trained, picture):
 
 
 @pytest.mark.parametrize("ends", [(1, 9), ()])
-def test_lamps_keep_their_light(trained, picture, ends):
-    x = picture(12, 32, seed=4).x.copy()
+def test_lamps_keep_their_light(trained, image, ends):
+    x = image(12, 32, seed=4).x.copy()
     x[0, 0], x[1, 1, 0], x[2, 2] = 7.0, 7.0, 3.0
     x[2, 2, 1, 20] = 3.5
     stream = Stream(trained, unit=0.3)
@@ -42,8 +42,8 @@ def test_lamps_keep_their_light(trained, picture, ends):
     assert found.radiance == pytest.approx(expected.radiance, rel=1e-3, abs=1e-5)
 
 
-def test_features_are_looked_at(picture):
-    source = picture(12, 32, seed=4)
+def test_features_are_looked_at(image):
+    source = image(12, 32, seed=4)
     features = source.samples.features
     model = Progressive(inputs=["features"]).train(source.samples, iterations=3, progress=False)
     stream = Stream(model, features=features, unit=1.0)
@@ -163,8 +163,8 @@ def learner(source, *, batch=16, iterations=(), **options):
 
 
 @pytest.fixture(scope="module")
-def source(picture):
-    return picture(24, 64, seed=7)
+def source(image):
+    return image(24, 64, seed=7)
 
 
 @pytest.fixture(scope="module")
@@ -222,7 +222,7 @@ def test_constant_pixels_stay_where_they_are():
     assert stream.iterations == 1
 
 
-def test_a_black_picture_stays_black():
+def test_a_black_image_stays_black():
     stream = Stream(Progressive(), learns=True)
     stream.update(np.zeros((8, 8, 3, 8)))
     stream.learn(iterations=5)
@@ -317,8 +317,8 @@ def test_models_that_cannot_learn_from_a_stream_are_refused(options, match):
     ("x", "match"),
     [
         (np.ones((4, 4, 3, 1)), "at least 4 samples of each pixel, got 1"),
-        (np.full((4, 4, 3, 8), np.nan), "got 0 of 16: give a larger picture"),
-        (np.ones((1, 1, 3, 8)), "got 1 of 1: give a larger picture"),
+        (np.full((4, 4, 3, 8), np.nan), "got 0 of 16: give a larger image"),
+        (np.ones((1, 1, 3, 8)), "got 1 of 1: give a larger image"),
     ],
 )
 def test_too_little_to_learn_from_is_refused(x, match):
@@ -329,7 +329,7 @@ def test_too_little_to_learn_from_is_refused(x, match):
     assert stream.estimate().radiance == pytest.approx(x.mean(axis=-1), nan_ok=True)
 
 
-def test_learning_needs_a_stream_that_learns_a_picture(trained, source):
+def test_learning_needs_a_stream_that_learns_an_image(trained, source):
     with pytest.raises(InputError, match="make it with learns=True"):
         Stream(trained).learn(iterations=1)
     fresh = Stream(Progressive(), learns=True)
@@ -337,7 +337,7 @@ def test_learning_needs_a_stream_that_learns_a_picture(trained, source):
         fresh.learn(iterations=1)
     with pytest.raises(InputError, match="iterations must be at least 1, got 0"):
         fresh.learn(iterations=0)
-    with pytest.raises(InputError, match=r"takes a picture .*, got pixels \(9,\)"):
+    with pytest.raises(InputError, match=r"takes an image .*, got pixels \(9,\)"):
         fresh.update(np.ones((9, 3, 8)))
     fresh.update(source.x)
     with pytest.raises(InputError, match="the stream holds pixels"):

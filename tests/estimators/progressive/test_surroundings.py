@@ -53,9 +53,9 @@ def test_a_step_in_depth_is_an_edge_and_a_tilted_plane_is_none():
     y, x = np.mgrid[:9, :9] / 9.0
     flat = {"normal": normal, "depth": np.ones((9, 9)), "position": np.dstack([x, y, 0 * x])}
     step = flat | {"position": np.dstack([x, y, (x > 0.5) * 1.0])}
-    picture = profiles(shape=(9, 9, 3, 4))
-    on_plane, over_step = (surround(picture, f)[1] for f in (flat, step))
-    alone = surround(picture, {"normal": normal})[1]
+    image = profiles(shape=(9, 9, 3, 4))
+    on_plane, over_step = (surround(image, f)[1] for f in (flat, step))
+    alone = surround(image, {"normal": normal})[1]
     assert on_plane == pytest.approx(alone, rel=1e-4)
     assert (over_step[:, 4, 0] < 0.8 * on_plane[:, 4, 0]).all()
 

@@ -14,10 +14,10 @@ from chdstat.estimators.progressive.splits import Part, Splits
 from chdstat.estimators.progressive.training import _Judge
 
 
-def test_it_beats_the_mean_on_pixels_that_it_has_not_seen(trained, picture):
+def test_it_beats_the_mean_on_pixels_that_it_has_not_seen(trained, image):
     """With 4800 estimates of a fixed seed, errors of 0.8 of the mean's stray by less than 0.1."""
     for n in (8, 32):
-        fresh = picture(40, n, seed=7)
+        fresh = image(40, n, seed=7)
         assert fresh.error(trained.predict(fresh.x, balance=0.0, trust=1.0)) < 0.95
     worse = fresh.error(np.roll(trained.predict(fresh.x, balance=0.0, trust=1.0), 1, axis=0))
     assert worse > 1  # negative control: the measure tells estimates of other pixels
@@ -32,15 +32,15 @@ def test_losses_fall_in_units_of_the_means_and_are_recorded(trained):
     assert late < min(early, 1)
 
 
-def test_intervals_contain_the_radiance_as_often_as_stated(picture):
+def test_intervals_contain_the_radiance_as_often_as_stated(image):
     """Of 90 % intervals 88 to 97 % contain it: what chance may have is added on both sides.
 
     410 pixels calibrate, in about five levels of brightness: by chance that is a standard error of
     2 to 3 % in each tail, half of which is added. Of five seeds, 93 to 96 % contain it.
     """
-    samples = picture(64, 512, seed=0).samples
+    samples = image(64, 512, seed=0).samples
     trained = Progressive().train(samples, sizes=(8, 32), iterations=150, progress=False)
-    fresh = picture(40, 32, seed=11)
+    fresh = image(40, 32, seed=11)
     for balance in (0.0, 0.5, 1.0):
         found = trained.estimate(fresh.x, balance=balance, trust=1.0)
         within = (found.low <= fresh.radiance) & (fresh.radiance <= found.high)
@@ -50,8 +50,8 @@ def test_intervals_contain_the_radiance_as_often_as_stated(picture):
         assert 0.45 < within.mean() < 0.65
 
 
-def test_the_same_seed_trains_the_same_network_and_another_does_not(picture):
-    source = picture(12, 32, seed=2)
+def test_the_same_seed_trains_the_same_network_and_another_does_not(image):
+    source = image(12, 32, seed=2)
     first, again, other = (
         Progressive().train(source.samples, iterations=5, seed=seed, progress=False)._learned
         for seed in (0, 0, 1)
@@ -62,8 +62,8 @@ def test_the_same_seed_trains_the_same_network_and_another_does_not(picture):
     assert any((weights[0][name] != weights[2][name]).any() for name in weights[0])
 
 
-def test_without_a_reference_seeds_repeat_too(picture):
-    source = picture(12, 8, seed=2, smooth=True)
+def test_without_a_reference_seeds_repeat_too(image):
+    source = image(12, 8, seed=2, smooth=True)
     features = source.samples.features
     first, again = (
         Progressive(inputs=["features", "neighbours"])
@@ -74,8 +74,8 @@ def test_without_a_reference_seeds_repeat_too(picture):
     assert (first == again).all()
 
 
-def test_a_picture_of_another_exposure_trains_the_same_network(picture):
-    source = picture(12, 32, seed=2)
+def test_an_image_of_another_exposure_trains_the_same_network(image):
+    source = image(12, 32, seed=2)
     bright = chd.Samples.from_array(source.x * 1024)
     models = [
         Progressive().train(s, iterations=10, progress=False) for s in (source.samples, bright)
@@ -83,10 +83,10 @@ def test_a_picture_of_another_exposure_trains_the_same_network(picture):
     assert (models[1].predict(1024 * source.x) == 1024 * models[0].predict(source.x)).all()
 
 
-def test_the_global_state_of_torch_and_numpy_is_left_alone(picture):
+def test_the_global_state_of_torch_and_numpy_is_left_alone(image):
     threads, state = torch.get_num_threads(), torch.random.get_rng_state()
     numbers = np.random.get_state()[1].copy()  # noqa: NPY002 - the state that must not change
-    model = Progressive().train(picture(8, 16, seed=0).samples, iterations=2, progress=False)
+    model = Progressive().train(image(8, 16, seed=0).samples, iterations=2, progress=False)
     model.predict(np.ones((4, 3, 8)))
     assert torch.get_num_threads() == threads
     assert torch.equal(torch.random.get_rng_state(), state)
@@ -134,13 +134,13 @@ def test_without_a_reference_the_minimiser_is_the_mean_of_the_targets():
     assert with_reference[1] > 0  # relMSE: its minimiser is darker than the mean
 
 
-def test_without_a_reference_it_beats_the_mean_and_is_little_biased(picture):
+def test_without_a_reference_it_beats_the_mean_and_is_little_biased(image):
     """A short training of one small image; the image keeps the mean of its samples.
 
     So few pixels hold few of its fireflies, and so that is 6 % too bright. Large images are judged
     by the benchmarks.
     """
-    source = picture(32, 32, seed=1, smooth=True)
+    source = image(32, 32, seed=1, smooth=True)
     model = Progressive(inputs=["features", "neighbours"])
     model.train(source.samples, reference=False, iterations=300, progress=False)
     found = model.predict(source.x, features=source.samples.features)
@@ -149,8 +149,8 @@ def test_without_a_reference_it_beats_the_mean_and_is_little_biased(picture):
     assert found.mean() == pytest.approx(source.x.mean(), rel=1e-4)
 
 
-def test_pixels_that_trained_are_exposed_and_others_left(picture):
-    source = picture(16, 16, seed=0)
+def test_pixels_that_trained_are_exposed_and_others_left(image):
+    source = image(16, 16, seed=0)
     pixels = np.array([[3, 4], [0, 0], [15, 15], [3, 4]])
     model = Progressive().train(source.samples, iterations=2, pixels=pixels, progress=False)
     assert model.train_pixels.tolist() == [[0, 0], [3, 4], [15, 15]]
@@ -160,8 +160,8 @@ def test_pixels_that_trained_are_exposed_and_others_left(picture):
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
-def test_pixels_with_a_bad_sample_do_not_train_and_are_counted(picture):
-    x = picture(8, 16, seed=0).x.copy()
+def test_pixels_with_a_bad_sample_do_not_train_and_are_counted(image):
+    x = image(8, 16, seed=0).x.copy()
     x[2:4, :, 1, 5] = np.nan
     samples = chd.Samples.from_array(x)
     for reference in (True, False):
@@ -173,8 +173,8 @@ def test_pixels_with_a_bad_sample_do_not_train_and_are_counted(picture):
 
 
 @pytest.mark.parametrize("reference", [True, False])
-def test_a_black_channel_leaves_a_finite_network(picture, reference):
-    x = picture(12, 16, seed=0).x * np.array([1, 0, 1e-20], np.float32)[:, np.newaxis]
+def test_a_black_channel_leaves_a_finite_network(image, reference):
+    x = image(12, 16, seed=0).x * np.array([1, 0, 1e-20], np.float32)[:, np.newaxis]
     samples = chd.Samples.from_array(x)
     model = Progressive().train(samples, reference=reference, iterations=10, progress=False)
     assert np.isfinite(model.predict(x)).all()
@@ -183,14 +183,14 @@ def test_a_black_channel_leaves_a_finite_network(picture, reference):
 
 @pytest.mark.parametrize("level", [0.0, 1e-42, 1.0, 1e30])
 @pytest.mark.parametrize("reference", [True, False])
-def test_constant_pictures_train_a_finite_network(level, reference):
+def test_constant_images_train_a_finite_network(level, reference):
     samples = chd.Samples.from_array(np.full((4, 4, 3, 16), level))
     model = Progressive().train(samples, reference=reference, iterations=3, progress=False)
     assert np.isfinite(model.predict(samples.read())).all()
 
 
-def test_fireflies_beyond_all_bounds_leave_a_finite_network(picture):
-    x = picture(12, 16, seed=0).x.copy()
+def test_fireflies_beyond_all_bounds_leave_a_finite_network(image):
+    x = image(12, 16, seed=0).x.copy()
     x[::3, :, :, 7] = 1e30
     samples = chd.Samples.from_array(x)
     for reference in (True, False):
@@ -205,7 +205,7 @@ def test_fireflies_beyond_all_bounds_leave_a_finite_network(picture):
         (["neighbours"], {"reference": True}, "learned from without a reference"),
         ([], {"reference": False, "sizes": [15]}, "from 2 to 14, got"),
         ([], {"reference": False, "sizes": []}, "from 2 to 14, got"),
-        ([], {"reference": False, "pixels": [[0, 8]]}, "lie in the picture of 8 x 8"),
+        ([], {"reference": False, "pixels": [[0, 8]]}, "lie in the image of 8 x 8"),
         ([], {"sizes": []}, "sizes must be one or more"),
         ([], {"sizes": [0]}, "sizes must be one or more"),
         ([], {"sizes": [64]}, "at least 128 spp, got 16"),
@@ -213,8 +213,8 @@ def test_fireflies_beyond_all_bounds_leave_a_finite_network(picture):
         (["neighbors"], {}, "inputs must be among .*got .*neighbors"),
     ],
 )
-def test_it_refuses_what_it_cannot_use(picture, made, options, match):
-    samples = chd.Samples.from_array(picture(8, 16, seed=0).x)
+def test_it_refuses_what_it_cannot_use(image, made, options, match):
+    samples = chd.Samples.from_array(image(8, 16, seed=0).x)
     with pytest.raises(InputError, match=match):
         Progressive(inputs=made).train(samples, progress=False, **options)
 
@@ -257,7 +257,7 @@ def test_inputs_and_options_go_together(inputs):
         assert model.train_pixels.tolist() == given["pixels"]
 
 
-def test_without_a_reference_a_part_of_a_large_picture_around_given_pixels_trains():
+def test_without_a_reference_a_part_of_a_large_image_around_given_pixels_trains():
     x = np.random.default_rng(0).exponential(size=(4, 600, 1, 4)).astype(np.float32)
     given = [[y, x] for y in range(4) for x in (300, 301, 599)]
     for seed in (0, 1):

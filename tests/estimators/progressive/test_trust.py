@@ -144,7 +144,7 @@ def test_with_a_reference_no_error_is_above_the_means_and_the_image_keeps_its_me
 
 @pytest.fixture(scope="module")
 def unrelated():
-    """Return a picture whose pixels tell nothing of each other, and its radiance."""
+    """Return an image whose pixels tell nothing of each other, and its radiance."""
     rng = np.random.default_rng(2)
     radiance = rng.lognormal(sigma=1.5, size=(16, 16, 1))
     x = radiance[..., np.newaxis] * rng.gamma(2.0, 0.5, size=(16, 16, 1, 16))
@@ -182,8 +182,8 @@ def test_trust_is_saved_and_said(doubted, unrelated, tmp_path):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
 
 
-def test_a_pixel_of_one_light_keeps_it(alone, picture):
-    source = picture(24, 32, seed=1, smooth=True)
+def test_a_pixel_of_one_light_keeps_it(alone, image):
+    source = image(24, 32, seed=1, smooth=True)
     x = source.x.copy()
     x[3, 4], x[5, 6] = np.array([7.0, 8.0, 0.0])[:, np.newaxis], 0.0
     x[7, 8], x[7, 8, :, 0] = 2.0, 3.0
@@ -196,8 +196,8 @@ def test_a_pixel_of_one_light_keeps_it(alone, picture):
     assert (found.radiance[7, 8] != x[7, 8].mean(axis=-1)).any()
 
 
-def test_the_fewest_samples_that_can_train(picture):
-    source = picture(12, 4, seed=3)
+def test_the_fewest_samples_that_can_train(image):
+    source = image(12, 4, seed=3)
     model = Progressive(inputs=["neighbours"])
     model.train(chd.Samples.from_array(source.x), reference=False, iterations=2, progress=False)
     found = model.estimate(source.x)

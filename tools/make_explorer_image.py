@@ -1,6 +1,6 @@
 """Photograph the explorer; write docs/_static/explorer.png.
 
-    python tools/make_explorer_picture.py [--browser /usr/bin/chromium]
+    python tools/make_explorer_image.py [--browser /usr/bin/chromium]
 
 Renders the built-in bathroom, 128 x 128 pixels at 1024 spp, and opens its page in a headless
 Chromium, with two pixels and all figures in view.
