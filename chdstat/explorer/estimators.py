@@ -1,9 +1,8 @@
-"""Judged: what every fixed estimator says of one place, and how far it is off.
+"""Estimates of one place by fixed and trained estimators, and their errors.
 
-Learned: what trained estimators say of one place, beside the fixed ones of `judged`.
-
-One that looks at the pixels around is asked about a part of the image, not all of it: its
-estimate is close to that of `chdstat.estimate`, not the same to the bit.
+`scored` and `scored_around` take the fixed estimators, `scored_learners` the trained ones. An
+estimator that looks at the pixels around is given a part of the image, not all of it: its estimate
+is close to that of `chdstat.estimate`, not the same to the bit.
 """
 
 from __future__ import annotations
@@ -28,21 +27,21 @@ from chdstat.explorer.sources import StoreSource
 
 __all__ = [
     "BATCHES_AROUND",
-    "Batches",
-    "Estimate",
     "Learner",
+    "ScoredEstimate",
+    "ScoringBatches",
     "batches_of",
-    "compared",
-    "judged",
-    "judged_around",
-    "judged_learners",
-    "judged_names",
+    "fixed_names",
     "learners",
     "quick_names",
+    "score",
+    "scored",
+    "scored_around",
+    "scored_learners",
 ]
 
 _MOST_BATCHES = 32
-"""Batches that estimators are judged on."""
+"""Batches that estimators are scored on."""
 BATCHES_AROUND = 4
 """Batches of those that look at the pixels around."""
 
@@ -52,7 +51,7 @@ Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ScoredEstimate:
     """What an estimator says of one place.
 
     Attributes
@@ -85,8 +84,8 @@ class Estimate:
 
 
 @dataclass(frozen=True)
-class Batches:
-    """Batches of one place, and what their estimates are measured against.
+class ScoringBatches:
+    """Batches of one place, with the references of their estimates.
 
     Attributes
     ----------
@@ -100,19 +99,19 @@ class Batches:
     truth: Floats
     mean: Floats
 
-    def first(self, count: int) -> Batches:
+    def first(self, count: int) -> ScoringBatches:
         """Return the first of them."""
-        return Batches(self.x[:count], self.truth[:count], self.mean[:count])
+        return ScoringBatches(self.x[:count], self.truth[:count], self.mean[:count])
 
 
-def judged(
+def scored(
     x: npt.NDArray[np.float32],
     n: int,
     reference: npt.ArrayLike | None = None,
     *,
     names: Collection[str] | None = None,
     step: Callable[[], None] = lambda: None,
-) -> list[Estimate]:
+) -> list[ScoredEstimate]:
     """Judge every fixed estimator that needs no neighbours on batches of n samples.
 
     Parameters
@@ -123,16 +122,16 @@ def judged(
         Samples of a batch.
     reference
         True radiance, shape (channel,). Without, that of a batch is the mean of all other samples:
-        no reference contains the batch that it judges.
+        no reference contains the batch that is scored against it.
     names
         Which estimators; None for all.
     step
-        Called before each estimator; whatever it raises ends the judgement.
+        Called before each estimator; whatever it raises ends the computation.
 
     Examples
     --------
     >>> x = np.random.default_rng(1).gamma(2.0, size=(3, 512)).astype(np.float32)
-    >>> first = judged(x, 32)[0]
+    >>> first = scored(x, 32)[0]
     >>> first.name, first.mse_ratio
     ('mean', 1.0)
     """
@@ -143,11 +142,11 @@ def judged(
     for entry in _entries():
         if n >= entry.minimum_samples and (names is None or entry.name in names):
             step()
-            found.append(compared(entry.name, np.asarray(entry(batches.x), np.float64), batches))
+            found.append(score(entry.name, np.asarray(entry(batches.x), np.float64), batches))
     return found
 
 
-def judged_around(
+def scored_around(
     x: npt.NDArray[np.float32],
     window: npt.NDArray[np.float32],
     place: tuple[int, int],
@@ -155,7 +154,7 @@ def judged_around(
     reference: npt.ArrayLike | None = None,
     *,
     step: Callable[[], None] = lambda: None,
-) -> list[Estimate]:
+) -> list[ScoredEstimate]:
     """Judge the estimators that look at the pixels around, on a few batches: they are slow.
 
     Those that want first-hit features are left out: they learn from a whole image.
@@ -163,7 +162,7 @@ def judged_around(
     Parameters
     ----------
     x, n, reference, step
-        As for `judged`.
+        As for `scored`.
     window
         The first samples of the pixels around, shape (y, x, channel, sample).
     place
@@ -179,18 +178,18 @@ def judged_around(
         if n >= entry.minimum_samples:
             step()
             estimates = np.stack([np.asarray(entry(cut), np.float64)[place] for cut in cuts])
-            found.append(compared(entry.name, estimates, batches))
+            found.append(score(entry.name, estimates, batches))
     return found
 
 
-def judged_names() -> tuple[str, ...]:
+def fixed_names() -> tuple[str, ...]:
     """Return the names of the fixed estimators that look at one pixel alone."""
     return tuple(entry.name for entry in _entries())
 
 
 @cache
 def quick_names() -> frozenset[str]:
-    """Return the estimators that answer within a click: 4 ms for all batches, tried once."""
+    """Return the estimators that are quick enough for a click: 4 ms for all batches, tried once."""
     x = np.random.default_rng(0).gamma(0.5, size=(_MOST_BATCHES, 3, 32)).astype(np.float32)
     return frozenset(e.name for e in _entries() if min(_seconds(e, x) for _ in range(3)) < _QUICK)
 
@@ -213,8 +212,8 @@ def batches_of(
     reference: npt.ArrayLike | None = None,
     *,
     most: int = _MOST_BATCHES,
-) -> Batches | None:
-    """Return batches of n samples of a place, None for too few samples; options as of `judged`."""
+) -> ScoringBatches | None:
+    """Return batches of n samples of a place, None for too few samples; options as of `scored`."""
     count = min(x.shape[1] // n, most)
     if count == 0:
         return None
@@ -224,7 +223,7 @@ def batches_of(
         truth = _held_out(x, batches)
     else:
         truth = np.broadcast_to(np.asarray(reference, np.float64), batches.shape[:2])
-    return Batches(batches, truth, np.asarray(_mean(batches), np.float64))
+    return ScoringBatches(batches, truth, np.asarray(_mean(batches), np.float64))
 
 
 def _held_out(x: npt.NDArray[np.float32], batches: npt.NDArray[np.float32]) -> Floats:
@@ -237,13 +236,13 @@ def _held_out(x: npt.NDArray[np.float32], batches: npt.NDArray[np.float32]) -> F
     return np.where(rest >= batches.shape[-1], means, np.nan)
 
 
-def compared(name: str, estimates: Floats, batches: Batches) -> Estimate:
+def score(name: str, estimates: Floats, batches: ScoringBatches) -> ScoredEstimate:
     """Compare the estimates of an estimator, shape (batch, channel), with the reference."""
     truth, mean = batches.truth, batches.mean
     known = np.isfinite(truth) & np.isfinite(estimates) & np.isfinite(mean)
     nan = float("nan")
     if not known.any():
-        return Estimate(name, _average(estimates), nan, nan, nan)
+        return ScoredEstimate(name, _average(estimates), nan, nan, nan)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # In units of the reference, so that 1e30 squared stays a number.
         scale = np.float64(truth[known].mean())
@@ -251,9 +250,9 @@ def compared(name: str, estimates: Floats, batches: Batches) -> Estimate:
         error, of_mean = difference**2, ((mean - truth)[known] / scale) ** 2
         ratio = float(error.sum() / of_mean.sum())
     if name == "mean":
-        return Estimate(name, _average(estimates), 1.0, float(difference.mean()), nan)
+        return ScoredEstimate(name, _average(estimates), 1.0, float(difference.mean()), nan)
     improved = float(((error < of_mean) & ~is_mean(estimates[known], mean[known])).mean())
-    return Estimate(name, _average(estimates), ratio, float(difference.mean()), improved)
+    return ScoredEstimate(name, _average(estimates), ratio, float(difference.mean()), improved)
 
 
 _RADIUS = 24
@@ -337,15 +336,15 @@ def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
     return found
 
 
-def judged_learners(
+def scored_learners(
     found: Sequence[Learner],
-    batches: Batches,
+    batches: ScoringBatches,
     source: StoreSource | None,
     place: tuple[int, ...],
     unit: float | None,
     *,
     step: Callable[[], None] = lambda: None,
-) -> list[Estimate]:
+) -> list[ScoredEstimate]:
     """Judge trained estimators on the batches of a place.
 
     Left out is what cannot be asked: a model for another number of samples or channels, and one
@@ -364,7 +363,7 @@ def judged_learners(
     unit
         Mean radiance of the image; None where it is not known.
     step
-        Called before each; whatever it raises ends the judgement.
+        Called before each; whatever it raises ends the computation.
     """
     estimates = []
     for learner in found:
@@ -378,7 +377,7 @@ def judged_learners(
             some = batches
             says = _alone(learner, some.x, source, unit)
         if says is not None:
-            estimates.append(_judged(learner.name, says, some))
+            estimates.append(_scored_learner(learner.name, says, some))
     return estimates
 
 
@@ -401,7 +400,11 @@ def _alone(
 
 
 def _around(
-    learner: Learner, some: Batches, source: StoreSource, place: tuple[int, int], unit: float | None
+    learner: Learner,
+    some: ScoringBatches,
+    source: StoreSource,
+    place: tuple[int, int],
+    unit: float | None,
 ) -> Estimates | None:
     """Ask about a part of the image, batch by batch, and keep what is said of its middle."""
     model = learner.model
@@ -432,10 +435,10 @@ def _around(
     )
 
 
-def _judged(name: str, says: Estimates, some: Batches) -> Estimate:
-    judged = compared(name, np.asarray(says.radiance, np.float64), some)
+def _scored_learner(name: str, says: Estimates, some: ScoringBatches) -> ScoredEstimate:
+    found = score(name, np.asarray(says.radiance, np.float64), some)
     return replace(
-        judged,
+        found,
         certainty=float(_average(says.certainty)),
         low=_average(says.low),
         high=_average(says.high),

@@ -13,7 +13,7 @@ from chdstat import viz
 from chdstat._core.files import scratch
 from chdstat.explorer import tables
 from chdstat.explorer.images import Overall
-from chdstat.explorer.statistics import Measured
+from chdstat.explorer.statistics import PlaceStatistics
 from chdstat.explorer.view import View
 from chdstat.fit import Fit
 from chdstat.reporting.typst import NAMES, Document, percent, typeset
@@ -72,7 +72,7 @@ class Shown:
 
     source: str
     keys: Sequence[tuple[int, ...]]
-    places: Sequence[Measured]
+    places: Sequence[PlaceStatistics]
     active: int
 
 
@@ -142,7 +142,7 @@ def _figure(shown: Shown, view: View) -> Figure:
     return viz.chd_grid(panels, columns=1 if len(panels) == 1 else 2)
 
 
-def _panel(key: tuple[int, ...], place: Measured, view: View) -> viz.Panel:
+def _panel(key: tuple[int, ...], place: PlaceStatistics, view: View) -> viz.Panel:
     family = view.families[0] if view.families else ""
     names = dict.fromkeys(_family_name(place, family, row) for row in range(len(place.channels)))
     mean = place.moments.mean[: len(place.channels)].tolist()
@@ -155,7 +155,7 @@ def _panel(key: tuple[int, ...], place: Measured, view: View) -> viz.Panel:
     )
 
 
-def _family_name(place: Measured, family: str, row: int) -> str:
+def _family_name(place: PlaceStatistics, family: str, row: int) -> str:
     found = place.fit(family, row) if family else None
     if found is None:
         return ""
@@ -163,7 +163,7 @@ def _family_name(place: Measured, family: str, row: int) -> str:
     return NAMES.get(name, name)
 
 
-def _curves(place: Measured, family: str, scale: str) -> dict[str, viz.Curve]:
+def _curves(place: PlaceStatistics, family: str, scale: str) -> dict[str, viz.Curve]:
     counted = place.log if scale == "log" else place.linear
     shape = (len(place.names), counted.counts.shape[-1])
     edges = np.broadcast_to(counted.edges, (shape[0], shape[1] + 1))

@@ -1,9 +1,8 @@
-"""Images: images and maps as what a browser shows, and the pass over a store that makes them.
+"""Images of a store or of a scene, and their pixels as a browser shows them.
 
-Live: a scene that was never rendered, sampled where it is looked at.
-
-The image is drawn coarsely, tile by tile; a pixel gets its own samples when it is picked, and
-more for as long as one looks at it. Only the thread that owns the renderer draws.
+`preview` and `stream` make the image of a store in constant memory. `SceneSource` renders a scene
+that has no store: the image coarsely, tile by tile, and a pixel when it is picked, with more
+samples for as long as it stays selected. Only the thread that owns the renderer draws.
 """
 
 from __future__ import annotations
@@ -30,7 +29,16 @@ from chdstat.rendering.renderer import Renderer
 from chdstat.samples.store import TILE, Chunk
 from chdstat.scenes import Scene
 
-__all__ = ["FIRST_SPP", "MOST_SPP", "Overall", "SceneSource", "Tally", "preview", "rgba", "stream"]
+__all__ = [
+    "FIRST_SPP",
+    "MOST_SPP",
+    "ImageAccumulator",
+    "Overall",
+    "SceneSource",
+    "preview",
+    "rgba",
+    "stream",
+]
 
 _PREVIEW_SPP = 64
 _FILMIC = (0.15, 0.50, 0.10, 0.20, 0.02, 0.30)
@@ -145,7 +153,7 @@ def stream(source: StoreSource, step: Callable[[float], None]) -> Overall:
     return replace(whole, spp=spp)
 
 
-class Tally:
+class ImageAccumulator:
     """What blocks (y, x, channel, sample) of the same pixels say together, in constant memory."""
 
     def __init__(self) -> None:
@@ -187,10 +195,10 @@ class Tally:
 
 
 def _of_blocks(blocks: Iterator[Image]) -> Overall:
-    tally = Tally()
+    accumulator = ImageAccumulator()
     for block in blocks:
-        tally.add(block)
-    return tally.overall()
+        accumulator.add(block)
+    return accumulator.overall()
 
 
 # --- on the screen ------------------------------------------------------------------------------
@@ -283,7 +291,7 @@ class SceneSource:
         self.name = scene.name
         self._pixels: dict[tuple[int, int], Image] = {}
         self._lock = threading.Lock()
-        self._tallies: dict[tuple[int, int], tuple[slice, slice, Tally]] = {}
+        self._accumulators: dict[tuple[int, int], tuple[slice, slice, ImageAccumulator]] = {}
         self._spp = 0
 
     def describe(self) -> str:
@@ -324,8 +332,10 @@ class SceneSource:
                 chunk = Chunk(0, i // columns, i % columns, ys, xs, slice(start, start + spp))
                 with activate(self._job.verdict):
                     block = self._renderer.chunk(chunk)
-                *_, tally = self._tallies.setdefault((ys.start, xs.start), (ys, xs, Tally()))
-                tally.add(block)
+                *_, accumulator = self._accumulators.setdefault(
+                    (ys.start, xs.start), (ys, xs, ImageAccumulator())
+                )
+                accumulator.add(block)
                 self._spp = start + spp
                 done += 1
                 yield done / total
@@ -337,8 +347,8 @@ class SceneSource:
     def overall(self) -> Overall:
         """Return the image as far as it is drawn."""
         whole = Overall.empty(*self.size, 3)
-        for ys, xs, tally in self._tallies.values():
-            whole.put(ys, xs, tally.overall())
+        for ys, xs, accumulator in self._accumulators.values():
+            whole.put(ys, xs, accumulator.overall())
         return replace(whole, spp=self._spp)
 
     def _draw(self, y: int, x: int, spp: int) -> Image:

@@ -17,7 +17,7 @@ from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 from chdstat.estimators import registry
-from chdstat.explorer.estimators import judged_names
+from chdstat.explorer.estimators import fixed_names
 from chdstat.explorer.images import Overall
 from chdstat.explorer.palette import label_colors
 from chdstat.explorer.sources import StoreSource
@@ -36,7 +36,7 @@ from chdstat.patterns import (
 __all__ = ["IMAGES", "MAPS", "Map", "MapKind", "map_kind", "of_overall", "walk", "with_sizes"]
 
 _ERROR = "error:"
-_JUDGED = 32
+_BATCH = 32
 """Samples of an estimate, in maps of errors."""
 _MOST_BATCHES = 16
 _DECADES = 8.0
@@ -156,8 +156,8 @@ def map_kind(name: str) -> MapKind:
     if name in MAPS:
         return MAPS[name]
     estimator = name.removeprefix(_ERROR)
-    if name.startswith(_ERROR) and estimator in judged_names():
-        unit = f"log10 of MSE over that of the mean, N = {_JUDGED}"
+    if name.startswith(_ERROR) and estimator in fixed_names():
+        unit = f"log10 of MSE over that of the mean, N = {_BATCH}"
         return MapKind(name, f"Error of {estimator}", unit, limits=(-1, 1))
     message = f"no map is called {name!r}; there are {', '.join(MAPS)} and {_ERROR}ESTIMATOR"
     raise InputError(message)
@@ -257,7 +257,7 @@ def _error_ratio(name: str, block: Image) -> npt.NDArray[Any]:
     """Return log10 of an estimator's squared error over the mean's, against all other samples."""
     estimator: Any = registry.lookup(name)
     height, width, _, spp = block.shape
-    count = min(spp // _JUDGED, _MOST_BATCHES)
+    count = min(spp // _BATCH, _MOST_BATCHES)
     if count < 2:
         return np.full((height, width), np.nan)
     block = np.where(is_bad(block).any(axis=-2, keepdims=True), np.float32(np.nan), block)
@@ -265,12 +265,12 @@ def _error_ratio(name: str, block: Image) -> npt.NDArray[Any]:
     errors = np.zeros((2, height, width))
     mean: Any = registry.lookup("mean")
     for i in range(count):
-        batch = np.ascontiguousarray(block[..., i * _JUDGED : (i + 1) * _JUDGED])
+        batch = np.ascontiguousarray(block[..., i * _BATCH : (i + 1) * _BATCH])
         own = np.isfinite(batch).sum(axis=-1)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             truth = (total - np.nansum(batch, axis=-1, dtype=np.float64)) / (good - own)
-            for k, judge in enumerate((estimator, mean)):
-                difference = np.asarray(judge(batch), np.float64) - truth
+            for k, method in enumerate((estimator, mean)):
+                difference = np.asarray(method(batch), np.float64) - truth
                 errors[k] += np.nansum(difference**2, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.log10(errors[0] / errors[1])

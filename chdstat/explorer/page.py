@@ -1,11 +1,9 @@
-"""Cargo: panels and colour bars as what travels to the page.
+"""The Bokeh document of a page, and the connection to it from other threads.
 
-Page: the Bokeh document of the explorer: images, panels, and two wires for everything else.
-
-Bokeh draws and carries; the shell around the plots is the HTML page in ``web/``. Each wire is a
-hidden text field: what a person does comes in as JSON, what is said goes out as JSON.
-
-Wire: how other threads reach a page, which only its own thread may touch.
+Bokeh draws and carries; the shell around the plots is the HTML page in ``web/``. Besides images
+and panels, the document has two hidden text fields: the inbox receives what a person does, the
+outbox what the shell is to show, both as JSON. Only the page's own thread may change a document;
+other threads go through `PageConnection`.
 """
 
 from __future__ import annotations
@@ -26,15 +24,15 @@ from jinja2 import Environment
 
 from chdstat.explorer.maps import Map, MapKind
 from chdstat.explorer.palette import ramp
-from chdstat.explorer.panels import Panel, Trace, extent
+from chdstat.explorer.panels import PanelData, Trace, extent
 from chdstat.explorer.plots import ImagePlot, Linked, PanelPlot
 from chdstat.explorer.view import BATCH_SIZES, FAMILIES
 from chdstat.reporting.typst import NAMES
 
-__all__ = ["EXPORTS", "Page", "Wire", "cargo", "colorbar"]
+__all__ = ["EXPORTS", "Page", "PageConnection", "colorbar", "encode_panels"]
 
 
-def cargo(panels: Mapping[str, Panel]) -> dict[str, Any]:
+def encode_panels(panels: Mapping[str, PanelData]) -> dict[str, Any]:
     """Return panels as one piece of text: a hundred small arrays would be as many messages.
 
     All numbers are one array of float64 in base64; traces say how many of them are theirs, x before
@@ -146,7 +144,7 @@ class Page:
             document.template_variables.update(
                 _variables(titles, size, channels, heading, maps, errors)
             )
-            self._wire()
+            self._connect()
 
     def _fill(self, titles: Sequence[str]) -> None:
         self.inbox = TextInput(name="inbox", visible=False)
@@ -191,7 +189,7 @@ class Page:
 
     # --- wiring ---------------------------------------------------------------------------------
 
-    def _wire(self) -> None:
+    def _connect(self) -> None:
         models: dict[str, Any] = {
             "inbox": self.inbox,
             "outbox": self.outbox,
@@ -255,7 +253,7 @@ def _variables(
     }
 
 
-class Wire:
+class PageConnection:
     """One page, until it is gone.
 
     Parameters

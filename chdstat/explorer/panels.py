@@ -1,15 +1,9 @@
-"""Series: the rows of samples that panels show, in their colours, and what a panel is made of.
+"""Panels: the lines and areas that each plot draws of a selection, as plain arrays.
 
-One place shows its channels, several show luminance (or one channel) in a colour each.
-
-Traces: what each panel draws of a selection, as plain arrays.
-
-The density of a fit is that of the positive samples, as the histograms are.
-
-Extents: the part of the plane that each panel shows.
-
-Computed here and not in the browser: Bokeh's own data ranges answer each change of theirs to the
-server, eighteen messages a click.
+One place shows its channels, several places show luminance or one channel in a colour each. The
+density of a fit is that of the positive samples, as the histograms are. The ranges of the axes are
+computed here, since Bokeh's own data ranges send each of their changes to the server, eighteen
+messages a click.
 """
 
 from __future__ import annotations
@@ -23,11 +17,21 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat.explorer.palette import BLENDED, CHANNEL_COLORS, DASHES, PIXEL_COLORS
-from chdstat.explorer.statistics import Measured
+from chdstat.explorer.statistics import PlaceStatistics
 from chdstat.explorer.view import View
 from chdstat.reporting.typst import NAMES
 
-__all__ = ["LOG_X", "LOG_Y", "Extent", "Panel", "Series", "Trace", "extent", "panels", "series_of"]
+__all__ = [
+    "LOG_X",
+    "LOG_Y",
+    "Extent",
+    "PanelData",
+    "Series",
+    "Trace",
+    "extent",
+    "panels",
+    "series_of",
+]
 
 Floats = npt.NDArray[Any]
 
@@ -59,7 +63,7 @@ class Trace:
 
 
 @dataclass(frozen=True)
-class Panel:
+class PanelData:
     """What one panel draws.
 
     Attributes
@@ -84,7 +88,7 @@ class Series:
 
     Attributes
     ----------
-    measured, row
+    place, row
         Where it comes from.
     color
         Of the channel or of the pixel.
@@ -94,7 +98,7 @@ class Series:
         Whether it belongs to the store that is compared with: drawn as dashed outlines.
     """
 
-    measured: Measured
+    place: PlaceStatistics
     row: int
     color: str
     name: str
@@ -102,7 +106,7 @@ class Series:
 
 
 def series_of(
-    view: View, places: Sequence[Measured], others: Sequence[Measured] = ()
+    view: View, places: Sequence[PlaceStatistics], others: Sequence[PlaceStatistics] = ()
 ) -> list[Series]:
     """Return what the panels show of the selected places, those of a second store beside them."""
     found = []
@@ -123,11 +127,11 @@ def series_of(
     return found
 
 
-def _color_of_row(place: Measured, row: int) -> str:
+def _color_of_row(place: PlaceStatistics, row: int) -> str:
     return CHANNEL_COLORS.get(place.names[row], BLENDED)
 
 
-def _name(place: Measured, row: int, index: int, count: int) -> str:
+def _name(place: PlaceStatistics, row: int, index: int, count: int) -> str:
     return place.names[row] if count == 1 else f"pixel {index + 1}"
 
 
@@ -137,7 +141,7 @@ _Z = float(special.ndtri(0.975))
 Scale = Literal["linear", "log"]
 
 
-def panels(view: View, series: Sequence[Series]) -> dict[str, Panel]:
+def panels(view: View, series: Sequence[Series]) -> dict[str, PanelData]:
     """Return all panels by name: linear, log, qq, running, averages."""
     return {
         "linear": _histogram(view, series, "linear"),
@@ -151,22 +155,22 @@ def panels(view: View, series: Sequence[Series]) -> dict[str, Panel]:
 # --- histograms ---------------------------------------------------------------------------------
 
 
-def _histogram(view: View, series: Sequence[Series], scale: Scale) -> Panel:
+def _histogram(view: View, series: Sequence[Series], scale: Scale) -> PanelData:
     areas, lines, marks = [], [], []
     for s in series:
-        counted = s.measured.log if scale == "log" else s.measured.linear
+        counted = s.place.log if scale == "log" else s.place.linear
         x, y = _steps(counted.edges, counted.density, s.row)
         if not x.size:
             continue
         if not s.other:
             areas.append(Trace(x, y, s.color, name=s.name))
-            marks.append((float(s.measured.moments.mean[s.row]), s.color))
+            marks.append((float(s.place.moments.mean[s.row]), s.color))
         lines.append(Trace(x, y, s.color, "dashed" if s.other else "solid", 1.2, s.name))
         if not s.other:
             lines += _fits(view, s, scale, x[0], x[-1], 1.3 * y.max())
     if scale == "log":
         marks = [mark for mark in marks if mark[0] > 0]
-    return Panel(areas, lines, marks, _apart(series, scale))
+    return PanelData(areas, lines, marks, _uncounted(series, scale))
 
 
 def _steps(edges: Floats, density: Floats, row: int) -> tuple[Floats, Floats]:
@@ -187,7 +191,7 @@ def _fits(view: View, s: Series, scale: Scale, low: float, high: float, top: flo
     x = np.geomspace(low, high, _POINTS) if scale == "log" else np.linspace(low, high, _POINTS)
     lines = []
     for family in view.families:
-        found = s.measured.positive(family, s.row)
+        found = s.place.positive(family, s.row)
         if found is None:
             continue
         with np.errstate(all="ignore"):
@@ -200,11 +204,10 @@ def _fits(view: View, s: Series, scale: Scale, low: float, high: float, top: flo
     return lines
 
 
-def _apart(series: Sequence[Series], scale: Scale) -> list[str]:
+def _uncounted(series: Sequence[Series], scale: Scale) -> list[str]:
     """Return what is not in the bins: nulls, bad samples, those beyond the support."""
     groups = [
-        list(dict.fromkeys(s.measured for s in series if s.other is other))
-        for other in (False, True)
+        list(dict.fromkeys(s.place for s in series if s.other is other)) for other in (False, True)
     ]
     if len(groups[0]) == 1 and not groups[1]:
         place = groups[0][0]
@@ -216,13 +219,13 @@ def _apart(series: Sequence[Series], scale: Scale) -> list[str]:
     return notes
 
 
-def _counts(place: Measured) -> str:
+def _counts(place: PlaceStatistics) -> str:
     return f"{_percent(place.null_share)} null · {int(place.bad.sum())} bad"
 
 
 def _outside(rows: Sequence[Series], scale: Scale) -> float:
     """Return the share of the samples that lie beyond the support of their histogram."""
-    place = rows[0].measured
+    place = rows[0].place
     counted = place.log if scale == "log" else place.linear
     outside = counted.underflow + counted.overflow
     return float(outside[[s.row for s in rows]].sum() / (len(rows) * place.spp))
@@ -237,7 +240,7 @@ def _percent(share: float) -> str:
 # --- quantiles, averages ------------------------------------------------------------------------
 
 
-def _qq(view: View, series: Sequence[Series]) -> Panel:
+def _qq(view: View, series: Sequence[Series]) -> PanelData:
     """Draw quantiles of the positive samples against those of the first family that is switched on.
 
     Both axes are logarithmic, since the tails decide.
@@ -245,8 +248,8 @@ def _qq(view: View, series: Sequence[Series]) -> Panel:
     lines, ends = [], []
     families: dict[str, None] = {}
     for s in series:
-        found = s.measured.positive(view.families[0] if view.families else "best", s.row)
-        part, n = s.measured.part, int(s.measured.part.n[s.row])
+        found = s.place.positive(view.families[0] if view.families else "best", s.row)
+        part, n = s.place.part, int(s.place.part.n[s.row])
         if found is None or n < 2:
             continue
         levels = _QUANTILES if n >= 100 else (np.arange(n) + 0.5) / n
@@ -269,18 +272,18 @@ def _qq(view: View, series: Sequence[Series]) -> Panel:
             )
             ends += [seen[keep].min(), seen[keep].max()]
     if not lines:
-        return Panel(notes=["no family could be fitted"])
+        return PanelData(notes=["no family could be fitted"])
     diagonal = np.array([min(ends), max(ends)])
     lines.insert(0, Trace(diagonal, diagonal, BLENDED, "dotted", 1.2, "equal"))
     names = [NAMES.get(family, family) for family in families]
-    return Panel(lines=lines, notes=[f"against {', '.join(names)}"])
+    return PanelData(lines=lines, notes=[f"against {', '.join(names)}"])
 
 
-def _running(series: Sequence[Series]) -> Panel:
+def _running(series: Sequence[Series]) -> PanelData:
     areas, lines = [], []
     tails = []
     for s in series:
-        at, means, errors = s.measured.running()
+        at, means, errors = s.place.running()
         if not at.size:
             continue
         mean, error = means[s.row], _Z * errors[s.row]
@@ -288,21 +291,21 @@ def _running(series: Sequence[Series]) -> Panel:
             band = np.concatenate([mean - error, (mean + error)[::-1]])
             areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color, name=s.name))
         lines.append(Trace(at, mean, s.color, "dashed" if s.other else "solid", 1.6, s.name))
-        tails.append((s.measured.tail, s.row))
+        tails.append((s.place.tail, s.row))
     doubt = ""
     if any(tail.variance_suspect[row] for tail, row in tails):
         doubt = " · tail index ≥ ½: do not trust it"
     elif any(tail.variance_unidentified[row] for tail, row in tails):
         doubt = " · samples cannot tell whether the variance is finite"
-    return Panel(areas, lines, notes=[f"95 % interval of the mean{doubt}"])
+    return PanelData(areas, lines, notes=[f"95 % interval of the mean{doubt}"])
 
 
-def _averages(view: View, series: Sequence[Series]) -> Panel:
+def _averages(view: View, series: Sequence[Series]) -> PanelData:
     """Draw the distribution of averages of N samples, with the Gaussian of the same moments."""
     areas, lines, notes = [], [], []
     beyond = 0.0
     for s in series:
-        averages = s.measured.averages(view.batch)[s.row]
+        averages = s.place.averages(view.batch)[s.row]
         averages = averages[np.isfinite(averages)]
         if len(averages) < 4:
             continue
@@ -323,7 +326,7 @@ def _averages(view: View, series: Sequence[Series]) -> Panel:
         notes = notes or [f"too few samples for averages of {view.batch}"]
     if beyond > 0:
         notes.append(f"{_percent(beyond)} beyond")
-    return Panel(areas, lines, notes=[n for n in notes if n])
+    return PanelData(areas, lines, notes=[n for n in notes if n])
 
 
 def _edges_of_averages(averages: Floats) -> Floats:
@@ -343,7 +346,7 @@ def _gaussian(averages: Floats, edges: Floats, s: Series) -> Trace:
 
 
 def _normality(s: Series, n: int) -> str:
-    means = s.measured.means
+    means = s.place.means
     if means is None or n not in means.sizes:
         return ""
     p = float(means.p_value[s.row, list(means.sizes).index(n)])
@@ -362,14 +365,14 @@ Extent = tuple[float, float]
 Ends = npt.NDArray[np.float64]
 
 
-def extent(name: str, panel: Panel) -> tuple[Extent, Extent] | None:
+def extent(name: str, panel: PanelData) -> tuple[Extent, Extent] | None:
     """Return what a panel shows across and up: all that it draws, and a margin; None for nothing.
 
     Examples
     --------
     >>> from chdstat.explorer.panels import Trace
     >>> line = Trace(np.array([0.0, 10.0]), np.array([1.0, 2.0]), "#ffffff")
-    >>> extent("linear", Panel(lines=[line]))
+    >>> extent("linear", PanelData(lines=[line]))
     ((-0.4, 10.4), (0.0, 2.08))
     """
     traces = (*panel.areas, *panel.lines)

@@ -1,4 +1,4 @@
-"""Answers: what there is to say about a selection, computed apart from any page.
+"""Results of a selection: panels, tables and estimates, computed without any page.
 
 Panels come first, as images are looked at first; then tables; then what takes long.
 """
@@ -14,31 +14,31 @@ import numpy.typing as npt
 from chdstat.explorer import tables
 from chdstat.explorer.estimators import (
     BATCHES_AROUND,
-    Estimate,
+    ScoredEstimate,
     batches_of,
-    judged,
-    judged_around,
-    judged_learners,
-    judged_names,
+    fixed_names,
     quick_names,
+    scored,
+    scored_around,
+    scored_learners,
 )
 from chdstat.explorer.exports import Shown
 from chdstat.explorer.images import SceneSource
 from chdstat.explorer.palette import BLENDED
-from chdstat.explorer.panels import Panel, panels, series_of
+from chdstat.explorer.panels import PanelData, panels, series_of
 from chdstat.explorer.shared import Shared
 from chdstat.explorer.sources import Box, Source, StoreSource
-from chdstat.explorer.statistics import Measured, fitness
+from chdstat.explorer.statistics import PlaceStatistics, goodness
 from chdstat.explorer.view import Pixel, View
 from chdstat.inference.differences import Difference, difference
 
-__all__ = ["Answer", "Answers", "Told"]
+__all__ = ["SelectionPlots", "SelectionResults", "SelectionTables"]
 
 _KEPT_BYTES = 128 * 2**20
 
 
 @dataclass(frozen=True)
-class Answer:
+class SelectionPlots:
     """What a view shows, but for its tables.
 
     Attributes
@@ -59,15 +59,15 @@ class Answer:
 
     view: View
     shown: Shown
-    others: Sequence[Measured]
-    panels: Mapping[str, Panel]
+    others: Sequence[PlaceStatistics]
+    panels: Mapping[str, PanelData]
     legend: Sequence[tuple[str, str]]
     live_spp: int | None
 
 
 @dataclass(frozen=True)
-class Told:
-    """What is told of the active place in tables.
+class SelectionTables:
+    """Tables that describe the active place.
 
     Attributes
     ----------
@@ -78,13 +78,13 @@ class Told:
     """
 
     tables: dict[str, tables.Table]
-    estimates: Sequence[Estimate]
+    estimates: Sequence[ScoredEstimate]
 
 
-class Answers:
-    """Computes answers and remembers the places that were looked at.
+class SelectionResults:
+    """Computes results and remembers the places that were looked at.
 
-    `answer` is for one thread at a time; the others only read what it returned.
+    `plots` is for one thread at a time; the others only read what it returned.
 
     Parameters
     ----------
@@ -94,9 +94,9 @@ class Answers:
 
     def __init__(self, shared: Shared) -> None:
         self._shared = shared
-        self._places: dict[tuple[int, Pixel | Box], Measured] = {}
+        self._places: dict[tuple[int, Pixel | Box], PlaceStatistics] = {}
 
-    def answer(self, view: View) -> Answer:
+    def plots(self, view: View) -> SelectionPlots:
         """Return what the panels of a view show.
 
         Raises
@@ -107,13 +107,13 @@ class Answers:
             If a store is damaged or gone.
         """
         keys: list[Pixel | Box] = list(view.pixels) if view.region is None else [view.region]
-        places = [self._measured(self._shared.source, 0, key) for key in keys]
+        places = [self._statistics(self._shared.source, 0, key) for key in keys]
         other = self._shared.other
-        others = [] if other is None else [self._measured(other, 1, key) for key in keys]
+        others = [] if other is None else [self._statistics(other, 1, key) for key in keys]
         series = series_of(view, places, others)
         legend = [(s.name, s.color) for s in series if not s.other]
         live = isinstance(self._shared.source, SceneSource) and bool(view.pixels)
-        return Answer(
+        return SelectionPlots(
             view=view,
             shown=Shown(self._shared.source.name, keys, places, view.active),
             others=others,
@@ -122,26 +122,28 @@ class Answers:
             live_spp=places[view.active].spp if live else None,
         )
 
-    def told(self, answer: Answer) -> Told:
+    def describe(self, plots: SelectionPlots) -> SelectionTables:
         """Return what the tables tell of the active place."""
-        view, shown = answer.view, answer.shown
+        view, shown = plots.view, plots.shown
         if not shown.places:
-            return Told({}, [])
+            return SelectionTables({}, [])
         place = shown.places[view.active]
         reference = self._reference(shown.keys[view.active], place)
-        estimates = judged(_channels(place), _batch(view), reference, names=quick_names())
+        estimates = scored(_channels(place), _batch(view), reference, names=quick_names())
         found = {
             "statistics": tables.statistics(place),
             "patterns": {**tables.patterns(place), "words": True},
             "estimates": self._table(estimates, place, view),
         }
         if self._shared.other is not None:
-            apart = self._apart(shown.keys[view.active], place, answer.others[view.active])
+            changes = self._difference(shown.keys[view.active], place, plots.others[view.active])
             names = (self._shared.source.name, self._shared.other.name)
-            found["compared"] = tables.compared(apart, self._shared.source.channels, names)
-        return Told(found, estimates)
+            found["compared"] = tables.compared(changes, self._shared.source.channels, names)
+        return SelectionTables(found, estimates)
 
-    def _apart(self, key: tuple[int, ...], place: Measured, other: Measured) -> Difference:
+    def _difference(
+        self, key: tuple[int, ...], place: PlaceStatistics, other: PlaceStatistics
+    ) -> Difference:
         """Compare a place of the two stores, in pairs where these share random numbers."""
         source, second = self._shared.source, self._shared.other
         one, two = _channels(place), _channels(other)
@@ -159,28 +161,30 @@ class Answers:
             one, two = source.region(box, spp), second.region(box, spp)
         return difference(one, two, paired=True)
 
-    def afterthought(self, answer: Answer, told: Told, step: Callable[[], None]) -> tables.Table:
+    def slow_estimates(
+        self, plots: SelectionPlots, quick: SelectionTables, step: Callable[[], None]
+    ) -> tables.Table:
         """Return the table of estimates with the slow ones, and those that look around.
 
-        `step` is called before each of them; whatever it raises ends the thought.
+        `step` is called before each of them; whatever it raises ends the computation.
         """
-        view, shown = answer.view, answer.shown
+        view, shown = plots.view, plots.shown
         key, place = shown.keys[view.active], shown.places[view.active]
         x, n, reference = _channels(place), _batch(view), self._reference(key, place)
-        slow = frozenset(judged_names()) - quick_names()
-        own = [*told.estimates, *judged(x, n, reference, names=slow, step=step)]
+        slow = frozenset(fixed_names()) - quick_names()
+        own = [*quick.estimates, *scored(x, n, reference, names=slow, step=step)]
         own += self._learned(key, x, n, reference, step)
         if not isinstance(self._shared.source, StoreSource) or len(key) != 2:
             return self._table(own, place, view)
         window, inside, _ = self._shared.source.around(key[0], key[1], n * BATCHES_AROUND)
-        found = judged_around(x, window, inside, n, reference, step=step)
+        found = scored_around(x, window, inside, n, reference, step=step)
         more = f"; the last {len(found)} look at the pixels around, in {BATCHES_AROUND} batches"
         return self._table([*own, *found], place, view, more)
 
-    def fitness(self, answer: Answer, step: Callable[[float], None]) -> tables.Table:
+    def goodness(self, plots: SelectionPlots, step: Callable[[float], None]) -> tables.Table:
         """Return the goodness of fit of every family; `step` is told how far it is."""
-        place = answer.shown.places[answer.view.active]
-        return tables.fitness(fitness(place, step), place.names)
+        place = plots.shown.places[plots.view.active]
+        return tables.goodness(goodness(place, step), place.names)
 
     def _learned(
         self,
@@ -189,20 +193,20 @@ class Answers:
         n: int,
         reference: npt.NDArray[np.float64] | None,
         step: Callable[[], None],
-    ) -> list[Estimate]:
+    ) -> list[ScoredEstimate]:
         shared = self._shared
         batches = batches_of(x, n, reference) if shared.learners else None
         if batches is None:
             return []
         source = shared.source if isinstance(shared.source, StoreSource) else None
-        return judged_learners(shared.learners, batches, source, key, shared.unit, step=step)
+        return scored_learners(shared.learners, batches, source, key, shared.unit, step=step)
 
-    def _measured(self, source: Source, which: int, key: Pixel | Box) -> Measured:
+    def _statistics(self, source: Source, which: int, key: Pixel | Box) -> PlaceStatistics:
         x = source.pixel(*key) if len(key) == 2 else source.region(key)
         known = self._places.pop((which, key), None)
         found = known if known is not None and known.spp == x.shape[1] else None
         if found is None:
-            found = Measured(x, source.channels)
+            found = PlaceStatistics(x, source.channels)
             if known is not None:
                 found.take_over(known)
         self._places[which, key] = found
@@ -214,29 +218,31 @@ class Answers:
     def _held(self) -> int:
         return sum(place.rows.nbytes for place in self._places.values())
 
-    def _reference(self, key: tuple[int, ...], place: Measured) -> npt.NDArray[np.float64] | None:
+    def _reference(
+        self, key: tuple[int, ...], place: PlaceStatistics
+    ) -> npt.NDArray[np.float64] | None:
         reference = self._shared.reference
         if reference is None or len(key) != 2:
             return None
         x = reference.pixel(key[0], key[1])[:, self._shared.first_of_reference :]
         if not x.shape[1]:
             return None
-        true = Measured(x, place.channels)
+        true = PlaceStatistics(x, place.channels)
         return true.moments.seen(true.moments.mean)[: len(place.channels)]
 
     def _table(
-        self, found: Sequence[Estimate], place: Measured, view: View, more: str = ""
+        self, found: Sequence[ScoredEstimate], place: PlaceStatistics, view: View, more: str = ""
     ) -> tables.Table:
         note = "error against the mean of the other samples, which no batch contains"
         reference, first = self._shared.reference, self._shared.first_of_reference
         if reference is not None and first < reference.samples.spp:
             note = f"error against {reference.name}"
-            # The first ones share their random numbers with what is judged.
+            # The first ones share their random numbers with what is scored.
             note += f" from sample {first} on" if first else ""
         return tables.estimates(found, place.channels, _batch(view), note + more)
 
 
-def _channels(place: Measured) -> npt.NDArray[np.float32]:
+def _channels(place: PlaceStatistics) -> npt.NDArray[np.float32]:
     """Return the samples of a place without luminance."""
     return place.rows[: len(place.channels)]
 

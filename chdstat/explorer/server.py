@@ -265,7 +265,7 @@ def _pages(shared: Shared) -> Handler:
 
 
 def _refuse_other_hosts(application: Any) -> None:
-    """Answer only to names of this machine.
+    """Respond only to names of this machine.
 
     A page elsewhere may let its own name point here (DNS rebinding): to its browser, what is read
     from here is then its own.

@@ -1,9 +1,7 @@
-"""Showing: the image of a page, and the map in its place.
+"""Session: one page, its commands, and the image that it shows.
 
-Session: one page and the person before it: commands in, what they change out.
-
-Every command is checked, and what it cannot do becomes a message on the page. What is selected is
-worked on by an `Inquiry`, the image shown by a `Showing`; this is what lies between.
+Every command is checked, and what it cannot do becomes a message on the page. A `Worker` computes
+what there is to say about the selection, an `ImageDisplay` shows the image or a map.
 """
 
 from __future__ import annotations
@@ -21,21 +19,21 @@ import numpy as np
 from bokeh.document import Document
 
 from chdstat.errors import ChdstatError, InputError
-from chdstat.explorer.estimators import judged_names
+from chdstat.explorer.estimators import fixed_names
 from chdstat.explorer.exports import File, exported
 from chdstat.explorer.images import Overall, SceneSource, rgba
 from chdstat.explorer.maps import IMAGES, MAPS, map_kind, of_overall
-from chdstat.explorer.page import EXPORTS, Page, Wire, colorbar
+from chdstat.explorer.page import EXPORTS, Page, PageConnection, colorbar
 from chdstat.explorer.palette import PIXEL_COLORS
 from chdstat.explorer.shared import Shared
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import View, box_between, check_pixel, parse_view
-from chdstat.explorer.worker import Inquiry
+from chdstat.explorer.worker import Worker
 
-__all__ = ["Session", "Showing"]
+__all__ = ["ImageDisplay", "Session"]
 
 
-class Showing:
+class ImageDisplay:
     """Shows images and maps on a page, as a view wants them.
 
     Parameters
@@ -118,15 +116,15 @@ class Session:
         page = _page(document, shared)
         self._size = shared.source.size
         self.view, self._notes = parse_view(arguments, *self._size)
-        self._wire = Wire(document, page, self._gone)
-        self._inquiry = Inquiry(shared, self._wire)
-        self._showing = Showing(page, shared)
+        self._connection = PageConnection(document, page, self._gone)
+        self._worker = Worker(shared, self._connection)
+        self._display = ImageDisplay(page, shared)
         page.inbox.on_change("value", self._received)
-        self._ends = shared.listen(lambda what: self._wire.next(partial(self._heard, what)))
-        document.on_session_destroyed(lambda _: self._wire.close())
+        self._ends = shared.listen(lambda what: self._connection.next(partial(self._heard, what)))
+        document.on_session_destroyed(lambda _: self._connection.close())
 
     def _gone(self) -> None:
-        self._inquiry.close()
+        self._worker.close()
         self._ends()
 
     # --- commands -------------------------------------------------------------------------------
@@ -137,32 +135,32 @@ class Session:
             command, seq = str(message.pop("command")), int(message.pop("seq"))
             handle = self._commands[command]
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            self._wire.alert("the page sent something that is no command; reload it")
+            self._connection.alert("the page sent something that is no command; reload it")
             return
         try:
             handle(self, seq, **message)
         except ChdstatError as error:
-            self._wire.alert(str(error))
+            self._connection.alert(str(error))
         except (TypeError, ValueError, OverflowError, AttributeError) as error:
-            self._wire.alert(f"the command {command!r} was not understood: {error}")
+            self._connection.alert(f"the command {command!r} was not understood: {error}")
 
     def _ready(self, seq: int) -> None:
         source, other = self._shared.source, self._shared.other
         parts = [source.describe()]
         if other is not None:
             parts.append(f"against {other.name}: {other.describe()}")
-        self._wire.say({"kind": "described", "text": "  |  ".join(parts)})
-        self._showing.image(self.view)
+        self._connection.say({"kind": "described", "text": "  |  ".join(parts)})
+        self._display.image(self.view)
         notes = list(self._notes)
         if self.view.map != "image":
             try:
-                self._showing.want_map(self.view.map)
+                self._display.want_map(self.view.map)
             except InputError as error:
                 notes.append(str(error))
                 self.view = self.view.changed(map="image")
-        self._showing.map(self.view)
+        self._display.map(self.view)
         if notes:
-            self._wire.alert("; ".join(notes))
+            self._connection.alert("; ".join(notes))
         self._heard("working")
         self._go(seq, self.view)
 
@@ -188,9 +186,9 @@ class Session:
         option = str(option)
         if option == "map":
             if value != "image":
-                self._showing.want_map(str(value))
+                self._display.want_map(str(value))
             self.view = self.view.changed(map=str(value))
-            self._showing.map(self.view)
+            self._display.map(self.view)
             self._show_view()
             return
         view = self.view.changed(**{option: value})
@@ -198,7 +196,7 @@ class Session:
             self._go(seq, view)
             return
         self.view = view
-        self._showing.image(view)
+        self._display.image(view)
         self._show_view()
 
     def _export(self, seq: int, *, format: str) -> None:  # noqa: A002 - its name on the page
@@ -206,26 +204,26 @@ class Session:
         if format not in EXPORTS:
             message = f"exports are {', '.join(EXPORTS)}; got {format!r}"
             raise InputError(message)
-        if self._inquiry.shown is None:
+        if self._worker.shown is None:
             message = "nothing is selected: click a pixel before exporting"
             raise InputError(message)
-        self._wire.say({"kind": "working", "text": f"exporting {format}"})
-        overall, exposure = self._showing.overall, self._showing.exposure(self.view)
-        work = partial(exported, format, self._inquiry.shown, self.view, overall, exposure)
+        self._connection.say({"kind": "working", "text": f"exporting {format}"})
+        overall, exposure = self._display.overall, self._display.exposure(self.view)
+        work = partial(exported, format, self._worker.shown, self.view, overall, exposure)
         future = self._shared.exports.submit(work)
-        future.add_done_callback(lambda f: self._wire.next(partial(self._exported, f)))
+        future.add_done_callback(lambda f: self._connection.next(partial(self._exported, f)))
 
     def _pause(self, seq: int) -> None:
         del seq
-        self._inquiry.pause()
+        self._worker.pause()
 
     def _seen(self, seq: int, *, on: bool) -> None:
         del seq
-        self._inquiry.see(bool(on))
+        self._worker.see(bool(on))
 
     def _try_fits(self, seq: int) -> None:
         del seq
-        self._inquiry.try_fits()
+        self._worker.try_fits()
 
     def _near(self, seq: int, *, y: int, x: int) -> None:
         """Read what is pointed at, so that it is there when it is clicked."""
@@ -247,7 +245,7 @@ class Session:
         "export": _export,
         "pause": _pause,
         "visible": _seen,
-        "fitness": _try_fits,
+        "goodness": _try_fits,
     }
 
     # --- what they change -----------------------------------------------------------------------
@@ -256,46 +254,46 @@ class Session:
         """Show the selection at once, and what there is to say about it when it is computed."""
         self.view = view
         self._show_view()
-        self._inquiry.ask(view, seq)
+        self._worker.compute(view, seq)
 
     def _heard(self, what: str) -> None:
         """Show news of the passes over the image, or of the source."""
         if what == "working":
-            self._wire.say({"kind": "working", "text": self._shared.working})
+            self._connection.say({"kind": "working", "text": self._shared.working})
             if self._shared.failed:
-                self._wire.alert(self._shared.failed)
+                self._connection.alert(self._shared.failed)
         elif what == "image":
-            self._showing.image(self.view)
+            self._display.image(self.view)
             self._show_view()
-            self._showing.map(self.view)
+            self._display.map(self.view)
         elif what == "source":
-            self._wire.say({"kind": "described", "text": self._shared.source.describe()})
+            self._connection.say({"kind": "described", "text": self._shared.source.describe()})
             self._show_view()
-            self._inquiry.ask(self.view)
+            self._worker.compute(self.view)
         elif what == self.view.map:
-            self._showing.map(self.view)
+            self._display.map(self.view)
 
     def _show_view(self) -> None:
-        self._wire.say(
+        self._connection.say(
             {
                 "kind": "view",
                 "view": asdict(self.view),
                 "query": self.view.query(),
-                "exposure": self._showing.exposure(self.view),
+                "exposure": self._display.exposure(self.view),
                 "colors": PIXEL_COLORS,
             }
         )
 
     def _exported(self, future: Future[File]) -> None:
-        self._wire.say({"kind": "working", "text": ""})
+        self._connection.say({"kind": "working", "text": ""})
         if future.cancelled():
             return
         if error := future.exception():
-            self._wire.alert(f"the export failed: {error}")
+            self._connection.alert(f"the export failed: {error}")
             return
         file = future.result()
         data = base64.b64encode(file.content).decode("ascii")
-        self._wire.say({"kind": "file", "name": file.name, "type": file.type, "data": data})
+        self._connection.say({"kind": "file", "name": file.name, "type": file.type, "data": data})
 
 
 def _page(document: Document, shared: Shared) -> Page:
@@ -309,5 +307,5 @@ def _page(document: Document, shared: Shared) -> Page:
         channels=source.channels,
         heading=" and ".join(titles),
         maps=[kind for kind in MAPS.values() if rendered or kind.name in IMAGES],
-        errors=judged_names() if rendered else (),
+        errors=fixed_names() if rendered else (),
     )

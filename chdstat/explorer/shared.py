@@ -1,12 +1,8 @@
-"""Cache: images and maps of a store, kept in the user's cache folder, never beside the store.
-
-Opening: from what a person names to the sources of an explorer.
-
-Shared: what all pages of one explorer have in common: sources, the image, maps, threads.
+"""State that all pages of one explorer share: sources, the image, maps, threads and the cache.
 
 Clicks are worked on in one thread, passes over the image in another; a pass stands still while a
-click is being answered. What reads ahead or exports has a third, what is added to an answer a
-fourth.
+click is being worked on. Reading ahead and exports have a third thread, slow estimates a fourth.
+Images and maps of a store are kept in the user's cache folder, never beside the store.
 """
 
 from __future__ import annotations
@@ -210,7 +206,7 @@ class Shared:
         self.failed = ""
         self.clicks = ThreadPoolExecutor(1, thread_name_prefix="chdstat-clicks")
         self.exports = ThreadPoolExecutor(1, thread_name_prefix="chdstat-exports")
-        self.thoughts = ThreadPoolExecutor(1, thread_name_prefix="chdstat-thoughts")
+        self.additions = ThreadPoolExecutor(1, thread_name_prefix="chdstat-additions")
         self._passes = ThreadPoolExecutor(1, thread_name_prefix="chdstat-passes")
         self._listeners: list[Listener] = []
         self._asked: dict[str, Future[None]] = {}
@@ -251,7 +247,7 @@ class Shared:
     def stop(self) -> None:
         """End all threads, now or at the next tile."""
         self._stopping.set()
-        for pool in (self.clicks, self.exports, self.thoughts, self._passes):
+        for pool in (self.clicks, self.exports, self.additions, self._passes):
             pool.shutdown(wait=False, cancel_futures=True)
 
     def listen(self, listener: Listener) -> Callable[[], None]:

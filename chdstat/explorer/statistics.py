@@ -1,11 +1,9 @@
-"""Fitness: whether each family describes a place, by bootstrap, a piece at a time.
-
-It takes seconds, not the time of a click: whoever asks is told how far it is, and may end it.
-
-Measured: everything that panels and tables show of one place, computed when first asked for.
+"""Statistics of one place, computed when first asked for.
 
 A place is a pixel, or a region whose samples are pooled. Luminance goes along as one more channel,
-so that each fit, test and mode is found once for all of them.
+so that each fit, test and mode is found once for all of them. `goodness` tests by bootstrap
+whether each family describes a place. It takes seconds, not the time of a click: it reports its
+progress, and its caller may end it.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ from chdstat.patterns import Patterns
 from chdstat.patterns.pixel_fits import Fitted
 from chdstat.summary.histograms import Histogram, histogram
 
-__all__ = ["MOST_FITTED", "RESAMPLES", "Fitness", "Measured", "Positive", "fitness"]
+__all__ = ["MOST_FITTED", "RESAMPLES", "FamilyGoodness", "PlaceStatistics", "Positive", "goodness"]
 
 RESAMPLES = 199
 _PIECE = 20
@@ -51,7 +49,7 @@ Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Fitness:
+class FamilyGoodness:
     """How well each family describes the rows of a place.
 
     Attributes
@@ -76,13 +74,13 @@ class Fitness:
     n: int
 
 
-def fitness(
-    place: Measured,
+def goodness(
+    place: PlaceStatistics,
     step: Callable[[float], None],
     *,
     resamples: int = RESAMPLES,
     seed: int = 0,
-) -> Fitness:
+) -> FamilyGoodness:
     """Test every family by the parametric bootstrap, see `chdstat.fit.goodness`.
 
     Parameters
@@ -114,7 +112,7 @@ def fitness(
             drawn += replicates
         p_values.append(np.where(drawn > 0, (farther + 1) / (drawn + 1), np.nan))
         distances.append(found.effect[:, 1])
-    return Fitness(tuple(SELECTED), np.stack(p_values), np.stack(distances), resamples, n)
+    return FamilyGoodness(tuple(SELECTED), np.stack(p_values), np.stack(distances), resamples, n)
 
 
 MOST_FITTED = 2**15
@@ -150,7 +148,7 @@ class Positive:
         return cls("mixture", found.pdf, lambda level: found.ppf(zero + (1 - zero) * level))
 
 
-class Measured:
+class PlaceStatistics:
     """Statistics of the samples of one place.
 
     Parameters
@@ -313,7 +311,7 @@ class Measured:
             self._positive[family, row] = None if found is None else Positive.of(found)
         return self._positive[family, row]
 
-    def take_over(self, earlier: Measured) -> None:
+    def take_over(self, earlier: PlaceStatistics) -> None:
         """Keep what was found of the first samples of this place, where they are the same."""
         if earlier.fitted_spp == self.fitted_spp:
             vars(self).update({k: v for k, v in vars(earlier).items() if k in _OF_FIRST})

@@ -1,4 +1,4 @@
-"""Tables: what is said in numbers beside the panels, as text ready for a page."""
+"""Tables: numbers beside the panels, as text ready for a page."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.reasons import Reason
-from chdstat.explorer.estimators import Estimate
-from chdstat.explorer.statistics import Fitness, Measured
+from chdstat.explorer.estimators import ScoredEstimate
+from chdstat.explorer.statistics import FamilyGoodness, PlaceStatistics
 from chdstat.fit.tail_fits import Tail
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.inference.differences import Difference
 from chdstat.patterns import PATTERNS, Label
 from chdstat.reporting.typst import NAMES, number, percent
 
-__all__ = ["Table", "compared", "estimates", "fitness", "patterns", "statistics"]
+__all__ = ["Table", "compared", "estimates", "goodness", "patterns", "statistics"]
 
 Table = dict[str, Any]
 """``columns``: titles; ``rows``: cells of text; ``title``; ``note``: a line below."""
@@ -25,7 +25,7 @@ Table = dict[str, Any]
 Array = npt.NDArray[Any]
 
 
-def statistics(place: Measured) -> Table:
+def statistics(place: PlaceStatistics) -> Table:
     """Return moments, parameters, tail, dip and tests, one column for each channel."""
     moments = place.moments
     selection, tail, modes = place.selection, place.tail, place.modes
@@ -68,7 +68,7 @@ def statistics(place: Measured) -> Table:
     }
 
 
-def patterns(place: Measured) -> Table:
+def patterns(place: PlaceStatistics) -> Table:
     """Return every pattern with its flag, the statistic that set it, its interval and p-value.
 
     Each row has one cell more than there are columns: what is measured.
@@ -99,7 +99,9 @@ def patterns(place: Measured) -> Table:
     }
 
 
-def estimates(found: Sequence[Estimate], channels: Sequence[str], n: int, reference: str) -> Table:
+def estimates(
+    found: Sequence[ScoredEstimate], channels: Sequence[str], n: int, reference: str
+) -> Table:
     """Return what every estimator says, and its error."""
     rows = [
         [
@@ -119,7 +121,7 @@ def estimates(found: Sequence[Estimate], channels: Sequence[str], n: int, refere
     }
 
 
-def fitness(found: Fitness, rows: Sequence[str]) -> Table:
+def goodness(found: FamilyGoodness, rows: Sequence[str]) -> Table:
     """Return the p-value and the misfit of every family, one column for each row of the place."""
     cells = [
         [
@@ -160,13 +162,13 @@ def compared(found: Difference, channels: Sequence[str], names: tuple[str, str])
     }
 
 
-def _estimator(found: Estimate) -> str:
+def _estimator(found: ScoredEstimate) -> str:
     name = NAMES.get(found.name, found.name.replace("_", " "))
     sure = found.certainty
     return f"{name}, {percent(sure)} certain" if np.isfinite(sure) else name
 
 
-def _values(found: Estimate) -> list[str]:
+def _values(found: ScoredEstimate) -> list[str]:
     """Return the estimate of each channel, with its interval where there is one."""
     if found.low is None or found.high is None:
         return [number(float(v)) for v in found.value]
@@ -177,7 +179,7 @@ def _values(found: Estimate) -> list[str]:
     ]
 
 
-def _summary(place: Measured) -> str:
+def _summary(place: PlaceStatistics) -> str:
     bad = int(place.bad.sum())
     return f"{place.spp} samples · {percent(place.null_share)} null · {bad} bad"
 
@@ -186,7 +188,7 @@ def _row(title: str, values: Array, text: Callable[[float], str] = number) -> li
     return [title, *(text(float(v)) for v in values)]
 
 
-def _family(place: Measured, row: int) -> str:
+def _family(place: PlaceStatistics, row: int) -> str:
     name = str(place.selection.names[row])
     if name:
         return NAMES.get(name, name)
@@ -201,7 +203,7 @@ def _is_finite(tail: Tail, row: int) -> str:
     return "yes" if tail.variance_trusted[row] else "suspect"
 
 
-def _parameters(place: Measured, row: int) -> str:
+def _parameters(place: PlaceStatistics, row: int) -> str:
     fit = place.fit("best", row)
     if fit is None:
         return "—"

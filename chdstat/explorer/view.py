@@ -1,11 +1,9 @@
 """View: what one page of the explorer shows, as a value that fits into an address.
 
 A view says which pixels or which region are selected and how they are looked at; it knows nothing
-of samples. All that a person does is a function from a view to the next one.
-
-Address: the view that the query of a page's address asks for.
-
-`View.query` writes it. What cannot be followed is said, and the rest is followed nevertheless.
+of samples. All that a person does is a function from a view to the next one. `View.query` writes
+an address, `parse_view` reads it: what of it cannot be followed becomes a note, and the rest is
+followed nevertheless.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Inquiry: what a page asks about its selection, answered in the thread of clicks.
+"""Worker: computes what a page shows of its selection, in the thread of clicks.
 
-Panels are shown while tables are still computed; only the newest selection is worked on. After a
-pause comes what is too slow for a click. A pixel of a scene gets more samples while one looks.
+Panels are shown while tables are still computed; only the newest selection is worked on. Slow
+estimates follow after a pause. A pixel of a scene gets more samples for as long as it is selected.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import Any
 from chdstat.errors import ChdstatError, InputError
 from chdstat.explorer.exports import Shown
 from chdstat.explorer.images import MOST_SPP, SceneSource
-from chdstat.explorer.page import Wire, cargo
-from chdstat.explorer.selection import Answer, Answers, Told
+from chdstat.explorer.page import PageConnection, encode_panels
+from chdstat.explorer.selection import SelectionPlots, SelectionResults, SelectionTables
 from chdstat.explorer.shared import Shared, Stopped
 from chdstat.explorer.view import View
 
-__all__ = ["Inquiry"]
+__all__ = ["Worker"]
 
 _log = logging.getLogger("chdstat")
 
@@ -33,17 +33,17 @@ _LOOK = 0.4
 _OWN_ACCORD = -1
 """Instead of the number of a command, where a page is told what it did not ask for."""
 
-Found = tuple[Answer, Told] | None
+Found = tuple[SelectionPlots, SelectionTables] | None
 
 
-class Inquiry:
+class Worker:
     """Asks, and shows what there is to say.
 
     Parameters
     ----------
     shared
         Sources and threads.
-    wire
+    connection
         Of the page.
 
     Attributes
@@ -52,21 +52,21 @@ class Inquiry:
         What the page shows now; None for nothing.
     """
 
-    def __init__(self, shared: Shared, wire: Wire) -> None:
-        self._shared, self._wire = shared, wire
-        self._answers = Answers(shared)
+    def __init__(self, shared: Shared, connection: PageConnection) -> None:
+        self._shared, self._connection = shared, connection
+        self._results = SelectionResults(shared)
         self.shown: Shown | None = None
         self._view = View()
-        self._answer: Answer | None = None
+        self._plots: SelectionPlots | None = None
         self._generation = 0
         self._live_spp: int | None = None
         self._paused = False
         self._visible = True
 
-    def ask(self, view: View, seq: int = _OWN_ACCORD) -> None:
+    def compute(self, view: View, seq: int = _OWN_ACCORD) -> None:
         """Find what there is to say about a view; `seq` is the number of the command."""
         self._generation += 1
-        self._answer = None
+        self._plots = None
         self._view = view
         self._shared.urgent(1)
 
@@ -99,18 +99,20 @@ class Inquiry:
         InputError
             If nothing is selected.
         """
-        answer, generation = self._answer, self._generation
-        if answer is None or not answer.shown.places:
+        plots, generation = self._plots, self._generation
+        if plots is None or not plots.shown.places:
             message = "nothing is selected: click a pixel before testing its fits"
             raise InputError(message)
 
         def step(share: float) -> None:
             if generation != self._generation:
                 raise Stopped
-            self._wire.next(partial(self._wire.say, {"kind": "fitness", "share": share}))
+            self._connection.next(
+                partial(self._connection.say, {"kind": "goodness", "share": share})
+            )
 
-        work = partial(self._answers.fitness, answer, step)
-        self._add_later(work, "fitness", generation)
+        work = partial(self._results.goodness, plots, step)
+        self._add_later(work, "goodness", generation)
 
     def close(self) -> None:
         """Drop what is being worked on."""
@@ -122,13 +124,13 @@ class Inquiry:
         """Compute what a view shows, panels before tables; None where a newer one is waiting."""
         if generation != self._generation:
             return None
-        answer = self._answers.answer(view)
-        if answer.shown.places:
-            self._wire.next(partial(self._draw, _drawn(answer), generation))
-        return answer, self._answers.told(answer)
+        plots = self._results.plots(view)
+        if plots.shown.places:
+            self._connection.next(partial(self._draw, _drawn(plots), generation))
+        return plots, self._results.describe(plots)
 
     def _found_with_more(self, view: View, generation: int) -> Found:
-        """Draw samples of the active pixel for a while, then answer again."""
+        """Draw samples of the active pixel for a while, then draw again."""
         source, start = self._shared.source, time.monotonic()
         assert isinstance(source, SceneSource)
         y, x = view.pixels[view.active]
@@ -147,38 +149,42 @@ class Inquiry:
             future = self._shared.clicks.submit(work)
         except RuntimeError:  # the explorer is closing
             return False
-        answered = partial(self._answered, generation=generation, seq=seq, start=start)
-        future.add_done_callback(lambda f: self._wire.next(partial(answered, f)))
+        finish = partial(self._finished, generation=generation, seq=seq, start=start)
+        future.add_done_callback(lambda f: self._connection.next(partial(finish, f)))
         return True
 
     def _draw(self, drawn: Mapping[str, Any], generation: int) -> None:
         if generation == self._generation:
-            self._wire.say(drawn)
+            self._connection.say(drawn)
 
-    def _answered(self, future: Future[Found], *, generation: int, seq: int, start: float) -> None:
+    def _finished(self, future: Future[Found], *, generation: int, seq: int, start: float) -> None:
         if future.cancelled() or generation != self._generation:
             return
         done = {"kind": "done", "seq": seq}
         if error := future.exception():
-            self._wire.alert(_explained(error))
-            self._wire.say({**done, "took": 0})
+            self._connection.alert(_explained(error))
+            self._connection.say({**done, "took": 0})
             return
         found = future.result()
         if found is None:
             return
-        answer, told = found
+        plots, quick = found
         done["took"] = time.perf_counter() - start
-        self._answer = answer
-        self.shown = answer.shown if answer.shown.places else None
-        self._wire.say(*([{"kind": "tables", "tables": told.tables}] if self.shown else []), done)
-        self._live_spp = answer.live_spp
+        self._plots = plots
+        self.shown = plots.shown if plots.shown.places else None
+        self._connection.say(
+            *([{"kind": "tables", "tables": quick.tables}] if self.shown else []), done
+        )
+        self._live_spp = plots.live_spp
         self._tell_live()
         self._look_on()
-        self._think_on(answer, told, generation)
+        self._add_estimates(plots, quick, generation)
 
-    def _think_on(self, answer: Answer, told: Told, generation: int) -> None:
+    def _add_estimates(
+        self, plots: SelectionPlots, quick: SelectionTables, generation: int
+    ) -> None:
         """Add what takes longer than a click may, after a pause."""
-        if not answer.shown.places or answer.live_spp is not None:
+        if not plots.shown.places or plots.live_spp is not None:
             return  # nothing is selected, or what is selected changes all the time
 
         def step() -> None:
@@ -187,10 +193,10 @@ class Inquiry:
 
         def begin() -> None:
             if generation == self._generation:
-                work = partial(self._answers.afterthought, answer, told, step)
+                work = partial(self._results.slow_estimates, plots, quick, step)
                 self._add_later(work, "estimates", generation)
 
-        self._wire.later(begin, _PAUSE)
+        self._connection.later(begin, _PAUSE)
 
     def _add_later(self, work: Callable[[], dict[str, Any]], name: str, generation: int) -> None:
         """Compute a table apart from clicks, and show it if the selection is still the same."""
@@ -200,20 +206,20 @@ class Inquiry:
                 return
             error = future.exception()
             if error is None:
-                self._wire.say({"kind": "tables", "tables": {name: future.result()}})
+                self._connection.say({"kind": "tables", "tables": {name: future.result()}})
             elif not isinstance(error, Stopped):
-                self._wire.alert(_explained(error))
+                self._connection.alert(_explained(error))
 
         with contextlib.suppress(RuntimeError):  # the explorer is closing
-            future = self._shared.thoughts.submit(work)
-            future.add_done_callback(lambda f: self._wire.next(partial(add, f)))
+            future = self._shared.additions.submit(work)
+            future.add_done_callback(lambda f: self._connection.next(partial(add, f)))
 
     def _look_on(self) -> None:
         """Draw more samples of the active pixel, unless paused, hidden, or done."""
         spp = self._live_spp
         if self._paused or not self._visible or spp is None or spp >= MOST_SPP:
             return
-        self._live_spp = None  # until the answer is here
+        self._live_spp = None  # until the plots are here
         generation = self._generation
         work = partial(self._found_with_more, self._view, generation)
         self._submit(work, generation, _OWN_ACCORD)
@@ -223,16 +229,21 @@ class Inquiry:
             return
         if (spp := self._live_spp) is None:
             if not self._view.pixels:
-                self._wire.say({"kind": "live", "shown": False})
+                self._connection.say({"kind": "live", "shown": False})
             return
         text = f"{spp:,} of {MOST_SPP:,} samples".replace(",", " ")
-        told = {"share": spp / MOST_SPP, "text": text, "paused": self._paused}
-        self._wire.say({"kind": "live", "shown": True, **told})
+        state = {"share": spp / MOST_SPP, "text": text, "paused": self._paused}
+        self._connection.say({"kind": "live", "shown": True, **state})
 
 
-def _drawn(answer: Answer) -> dict[str, Any]:
-    notes = {name: list(panel.notes) for name, panel in answer.panels.items()}
-    return {"kind": "panels", **cargo(answer.panels), "notes": notes, "legend": answer.legend}
+def _drawn(plots: SelectionPlots) -> dict[str, Any]:
+    notes = {name: list(panel.notes) for name, panel in plots.panels.items()}
+    return {
+        "kind": "panels",
+        **encode_panels(plots.panels),
+        "notes": notes,
+        "legend": plots.legend,
+    }
 
 
 def _explained(error: BaseException) -> str:

@@ -318,11 +318,11 @@ def test_an_address_that_is_wrong_is_explained(person, store_path):
 
 def test_fits_are_tested_when_asked(person, store_path):
     one = person(store_path).open("?p=20,10")
-    assert not one.page.locator("#fitness progress").is_visible()
+    assert not one.page.locator("#goodness progress").is_visible()
     one.page.get_by_role("button", name="Test the fits").click()
-    one.page.wait_for_selector("#fitness table", timeout=120000)
-    assert "199 replicates" in one.text("#fitness .note")
-    assert one.page.locator("#fitness tr").count() == 5  # the head and four families
+    one.page.wait_for_selector("#goodness table", timeout=120000)
+    assert "199 replicates" in one.text("#goodness .note")
+    assert one.page.locator("#goodness tr").count() == 5  # the head and four families
     one.click(5, 5)  # another place, another question
     assert one.page.get_by_role("button", name="Test the fits").is_enabled()
 

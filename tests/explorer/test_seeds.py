@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.explorer.selection import Answers
+from chdstat.explorer.selection import SelectionResults
 from chdstat.explorer.shared import opened
 from chdstat.explorer.view import View
 
@@ -28,8 +28,8 @@ def told():
 
     def asked(view, source, other=None, reference=None):
         shared.append(opened(source, other, reference))
-        answers = Answers(shared[-1])
-        return answers.told(answers.answer(view)).tables
+        results = SelectionResults(shared[-1])
+        return results.describe(results.plots(view)).tables
 
     yield asked
     for one in shared:

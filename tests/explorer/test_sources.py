@@ -13,7 +13,15 @@ import chdstat as chd
 from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
-from chdstat.explorer.images import FIRST_SPP, Overall, SceneSource, Tally, preview, rgba, stream
+from chdstat.explorer.images import (
+    FIRST_SPP,
+    ImageAccumulator,
+    Overall,
+    SceneSource,
+    preview,
+    rgba,
+    stream,
+)
 from chdstat.explorer.maps import MAPS, Map, _error_ratio, map_kind, of_overall, walk
 from chdstat.explorer.sources import StoreSource, pooled
 from chdstat.fit.tail import tail_of_part
@@ -297,9 +305,9 @@ def test_pixels_of_a_half_drawn_image_have_the_errors_of_their_own_samples():
     x = np.random.default_rng(0).gamma(2.0, size=(1, 2, 3, 64)).astype(np.float32)
     whole = Overall.empty(1, 2, 3)
     for i, n in enumerate((64, 16)):
-        tally = Tally()
-        tally.add(x[:, i : i + 1, :, :n])
-        whole.put(slice(0, 1), slice(i, i + 1), tally.overall())
+        accumulator = ImageAccumulator()
+        accumulator.add(x[:, i : i + 1, :, :n])
+        whole.put(slice(0, 1), slice(i, i + 1), accumulator.overall())
     light = luminance(x.astype(float))[0]
     own = light[0], light[1, :16]
     expected = [y.std(ddof=1) / y.mean() / np.sqrt(len(y)) for y in own]

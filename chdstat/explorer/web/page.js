@@ -140,7 +140,7 @@ window.chdstat = (() => {
       chips(item.colors);
       const nothing = !view.pixels.length && !view.region;
       document.body.classList.toggle("nothing", nothing);
-      if (nothing) for (const q of [".table:not(#fitness)", ".panel .note", "#legend"]) for (const e of all(q)) e.replaceChildren();
+      if (nothing) for (const q of [".table:not(#goodness)", ".panel .note", "#legend"]) for (const e of all(q)) e.replaceChildren();
     },
     panels(item) {
       draw(item);
@@ -153,8 +153,8 @@ window.chdstat = (() => {
       for (const [name, content] of Object.entries(item.tables)) table($(`#${name}`), content);
       if ("compared" in item.tables) $("#compared").hidden = false;
     },
-    fitness(item) {
-      const bar = $("#fitness progress");
+    goodness(item) {
+      const bar = $("#goodness progress");
       if (bar) bar.value = item.share;
     },
     colorbar(item) { colorbar(item.bar); },
@@ -275,17 +275,17 @@ window.chdstat = (() => {
   let asked = "", offer = null;
   function untested() {
     if (!offer) {
-      offer = [...$("#fitness").children];
-      $("#fitness button").addEventListener("click", () => {
-        $("#fitness progress").hidden = false;
-        $("#fitness button").disabled = true;
-        send("fitness");
+      offer = [...$("#goodness").children];
+      $("#goodness button").addEventListener("click", () => {
+        $("#goodness progress").hidden = false;
+        $("#goodness button").disabled = true;
+        send("goodness");
       });
     }
-    $("#fitness").replaceChildren(...offer);
-    $("#fitness progress").value = 0;
-    $("#fitness progress").hidden = true;
-    $("#fitness button").disabled = false;
+    $("#goodness").replaceChildren(...offer);
+    $("#goodness progress").value = 0;
+    $("#goodness progress").hidden = true;
+    $("#goodness button").disabled = false;
   }
 
   function colorbar(bar) {
