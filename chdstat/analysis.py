@@ -44,7 +44,7 @@ from chdstat.inference import (
 )
 from chdstat.inference.normality import TESTS, TestName, Transform
 from chdstat.patterns import PATTERNS, Thresholds, finish_patterns, patterns_variables
-from chdstat.patterns.pixel_fits import Fitted
+from chdstat.patterns.pixel_fits import PixelFits
 from chdstat.samples.samples import Mapped, Samples
 from chdstat.summary.statistics import summarize
 
@@ -157,7 +157,7 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
     return target
 
 
-class _Tile(Fitted):
+class _Tile(PixelFits):
     """A tile of samples, with its luminance as one more channel, and what several stages need."""
 
     def __init__(self, block: npt.NDArray[np.float32], *, held_out: bool) -> None:

@@ -19,7 +19,7 @@ from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
 from chdstat.patterns import Atlas
 from chdstat.rendering.recipes import Region
-from chdstat.studies.claims import Evidence, Finding
+from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.registry import find
 
 
@@ -34,11 +34,11 @@ def same(one, other):
 
 
 def test_findings_come_back_with_all_that_they_show(samples, tmp_path):
-    found = tuple(find(Evidence("box", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),))))
+    found = tuple(find(SceneData("box", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),))))
     back = read_record(write_record(tmp_path / "f.npz", found), tuple[Finding, ...])
     assert [f.to_dict() for f in back] == [f.to_dict() for f in found]
     for one, other in zip(found, back, strict=True):
-        same(one.exhibit, other.exhibit)
+        same(one.plot_data, other.plot_data)
         assert [part.verdict for part in one.parts] == [part.verdict for part in other.parts]
         assert math.isinf(one.parts[0].most) == math.isinf(other.parts[0].most) if one.parts else 1
 

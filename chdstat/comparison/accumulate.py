@@ -3,7 +3,7 @@
 Every measure is a ratio of sums over units, so that one bootstrap over the units serves them all.
 A unit is a block of pixels with all their batches, or a batch with all its pixels.
 
-Tally: many estimators judged on the same batches, their errors added up as they come.
+ErrorAccumulator: many estimators judged on the same batches, their errors added up as they come.
 
 Memory is bounded: one batch of the image, one estimate of it, and sums over blocks of pixels.
 Neighbours see the same light and gain or lose together, so that blocks, not pixels, tell how sure a
@@ -32,10 +32,10 @@ __all__ = [
     "MEASURES",
     "SUMS",
     "Directed",
+    "ErrorAccumulator",
     "ErrorSums",
     "EstimateImages",
     "Function",
-    "Tally",
     "Units",
     "asked",
     "errors_of",
@@ -286,7 +286,7 @@ class EstimateImages:
 
 
 @dataclass(frozen=True)
-class Tally:
+class ErrorAccumulator:
     """What many estimators did on the same batches.
 
     Attributes
@@ -348,7 +348,7 @@ def judge(
     limit: int | None,
     images: bool = True,
     progress: bool | None = None,
-) -> Tally:
+) -> ErrorAccumulator:
     """Let every estimator estimate from the same batches and add up its errors.
 
     The image is read with n samples at a time and estimated by one estimator at a time.
@@ -373,7 +373,7 @@ def judge(
                 if shown is not None and index == 0 and k > 0:
                     _keep(shown, k - 1, estimate)
                 advance(height * width if k > 0 else 0)
-    return Tally(by_unit, by_unit.joined(units.block), by_batch, excluded, shown)
+    return ErrorAccumulator(by_unit, by_unit.joined(units.block), by_batch, excluded, shown)
 
 
 def _read(

@@ -1,6 +1,6 @@
 """Entries: who takes part in a comparison, looked up and checked.
 
-Contestants: the estimators of a comparison, looked up, checked, and trained where they learn.
+Candidates: the estimators of a comparison, looked up, checked, and trained where they learn.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from chdstat.samples.samples import Samples
 
 __all__ = [
     "DEFAULT",
-    "Contestants",
+    "Candidates",
     "Entry",
     "Given",
     "learned_of",
@@ -121,7 +121,7 @@ Given = Model | Mapping[str, Model] | None
 
 
 @dataclass(frozen=True)
-class Contestants:
+class Candidates:
     """Estimators that are ready to estimate.
 
     Attributes
@@ -158,7 +158,7 @@ class Contestants:
         seed: int,
         model: Given,
         progress: bool | None,
-    ) -> Contestants:
+    ) -> Candidates:
         """Train what learns, each on as many pixels as it wants, except for the models at hand."""
         for entry in entries.values():
             if isinstance(entry, Denoised):
@@ -179,7 +179,7 @@ class Contestants:
         )
         return cls(entries, models, samples.features, judging, known, foreign)
 
-    def with_denoised(self) -> Contestants:
+    def with_denoised(self) -> Candidates:
         """Enter all of them once more, followed by the denoiser, at the end."""
         added = [
             found

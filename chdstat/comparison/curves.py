@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import whole
-from chdstat.comparison.accumulate import MEASURES, Tally, Units, judge, stack_intervals
+from chdstat.comparison.accumulate import MEASURES, ErrorAccumulator, Units, judge, stack_intervals
 from chdstat.comparison.candidates import (
     DEFAULT,
-    Contestants,
+    Candidates,
     Entry,
     Given,
     least_taken,
@@ -193,13 +193,13 @@ def error_curve(
     chosen = curve_sizes(samples, estimators, sizes=sizes)
     entries = resolve(estimators, chosen)
     totals = totals_of(samples)
-    contestants = Contestants.of(
+    candidates = Candidates.of(
         entries, samples, sizes=chosen, seed=seed, model=model, progress=progress
     )
-    units = Units.of(contestants.test_pixels(samples.shape[:2]))
-    tallies = [
+    units = Units.of(candidates.test_pixels(samples.shape[:2]))
+    accumulated = [
         judge(
-            contestants.taking(n),
+            candidates.taking(n),
             samples,
             totals,
             units,
@@ -211,24 +211,25 @@ def error_curve(
         for n in chosen
     ]
     found = [
-        _measures(tally, contestants, n, seed) for tally, n in zip(tallies, chosen, strict=True)
+        _measures(errors, candidates, n, seed)
+        for errors, n in zip(accumulated, chosen, strict=True)
     ]
     return ErrorCurve(
-        estimators=contestants.names,
-        uses_neighbours=contestants.uses_neighbours,
+        estimators=candidates.names,
+        uses_neighbours=candidates.uses_neighbours,
         sizes=chosen,
         measures={name: stack_intervals([part[name] for part in found]) for name in MEASURES},
-        reference_noise=_reference_noise(tallies, chosen, samples.spp),
-        batches=np.array([tally.by_unit.count.sum() for tally in tallies]),
+        reference_noise=_reference_noise(accumulated, chosen, samples.spp),
+        batches=np.array([errors.by_unit.count.sum() for errors in accumulated]),
         test_pixels=len(units.ys),
-        models=contestants.models,
+        models=candidates.models,
         provenance={
             "scene": samples.name,
             "samples": samples.attrs,
             "samples_shape": list(samples.shape),
             "seed": seed,
             "max_batches": max_batches,
-            "models": contestants.provenance,
+            "models": candidates.provenance,
         },
     )
 
@@ -264,16 +265,18 @@ def curve_sizes(
     return chosen
 
 
-def _measures(tally: Tally, contestants: Contestants, n: int, seed: int) -> dict[str, Interval]:
+def _measures(
+    errors: ErrorAccumulator, candidates: Candidates, n: int, seed: int
+) -> dict[str, Interval]:
     """Return measures averaged over channels, NaN for those who do not take n samples."""
-    if tally.by_unit.count.sum() == 0:
+    if errors.by_unit.count.sum() == 0:
         message = (
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
         )
         raise InputError(message)
-    found = tally.by_block.measures(seed=seed)
-    names = list(contestants.taking(n))
-    place = [names.index(name) if name in names else len(names) for name in contestants.names]
+    found = errors.by_block.measures(seed=seed)
+    names = list(candidates.taking(n))
+    place = [names.index(name) if name in names else len(names) for name in candidates.names]
     return {measure: _placed(interval[:, -1], place) for measure, interval in found.items()}
 
 
@@ -283,11 +286,11 @@ def _placed(interval: Interval, place: list[int]) -> Interval:
 
 
 def _reference_noise(
-    tallies: list[Tally], sizes: tuple[int, ...], spp: int
+    accumulated: list[ErrorAccumulator], sizes: tuple[int, ...], spp: int
 ) -> dict[str, npt.NDArray[np.float64]]:
     """Return what the noise of the reference adds: the share N/spp of the sample mean's error."""
-    sums = np.stack([tally.by_unit.sums[:, :2, 0].sum(axis=0) for tally in tallies])
-    counts = np.array([tally.by_unit.count.sum() for tally in tallies])
+    sums = np.stack([errors.by_unit.sums[:, :2, 0].sum(axis=0) for errors in accumulated])
+    counts = np.array([errors.by_unit.count.sum() for errors in accumulated])
     of_mean = sums.mean(axis=-1) / counts[:, np.newaxis]
     share = np.array(sizes) / spp
     return {"mse": of_mean[:, 0] * share, "relmse": of_mean[:, 1] * share}

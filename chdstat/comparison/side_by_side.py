@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import whole
 from chdstat._core.reasons import flag_attributes
-from chdstat.comparison.accumulate import MEASURES, Tally, Units, judge, stack_intervals
-from chdstat.comparison.candidates import DEFAULT, Contestants, Entry, Given, resolve, totals_of
+from chdstat.comparison.accumulate import MEASURES, ErrorAccumulator, Units, judge, stack_intervals
+from chdstat.comparison.candidates import DEFAULT, Candidates, Entry, Given, resolve, totals_of
 from chdstat.comparison.tables import Breakdown, Comparison
 from chdstat.errors import InputError
 from chdstat.estimators.denoising import check_denoiser
@@ -204,26 +204,26 @@ def compare(
         check_denoiser(samples)  # before the training, not after
     totals = totals_of(samples)
     named = labels_of(labels, samples, progress=progress)
-    contestants = Contestants.of(
+    candidates = Candidates.of(
         entries, samples, sizes=[n], seed=seed, model=model, progress=progress
     )
-    contestants = contestants.with_denoised() if denoise else contestants
-    functions = contestants.taking(n)
-    test = contestants.test_pixels(samples.shape[:2])
+    candidates = candidates.with_denoised() if denoise else candidates
+    functions = candidates.taking(n)
+    test = candidates.test_pixels(samples.shape[:2])
     units = Units.of(test, None if named is None else named.codes)
-    tally = judge(functions, samples, totals, units, n=n, limit=max_batches, progress=progress)
-    if tally.by_unit.count.sum() == 0:
+    errors = judge(functions, samples, totals, units, n=n, limit=max_batches, progress=progress)
+    if errors.by_unit.count.sum() == 0:
         message = (
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
         )
         raise InputError(message)
     return _comparison(
         samples,
-        contestants,
+        candidates,
         totals=totals,
         test=test,
-        tally=tally,
-        breakdown=None if named is None else _breakdown(named, units, tally, contestants, seed),
+        errors=errors,
+        breakdown=None if named is None else _breakdown(named, units, errors, candidates, seed),
         n=n,
         settings={"seed": seed, "max_batches": max_batches},
     )
@@ -231,25 +231,25 @@ def compare(
 
 def _comparison(
     samples: Samples,
-    contestants: Contestants,
+    candidates: Candidates,
     *,
     totals: Totals,
     test: npt.NDArray[np.bool_],
-    tally: Tally,
+    errors: ErrorAccumulator,
     breakdown: Breakdown | None,
     n: int,
     settings: Mapping[str, Any],
 ) -> Comparison:
-    images = tally.images
+    images = errors.images
     if images is None:
         message = "a comparison needs the images of its first batch"
         raise InputError(message)
     return Comparison(
-        estimators=contestants.names,
-        uses_neighbours=contestants.uses_neighbours,
+        estimators=candidates.names,
+        uses_neighbours=candidates.uses_neighbours,
         channels=samples.channels,
-        measures=tally.by_block.measures(seed=settings["seed"]),
-        over_batches=tally.by_batch.measures(seed=settings["seed"]),
+        measures=errors.by_block.measures(seed=settings["seed"]),
+        over_batches=errors.by_batch.measures(seed=settings["seed"]),
         estimates=images.estimates,
         squared_error=images.squared_error,
         first_mean=images.mean,
@@ -257,31 +257,31 @@ def _comparison(
         reference=totals.mean(),
         test_pixels=test,
         n=n,
-        batches=int(tally.by_unit.count.sum()),
-        excluded=tally.excluded,
+        batches=int(errors.by_unit.count.sum()),
+        excluded=errors.excluded,
         breakdown=breakdown,
-        models=contestants.models,
+        models=candidates.models,
         provenance={
             "scene": samples.name,
             "samples": samples.attrs,
             "samples_shape": list(samples.shape),
             **settings,
-            "models": contestants.provenance,
+            "models": candidates.provenance,
         },
     )
 
 
 def _breakdown(
-    named: Labels, units: Units, tally: Tally, contestants: Contestants, seed: int
+    named: Labels, units: Units, errors: ErrorAccumulator, candidates: Candidates, seed: int
 ) -> Breakdown:
     """Measure the pixels of each label apart."""
-    judged = tally.by_unit.count > 0
+    judged = errors.by_unit.count > 0
     codes = np.unique(units.label[judged])
-    parts = [tally.by_unit[units.label == code].measures(seed=seed) for code in codes]
+    parts = [errors.by_unit[units.label == code].measures(seed=seed) for code in codes]
     return Breakdown(
         labels=tuple(named.names[code] for code in codes.tolist()),
-        estimators=contestants.names,
-        uses_neighbours=contestants.uses_neighbours,
+        estimators=candidates.names,
+        uses_neighbours=candidates.uses_neighbours,
         pixels=np.array([units.pixels[judged & (units.label == code)].sum() for code in codes]),
         measures={
             name: stack_intervals([part[name][:, -1] for part in parts]) for name in MEASURES

@@ -34,7 +34,7 @@ from chdstat.inference import (
     sizes_of_means,
 )
 from chdstat.patterns import Patterns
-from chdstat.patterns.pixel_fits import Fitted
+from chdstat.patterns.pixel_fits import PixelFits
 from chdstat.summary.histograms import Histogram, histogram
 
 __all__ = ["MOST_FITTED", "RESAMPLES", "FamilyGoodness", "PlaceStatistics", "Positive", "goodness"]
@@ -208,10 +208,10 @@ class PlaceStatistics:
         return Moments.of(self.rows, ~self.bad)
 
     @cached_property
-    def fitted(self) -> Fitted:
+    def fitted(self) -> PixelFits:
         """What fits say of each row."""
         some = self.rows[: len(self.channels), : self.fitted_spp]
-        return Fitted(PositivePart.of_pixels(some, rows="both"))
+        return PixelFits(PositivePart.of_pixels(some, rows="both"))
 
     @property
     def part(self) -> PositivePart:

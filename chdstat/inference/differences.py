@@ -139,13 +139,13 @@ def difference(
     """
     replicates = whole("replicates", replicates, least=1)
     if isinstance(a, Samples) and isinstance(b, Samples):
-        _check_alike(a.shape[:3], b.shape[:3])
+        _check_equal_shapes(a.shape[:3], b.shape[:3])
         return _of_images(a, b, paired, replicates, seed)
     if isinstance(a, Samples) or isinstance(b, Samples):
         message = "expected two arrays or two Samples, got one of each; read() returns an array"
         raise InputError(message)
     one, two = (np.atleast_2d(as_samples(x)).astype(np.float64) for x in (a, b))
-    _check_alike(one.shape[:-1], two.shape[:-1])
+    _check_equal_shapes(one.shape[:-1], two.shape[:-1])
     if paired and one.shape != two.shape:
         message = f"pairs need as many samples of both, got {one.shape[-1]} and {two.shape[-1]}"
         raise InputError(message)
@@ -154,7 +154,7 @@ def difference(
     return _of_pixels(one, two, bool(paired), replicates, seed)
 
 
-def _check_alike(one: tuple[int, ...], two: tuple[int, ...]) -> None:
+def _check_equal_shapes(one: tuple[int, ...], two: tuple[int, ...]) -> None:
     if 0 in one:
         message = f"expected pixels with channels, got shape {one} before the samples"
         raise InputError(message)
@@ -325,7 +325,7 @@ def _known(
 
 
 @dataclass(frozen=True)
-class _Moments:
+class _PixelMoments:
     """Moments of good samples, each (pixel, channel): `error` is the squared standard error."""
 
     n: Floats
@@ -340,7 +340,7 @@ def _largest(x: Floats, good: Bools) -> Floats:
     return np.where(size > 0, size, 1.0)
 
 
-def _moments(x: Floats, good: Bools, scale: Floats) -> _Moments:
+def _moments(x: Floats, good: Bools, scale: Floats) -> _PixelMoments:
     used = good[:, np.newaxis]
     n = used.sum(axis=-1, dtype=np.float64)
     with np.errstate(divide="ignore", invalid="ignore", under="ignore"):
@@ -350,4 +350,4 @@ def _moments(x: Floats, good: Bools, scale: Floats) -> _Moments:
         error = (apart**2).sum(axis=-1) / (n - 1) / n
     high = np.where(used, x, -np.inf).max(axis=-1, initial=-np.inf)
     low = np.where(used, x, np.inf).min(axis=-1, initial=np.inf)
-    return _Moments(np.broadcast_to(n, mean.shape), mean, error, high <= low)
+    return _PixelMoments(np.broadcast_to(n, mean.shape), mean, error, high <= low)

@@ -25,7 +25,7 @@ from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit.peaks import LEAST_WEIGHT
 from chdstat.inference.null_tables import DIP_QUANTILES, LEVELS, interpolated_p
 
-__all__ = ["dip_p", "dips_of_part", "moved_apart", "on_steps", "spread", "tied_shares"]
+__all__ = ["dip_p", "dips_of_part", "on_steps", "spread", "tied_shares", "without_ties"]
 
 _LIGHTS = 3
 """Values, at most, that samples share for another reason than rounding."""
@@ -65,12 +65,12 @@ def on_steps(part: PositivePart, tied_share: Floats) -> Mask:
 def spread(part: PositivePart, steps: Mask) -> PositivePart:
     """Return the part with the samples of the rows on `steps` spread over them."""
     x, positive = part.x.astype(np.float64), part.positive.copy()
-    moved = moved_apart(part.sorted[steps], part.n[steps], np.ones(np.count_nonzero(steps), bool))
+    moved = without_ties(part.sorted[steps], part.n[steps], np.ones(np.count_nonzero(steps), bool))
     x[steps], positive[steps] = np.where(part.valid[steps], moved, 0), part.valid[steps]
     return replace(part, x=x, positive=positive)
 
 
-def moved_apart(ascending: npt.NDArray[Any], n: Counts, steps: Mask) -> Floats:
+def without_ties(ascending: npt.NDArray[Any], n: Counts, steps: Mask) -> Floats:
     """Return samples, ascending and padded with infinity, without ties.
 
     Those of a tie are spread evenly, over half a float32 spacing to either side, or, in the rows on
@@ -133,7 +133,7 @@ def dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats, 
         at = rows[piece]
         log, move = log_sorted[at], tied[at]
         log[move] = np.log(
-            moved_apart(ascending[at[move]], n[at[move]], np.zeros(move.sum(), bool))
+            without_ties(ascending[at[move]], n[at[move]], np.zeros(move.sum(), bool))
         )
         # The package has no batch form: the dip of a row is a sequential algorithm.
         dip[at] = [

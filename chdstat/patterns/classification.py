@@ -23,7 +23,7 @@ from chdstat.fit.selection import SELECTED, Selection
 from chdstat.fit.tail import Tail
 from chdstat.inference import Modality
 from chdstat.patterns.agreement import Agreement, agreement
-from chdstat.patterns.pixel_statistics import Evidence, gather
+from chdstat.patterns.pixel_statistics import PixelStatistics, gather
 from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
 from chdstat.samples.samples import Mapped, Samples
 
@@ -303,7 +303,7 @@ def _decide(
     return flags
 
 
-def _is_known(evidence: Evidence) -> Mask:
+def _is_known(evidence: PixelStatistics) -> Mask:
     """Say where there are enough samples for the shape."""
     return np.asarray(evidence.modes > 0)
 

@@ -1,4 +1,4 @@
-"""Fitted: the positive part of some rows of samples, and what fits, tails and modes say of it.
+"""PixelFits: the positive part of some rows of samples, and what fits, tails and modes say of it.
 
 What analyses several of these at once takes them from here: each is found once, when first asked
 for, and what needs another of them gets it.
@@ -17,10 +17,10 @@ from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference import Modality, mixture_and_modes_of_part
 from chdstat.patterns.classification import Patterns, Thresholds, patterns_of_part
 
-__all__ = ["Fitted"]
+__all__ = ["PixelFits"]
 
 
-class Fitted:
+class PixelFits:
     """What fits say of the channels of some pixels, and of their luminance as the last row.
 
     Parameters
@@ -35,7 +35,7 @@ class Fitted:
     --------
     >>> import numpy as np
     >>> x = np.random.default_rng(0).gamma(2.0, size=(3, 512))
-    >>> found = Fitted(PositivePart.of_pixels(x, rows="both"))
+    >>> found = PixelFits(PositivePart.of_pixels(x, rows="both"))
     >>> found.selection.best.shape, found.of_luminance(found.tail).xi.shape
     ((4,), ())
     """

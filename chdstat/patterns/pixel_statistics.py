@@ -1,4 +1,4 @@
-"""Evidence: what the rules of the patterns look at, gathered per pixel from the modules upstream.
+"""Pixel statistics: the scores that the rules of the patterns compare with thresholds.
 
 A firefly must not decide what the rest of a pixel looks like: where one sample carries too much of
 the mean, tail, modes and families are measured without it.
@@ -19,7 +19,7 @@ from chdstat.fit.selection import SELECTED, Selection, select_part
 from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference import Modality, modality_of_part
 
-__all__ = ["Evidence", "firefly_limit", "gather", "without_largest"]
+__all__ = ["PixelStatistics", "firefly_limit", "gather", "without_largest"]
 
 _POINTS = 32
 """Quantiles at which a family is compared with the samples: at 512, the distance is 1/64 off."""
@@ -29,7 +29,7 @@ _TOP = 0.1
 
 
 @dataclass(frozen=True)
-class Evidence:
+class PixelStatistics:
     """Scores per pixel; arrays of the batch's shape, NaN where there is nothing to measure.
 
     Attributes
@@ -96,7 +96,7 @@ def gather(
     tail: Tail | None = None,
     modes: Modality | None = None,
     families: Selection | None = None,
-) -> Evidence:
+) -> PixelStatistics:
     """Measure every pixel; results for the same part that are already there are not repeated."""
     evidence = _measure(part, tail, modes, families)
     limit = firefly_limit(part.n, firefly_share, firefly_samples)
@@ -133,7 +133,7 @@ def _measure(
     tail: Tail | None,
     modes: Modality | None,
     families: Selection | None,
-) -> Evidence:
+) -> PixelStatistics:
     tail = tail or tail_of_part(part)
     families = families or select_part(part, [FAMILIES[name] for name in SELECTED])
     if modes is None:
@@ -141,7 +141,7 @@ def _measure(
     widest = np.argsort(-np.nan_to_num(modes.ashman_d), axis=-1)
     statistics = part.log_statistics
     body_index, body_index_se = _body_index(families)
-    return Evidence(
+    return PixelStatistics(
         n=part.n,
         n_good=part.n_good,
         n_null=part.n_null,
@@ -167,14 +167,14 @@ def _measure(
     )
 
 
-def _replace_shape(evidence: Evidence, rest: Evidence, rows: Mask) -> Evidence:
+def _replace_shape(evidence: PixelStatistics, rest: PixelStatistics, rows: Mask) -> PixelStatistics:
     """Take what describes the shape from `rest`, in its rows; counts and the firefly stay."""
     kept = {"n", "n_good", "n_null", "constant", "spread", "largest_share"}
-    values = {field.name: getattr(evidence, field.name) for field in fields(Evidence)}
+    values = {field.name: getattr(evidence, field.name) for field in fields(PixelStatistics)}
     for name in values.keys() - kept:
         values[name] = np.array(values[name])
         values[name][rows] = getattr(rest, name)
-    return Evidence(**values)
+    return PixelStatistics(**values)
 
 
 def _largest_share(part: PositivePart) -> Floats:

@@ -14,7 +14,7 @@ from scipy import special
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError
-from chdstat.patterns.pixel_statistics import Evidence, firefly_limit
+from chdstat.patterns.pixel_statistics import PixelStatistics, firefly_limit
 
 __all__ = ["PATTERNS", "Pattern", "Thresholds"]
 
@@ -104,32 +104,32 @@ class Pattern:
     statistic: str
     rule: str
     source: str
-    measure: Callable[[Evidence], Floats]
-    large_enough: Callable[[Evidence, Thresholds], Mask]
-    test: Callable[[Evidence, Thresholds], Floats] | None = None
+    measure: Callable[[PixelStatistics], Floats]
+    large_enough: Callable[[PixelStatistics, Thresholds], Mask]
+    test: Callable[[PixelStatistics, Thresholds], Floats] | None = None
     decisive: bool = False
-    interval: Callable[[Evidence], Floats] | None = None
+    interval: Callable[[PixelStatistics], Floats] | None = None
     excluded_by: tuple[str, ...] = ()
 
 
-def _null_share(e: Evidence) -> Floats:
+def _null_share(e: PixelStatistics) -> Floats:
     with np.errstate(invalid="ignore"):
         return np.asarray(e.n_null / e.n_good)
 
 
-def _null_p_value(e: Evidence, t: Thresholds) -> Floats:
+def _null_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
     """Return P(as many nulls or more) were their share the threshold: the exact binomial test."""
     n, nulls = e.n_good, e.n_null
     p = special.betainc(np.maximum(nulls, 1), n - nulls + 1, t.null_share)
     return np.where(n == 0, np.nan, np.where(nulls == 0, 1.0, p))
 
 
-def _is_firefly(e: Evidence, t: Thresholds) -> Mask:
+def _is_firefly(e: PixelStatistics, t: Thresholds) -> Mask:
     limit = firefly_limit(e.n, t.firefly_share, t.firefly_samples)
     return np.asarray(e.largest_share > limit)
 
 
-def _clear_modes(e: Evidence, t: Thresholds) -> Counts:
+def _clear_modes(e: PixelStatistics, t: Thresholds) -> Counts:
     """Count modes that are far enough from their neighbour; 0 where modes are not known."""
     clear = 1 + np.count_nonzero(e.ashman_d >= t.ashman_d, axis=-1)
     return np.where(e.modes > 0, clear, 0)
@@ -139,25 +139,25 @@ def _around(center: Floats, error: Floats) -> Floats:
     return np.stack([center - _Z * error, center + _Z * error], axis=-1)
 
 
-def _separation(widest: int) -> Callable[[Evidence], Floats]:
+def _separation(widest: int) -> Callable[[PixelStatistics], Floats]:
     return lambda e: np.asarray(e.ashman_d[..., widest])
 
 
-def _separation_interval(widest: int) -> Callable[[Evidence], Floats]:
-    def interval(e: Evidence) -> Floats:
+def _separation_interval(widest: int) -> Callable[[PixelStatistics], Floats]:
+    def interval(e: PixelStatistics) -> Floats:
         ends = _around(e.ashman_d[..., widest], e.ashman_d_se[..., widest])
         return np.maximum(ends, 0)
 
     return interval
 
 
-def _is_described(e: Evidence, t: Thresholds) -> Mask:
+def _is_described(e: PixelStatistics, t: Thresholds) -> Mask:
     """Say where there is one mode that gamma or log-normal describes."""
     by_chance = _CHANCE / np.sqrt(np.maximum(e.n, 1))
     return np.asarray((e.misfit <= np.maximum(t.misfit, by_chance)) & (_clear_modes(e, t) == 1))
 
 
-def _body_is_long(e: Evidence, t: Thresholds) -> Mask:
+def _body_is_long(e: PixelStatistics, t: Thresholds) -> Mask:
     """Say where a pixel is log-normal with a long tail, and its largest samples do not object.
 
     The tail of a gamma distribution is exponential, however heavy it seems above its quantile 0.9.
@@ -168,11 +168,11 @@ def _body_is_long(e: Evidence, t: Thresholds) -> Mask:
     return np.asarray(_is_described(e, t) & is_long & ~objects)
 
 
-def _is_long(e: Evidence, t: Thresholds) -> Mask:
+def _is_long(e: PixelStatistics, t: Thresholds) -> Mask:
     return np.asarray((e.tail_index >= t.tail_index) | _body_is_long(e, t))
 
 
-def _tail_p_value(e: Evidence, t: Thresholds) -> Floats:
+def _tail_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
     """Return the p-value of the tail, or of tail and body where it is the body's that is long.
 
     Every log-normal distribution has a long body, so that this one needs log-normal to be
@@ -185,17 +185,17 @@ def _tail_p_value(e: Evidence, t: Thresholds) -> Floats:
     return np.where(_body_is_long(e, t), both, e.tail_p_value)
 
 
-def _is_like(sign: int) -> Callable[[Evidence, Thresholds], Mask]:
+def _is_like(sign: int) -> Callable[[PixelStatistics, Thresholds], Mask]:
     """Say where gamma (1) or log-normal (-1) is the better one, of one mode with a short tail."""
 
-    def large_enough(e: Evidence, t: Thresholds) -> Mask:
+    def large_enough(e: PixelStatistics, t: Thresholds) -> Mask:
         short = (sign > 0) | (e.body_index < t.tail_index)
         return np.asarray((sign * e.vuong_z > 0) & _is_described(e, t) & short)
 
     return large_enough
 
 
-def _vuong_p_value(sign: int) -> Callable[[Evidence, Thresholds], Floats]:
+def _vuong_p_value(sign: int) -> Callable[[PixelStatistics, Thresholds], Floats]:
     return lambda e, _: np.asarray(special.ndtr(-sign * e.vuong_z))
 
 

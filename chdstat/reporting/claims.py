@@ -13,7 +13,7 @@ from chdstat import viz
 from chdstat.rendering.recipes import remake_of
 from chdstat.reporting.typst import NAMES, number
 from chdstat.samples.samples import Samples
-from chdstat.studies.claims import FINDINGS, Claim, Finding, Part
+from chdstat.studies.claims import FINDINGS, Claim, ClaimTest, Finding
 from chdstat.viz.claims import VERDICTS
 
 if TYPE_CHECKING:
@@ -130,7 +130,7 @@ def finding_content(finding: Finding) -> dict[str, Any]:
     }
 
 
-def _part_content(part: Part) -> dict[str, str]:
+def _part_content(part: ClaimTest) -> dict[str, str]:
     unit = "" if part.statistic.unit == "1" else f" ({_unit(part.statistic.unit)})"
     return {
         "name": f"{part.statistic.name}{unit}",
@@ -145,7 +145,7 @@ def _unit(unit: str) -> str:
     return f"√{unit.removesuffix('^1/2')}" if unit.endswith("^1/2") else unit
 
 
-def _claimed(part: Part) -> Iterator[str]:
+def _claimed(part: ClaimTest) -> Iterator[str]:
     """Yield the range of a claim, in words."""
     if math.isfinite(part.least) and math.isfinite(part.most):
         yield f"{number(part.least)} to {number(part.most)}"
@@ -175,7 +175,7 @@ def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]
 
 def exhibits(found: Mapping[str, Finding]) -> Figure | None:
     """Draw what findings exhibit, each under its title; None where none has anything to show."""
-    shown = [_display(title, f) for title, f in found.items() if _has_exhibit(f)]
+    shown = [_display(title, f) for title, f in found.items() if _has_plot_data(f)]
     if len({(display.x_label, display.y_label) for display in shown}) > 1:
         # Each panel has labels of its own, in several lines.
         return viz.displays(shown, columns=3, height=1.6)
@@ -185,18 +185,20 @@ def exhibits(found: Mapping[str, Finding]) -> Figure | None:
 def _measured(findings: Iterable[Finding]) -> list[viz.Measured]:
     """Return the parts of a claim with their values by scene."""
     known = [f for f in findings if f.parts]
-    kinds: dict[tuple[str, float, float], Part] = {}
+    kinds: dict[tuple[str, float, float], ClaimTest] = {}
     for finding in known:
         for part in finding.parts:
             kinds.setdefault(_kind(part), part)
     return [_part(kind, part, known) for kind, part in kinds.items()]
 
 
-def _kind(part: Part) -> tuple[str, float, float]:
+def _kind(part: ClaimTest) -> tuple[str, float, float]:
     return part.statistic.name, part.least, part.most
 
 
-def _part(kind: tuple[str, float, float], part: Part, findings: Sequence[Finding]) -> viz.Measured:
+def _part(
+    kind: tuple[str, float, float], part: ClaimTest, findings: Sequence[Finding]
+) -> viz.Measured:
     each = [next((p for p in f.parts if _kind(p) == kind), None) for f in findings]
     return viz.Measured(
         part.statistic.name,
@@ -209,10 +211,10 @@ def _part(kind: tuple[str, float, float], part: Part, findings: Sequence[Finding
     )
 
 
-def _has_exhibit(finding: Finding) -> bool:
-    return any(np.isfinite(np.asarray(y)).any() for _, y in finding.exhibit.series.values())
+def _has_plot_data(finding: Finding) -> bool:
+    return any(np.isfinite(np.asarray(y)).any() for _, y in finding.plot_data.series.values())
 
 
 def _display(title: str, finding: Finding) -> viz.Display:
-    shown = finding.exhibit
+    shown = finding.plot_data
     return viz.Display(shown.kind, shown.series, shown.x_label, shown.y_label, title)

@@ -19,7 +19,7 @@ from chdstat.reporting.findings import findings
 from chdstat.reporting.scene_figures import SelfTraining, panels_of, scene_figures
 from chdstat.reporting.typst import NAMES, Document, between, number, percent
 from chdstat.samples.samples import Samples
-from chdstat.studies.claims import FINDINGS, Evidence, Finding
+from chdstat.studies.claims import FINDINGS, Finding, SceneData
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -53,7 +53,7 @@ class Study:
         Why no estimators were compared.
     """
 
-    evidence: Evidence
+    evidence: SceneData
     overview: Overview
     claims: tuple[Finding, ...]
     chosen: bool

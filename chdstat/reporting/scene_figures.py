@@ -29,7 +29,7 @@ from chdstat.rendering.recipes import Region
 from chdstat.reporting.figures import marks_of, panel_of
 from chdstat.reporting.typst import number, percent
 from chdstat.samples.samples import Samples
-from chdstat.studies.claims import Evidence
+from chdstat.studies.claims import SceneData
 from chdstat.studies.claims.fireflies import BRIGHTER
 from chdstat.summary.histograms import histogram
 
@@ -188,13 +188,13 @@ _ALIKE = 1.5
 _DECADES = np.linspace(-5, 5, 101)
 
 
-def panels_of(evidence: Evidence) -> list[viz.Panel]:
+def panels_of(evidence: SceneData) -> list[viz.Panel]:
     """Return the CHD of the pixel in the middle of each region."""
     return [panel_of(evidence.samples, mark) for mark in _marks(evidence)]
 
 
 def scene_figures(
-    evidence: Evidence, panels: Sequence[viz.Panel], *, atlas: Atlas | None = None
+    evidence: SceneData, panels: Sequence[viz.Panel], *, atlas: Atlas | None = None
 ) -> dict[str, Figure]:
     """Draw the study figures of a scene, by name; what it has not is left out.
 
@@ -227,7 +227,7 @@ def scene_figures(
     return drawn
 
 
-def _marks(evidence: Evidence) -> list[viz.Mark]:
+def _marks(evidence: SceneData) -> list[viz.Mark]:
     return marks_of(evidence.regions, evidence.samples)
 
 
@@ -269,7 +269,7 @@ def _batch_panel(samples: Samples, mark: viz.Mark) -> viz.BatchPanel:
     return viz.BatchPanel(mark.name, edges, counts, mean_edges, mean_counts, float(light.mean()))
 
 
-def _firefly(evidence: Evidence) -> Figure | None:
+def _firefly(evidence: SceneData) -> Figure | None:
     """Draw the brightest firefly and the pixel above it, which sees about the same."""
     summary, samples = evidence.summary, evidence.samples
     batches = np.asarray(luminance(summary["batch_means"].values.astype(np.float64)))
@@ -312,7 +312,7 @@ def _curve(x: npt.NDArray[Any], scale: Any) -> viz.Curve:
     return viz.Curve(counted.edges, counted.density)
 
 
-def _paths(evidence: Evidence) -> Figure:
+def _paths(evidence: SceneData) -> Figure:
     long, short = evidence.summary, evidence.shorter_summary
     if short is None or evidence.shorter is None:
         message = "expected a scene with shorter paths"

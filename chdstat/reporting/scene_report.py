@@ -31,7 +31,7 @@ from chdstat.reporting.typst import typeset
 from chdstat.samples.samples import Samples
 from chdstat.samples.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
-from chdstat.studies.claims import FINDINGS, Evidence
+from chdstat.studies.claims import FINDINGS, SceneData
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -151,7 +151,7 @@ def _studied(
     """Ask the samples for everything that the report says."""
     dataset = analyze(samples, progress=progress)
     comparison, why_not = _compare(samples, estimators, dataset["label"], iterations, progress)
-    evidence = Evidence(
+    evidence = SceneData(
         samples.name,
         samples,
         regions or choose_regions(dataset),

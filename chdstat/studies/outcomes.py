@@ -1,13 +1,11 @@
-"""Conclusions: how parts with intervals become the verdict of a claim, with its reason.
+"""Outcomes: how tests of a claim, each with an interval, become its verdict and the reason.
 
-A claim needs all of its parts: it is supported where all of them are, not supported where any is
-not, and else there is no telling.
+A claim consists of one part or several; a `ClaimTest` compares the interval of a statistic with the
+range that the claim states. A part is supported where the whole interval lies in that range, not
+supported where all of it lies outside, and otherwise undecided. A claim is supported where all of
+its parts are, not supported where any is not, and otherwise undecided ("cannot tell").
 
-Results: what a finding says of a scene.
-
-A finding has one part or several: a statistic, its interval, and the range in which the claim has
-it. A part is supported where the whole interval lies in that range, not supported where all of it
-lies outside, and else there is no telling.
+What measures a claim returns an `Outcome`; `conclude` makes it a `Finding`, the public result.
 """
 
 from __future__ import annotations
@@ -23,10 +21,10 @@ import numpy.typing as npt
 from chdstat._core.resampling import LEVEL, Spread
 
 __all__ = [
-    "Conclusion",
-    "Exhibit",
+    "ClaimTest",
     "Finding",
-    "Part",
+    "Outcome",
+    "PlotData",
     "Statistic",
     "Verdict",
     "conclude",
@@ -40,14 +38,14 @@ _MOST_SPP = 2**20
 
 
 @dataclass(frozen=True)
-class Conclusion:
-    """What a claim's own module returns; the registry adds number, name and claim.
+class Outcome:
+    """What was measured of a claim; the registry adds number, name and claim.
 
     Attributes
     ----------
     parts, missing
         What was measured, and what could not be, each as a sentence.
-    p_value, details, exhibit
+    p_value, details, plot_data
         As for `Finding`.
     subject
         What was measured, where it could be one thing or another: the reason names it.
@@ -57,13 +55,13 @@ class Conclusion:
         What there are too few of where an interval is wide, if it is not samples.
     """
 
-    parts: tuple[Part, ...] = ()
+    parts: tuple[ClaimTest, ...] = ()
     missing: tuple[str, ...] = ()
     p_value: float | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
-    exhibit: Exhibit = field(default_factory=lambda: Exhibit("curves"))
+    plot_data: PlotData = field(default_factory=lambda: PlotData("curves"))
     subject: str = ""
-    beside: Mapping[str, Conclusion] = field(default_factory=dict)
+    beside: Mapping[str, Outcome] = field(default_factory=dict)
     few: str = ""
 
     @property
@@ -77,7 +75,7 @@ class Conclusion:
         return "supported"
 
     @property
-    def deciding(self) -> Part | None:
+    def deciding(self) -> ClaimTest | None:
         """The part that the verdict rests on: the first of the weakest."""
         for verdict in ("not supported", "cannot tell", "supported"):
             for part in self.parts:
@@ -87,7 +85,7 @@ class Conclusion:
 
 
 def conclude(
-    found: Conclusion,
+    found: Outcome,
     *,
     number: int,
     name: str,
@@ -108,7 +106,7 @@ def conclude(
         reason=_reason(found, spp),
         parts=found.parts,
         details=found.details,
-        exhibit=found.exhibit,
+        plot_data=found.plot_data,
         beside={other: conclude(c, spp=spp, **asked) for other, c in found.beside.items()},
     )
 
@@ -128,7 +126,7 @@ def level_of(parts: int, level: float = LEVEL) -> float:
     return 1 - (1 - level) / parts
 
 
-def _reason(found: Conclusion, spp: int) -> str:
+def _reason(found: Outcome, spp: int) -> str:
     part, verdict = found.deciding, found.verdict
     if verdict == "cannot tell" and found.missing:
         return _sentence("; ".join(found.missing))
@@ -142,7 +140,7 @@ def _reason(found: Conclusion, spp: int) -> str:
     return _sentence(f"{found.subject}: {said}" if found.subject else said)
 
 
-def _needed(part: Part, spp: int, few: str) -> str:
+def _needed(part: ClaimTest, spp: int, few: str) -> str:
     """Say how many samples would decide, if the interval shrinks with their square root."""
     if few:
         return f"more {few} would decide"
@@ -185,7 +183,7 @@ class Statistic:
 
 
 @dataclass(frozen=True)
-class Part:
+class ClaimTest:
     """One statistic of a claim and the range in which the claim has it.
 
     Attributes
@@ -216,7 +214,7 @@ class Part:
         least: float = -math.inf,
         most: float = math.inf,
         unit: str = "1",
-    ) -> Part:
+    ) -> ClaimTest:
         """Make a part of a number with its interval."""
         return cls(
             Statistic(name, found.value, unit), found.low, found.high, found.level, least, most
@@ -279,7 +277,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Exhibit:
+class PlotData:
     """What the figure of a finding draws.
 
     Attributes
@@ -325,7 +323,7 @@ class Finding:
         All that the claim says, each with its own verdict; their intervals hold together.
     details
         Further numbers by region or channel, ready for JSON.
-    exhibit
+    plot_data
         What its figure draws.
     beside
         The same asked of what the claim is not about, by name, such as of another estimator; the
@@ -344,14 +342,14 @@ class Finding:
     p_value: float | None
     verdict: Verdict
     reason: str
-    parts: tuple[Part, ...] = ()
+    parts: tuple[ClaimTest, ...] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
-    exhibit: Exhibit = field(default_factory=lambda: Exhibit("curves"))
+    plot_data: PlotData = field(default_factory=lambda: PlotData("curves"))
     beside: Mapping[str, Finding] = field(default_factory=dict)
     about: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return everything but the exhibit, ready for JSON; what is not finite is None."""
+        """Return everything but the plot data, ready for JSON; what is not finite is None."""
         low, high, level = self.interval
         return {
             "number": self.number,

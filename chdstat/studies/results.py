@@ -15,7 +15,7 @@ from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
 from chdstat.patterns import Atlas
 from chdstat.samples.samples import Samples
-from chdstat.studies.claims import FINDINGS, Evidence, Finding
+from chdstat.studies.claims import FINDINGS, Finding, SceneData
 from chdstat.studies.outcomes import plain
 
 __all__ = ["ACROSS", "SceneStudy", "Study"]
@@ -48,7 +48,7 @@ class SceneStudy:
         What could not be done, and why.
     """
 
-    evidence: Evidence
+    evidence: SceneData
     findings: tuple[Finding, ...]
     repeated: Mapping[int, str] = field(default_factory=dict)
     chosen: bool = False

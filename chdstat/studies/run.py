@@ -18,7 +18,7 @@ from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import refuse_render
 from chdstat.rendering.recipes import choose_regions
 from chdstat.samples.samples import Samples
-from chdstat.studies.claims import FINDINGS, Evidence, Finding
+from chdstat.studies.claims import FINDINGS, Finding, SceneData
 from chdstat.studies.config import Source, Subject, subjects_of
 from chdstat.studies.results import SceneStudy, Study
 from chdstat.studies.stores import Stores, analysis_of, comparison_of, record_of, summary_of
@@ -146,7 +146,7 @@ def _scene(
         "shorter paths",
         lambda: None if shorter is None else summary_of(shorter, stores, progress=progress),
     )
-    evidence = Evidence(
+    evidence = SceneData(
         subject.name,
         samples,
         subject.regions or choose_regions(dataset),
@@ -198,7 +198,7 @@ def _compared(
 
 
 def _findings(
-    evidence: Evidence,
+    evidence: SceneData,
     stores: Stores,
     *,
     but: frozenset[int] = frozenset(),
@@ -214,11 +214,11 @@ def _findings(
     return record_of(evidence.samples, stores, "findings", kind, asked, needs=told)
 
 
-def _repeated(evidence: Evidence, again: Samples | None, stores: Stores) -> dict[int, Finding]:
+def _repeated(evidence: SceneData, again: Samples | None, stores: Stores) -> dict[int, Finding]:
     """Return what another seed says, by number of the claim."""
     if again is None:
         return {}
-    repeat = Evidence(
+    repeat = SceneData(
         evidence.name,
         again,
         evidence.regions,
@@ -228,7 +228,7 @@ def _repeated(evidence: Evidence, again: Samples | None, stores: Stores) -> dict
     return {f.number: f for f in _findings(repeat, stores, but=_ONCE)}
 
 
-def _across(evidences: Sequence[Evidence], stores: Stores) -> tuple[Finding, ...]:
+def _across(evidences: Sequence[SceneData], stores: Stores) -> tuple[Finding, ...]:
     """Ask all scenes for the claims that compare scenes."""
     first, *others = evidences
 

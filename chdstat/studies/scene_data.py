@@ -1,11 +1,8 @@
-"""Slopes: straight lines and correlations over pixels, with their intervals.
+"""Data of one scene, as the claims read them.
 
-Use `slope_of` for how one quantity follows another; with an instrument where that other is noisy.
-
-Evidence: what the findings on one scene may look at.
-
-`Evidence` holds samples, regions and what else a claim compares with; `Patch` is what it says of
-the pixels of regions.
+`SceneData` holds samples, regions, and what else a claim compares them with; `PixelSet` holds the
+pixels of regions. `slope_of` and `correlation_of` relate two quantities over such pixels, with
+intervals; use an instrument where the explaining quantity is noisy.
 """
 
 from __future__ import annotations
@@ -31,7 +28,7 @@ if TYPE_CHECKING:
 
     from chdstat.comparison import Comparison
 
-__all__ = ["Evidence", "Patch", "correlation_of", "logs", "slope_of"]
+__all__ = ["PixelSet", "SceneData", "correlation_of", "logs", "slope_of"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -102,7 +99,7 @@ def _sums(x: Floats, y: Floats, z: Floats, blocks: Blocks) -> Floats:
 
 
 @dataclass(frozen=True)
-class Patch:
+class PixelSet:
     """Pixels of one region or several, one after the other.
 
     Attributes
@@ -124,7 +121,7 @@ class Patch:
     blocks: Blocks
 
     @classmethod
-    def of(cls, regions: tuple[Region, ...], height: int, width: int) -> Patch:
+    def of(cls, regions: tuple[Region, ...], height: int, width: int) -> PixelSet:
         """Return the pixels of regions."""
         ys, xs, numbers, blocks = [], [], [], []
         for i, region in enumerate(regions):
@@ -157,7 +154,7 @@ class Patch:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class SceneData:
     """One scene, as far as it is known.
 
     Attributes
@@ -188,7 +185,7 @@ class Evidence:
     >>> from chdstat.rendering.recipes import Region
     >>> samples = chd.simulate("gamma", size=(8, 8), spp=64)
     >>> wall = Region("wall", "diffuse", (0, 0, 0.5, 0.5))
-    >>> len(Evidence("simulated", samples, (wall,)).patch("diffuse"))
+    >>> len(SceneData("simulated", samples, (wall,)).patch("diffuse"))
     16
     """
 
@@ -226,21 +223,21 @@ class Evidence:
         """Distribution functions of all pixels, nulls counted, of the channel in the middle."""
         return of_histograms(self.summary)
 
-    def patch(self, *phenomena: str) -> Patch | None:
+    def patch(self, *phenomena: str) -> PixelSet | None:
         """Return the pixels of all regions that show one of the phenomena; None without any."""
         chosen = tuple(region for region in self.regions if region.phenomenon in phenomena)
-        return Patch.of(chosen, *self.samples.shape[:2]) if chosen else None
+        return PixelSet.of(chosen, *self.samples.shape[:2]) if chosen else None
 
-    def whole(self, across: int = 8) -> Patch:
+    def whole(self, across: int = 8) -> PixelSet:
         """Return all pixels of the image, in reading order, in `across` x `across` blocks."""
         height, width = self.samples.shape[:2]
         y, x = np.mgrid[:height, :width].reshape(2, -1)
         region = np.zeros(len(y), dtype=np.int64)
-        return Patch(("image",), y, x, region, Blocks.grid(height, width, across=across))
+        return PixelSet(("image",), y, x, region, Blocks.grid(height, width, across=across))
 
     def scattered(
         self, pixels: int, *, across: int = 8, able: npt.NDArray[np.bool_] | None = None
-    ) -> Iterator[Patch]:
+    ) -> Iterator[PixelSet]:
         """Yield pixels drawn from each of `across` x `across` blocks, a patch a block.
 
         About `pixels` in all, of those that are `able`, shape (y, x); None draws from all.
@@ -254,13 +251,13 @@ class Evidence:
             if len(some):
                 number = np.full(len(some), block)
                 blocks = Blocks(number, whole.blocks.region)
-                yield Patch((f"block {block}",), whole.y[some], whole.x[some], 0 * some, blocks)
+                yield PixelSet((f"block {block}",), whole.y[some], whole.x[some], 0 * some, blocks)
 
-    def radiance(self, patch: Patch) -> Floats:
+    def radiance(self, patch: PixelSet) -> Floats:
         """Return the samples of a patch, shape (pixel, channel, sample); bad ones are NaN."""
         return radiance_of(self.samples, patch)
 
-    def light(self, patch: Patch) -> Floats:
+    def light(self, patch: PixelSet) -> Floats:
         """Return the luminance of the samples of a patch, shape (pixel, sample); bad: NaN."""
         return np.asarray(luminance(self.radiance(patch)))
 
@@ -270,7 +267,7 @@ class Evidence:
         return None if found is None else np.asarray(found, dtype=np.float64)
 
 
-def radiance_of(samples: Samples, patch: Patch) -> Floats:
+def radiance_of(samples: Samples, patch: PixelSet) -> Floats:
     """Return the samples of the pixels of a patch; a sample with a bad channel is NaN in all."""
     parts = []
     for i in range(len(patch.names)):

@@ -20,7 +20,7 @@ from chdstat.studies import claims
 
 samples = chd.render("bathroom", spp=512, size=(64, 64), seed=1, backend="scalar")
 regions = recipes.regions_of(samples)
-evidence = claims.Evidence("bathroom", samples, regions)
+evidence = claims.SceneData("bathroom", samples, regions)
 for region in regions[:6]:
     print(f"{region.name:12} {region.phenomenon:16} {region.note}")
 
@@ -53,12 +53,12 @@ for part in indirect.parts:
 #
 # Each finding carries what its figure draws.
 
-shown = [f for f in found if f.exhibit.series][:8]
+shown = [f for f in found if f.plot_data.series][:8]
 viz.displays(
     [
         viz.Display(e.kind, e.series, e.x_label, e.y_label, title=f"{f.number} {f.name}")
         for f in shown
-        for e in [f.exhibit]
+        for e in [f.plot_data]
     ],
     columns=3,
     height=1.6,

@@ -16,7 +16,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.estimators import lookup, names
-from chdstat.studies.claims import FINDINGS, Evidence
+from chdstat.studies.claims import FINDINGS, SceneData
 
 WORLDS = int(os.environ.get("CHDSTAT_WORLDS", "50"))
 
@@ -138,7 +138,7 @@ def test_reduction_to_the_mean():
     }
     compared = chd.compare(samples, ["mean", "median_of_means"], progress=False)
     compared = replace(compared, estimators=("mean", *models, "self_trained"), models=models)
-    found = BY_NUMBER[16].find(Evidence("cornell-box", samples, comparison=compared))
+    found = BY_NUMBER[16].find(SceneData("cornell-box", samples, comparison=compared))
     for name, one in {"elek2019": found, **found.beside}.items():
         values = [part.statistic.value for part in one.parts]
         row = "constants {:.2g}, order {:.2g}, unit {:.2g}".format(*values)

@@ -19,7 +19,7 @@ import pytest
 import chdstat as chd
 from chdstat.comparison.metrics import Interval
 from chdstat.rendering.recipes import PHENOMENA, Region
-from chdstat.studies.claims import FINDINGS, Evidence, find
+from chdstat.studies.claims import FINDINGS, SceneData, find
 
 SPP = 512
 BY_NUMBER = {claim.number: claim for claim in FINDINGS}
@@ -326,7 +326,7 @@ def test_hostile_samples_are_data(name):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", chd.errors.LeftOutWarning)
         given = chd.analyze(samples, held_out=False, progress=False)
-        scene = Evidence(name, samples, regions, given=given, shorter=samples)
+        scene = SceneData(name, samples, regions, given=given, shorter=samples)
         found = find(scene, others=[replace(scene, name=f"{name} {i}") for i in range(4)])
     assert json.dumps([f.to_dict() for f in found], allow_nan=False)
     if name == "bad":
@@ -345,7 +345,7 @@ def named(name, source, x=None):
 
 
 def test_every_finding_says_whether_it_is_about_this_image_or_what_learned_from_it():
-    found = find(Evidence("box", named("box", "box.xml")))
+    found = find(SceneData("box", named("box", "box.xml")))
     words = {9: "this view, rendered twice", 11: "these images", 12: "these images"}
     words |= {15: "this training on this image", 16: "this training on this image"}
     for f in found:
@@ -356,9 +356,9 @@ def test_every_finding_says_whether_it_is_about_this_image_or_what_learned_from_
 @pytest.mark.parametrize("number", BY_NUMBER)
 def test_no_claim_is_made_of_the_papers_room_where_the_scene_is_a_remake(number):
     claim = BY_NUMBER[number]
-    remake = Evidence("bathroom", named("bathroom", "chdstat"))
-    own = Evidence("bathroom", named("bathroom", "/scenes/bathroom/scene.xml"))
-    other = Evidence("fog", named("fog", "chdstat"))
+    remake = SceneData("bathroom", named("bathroom", "chdstat"))
+    own = SceneData("bathroom", named("bathroom", "/scenes/bathroom/scene.xml"))
+    other = SceneData("fog", named("fog", "chdstat"))
     sentence = "bathroom is a remake of the paper's Bathroom, not that scene."
     assert claim.find(remake, [other]).about.endswith(sentence)
     assert "remake" not in claim.find(own, [other]).about

@@ -10,7 +10,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.estimators import MLP, Progressive, Stream, lookup, names, self_trained
-from chdstat.studies.claims import FINDINGS, Evidence
+from chdstat.studies.claims import FINDINGS, SceneData
 from chdstat.studies.claims.reduction import FACTORS, LEVELS, ROUNDING
 
 CLAIM = FINDINGS[15]
@@ -53,7 +53,7 @@ def ask(samples, comparison):
             for name, function in functions.items()
         }
         found = replace(comparison, estimators=("mean", *models), models=models)
-        return CLAIM.find(Evidence("noise", using, comparison=found))
+        return CLAIM.find(SceneData("noise", using, comparison=found))
 
     return asked
 
@@ -106,7 +106,7 @@ def test_the_verdict_is_of_the_papers_model_and_others_stand_beside_it(ask):
     found = ask({"elek2019": first_weighs_more, "progressive": mean})
     assert (found.verdict, found.beside["progressive"].verdict) == ("not supported", "supported")
     assert found.reason.startswith("For elek2019: ")
-    assert set(found.exhibit.series) == {"elek2019", "progressive"}
+    assert set(found.plot_data.series) == {"elek2019", "progressive"}
     alone = ask({"progressive": mean})
     assert alone.verdict == "cannot tell"
     assert "needs the paper's model" in alone.reason.lower()
@@ -114,7 +114,7 @@ def test_the_verdict_is_of_the_papers_model_and_others_stand_beside_it(ask):
 
 
 def test_without_a_comparison_or_good_samples_there_is_no_telling(ask, samples):
-    assert "comparison" in CLAIM.find(Evidence("noise", samples)).reason
+    assert "comparison" in CLAIM.find(SceneData("noise", samples)).reason
     bad = chd.Samples.from_array(samples.read() * np.nan)
     assert "bad samples" in ask({"elek2019": mean}, using=bad).reason
     both = samples.read() * np.where(np.arange(EDGE) % 2, 1e36, 1e-37)[:, None, None]
@@ -147,7 +147,7 @@ def trained(samples):
 
 def test_ours_reduces_to_the_mean_and_the_papers_network_does_not(samples, comparison, trained):
     both = replace(comparison, estimators=("mean", *trained), models=trained)
-    found = CLAIM.find(Evidence("noise", samples, comparison=both))
+    found = CLAIM.find(SceneData("noise", samples, comparison=both))
     assert found.verdict == "not supported"
     assert [part.verdict for part in found.parts] == ["not supported"] * 3
     assert set(found.beside) == set(trained) - {"elek2019"}

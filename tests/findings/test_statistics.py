@@ -24,7 +24,7 @@ from chdstat._core.resampling import (
     mean_of,
     median_of,
 )
-from chdstat.studies.claims import FINDINGS, Evidence, Part, Statistic
+from chdstat.studies.claims import FINDINGS, ClaimTest, SceneData, Statistic
 from chdstat.studies.claims.assumptions import explained_by_features, growing, uniformity, with_room
 from chdstat.studies.claims.complexity import rank_correlation, scene_complexity
 from chdstat.studies.claims.diffuse import log_skewness
@@ -32,7 +32,7 @@ from chdstat.studies.claims.learning import early_gain
 from chdstat.studies.claims.reflections import shape_spread
 from chdstat.studies.claims.scene_shapes import permuted, squares, squares_of_pairs
 from chdstat.studies.log_chds import EDGES, aligned, of_histograms, squared_distance
-from chdstat.studies.outcomes import Conclusion, Exhibit, conclude, level_of, plain
+from chdstat.studies.outcomes import Outcome, PlotData, conclude, level_of, plain
 from chdstat.studies.scene_data import correlation_of, slope_of
 
 # --- intervals ----------------------------------------------------------------------------------
@@ -246,9 +246,9 @@ def test_the_finding_on_integrators_reads_the_seeds(what):
     one, two = sharing(np.random.default_rng(2), (0.8, 0.8), 0.9)
     apart = chd.Samples.from_array(two.read(), seed=2)
     claim = FINDINGS[11]
-    same = claim.find(Evidence("one", one, **{what: two}), [])
+    same = claim.find(SceneData("one", one, **{what: two}), [])
     assert 0.01 < same.p_value < 0.99
-    assert claim.find(Evidence("one", one, **{what: apart}), []).p_value > 0.99  # told wrongly
+    assert claim.find(SceneData("one", one, **{what: apart}), []).p_value > 0.99  # told wrongly
 
 
 def test_what_has_no_shape_is_no_difference():
@@ -304,7 +304,7 @@ def test_features_that_fix_the_variance_explain_all_but_noise():
     features = {"albedo": flat, "normal": flat, "depth": depth}
     samples = chd.Samples.from_array(np.ones((40, 40, 1, 4)), features=features)
     batches = np.exp(2 * depth).reshape(-1, 1) * rng.normal(size=(1600, 16))
-    found = explained_by_features(Evidence("x", samples), batches, level=0.95)
+    found = explained_by_features(SceneData("x", samples), batches, level=0.95)
     assert 0.9 < found.share.value < 1.05
     assert found.reliability < 0.95
 
@@ -327,12 +327,12 @@ def test_complexity_is_what_the_camera_sees():
     depth = np.ones((8, 8), dtype=np.float32)
     features = {"normal": np.tile([0.0, 0, 1], (8, 8, 1)), "albedo": np.ones((8, 8, 3))}
     x = np.ones((8, 8, 1, 2))
-    wall = Evidence("wall", chd.Samples.from_array(x, features={**features, "depth": depth}))
+    wall = SceneData("wall", chd.Samples.from_array(x, features={**features, "depth": depth}))
     checks = depth + np.indices((8, 8)).sum(axis=0) % 2
-    leaves = Evidence("leaves", chd.Samples.from_array(x, features={**features, "depth": checks}))
+    leaves = SceneData("leaves", chd.Samples.from_array(x, features={**features, "depth": checks}))
     assert scene_complexity(wall) == 0
     assert scene_complexity(leaves) == 1
-    assert np.isnan(scene_complexity(Evidence("bare", chd.Samples.from_array(x))))
+    assert np.isnan(scene_complexity(SceneData("bare", chd.Samples.from_array(x))))
 
 
 def history(gain):
@@ -353,21 +353,21 @@ def test_early_gain_is_a_share_of_the_last_one():
 
 def conclude_of(part):
     about = {"number": 1, "name": "x", "claim": "x", "scene": "x"}
-    return conclude(Conclusion((part,)), **about, spp=512)
+    return conclude(Outcome((part,)), **about, spp=512)
 
 
 def test_an_open_interval_supports_and_refutes_nothing_above():
-    part = Part(Statistic("tail", 4.0), 3.5, np.inf, 0.95, least=6)
+    part = ClaimTest(Statistic("tail", 4.0), 3.5, np.inf, 0.95, least=6)
     assert part.verdict == "cannot tell"
     assert "3.5 or more" in str(part)
     reason = conclude_of(part).reason
     assert "512 spp do not show how far its tail reaches" in reason
-    assert Part(Statistic("tail", 8.0), 7.5, np.inf, 0.95, least=6).verdict == "supported"
+    assert ClaimTest(Statistic("tail", 8.0), 7.5, np.inf, 0.95, least=6).verdict == "supported"
 
 
 def test_advice_looks_at_the_side_that_reaches_over_the_border():
     """The interval would not reach the border with a third of its upper arm; the lower is short."""
-    part = Part(Statistic("share", 0.3), 0.29, 0.51, 0.95, most=0.5)
+    part = ClaimTest(Statistic("share", 0.3), 0.29, 0.51, 0.95, most=0.5)
     assert part.margin == pytest.approx(0.2 / 0.21)
     assert "about 1024 spp would decide" in conclude_of(part).reason
 
@@ -424,22 +424,22 @@ def test_parts_of_the_samples_have_their_own_moments():
     ],
 )
 def test_the_whole_interval_has_to_be_on_one_side(low, high, verdict):
-    part = Part.of("x", Spread(0.3, low, high, 0.95), least=0.1, most=0.5)
+    part = ClaimTest.of("x", Spread(0.3, low, high, 0.95), least=0.1, most=0.5)
     assert part.verdict == verdict
 
 
 def test_a_claim_is_as_strong_as_its_weakest_part():
     good, bad, open_ = (
-        Part(Statistic("x", 0.5), low, high, 0.95, least=0.0)
+        ClaimTest(Statistic("x", 0.5), low, high, 0.95, least=0.0)
         for low, high in ((0.1, 1.0), (-1.0, -0.1), (-1.0, 1.0))
     )
-    assert Conclusion((good, good)).verdict == "supported"
-    assert Conclusion((good, open_)).verdict == "cannot tell"
-    assert Conclusion((good, open_, bad)).verdict == "not supported"
-    assert Conclusion((good,), ("needs light",)).verdict == "cannot tell"
-    assert Conclusion((bad,), ("needs light",)).verdict == "not supported"
-    assert Conclusion((good, open_)).deciding is open_
-    assert Conclusion().deciding is None
+    assert Outcome((good, good)).verdict == "supported"
+    assert Outcome((good, open_)).verdict == "cannot tell"
+    assert Outcome((good, open_, bad)).verdict == "not supported"
+    assert Outcome((good,), ("needs light",)).verdict == "cannot tell"
+    assert Outcome((bad,), ("needs light",)).verdict == "not supported"
+    assert Outcome((good, open_)).deciding is open_
+    assert Outcome().deciding is None
 
 
 def test_parts_share_what_may_go_wrong():
@@ -452,7 +452,7 @@ def test_json_has_no_numbers_that_are_none():
         "b": 2,
         "3": [True, "x"],
     }
-    assert Exhibit("curves").series == {}
+    assert PlotData("curves").series == {}
 
 
 # --- several regions ----------------------------------------------------------------------------

@@ -12,9 +12,9 @@ import xarray as xr
 import chdstat as chd
 from chdstat.comparison.metrics import Interval
 from chdstat.rendering.recipes import Region
-from chdstat.studies.claims import Evidence
+from chdstat.studies.claims import SceneData
 
-World = Callable[[np.random.Generator, int], Sequence[Evidence]]
+World = Callable[[np.random.Generator, int], Sequence[SceneData]]
 
 EDGE = 12
 WHITE = np.ones(3)
@@ -28,14 +28,14 @@ def image(light: np.ndarray, color: np.ndarray = WHITE) -> np.ndarray:
 
 def evidence(
     x: np.ndarray, *phenomena: str, name: str = "simulated", features=None, **more
-) -> Evidence:
+) -> SceneData:
     """Cut an image (y, x, channel, sample) from left to right into regions."""
     edges = np.linspace(0, 1, len(phenomena) + 1)
     regions = tuple(
         Region(f"{phenomenon}", phenomenon, (float(left), 0.0, float(right), 1.0))
         for phenomenon, left, right in zip(phenomena, edges, edges[1:], strict=False)
     )
-    return Evidence(name, chd.Samples.from_array(x, features=features), regions, **more)
+    return SceneData(name, chd.Samples.from_array(x, features=features), regions, **more)
 
 
 def nulled(x: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
@@ -206,7 +206,7 @@ def complexity(sign: int) -> World:
             several = np.arange(12).reshape(3, 4, 1) < 1.5 * i
             high = (rng.random((3, 4, spp)) < 0.5) & several
             x = chd.Samples.from_array(image(rng.lognormal(np.where(high, 3, 0), 0.3)))
-            found.append(Evidence(f"scene {i}", x, complexity=sign * i))
+            found.append(SceneData(f"scene {i}", x, complexity=sign * i))
         return found
 
     return world
@@ -284,7 +284,7 @@ def family_shares(*shares: float) -> World:
             }
         )
         samples = chd.Samples.from_array(np.ones((24, 24, 1, spp)))
-        return [Evidence("simulated", samples, given=given)]
+        return [SceneData("simulated", samples, given=given)]
 
     return world
 

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from chdstat.reporting.claims import asked, claim_content, claim_figures, exhibits, finding_content
-from chdstat.studies.claims import FINDINGS, Finding, Part, Statistic
-from chdstat.studies.outcomes import Exhibit
+from chdstat.studies.claims import FINDINGS, ClaimTest, Finding, Statistic
+from chdstat.studies.outcomes import PlotData
 
 CLAIM = FINDINGS[14]
 
 
 def part(low, high, unit="1"):
-    return Part(Statistic("share", (low + high) / 2, unit), low, high, 0.95, least=0.5)
+    return ClaimTest(Statistic("share", (low + high) / 2, unit), low, high, 0.95, least=0.5)
 
 
 def finding(verdict, *parts, **more):
@@ -77,8 +77,8 @@ def test_what_cannot_be_told_says_what_is_needed():
 def test_exhibits_of_several_claims_have_labels_that_fit_their_panels():
     long = "log10 relative variance around its region's mean"
     x = np.arange(5.0)
-    one = finding("supported", exhibit=Exhibit("curves", {"a": (x, x)}, "x", long))
-    two = replace(one, exhibit=Exhibit("bars", {"a": (x[:1], x[:1])}, y_label="share"))
+    one = finding("supported", plot_data=PlotData("curves", {"a": (x, x)}, "x", long))
+    two = replace(one, plot_data=PlotData("bars", {"a": (x[:1], x[:1])}, y_label="share"))
     figure = exhibits({"1": one, "2": two})
     assert max(len(line) for line in figure.axes[0].get_ylabel().splitlines()) < 30
     assert exhibits({"none": finding("supported")}) is None

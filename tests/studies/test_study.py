@@ -17,7 +17,7 @@ from chdstat.patterns import atlas
 from chdstat.rendering.recipes import PHENOMENA
 from chdstat.reporting.study_report import document
 from chdstat.studies import run, stores, study
-from chdstat.studies.claims import FINDINGS, Evidence
+from chdstat.studies.claims import FINDINGS, SceneData
 from chdstat.studies.config import subjects_of
 from chdstat.studies.run import _confirmed
 
@@ -211,7 +211,7 @@ def test_a_recipe_names_scene_settings_and_regions(tmp_path):
 
 
 def test_seeds_that_contradict_each_other_cannot_tell():
-    supported = FINDINGS[0].find(Evidence("night-room", noise("night-room")))
+    supported = FINDINGS[0].find(SceneData("night-room", noise("night-room")))
     yes, no = (replace(supported, verdict=v, reason=v) for v in ("supported", "not supported"))
     assert _confirmed(yes, no).verdict == "cannot tell"
     assert "not supported" in _confirmed(yes, no).reason

@@ -29,8 +29,8 @@ from scipy import stats
 from chdstat._core.arrays import generator, luminance
 from chdstat._core.moments import Moments
 from chdstat._core.resampling import Blocks, Spread, holm, interval_of, median_of
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence, logs, slope_of
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData, logs, slope_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -75,12 +75,12 @@ class Explained:
     reliability: float
 
 
-def explained_by_features(evidence: Evidence, batches: Floats, *, level: float) -> Explained | None:
+def explained_by_features(data: SceneData, batches: Floats, *, level: float) -> Explained | None:
     """Predict log variance from albedo, normal and depth in blocks that are held out.
 
     Parameters
     ----------
-    evidence
+    data
         With the features; None is returned without them.
     batches
         Means of batches, shape (pixel, batch).
@@ -94,7 +94,7 @@ def explained_by_features(evidence: Evidence, batches: Floats, *, level: float) 
     measurement of association between two things", 1904, doi:10.2307/1412159: attenuation. Ke et
     al., "LightGBM", 2017: the boosted trees that scikit-learn follows.
     """
-    features = _features(evidence)
+    features = _features(data)
     if features is None:
         return None
     halves = [_log_variance(batches[:, i::2]) for i in (0, 1)]
@@ -106,7 +106,7 @@ def explained_by_features(evidence: Evidence, batches: Floats, *, level: float) 
     reliability = 2 * r / (1 + r)
     if not reliability > _RELIABLE:
         return Explained(Spread.unknown(level=level), reliability)
-    whole = evidence.whole(across=_ACROSS).blocks
+    whole = data.whole(across=_ACROSS).blocks
     # Blocks of one fold do not touch.
     fold = ((whole.of_pixel % _ACROSS + 2 * (whole.of_pixel // _ACROSS)) % _FOLDS)[known]
     y, blocks = target[known], whole[known]
@@ -118,11 +118,11 @@ def explained_by_features(evidence: Evidence, batches: Floats, *, level: float) 
     return Explained(share, reliability)
 
 
-def _features(evidence: Evidence) -> Floats | None:
-    found = [evidence.feature(name) for name in _FEATURES]
+def _features(data: SceneData) -> Floats | None:
+    found = [data.feature(name) for name in _FEATURES]
     if any(f is None for f in found):
         return None
-    columns = [f.reshape(len(evidence.whole()), -1) for f in found if f is not None]
+    columns = [f.reshape(len(data.whole()), -1) for f in found if f is not None]
     return np.concatenate(columns, axis=1)
 
 
@@ -294,15 +294,15 @@ _PARTS = 4
 
 
 @dataclass(frozen=True)
-class _Batches:
+class _BatchMeans:
     """Luminance of batch means, shape (pixel, batch), split into parts that share no sample."""
 
     values: Floats
     height: int
 
     @classmethod
-    def of(cls, evidence: Evidence) -> _Batches:
-        means = evidence.summary["batch_means"].to_numpy().astype(np.float64)
+    def of(cls, data: SceneData) -> _BatchMeans:
+        means = data.summary["batch_means"].to_numpy().astype(np.float64)
         light = luminance(means).astype(np.float64)
         return cls(light.reshape(-1, light.shape[-1]), light.shape[0])
 
@@ -310,20 +310,20 @@ class _Batches:
         return self.values[:, start::step]
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Test the four assumptions; each part says that one fails."""
-    batches = _Batches.of(evidence)
+    batches = _BatchMeans.of(data)
     if batches.values.shape[1] < LEAST:
-        return Conclusion(missing=(f"needs {LEAST * 32} spp, has {evidence.samples.spp}",))
-    blocks, level = evidence.whole().blocks, level_of(_PARTS)
+        return Outcome(missing=(f"needs {LEAST * 32} spp, has {data.samples.spp}",))
+    blocks, level = data.whole().blocks, level_of(_PARTS)
     tests = uniformity(batches.values, blocks)
-    explained = explained_by_features(evidence, batches.values, level=level)
-    parts = _of_samples(evidence, batches, blocks, level)
+    explained = explained_by_features(data, batches.values, level=level)
+    parts = _of_samples(data, batches, blocks, level)
     missing = ("needs first-hit albedo, normal and depth",) if explained is None else ()
     if explained is not None:
         name = "share of log variance that features explain"
-        parts = (*parts, Part.of(name, explained.share, most=UNEXPLAINED))
-    return Conclusion(
+        parts = (*parts, ClaimTest.of(name, explained.share, most=UNEXPLAINED))
+    return Outcome(
         parts,
         missing,
         p_value=tests["breusch_pagan"],
@@ -331,28 +331,28 @@ def measure(evidence: Evidence) -> Conclusion:
             **tests,
             "null_hypothesis": "variance is uniform over the image (Breusch-Pagan, Holm-adjusted)",
             "reliability_of_log_variance": explained.reliability if explained else None,
-            "averages_told_from_gaussian": _told(evidence.summary),
+            "averages_told_from_gaussian": _told(data.summary),
         },
-        exhibit=_exhibit(batches),
+        plot_data=_plot_data(batches),
     )
 
 
 def _of_samples(
-    evidence: Evidence, batches: _Batches, blocks: Blocks, level: float
-) -> tuple[Part, ...]:
+    data: SceneData, batches: _BatchMeans, blocks: Blocks, level: float
+) -> tuple[ClaimTest, ...]:
     """Return the parts that need nothing but samples."""
     return (
-        Part.of(
+        ClaimTest.of(
             "slope of log variance on log mean",
             _slope(batches, blocks, level),
             least=MULTIPLICATIVE,
         ),
-        Part.of(
+        ClaimTest.of(
             f"skewness of averages of {AVERAGED}",
-            _skewness(evidence, blocks, level),
+            _skewness(data, blocks, level),
             least=SKEWED,
         ),
-        Part.of(
+        ClaimTest.of(
             f"share of squared steps of log radiance in the largest {STEPS:.0%}",
             _concentration(batches, blocks, level),
             least=IRREGULAR,
@@ -360,15 +360,15 @@ def _of_samples(
     )
 
 
-def _skewness(evidence: Evidence, blocks: Blocks, level: float) -> Spread:
+def _skewness(data: SceneData, blocks: Blocks, level: float) -> Spread:
     """Return the median skewness of averages; how it grows is asked of some pixels."""
 
     def of_averages(moments: Moments) -> Floats:
         return np.asarray(moments.skewness / np.sqrt(AVERAGED))
 
-    skewness = evidence.summary["skewness"].to_numpy() / np.sqrt(AVERAGED)
+    skewness = data.summary["skewness"].to_numpy() / np.sqrt(AVERAGED)
     found = median_of(skewness.reshape(-1, skewness.shape[-1]), blocks, level=level)
-    some = (evidence.radiance(patch) for patch in evidence.scattered(_GROWING))
+    some = (data.radiance(patch) for patch in data.scattered(_GROWING))
     parts = [growing(np.nan_to_num(x), np.isfinite(x), of_averages) for x in some]
     quarter, half, whole = (np.concatenate(values) for values in zip(*parts, strict=True))
     return with_room(found, (quarter, half, whole))
@@ -382,7 +382,7 @@ def _told(summary: xr.Dataset) -> dict[int, float] | None:
     return dict(zip(shares["size"].to_numpy().tolist(), shares.to_numpy().tolist(), strict=True))
 
 
-def _slope(batches: _Batches, blocks: Blocks, level: float) -> Spread:
+def _slope(batches: _BatchMeans, blocks: Blocks, level: float) -> Spread:
     """Return the slope of log variance on log mean, with an instrument against noisy means.
 
     Variance, mean and instrument are of different samples, so that their noise has nothing in
@@ -393,7 +393,7 @@ def _slope(batches: _Batches, blocks: Blocks, level: float) -> Spread:
     return slope_of(x, y, blocks, instrument=z, level=level)
 
 
-def _concentration(batches: _Batches, blocks: Blocks, level: float) -> Spread:
+def _concentration(batches: _BatchMeans, blocks: Blocks, level: float) -> Spread:
     """Return the share of squared steps to the right-hand neighbour in the largest steps.
 
     A third of the samples says which steps are large; the product of the steps of the two other
@@ -415,6 +415,8 @@ def _concentration(batches: _Batches, blocks: Blocks, level: float) -> Spread:
     return interval_of(lambda w: (w @ above) / (w @ below), kept, level=level)
 
 
-def _exhibit(batches: _Batches) -> Exhibit:
+def _plot_data(batches: _BatchMeans) -> PlotData:
     mean, variance = logs(batches.values.mean(axis=1)), logs(batches.values.var(axis=1, ddof=1))
-    return Exhibit("points", {"pixels": (mean, variance)}, "log10 mean", "log10 variance of a mean")
+    return PlotData(
+        "points", {"pixels": (mean, variance)}, "log10 mean", "log10 variance of a mean"
+    )

@@ -15,8 +15,8 @@ from scipy import stats
 from chdstat._core.resampling import Spread, mean_of
 from chdstat.inference import modality
 from chdstat.studies.claims.scene_shapes import common_count, drawn
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["LEAST", "measure", "rank_correlation", "scene_complexity"]
 
@@ -32,35 +32,35 @@ _TURN, _STEP, _PAINT = 0.9, 0.1, 0.1
 """Cosine between normals, difference of log depth, and of albedo, from which surfaces differ."""
 
 
-def measure(evidences: Sequence[Evidence]) -> Conclusion:
+def measure(scenes: Sequence[SceneData]) -> Outcome:
     """Correlate the mean number of modes of the scenes with their complexity."""
-    if len(evidences) < LEAST:
-        return Conclusion(missing=(f"needs {LEAST} scenes to rank, there are {len(evidences)}",))
-    complexity = np.array([scene_complexity(e) for e in evidences])
-    n = common_count(evidences, least=_LEAST_SAMPLES)
-    spreads = [_modes(e, n) for e in evidences]
+    if len(scenes) < LEAST:
+        return Outcome(missing=(f"needs {LEAST} scenes to rank, there are {len(scenes)}",))
+    complexity = np.array([scene_complexity(e) for e in scenes])
+    n = common_count(scenes, least=_LEAST_SAMPLES)
+    spreads = [_modes(e, n) for e in scenes]
     modes = np.array([s.value for s in spreads])
     known = np.isfinite(complexity + modes)
     if np.count_nonzero(known) < LEAST:
-        return Conclusion(missing=(f"needs first-hit features or a complexity of {LEAST} scenes",))
+        return Outcome(missing=(f"needs first-hit features or a complexity of {LEAST} scenes",))
     found, p = rank_correlation(complexity[known], modes[known])
-    return Conclusion(
-        (Part.of("rank correlation of modes with scene complexity", found, least=0.0),),
+    return Outcome(
+        (ClaimTest.of("rank correlation of modes with scene complexity", found, least=0.0),),
         p_value=p,
         details={
             "positive_samples": n,
             "modes": {
                 e.name: {"value": s.value, "low": s.low, "high": s.high}
-                for e, s in zip(evidences, spreads, strict=True)
+                for e, s in zip(scenes, spreads, strict=True)
             },
-            "complexity": {e.name: c for e, c in zip(evidences, complexity, strict=True)},
+            "complexity": {e.name: c for e, c in zip(scenes, complexity, strict=True)},
             "null_hypothesis": "modes and complexity have no common order (one-sided)",
         },
-        exhibit=Exhibit(
+        plot_data=PlotData(
             "points",
             {
                 e.name: (np.array([c]), np.array([m]))
-                for e, c, m in zip(evidences, complexity, modes, strict=True)
+                for e, c, m in zip(scenes, complexity, modes, strict=True)
             },
             "complexity of the scene",
             "mean number of modes",
@@ -69,14 +69,14 @@ def measure(evidences: Sequence[Evidence]) -> Conclusion:
     )
 
 
-def scene_complexity(evidence: Evidence) -> float:
+def scene_complexity(data: SceneData) -> float:
     """Return the given complexity, or the share of neighbours that see different surfaces.
 
     That is what a camera can tell: 0 for a bare wall, near 1 for foliage. NaN without features.
     """
-    if evidence.complexity is not None:
-        return float(evidence.complexity)
-    normal, depth, albedo = (evidence.feature(name) for name in ("normal", "depth", "albedo"))
+    if data.complexity is not None:
+        return float(data.complexity)
+    normal, depth, albedo = (data.feature(name) for name in ("normal", "depth", "albedo"))
     if normal is None or depth is None or albedo is None:
         return math.nan
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -123,8 +123,8 @@ def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Spre
     return Spread(round(r, 12), math.tanh(z - half), math.tanh(z + half), level), float(p)
 
 
-def _modes(evidence: Evidence, n: int) -> Spread:
-    x, blocks = drawn(evidence, n, pixels=_PIXELS)
+def _modes(data: SceneData, n: int) -> Spread:
+    x, blocks = drawn(data, n, pixels=_PIXELS)
     modes = modality(x).modes.astype(np.float64)
     known = modes > 0
     return mean_of(modes[known], blocks[known])

@@ -9,8 +9,8 @@ from scipy import ndimage, special
 from chdstat._core.resampling import Blocks, Spread, interval_of, mean_of
 from chdstat.fit._gamma import gamma_shape
 from chdstat.studies.log_chds import visible
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["DISTANCE", "SYMMETRIC", "log_skewness", "measure"]
 
@@ -33,21 +33,21 @@ _SMOOTH = 17
 """Bins that the histogram is averaged over before its mode is taken, a fifth of the mean."""
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Measure skewness and distance to Gaussian of logarithms, and likeness to gamma."""
-    patch = evidence.patch("diffuse")
+    patch = data.patch("diffuse")
     if patch is None:
-        return Conclusion(missing=("needs a region of diffuse objects",))
-    x = visible(evidence.light(patch))
+        return Outcome(missing=("needs a region of diffuse objects",))
+    x = visible(data.light(patch))
     enough = np.isfinite(log_skewness(x))
     if not enough.any():
-        return Conclusion(missing=(f"needs {LEAST} different positive samples in a pixel",))
+        return Outcome(missing=(f"needs {LEAST} different positive samples in a pixel",))
     x, blocks = x[enough], patch.blocks[enough]
     z, skewness = blocks.sums(_counts(_standard_logs(x), _Z)), log_skewness(x)
-    return Conclusion(
+    return Outcome(
         (*_in_logs(skewness, z, blocks), *_in_radiance(x, blocks)),
         details={"log_skewness": patch.by_region(_spread(skewness, enough))},
-        exhibit=_exhibit(z.sum(axis=0)),
+        plot_data=_plot_data(z.sum(axis=0)),
     )
 
 
@@ -61,16 +61,16 @@ def log_skewness(x: Floats) -> Floats:
     return np.asarray(np.where(n >= LEAST, np.nansum(z**3, axis=-1) / np.maximum(n, 1), np.nan))
 
 
-def _in_logs(skewness: Floats, z: Floats, blocks: Blocks) -> tuple[Part, ...]:
+def _in_logs(skewness: Floats, z: Floats, blocks: Blocks) -> tuple[ClaimTest, ...]:
     level = level_of(_PARTS)
     return (
-        Part.of(
+        ClaimTest.of(
             "skewness of log radiance",
             mean_of(skewness, blocks, level=level),
             least=-SYMMETRIC,
             most=SYMMETRIC,
         ),
-        Part.of(
+        ClaimTest.of(
             "distance of log radiance to a Gaussian",
             interval_of(lambda w: _to_gaussian(w @ z), blocks, level=level, bounds=(0.0, 1.0)),
             most=DISTANCE,
@@ -78,18 +78,18 @@ def _in_logs(skewness: Floats, z: Floats, blocks: Blocks) -> tuple[Part, ...]:
     )
 
 
-def _in_radiance(x: Floats, blocks: Blocks) -> tuple[Part, ...]:
+def _in_radiance(x: Floats, blocks: Blocks) -> tuple[ClaimTest, ...]:
     level = level_of(_PARTS)
     ratio, gaps = blocks.sums(_counts(_ratios(x), _RATIO)), blocks.sums(_log_ratios(x))
     return (
-        Part.of(
+        ClaimTest.of(
             "distance of radiance to a gamma distribution",
             interval_of(
                 lambda w: _to_gamma(w @ ratio, w @ gaps), blocks, level=level, bounds=(0.0, 1.0)
             ),
             most=DISTANCE,
         ),
-        Part.of("mode over mean", _mode(ratio, blocks, level), most=1.0),
+        ClaimTest.of("mode over mean", _mode(ratio, blocks, level), most=1.0),
     )
 
 
@@ -164,10 +164,10 @@ def _spread(values: Floats, where: npt.NDArray[np.bool_]) -> Floats:
     return found
 
 
-def _exhibit(counts: Floats) -> Exhibit:
+def _plot_data(counts: Floats) -> PlotData:
     centers, width = (_Z[1:] + _Z[:-1]) / 2, _Z[1] - _Z[0]
     series = {
         "diffuse": (centers, counts / (counts.sum() * width)),
         "Gaussian": (centers, np.exp(-(centers**2) / 2) / np.sqrt(2 * np.pi)),
     }
-    return Exhibit("curves", series, "standardised log radiance", "density")
+    return PlotData("curves", series, "standardised log radiance", "density")

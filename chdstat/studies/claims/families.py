@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.resampling import Blocks, Spread, interval_of, least_of
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData
+from chdstat.studies.scene_data import SceneData
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -19,24 +19,24 @@ __all__ = ["measure"]
 Floats = npt.NDArray[np.float64]
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Compare the share of gamma among the best families with that of the next frequent one."""
-    analysis, blocks = evidence.analysis, evidence.whole().blocks
+    analysis, blocks = data.analysis, data.whole().blocks
     names = _names(analysis)
     if "gamma" not in names:
-        return Conclusion(missing=("needs fits of gamma distributions",))
+        return Outcome(missing=("needs fits of gamma distributions",))
     counts = _counts(analysis, "best_family", names)
     if not counts.sum():
-        return Conclusion(missing=("needs pixels with enough positive samples to fit",))
+        return Outcome(missing=("needs pixels with enough positive samples to fit",))
     lead = _lead(counts, blocks, list(names).index("gamma"))
     shares = {name: _share(counts[:, [i]], counts, blocks) for i, name in enumerate(names)}
-    return Conclusion(
-        (Part.of("share of gamma less that of the next family", lead, least=0.0),),
+    return Outcome(
+        (ClaimTest.of("share of gamma less that of the next family", lead, least=0.0),),
         details={
             "shares": {name: vars(share) for name, share in shares.items()},
             **_more(analysis, names, counts, blocks),
         },
-        exhibit=Exhibit(
+        plot_data=PlotData(
             "bars",
             {name: (np.zeros(1), np.array([s.value])) for name, s in shares.items()},
             y_label="share of pixel channels",

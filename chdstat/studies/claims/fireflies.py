@@ -11,8 +11,8 @@ import numpy.typing as npt
 from chdstat._core.arrays import luminance
 from chdstat._core.resampling import Blocks, Spread, interval_of, median_of
 from chdstat.studies.log_chds import SAME_SHAPE, squared_distance
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["BRIGHTER", "LEAST", "SAME_MEAN", "measure"]
 
@@ -34,33 +34,33 @@ _STEPS = ((-1, 0), (1, 0), (0, -1), (0, 1))
 """Above, below, left, right: of equally good neighbours the one above, as in the paper."""
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Compare CHDs of pixels with a firefly with those next to them: distances, and true means.
 
     A distance of distribution functions hardly sees rare bright samples, though these make a
     firefly: the means tell of them. A firefly is chosen by one batch of samples, and half of those
     of its neighbour; the means are of all other batches, and so tell nothing of the choice.
     """
-    partner = _partners(evidence)
-    batches = np.asarray(luminance(evidence.summary["batch_means"].to_numpy().astype(np.float64)))
+    partner = _partners(data)
+    batches = np.asarray(luminance(data.summary["batch_means"].to_numpy().astype(np.float64)))
     pairs = _pairs(batches.reshape(-1, batches.shape[-1]), partner.ravel())
     found = pairs.count > 0
     if np.count_nonzero(found) < LEAST:
         count = int(np.count_nonzero(found))
-        return Conclusion(missing=(f"needs {LEAST} fireflies, there are {count}",))
-    whole, level = evidence.whole(), level_of(_PARTS)
-    square = _squares(evidence, partner).ravel()
+        return Outcome(missing=(f"needs {LEAST} fireflies, there are {count}",))
+    whole, level = data.whole(), level_of(_PARTS)
+    square = _squares(data, partner).ravel()
     blocks = whole.blocks[found]
     ordinary = square[~found & np.isfinite(square)]
-    return Conclusion(
+    return Outcome(
         (
-            Part.of(
+            ClaimTest.of(
                 "distance between the CHDs of a firefly and its neighbour",
                 median_of(square[found], blocks, level=level).root(),
                 most=SAME_SHAPE,
                 unit="decade^1/2",
             ),
-            Part.of(
+            ClaimTest.of(
                 "mean radiance of a firefly over its neighbour's, in other samples",
                 _ratio_of_means(pairs, found, blocks, level),
                 most=SAME_MEAN,
@@ -73,7 +73,7 @@ def measure(evidence: Evidence) -> Conclusion:
             if ordinary.size
             else None,
         },
-        exhibit=_exhibit(evidence, partner, np.where(found, square, np.nan)),
+        plot_data=_plot_data(data, partner, np.where(found, square, np.nan)),
     )
 
 
@@ -137,11 +137,11 @@ def _ratio_of_means(
     return replace(ratio, high=high)
 
 
-def _partners(evidence: Evidence) -> Ints:
+def _partners(data: SceneData) -> Ints:
     """Return the neighbour that sees the most similar surface, as an index of the flat image."""
-    height, width = evidence.samples.shape[:2]
-    features = [f for f in map(evidence.feature, ("albedo", "normal")) if f is not None]
-    depth = evidence.feature("depth")
+    height, width = data.samples.shape[:2]
+    features = [f for f in map(data.feature, ("albedo", "normal")) if f is not None]
+    depth = data.feature("depth")
     if depth is not None:
         with np.errstate(divide="ignore", invalid="ignore"):
             features.append(np.nan_to_num(np.log(depth), posinf=0, neginf=0)[..., np.newaxis])
@@ -157,20 +157,20 @@ def _partners(evidence: Evidence) -> Ints:
     return np.asarray(partner)
 
 
-def _squares(evidence: Evidence, partner: Ints) -> Floats:
-    chds = evidence.chds
+def _squares(data: SceneData, partner: Ints) -> Floats:
+    chds = data.chds
     beside = chds.halves.reshape(-1, *chds.halves.shape[2:])[partner]
     return squared_distance(chds, type(chds)(beside), width=_BIN)
 
 
-def _exhibit(evidence: Evidence, partner: Ints, square: Floats) -> Exhibit:
+def _plot_data(data: SceneData, partner: Ints, square: Floats) -> PlotData:
     """Return the CHDs of the firefly at the median distance and of its neighbour."""
-    chds = evidence.chds.whole.reshape(square.size, -1)
+    chds = data.chds.whole.reshape(square.size, -1)
     known = int(np.isfinite(square).sum())
     place = int(np.argsort(square, kind="stable")[known // 2])
     edges = -5 + _BIN * np.arange(chds.shape[1])
     pair = {"firefly": place, "neighbour": int(partner.ravel()[place])}
-    return Exhibit(
+    return PlotData(
         "curves",
         {name: (edges, chds[i]) for name, i in pair.items()},
         "log10 radiance in W sr-1 m-2",

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from chdstat._core.resampling import Blocks, Spread, interval_of, largest_of
 from chdstat.studies.log_chds import EDGES, SAME_SHAPE, LogChds, aligned, squared_distance
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence, Patch
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import PixelSet, SceneData
 
 __all__ = ["FOLLOWS", "SHIFT", "channel_shift", "measure", "pooled_distance", "spread_slope"]
 
@@ -25,39 +25,39 @@ the spread is a function of radiance."""
 _PARTS = 3
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Compare glossy with diffuse shapes, and the channels with each other."""
-    glossy, diffuse = evidence.patch("glossy"), evidence.patch("diffuse")
+    glossy, diffuse = data.patch("glossy"), data.patch("diffuse")
     if glossy is None or diffuse is None:
-        return Conclusion(missing=("needs a region of glossy and one of diffuse objects",))
-    if evidence.samples.shape[2] < 2:
-        return Conclusion(missing=("needs several channels",))
-    x = evidence.radiance(glossy)
-    shapes = aligned(evidence.light(glossy)), aligned(evidence.light(diffuse))
+        return Outcome(missing=("needs a region of glossy and one of diffuse objects",))
+    if data.samples.shape[2] < 2:
+        return Outcome(missing=("needs several channels",))
+    x = data.radiance(glossy)
+    shapes = aligned(data.light(glossy)), aligned(data.light(diffuse))
     level = level_of(_PARTS)
     parts = (
-        Part.of(
+        ClaimTest.of(
             "distance between glossy and diffuse shapes",
             pooled_distance(*shapes, glossy.blocks, diffuse.blocks, level=level),
             most=SAME_SHAPE,
             unit="decade^1/2",
         ),
-        Part.of(
+        ClaimTest.of(
             "shift between channels",
             channel_shift(x, glossy.blocks, level=level),
             least=SHIFT,
             unit="decade",
         ),
-        Part.of(
+        ClaimTest.of(
             "slope of log deviation on log mean over channels",
             spread_slope(x, glossy.blocks, level=level),
             least=FOLLOWS,
         ),
     )
-    return Conclusion(
+    return Outcome(
         parts,
-        details={"log_mean": _by_channel(evidence, glossy, x)},
-        exhibit=_exhibit(*shapes),
+        details={"log_mean": _by_channel(data, glossy, x)},
+        plot_data=_plot_data(*shapes),
     )
 
 
@@ -143,17 +143,17 @@ def _deviation(x: Floats) -> Floats:
     return np.asarray(np.sqrt(square.sum(axis=-1) / (good.sum(axis=-1) - 1)))
 
 
-def _by_channel(evidence: Evidence, patch: Patch, x: Floats) -> dict[str, dict[str, float]]:
+def _by_channel(data: SceneData, patch: PixelSet, x: Floats) -> dict[str, dict[str, float]]:
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log10(_mean(x))
-    names = evidence.samples.channels
+    names = data.samples.channels
     return {name: patch.by_region(logs[:, c]) for c, name in enumerate(names)}
 
 
-def _exhibit(glossy: LogChds, diffuse: LogChds) -> Exhibit:
+def _plot_data(glossy: LogChds, diffuse: LogChds) -> PlotData:
     series = {
         name: (EDGES, chds.whole[chds.known].mean(axis=0))
         for name, chds in (("glossy", glossy), ("diffuse", diffuse))
         if chds.known.any()
     }
-    return Exhibit("curves", series, "log10 radiance around its mean", "share below")
+    return PlotData("curves", series, "log10 radiance around its mean", "share below")

@@ -12,8 +12,8 @@ from chdstat.fit import tail_index
 from chdstat.patterns import Thresholds
 from chdstat.studies.claims.assumptions import growing, with_room
 from chdstat.studies.claims.diffuse import log_skewness
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["KURTOSIS", "TAIL", "measure"]
 
@@ -30,29 +30,31 @@ LEAST = 100
 _PARTS = 4
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Measure tail, kurtosis, skewness of logarithms and nulls in indirect light."""
-    patch = evidence.patch("indirect")
+    patch = data.patch("indirect")
     if patch is None:
-        return Conclusion(missing=("needs a region of indirect light",))
-    summary, level = evidence.summary, level_of(_PARTS)
+        return Outcome(missing=("needs a region of indirect light",))
+    summary, level = data.summary, level_of(_PARTS)
     null = patch.take(summary["null_share"].to_numpy())
-    x = evidence.light(patch)
+    x = data.light(patch)
     tail, skewness = _tail(x), log_skewness(x)
     if not np.isfinite(tail).any():
-        return Conclusion(missing=(_needed(x),))
+        return Outcome(missing=(_needed(x),))
     blocks = patch.blocks
     grown = growing(x, x > 0, lambda moments: moments.kurtosis)
     kurtosis = grown[-1]
     parts = (
-        Part.of("quantile at 99 % over median", median_of(tail, blocks, level=level), least=TAIL),
-        Part.of(
+        ClaimTest.of(
+            "quantile at 99 % over median", median_of(tail, blocks, level=level), least=TAIL
+        ),
+        ClaimTest.of(
             "excess kurtosis of positive samples",
             with_room(median_of(kurtosis, blocks, level=level), grown),
             least=KURTOSIS,
         ),
-        Part.of("skewness of log radiance", mean_of(skewness, blocks, level=level), most=0.0),
-        Part.of(
+        ClaimTest.of("skewness of log radiance", mean_of(skewness, blocks, level=level), most=0.0),
+        ClaimTest.of(
             "share of nulls", mean_of(null, blocks, level=level), least=Thresholds().null_share
         ),
     )
@@ -65,10 +67,10 @@ def measure(evidence: Evidence) -> Conclusion:
     }
     ordered = np.sort(skewness[np.isfinite(skewness)])
     rank = (np.arange(len(ordered)) + 0.5) / max(len(ordered), 1)
-    return Conclusion(
+    return Outcome(
         parts,
         details={name: patch.by_region(values) for name, values in measured.items()},
-        exhibit=Exhibit(
+        plot_data=PlotData(
             "curves", {"pixels": (ordered, rank)}, "skewness of log radiance", "share below"
         ),
     )

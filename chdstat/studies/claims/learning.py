@@ -19,8 +19,8 @@ from chdstat.comparison import Comparison
 from chdstat.comparison.metrics import relative_squared_error
 from chdstat.errors import ChdstatError
 from chdstat.io.denoiser import denoise
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["EARLY", "GAINED", "MAJORITY", "PAPER", "SUPPRESSED", "measure"]
 
@@ -41,32 +41,32 @@ _RECORDS = 10
 """Records of a training that say how far its losses scatter, at least."""
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Read majority, fireflies, training and denoising off a comparison."""
-    comparison = evidence.comparison
+    comparison = data.comparison
     if comparison is None:
-        return Conclusion(missing=("needs a comparison of estimators",))
+        return Outcome(missing=("needs a comparison of estimators",))
     found = {
-        name: _of_model(evidence, comparison, name)
+        name: _of_model(data, comparison, name)
         for name in comparison.estimators
         if name in comparison.models
     }
     asked = found.pop(PAPER, None)
     if asked is None:
-        asked = Conclusion(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
+        asked = Outcome(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
     return replace(asked, beside=found)
 
 
-def _of_model(evidence: Evidence, comparison: Comparison, name: str) -> Conclusion:
+def _of_model(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     """Ask one estimator that learned."""
     index, level = comparison.estimators.index(name), level_of(_PARTS)
     parts = [
-        Part.of(
+        ClaimTest.of(
             "share of improved estimates",
             _read(comparison, "improved", index, level),
             least=MAJORITY,
         ),
-        Part.of(
+        ClaimTest.of(
             "share of fireflies left",
             _read(comparison, "fireflies_left", index, level),
             most=SUPPRESSED,
@@ -76,19 +76,19 @@ def _of_model(evidence: Evidence, comparison: Comparison, name: str) -> Conclusi
     missing = [] if history is not None else ["needs the history of a training"]
     if history is not None:
         gain = f"share of the gain after {EARLY:.0%} of the training"
-        parts.append(Part.of(gain, early_gain(history, level=level), least=GAINED))
+        parts.append(ClaimTest.of(gain, early_gain(history, level=level), least=GAINED))
     try:
-        start = _better_start(evidence, comparison, index, level)
+        start = _better_start(data, comparison, index, level)
         parts.append(
-            Part.of("error of its denoised estimates over that of the mean's", start, most=1.0)
+            ClaimTest.of("error of its denoised estimates over that of the mean's", start, most=1.0)
         )
     except ChdstatError as error:
         missing.append(f"needs a denoiser: {error}")
-    return Conclusion(
+    return Outcome(
         tuple(parts),
         tuple(missing),
         details={"estimator": name, "n": comparison.n, "bias": _value(comparison, "bias", index)},
-        exhibit=_exhibit(history),
+        plot_data=_plot_data(history),
         subject=f"for {name}",
     )
 
@@ -143,10 +143,10 @@ def _read(comparison: Comparison, measure: str, index: int, level: float) -> Spr
     return Spread(value, value - half, value + half, level)
 
 
-def _better_start(evidence: Evidence, comparison: Comparison, index: int, level: float) -> Spread:
+def _better_start(data: SceneData, comparison: Comparison, index: int, level: float) -> Spread:
     """Return relMSE of the denoised learned estimates over that of the denoised means."""
-    albedo = evidence.feature("albedo")
-    normal = None if albedo is None else evidence.feature("normal")
+    albedo = data.feature("albedo")
+    normal = None if albedo is None else data.feature("normal")
     reference = comparison.first_reference
     scene_mean = np.nanmean(comparison.reference, axis=(0, 1))
     denoised = (
@@ -160,18 +160,18 @@ def _better_start(evidence: Evidence, comparison: Comparison, index: int, level:
     used = comparison.test_pixels.ravel() & np.isfinite(ours + theirs)
     if not used.any():
         return Spread.unknown(level=level)
-    blocks = evidence.whole().blocks[used]
+    blocks = data.whole().blocks[used]
     above, below = blocks.sums(ours[used]), blocks.sums(theirs[used])
     return interval_of(
         lambda w: (w @ above) / (w @ below), blocks, level=level, bounds=(0.0, np.inf)
     )
 
 
-def _exhibit(history: Any) -> Exhibit:
+def _plot_data(history: Any) -> PlotData:
     if history is None:
-        return Exhibit("curves")
+        return PlotData("curves")
     series = {
         "validation": (history.iteration, history.validation_loss),
         "sample mean": (history.iteration, history.validation_baseline),
     }
-    return Exhibit("curves", series, "iteration", "squared error in (W sr-1 m-2)^2")
+    return PlotData("curves", series, "iteration", "squared error in (W sr-1 m-2)^2")

@@ -8,8 +8,8 @@ import numpy.typing as npt
 from chdstat._core.arrays import generator
 from chdstat._core.resampling import Blocks, Spread, interval_of
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, squared_distance
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["BLEND", "CONTINUOUS", "measure"]
 
@@ -31,12 +31,12 @@ _BIN = 0.1
 _PARTS = 2
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Compare neighbours with other pixels, and pixels on edges with blends of both sides."""
-    chds, level = evidence.chds, level_of(_PARTS)
-    blocks = evidence.whole().blocks
+    chds, level = data.chds, level_of(_PARTS)
+    blocks = data.whole().blocks
     near, far = _near(chds), _far(chds)
-    ratio = Part.of(
+    ratio = ClaimTest.of(
         "squared distance of neighbours over that of any two pixels",
         _ratio(near, far, blocks, level),
         most=CONTINUOUS,
@@ -47,13 +47,13 @@ def measure(evidence: Evidence) -> Conclusion:
         missing = [f"needs {LEAST} pixels on edges between different CHDs, found {len(left)}"]
     else:
         spread = _explained(left, nearest, blocks[pixels], level)
-        parts.append(Part.of("share explained by a blend of both sides", spread, least=BLEND))
+        parts.append(ClaimTest.of("share explained by a blend of both sides", spread, least=BLEND))
     image = np.sqrt(np.maximum(near, 0)).reshape(chds.halves.shape[:2])
-    return Conclusion(
+    return Outcome(
         tuple(parts),
         tuple(missing),
         details={"edge_pixels": len(left)},
-        exhibit=Exhibit("map", {"distance to neighbours": (np.empty(0), image)}),
+        plot_data=PlotData("map", {"distance to neighbours": (np.empty(0), image)}),
     )
 
 

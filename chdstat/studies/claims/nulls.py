@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from chdstat._core.resampling import mean_of
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part
-from chdstat.studies.scene_data import Evidence, Patch
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData
+from chdstat.studies.scene_data import PixelSet, SceneData
 
 __all__ = ["EXPECTED", "NEAR", "measure"]
 
@@ -22,22 +22,22 @@ EXPECTED = {
 gallery, "low numbers" in the white room by day, for which the paper gives no figure."""
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Compare the share of nulls with what the paper reports of such a scene."""
-    scene = EXPECTED.get(evidence.name)
-    patch = evidence.patch("indirect") if scene is None else evidence.whole()
+    scene = EXPECTED.get(data.name)
+    patch = data.patch("indirect") if scene is None else data.whole()
     if patch is None:
-        return Conclusion(missing=("needs a region of indirect light",))
+        return Outcome(missing=("needs a region of indirect light",))
     least, most = NEAR if scene is None else scene
-    share = evidence.summary["null_share"].to_numpy()
+    share = data.summary["null_share"].to_numpy()
     found = mean_of(patch.take(share), patch.blocks)
     where = "the indirect regions" if scene is None else "the image"
-    named = _by_region(evidence, share)
+    named = _by_region(data, share)
     known = share[np.isfinite(share)]
-    return Conclusion(
-        (Part.of(f"share of nulls in {where}", found, least=least, most=most),),
+    return Outcome(
+        (ClaimTest.of(f"share of nulls in {where}", found, least=least, most=most),),
         details={"by_region": named, "image": float(known.mean()) if known.size else None},
-        exhibit=Exhibit(
+        plot_data=PlotData(
             "bars",
             {name: (np.zeros(1), np.array([value])) for name, value in named.items()},
             y_label="share of nulls",
@@ -45,8 +45,8 @@ def measure(evidence: Evidence) -> Conclusion:
     )
 
 
-def _by_region(evidence: Evidence, share: np.ndarray) -> dict[str, float]:
-    if not evidence.regions:
+def _by_region(data: SceneData, share: np.ndarray) -> dict[str, float]:
+    if not data.regions:
         return {}
-    patch = Patch.of(evidence.regions, *evidence.samples.shape[:2])
+    patch = PixelSet.of(data.regions, *data.samples.shape[:2])
     return patch.by_region(patch.take(share))

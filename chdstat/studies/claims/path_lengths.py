@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from chdstat._core.resampling import mean_of
 from chdstat.samples.samples import Samples
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -30,23 +30,23 @@ _LEVELS = (0.01, 0.5, 0.99)
 _PARTS = 4
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Compare pixel by pixel with an image of the same view with shorter paths."""
-    short = evidence.shorter_summary
-    if short is None or evidence.shorter is None:
-        return Conclusion(missing=("needs the same scene rendered with shorter paths",))
-    long = evidence.summary
+    short = data.shorter_summary
+    if short is None or data.shorter is None:
+        return Outcome(missing=("needs the same scene rendered with shorter paths",))
+    long = data.summary
     if long["null_share"].shape != short["null_share"].shape:
-        return Conclusion(missing=("needs shorter paths in the same size",))
-    blocks, level = evidence.whole().blocks, level_of(_PARTS)
+        return Outcome(missing=("needs shorter paths in the same size",))
+    blocks, level = data.whole().blocks, level_of(_PARTS)
     changes = _changes(long, short)
 
-    def part(name: str, unit: str) -> Part:
+    def part(name: str, unit: str) -> ClaimTest:
         values = changes[name].reshape(len(blocks.of_pixel), -1)
         spread = mean_of(values, blocks, level=level)
-        return Part.of(f"mean change of {name}", spread, least=GROWTH, unit=unit)
+        return ClaimTest.of(f"mean change of {name}", spread, least=GROWTH, unit=unit)
 
-    return Conclusion(
+    return Outcome(
         (
             part("support", "decade"),
             part("tail", "decade"),
@@ -54,15 +54,15 @@ def measure(evidence: Evidence) -> Conclusion:
             part("log variance", "decade"),
         ),
         details={
-            "time_ratio": _time_ratio(evidence.samples, evidence.shorter),
+            "time_ratio": _time_ratio(data.samples, data.shorter),
             "seconds_per_sample": [
-                _time_of_sample(samples) for samples in (evidence.shorter, evidence.samples)
+                _time_of_sample(samples) for samples in (data.shorter, data.samples)
             ],
             "mean_ratio": float(long["mean"].mean() / short["mean"].mean()),
-            "max_depth": [_depth(evidence.shorter), _depth(evidence.samples)],
-            "spp": [evidence.shorter.spp, evidence.samples.spp],
+            "max_depth": [_depth(data.shorter), _depth(data.samples)],
+            "spp": [data.shorter.spp, data.samples.spp],
         },
-        exhibit=_exhibit(changes),
+        plot_data=_plot_data(changes),
     )
 
 
@@ -136,7 +136,7 @@ def _depth(samples: Samples) -> Any:
     return integrator.get("max_depth") if isinstance(integrator, dict) else None
 
 
-def _exhibit(changes: dict[str, Floats]) -> Exhibit:
+def _plot_data(changes: dict[str, Floats]) -> PlotData:
     means = {n: np.nanmean(v) for n, v in changes.items() if np.isfinite(v).any()}
     series = {name: (np.zeros(1), np.array([mean])) for name, mean in means.items()}
-    return Exhibit("bars", series, y_label="change with longer paths")
+    return PlotData("bars", series, y_label="change with longer paths")

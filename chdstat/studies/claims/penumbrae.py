@@ -8,8 +8,8 @@ from scipy import stats
 
 from chdstat._core.resampling import mean_of
 from chdstat.inference import modality
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence, Patch, correlation_of
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import PixelSet, SceneData, correlation_of
 
 __all__ = ["FOLLOWS", "MAJORITY", "measure"]
 
@@ -26,32 +26,32 @@ _DISTINCT = 1e-3
 """Range of log radiance below which there are no two modes to be parted."""
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Count bimodal pixels, and correlate the weight of the bright mode with the position."""
-    patch = evidence.patch("penumbra")
+    patch = data.patch("penumbra")
     if patch is None:
-        return Conclusion(missing=("needs a region in a penumbra",))
-    x, level = evidence.light(patch), level_of(_PARTS)
+        return Outcome(missing=("needs a region in a penumbra",))
+    x, level = data.light(patch), level_of(_PARTS)
     modes = modality(x).modes
     several = np.where(modes > 0, modes > 1, np.nan)
     places, weights = _across(patch, x)
     ranks = (_ranks(patch, places), _ranks(patch, weights))
     parts = (
-        Part.of(
+        ClaimTest.of(
             "share of bimodal pixels",
             mean_of(several, patch.blocks, level=level),
             least=MAJORITY,
         ),
-        Part.of(
+        ClaimTest.of(
             "rank correlation of the weight of the bright mode with position",
             correlation_of(*ranks, patch.blocks, level=level),
             least=FOLLOWS,
         ),
     )
-    return Conclusion(
+    return Outcome(
         parts,
         details={"bright_weight": patch.by_region(weights)},
-        exhibit=Exhibit(
+        plot_data=PlotData(
             "points",
             {
                 name: (places[patch.region == i], weights[patch.region == i])
@@ -63,7 +63,7 @@ def measure(evidence: Evidence) -> Conclusion:
     )
 
 
-def _across(patch: Patch, x: Floats) -> tuple[Floats, Floats]:
+def _across(patch: PixelSet, x: Floats) -> tuple[Floats, Floats]:
     """Return position along the gradient, and weight of the bright mode, of every pixel.
 
     One half of the samples says where the border between the modes is and which way the penumbra
@@ -116,7 +116,7 @@ def _along(values: Floats, y: Floats, x: Floats) -> Floats:
     return np.asarray(design @ slope / length if length > 0 else np.zeros(len(values)))
 
 
-def _ranks(patch: Patch, values: Floats) -> Floats:
+def _ranks(patch: PixelSet, values: Floats) -> Floats:
     """Return ranks within each region over the number of its pixels; NaN where a value is."""
     found = np.full(len(patch), np.nan)
     for i in range(len(patch.names)):

@@ -20,8 +20,8 @@ from chdstat.comparison import Comparison
 from chdstat.comparison.candidates import options_of
 from chdstat.estimators import Progressive, lookup, names
 from chdstat.studies.claims.learning import PAPER
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["FACTORS", "LEVELS", "ROUNDING", "measure"]
 
@@ -46,33 +46,33 @@ _DARK = 0.01
 _LEAST_SHOWN = -8.0
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Give the model constant images, the samples in another order, and in another unit."""
-    comparison = evidence.comparison
+    comparison = data.comparison
     if comparison is None:
-        return Conclusion(missing=("needs a comparison of estimators",))
+        return Outcome(missing=("needs a comparison of estimators",))
     found = {
-        name: _of_estimator(evidence, comparison, name)
+        name: _of_estimator(data, comparison, name)
         for name in comparison.estimators
         if name in comparison.models or _learns(name)
     }
-    curves = {k: v for told in found.values() for k, v in told.exhibit.series.items()}
+    curves = {k: v for told in found.values() for k, v in told.plot_data.series.items()}
     asked = found.pop(PAPER, None)
     if asked is None:
-        asked = Conclusion(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
+        asked = Outcome(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
     labels = "log10 radiance in W sr-1 m-2", "log10 of the relative deviation"
-    return replace(asked, beside=found, exhibit=Exhibit("curves", curves, *labels))
+    return replace(asked, beside=found, plot_data=PlotData("curves", curves, *labels))
 
 
 def _learns(name: str) -> bool:
     return name in names("learned")
 
 
-def _of_estimator(evidence: Evidence, comparison: Comparison, name: str) -> Conclusion:
+def _of_estimator(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     """Ask one estimator that learned."""
     anew = name not in comparison.models
     edge = _EDGE_TO_LEARN if anew else _EDGE
-    x, direct, features = _middle(evidence, comparison.n, edge)
+    x, direct, features = _middle(data, comparison.n, edge)
     estimate = _function(comparison, name, features)
     small = min(_EDGE_OF_CONSTANTS, *x.shape[:2])
     few = _function(comparison, name, {k: v[:small, :small] for k, v in features.items()})
@@ -80,7 +80,7 @@ def _of_estimator(evidence: Evidence, comparison: Comparison, name: str) -> Conc
     constants = {level: _of_constants(few, (small, small, *x.shape[2:]), level) for level in levels}
     good = ~is_bad(x).any(axis=(-2, -1))
     if not good.any():
-        return Conclusion(missing=("needs pixels without bad samples",), subject=f"for {name}")
+        return Outcome(missing=("needs pixels without bad samples",), subject=f"for {name}")
     first = estimate(x, direct)[good]
     scale, step = _scale(x[good], first), first - x[good].mean(axis=-1, dtype=np.float64)
     moved = {
@@ -108,7 +108,7 @@ def _of_estimator(evidence: Evidence, comparison: Comparison, name: str) -> Conc
     if scaled:
         name_of = "largest change of an estimate with the unit of radiance, over the pixel's scale"
         parts.append(_part(name_of, max(_largest(change, scale) for change in scaled.values())))
-    return Conclusion(
+    return Outcome(
         tuple(parts),
         () if scaled else ("needs radiance that may be 1024 times as bright or dark",),
         details={
@@ -118,28 +118,28 @@ def _of_estimator(evidence: Evidence, comparison: Comparison, name: str) -> Conc
             "change_over_step_by_order": {k: _over(v, step) for k, v in moved.items()},
             "change_over_step_by_factor": {f"{k:g}": _over(v, step) for k, v in scaled.items()},
         },
-        exhibit=_exhibit(name, constants),
+        plot_data=_plot_data(name, constants),
         subject=f"for {name}",
     )
 
 
-def _part(name: str, value: float) -> Part:
+def _part(name: str, value: float) -> ClaimTest:
     """Return a part of a number that is known exactly: nothing is drawn in it."""
-    return Part.of(name, Spread(value, value, value, level_of(_PARTS)), most=ROUNDING)
+    return ClaimTest.of(name, Spread(value, value, value, level_of(_PARTS)), most=ROUNDING)
 
 
 def _middle(
-    evidence: Evidence, n: int, edge: int
+    data: SceneData, n: int, edge: int
 ) -> tuple[Array, Array | None, dict[str, npt.NDArray[np.float32]]]:
     """Return samples in the middle of the image, their direct part, and features there."""
-    starts = [max(0, (length - edge) // 2) for length in evidence.samples.shape[:2]]
+    starts = [max(0, (length - edge) // 2) for length in data.samples.shape[:2]]
     ys, xs = (slice(start, start + edge) for start in starts)
-    direct = evidence.samples.direct
+    direct = data.samples.direct
     part = None
     if direct is not None and direct.spp >= n:
         part = direct.read(ys, xs, slice(0, n))
-    features = {name: image[ys, xs] for name, image in evidence.samples.features.items()}
-    return evidence.samples.read(ys, xs, slice(0, n)), part, features
+    features = {name: image[ys, xs] for name, image in data.samples.features.items()}
+    return data.samples.read(ys, xs, slice(0, n)), part, features
 
 
 def _function(
@@ -205,7 +205,7 @@ def _over(change: Floats, step: Floats) -> float:
     return float(np.sqrt(np.mean(change**2))) / size if size > 0 else float("nan")
 
 
-def _exhibit(name: str, constants: dict[float, float]) -> Exhibit:
+def _plot_data(name: str, constants: dict[float, float]) -> PlotData:
     """Return the deviation by radiance; what is exact lies at the lower border."""
     deviations = np.maximum(list(constants.values()), 10**_LEAST_SHOWN)
-    return Exhibit("curves", {name: (np.log10(list(constants)), np.log10(deviations))})
+    return PlotData("curves", {name: (np.log10(list(constants)), np.log10(deviations))})

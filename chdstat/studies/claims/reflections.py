@@ -8,8 +8,8 @@ import numpy.typing as npt
 from chdstat._core.moments import Moments
 from chdstat._core.resampling import Blocks, Spread, interval_of, median_of
 from chdstat.studies.log_chds import EDGES, SAME_SHAPE, WIDTH, LogChds, aligned
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["NOISY", "measure", "shape_spread"]
 
@@ -21,31 +21,31 @@ distribution, whose average of 32 samples scatters by 18 %."""
 _PARTS = 2
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Measure how far the shapes in a reflection differ, and how noisy it is."""
-    patch = evidence.patch("noisy-reflection")
+    patch = data.patch("noisy-reflection")
     if patch is None:
-        return Conclusion(missing=("needs a region with a noisy reflection",))
+        return Outcome(missing=("needs a region with a noisy reflection",))
     level = level_of(_PARTS)
-    x = evidence.light(patch)
+    x = data.light(patch)
     shapes, variation = aligned(x), _variation(x)
     parts = (
-        Part.of(
+        ClaimTest.of(
             "distance of a pixel's shape to that of the region",
             shape_spread(shapes, patch.blocks, level=level),
             most=SAME_SHAPE,
             unit="decade^1/2",
         ),
-        Part.of(
+        ClaimTest.of(
             "deviation over mean of the samples",
             median_of(variation, patch.blocks, level=level),
             least=NOISY,
         ),
     )
-    return Conclusion(
+    return Outcome(
         parts,
         details={"deviation_over_mean": patch.by_region(variation)},
-        exhibit=_exhibit(shapes),
+        plot_data=_plot_data(shapes),
     )
 
 
@@ -88,7 +88,7 @@ def _variation(x: Floats) -> Floats:
         )
 
 
-def _exhibit(shapes: LogChds) -> Exhibit:
+def _plot_data(shapes: LogChds) -> PlotData:
     some = shapes.whole[shapes.known][:64]
     series = {f"pixel {i + 1}": (EDGES, curve) for i, curve in enumerate(some)}
-    return Exhibit("curves", series, "log10 radiance around its mean", "share below")
+    return PlotData("curves", series, "log10 radiance around its mean", "share below")

@@ -25,8 +25,8 @@ from chdstat.studies.claims import (
     scene_shapes,
     textures,
 )
-from chdstat.studies.outcomes import Conclusion, Finding, conclude
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import Finding, Outcome, conclude
+from chdstat.studies.scene_data import SceneData
 
 __all__ = ["FINDINGS", "Claim", "find"]
 
@@ -65,7 +65,7 @@ class Claim:
     name: str
     claim: str
     spp: int
-    measure: Callable[[Evidence], Conclusion] | Callable[[Sequence[Evidence]], Conclusion]
+    measure: Callable[[SceneData], Outcome] | Callable[[Sequence[SceneData]], Outcome]
     across: bool = False
     paired: bool = False
     about: str = _IMAGE
@@ -75,14 +75,14 @@ class Claim:
         """Whether one render of one scene can tell."""
         return not (self.across or self.paired)
 
-    def find(self, evidence: Evidence, others: Sequence[Evidence] = ()) -> Finding:
+    def find(self, data: SceneData, others: Sequence[SceneData] = ()) -> Finding:
         """Look for the claim in a scene, or in this scene and others."""
-        used = [evidence, *others] if self.across else [evidence]
+        used = [data, *others] if self.across else [data]
         spp = min(e.samples.spp for e in used)
         if spp < self.spp:
-            found = Conclusion(missing=(f"needs {self.spp} spp, has {spp}",))
+            found = Outcome(missing=(f"needs {self.spp} spp, has {spp}",))
         else:
-            given: Any = used if self.across else evidence
+            given: Any = used if self.across else data
             found = self.measure(given)
         scene = ", ".join(e.name for e in used)
         return conclude(
@@ -96,11 +96,11 @@ class Claim:
         )
 
 
-def _remakes(evidences: Sequence[Evidence]) -> Iterator[str]:
+def _remakes(scenes: Sequence[SceneData]) -> Iterator[str]:
     """Say which scenes are not those of the paper, though they look like them."""
-    for evidence in evidences:
-        if original := remake_of(evidence.samples):
-            yield f"{evidence.name} is a remake of the paper's {original}, not that scene."
+    for data in scenes:
+        if original := remake_of(data.samples):
+            yield f"{data.name} is a remake of the paper's {original}, not that scene."
 
 
 FINDINGS = (
@@ -239,7 +239,7 @@ FINDINGS = (
 Carlo variance reduction", in the order of the study."""
 
 
-def find(evidence: Evidence, *, others: Sequence[Evidence] = ()) -> list[Finding]:
+def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
     """Look for all claims of the paper in one scene, with other scenes to compare it with.
 
     A claim is *supported* where the whole interval of every part of it lies within the range that
@@ -253,7 +253,7 @@ def find(evidence: Evidence, *, others: Sequence[Evidence] = ()) -> list[Finding
 
     Parameters
     ----------
-    evidence
+    data
         The scene.
     others
         Further scenes, for the claims that compare scenes.
@@ -279,8 +279,8 @@ def find(evidence: Evidence, *, others: Sequence[Evidence] = ()) -> list[Finding
     >>> import chdstat as chd
     >>> from chdstat.rendering.recipes import Region
     >>> samples = chd.simulate("gamma", size=(8, 8), spp=16)
-    >>> found = find(Evidence("simulated", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),)))
+    >>> found = find(SceneData("simulated", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),)))
     >>> len(found), found[1].verdict, found[1].reason
     (16, 'cannot tell', 'Needs 128 spp, has 16.')
     """
-    return [claim.find(evidence, others) for claim in FINDINGS]
+    return [claim.find(data, others) for claim in FINDINGS]

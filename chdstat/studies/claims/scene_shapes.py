@@ -27,8 +27,8 @@ from chdstat._core.resampling import Blocks, Spread, interval_of, mean_of
 from chdstat.patterns.atlas_shapes import WIDTH, of_histograms
 from chdstat.samples.samples import Samples
 from chdstat.studies.log_chds import EDGES, LogChds, aligned, squared_distance
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
@@ -40,31 +40,31 @@ __all__ = [
     "drawn",
     "measure",
     "permuted",
+    "scene_accuracy",
     "squares",
     "squares_of_pairs",
-    "tells_apart",
     "thinned",
 ]
 
 Floats = npt.NDArray[np.float64]
 
 
-def common_count(evidences: Sequence[Evidence], *, least: int) -> int:
+def common_count(scenes: Sequence[SceneData], *, least: int) -> int:
     """Return a number of positive samples that half of the pixels of every scene have.
 
     Of pixels that have any, and of the channel in the middle; not less than `least`.
     """
-    counts = [_positive(evidence) for evidence in evidences]
+    counts = [_positive(data) for data in scenes]
     middles = [np.median(n[n > 0]) if n.any() else 0 for n in counts]
     return max(least, int(min(middles, default=0)))
 
 
-def drawn(evidence: Evidence, n: int, *, pixels: int, across: int = 8) -> tuple[Floats, Blocks]:
+def drawn(data: SceneData, n: int, *, pixels: int, across: int = 8) -> tuple[Floats, Blocks]:
     """Draw `n` positive samples of pixels spread over the image, of the channel in the middle.
 
     Parameters
     ----------
-    evidence
+    data
         The scene.
     n
         Samples of each pixel; pixels with fewer are left out.
@@ -78,10 +78,10 @@ def drawn(evidence: Evidence, n: int, *, pixels: int, across: int = 8) -> tuple[
     tuple
         Radiance, shape (pixel, n), and the blocks that the pixels lie in.
     """
-    rng, blocks = generator(0), evidence.whole(across).blocks
+    rng, blocks = generator(0), data.whole(across).blocks
     found, places = [np.empty((0, n))], [np.empty(0, dtype=np.int64)]
-    for patch in evidence.scattered(pixels, across=across, able=_positive(evidence) >= n):
-        x = evidence.radiance(patch)
+    for patch in data.scattered(pixels, across=across, able=_positive(data) >= n):
+        x = data.radiance(patch)
         light = x[:, x.shape[1] // 2]
         # Positive ones first, in an order drawn at random.
         rank = np.where(light > 0, rng.random(light.shape), 2)
@@ -91,9 +91,9 @@ def drawn(evidence: Evidence, n: int, *, pixels: int, across: int = 8) -> tuple[
     return np.concatenate(found), Blocks(np.concatenate(places), blocks.region)
 
 
-def _positive(evidence: Evidence) -> npt.NDArray[np.int64]:
+def _positive(data: SceneData) -> npt.NDArray[np.int64]:
     """Return how many positive samples each pixel has within its log histogram, shape (y, x)."""
-    counts = evidence.summary["log_counts"]
+    counts = data.summary["log_counts"]
     middle = counts.isel(channel=counts.sizes["channel"] // 2)
     return np.asarray(middle.sum("log_bin").to_numpy(), dtype=np.int64)
 
@@ -268,7 +268,7 @@ _PARTS = 2
 
 
 @dataclass(frozen=True)
-class _Difference:
+class _ShapeDistance:
     """How far the shapes of two integrators are apart, and whether they are, by scene, too."""
 
     spread: Spread
@@ -276,42 +276,42 @@ class _Difference:
     by_scene: Mapping[str, float]
 
 
-def measure(evidences: Sequence[Evidence]) -> Conclusion:
+def measure(scenes: Sequence[SceneData]) -> Outcome:
     """Tell scenes apart by shapes, and compare shapes of integrators pixel by pixel."""
     level = level_of(_PARTS)
-    parts, missing = list[Part](), list[str]()
+    parts, missing = list[ClaimTest](), list[str]()
     details: dict[str, Any] = {}
-    n = common_count(evidences, least=_LEAST_SAMPLES)
-    looks = [_shapes(evidence, n) for evidence in evidences]
-    if len(evidences) < 2:
+    n = common_count(scenes, least=_LEAST_SAMPLES)
+    looks = [_shapes(data, n) for data in scenes]
+    if len(scenes) < 2:
         missing.append("needs a second scene")
     else:
-        found, confusion = tells_apart(looks, level=level)
+        found, confusion = scene_accuracy(looks, level=level)
         if confusion is None:
             missing.append(f"needs {_LEAST} pixels of each scene with {n} positive samples")
         else:
             details |= {"confusion": confusion, "positive_samples": n}
-            chance = 1 / len(evidences)
+            chance = 1 / len(scenes)
             name = "accuracy of telling scenes apart"
-            parts.append(Part.of(name, found, least=(1 + chance) / 2))
-    changed = [e for e in evidences if (e.integrator or e.shorter) is not None]
+            parts.append(ClaimTest.of(name, found, least=(1 + chance) / 2))
+    changed = [e for e in scenes if (e.integrator or e.shorter) is not None]
     difference = _between_integrators(changed, level)
     if changed:
         name, unit = "distance between the shapes of two integrators", "decade^1/2"
-        parts.append(Part.of(name, difference.spread, least=DIFFERENT, unit=unit))
+        parts.append(ClaimTest.of(name, difference.spread, least=DIFFERENT, unit=unit))
         details |= {"null_hypothesis": _NULL, "p_value_by_scene": difference.by_scene}
     else:
         missing.append("needs a scene rendered by another integrator, or with shorter paths")
-    return Conclusion(
+    return Outcome(
         tuple(parts),
         tuple(missing),
         p_value=None if math.isnan(difference.p_value) else difference.p_value,
-        details={"scenes": [e.name for e in evidences], **details},
-        exhibit=_exhibit(evidences, looks),
+        details={"scenes": [e.name for e in scenes], **details},
+        plot_data=_plot_data(scenes, looks),
     )
 
 
-def tells_apart(
+def scene_accuracy(
     looks: Sequence[tuple[Floats, Blocks]], *, level: float
 ) -> tuple[Spread, list[list[float]] | None]:
     """Return the accuracy of a classifier of shapes, and its table of shares by scene.
@@ -364,45 +364,45 @@ def _balanced(right: Floats, count: Floats, scene: Ints) -> Callable[[Floats], F
     return accuracy
 
 
-def _shapes(evidence: Evidence, n: int) -> tuple[Floats, Blocks]:
+def _shapes(data: SceneData, n: int) -> tuple[Floats, Blocks]:
     """Return shapes of `n` samples, shape (pixel, edge), and the blocks that the pixels lie in."""
-    x, blocks = drawn(evidence, n, pixels=_PIXELS, across=_ACROSS)
+    x, blocks = drawn(data, n, pixels=_PIXELS, across=_ACROSS)
     found = aligned(x)
     # Blocks keep their numbers, which say where they lie.
     return found.whole[found.known], Blocks(blocks.of_pixel[found.known], blocks.region)
 
 
-def _between_integrators(evidences: Sequence[Evidence], level: float) -> _Difference:
+def _between_integrators(scenes: Sequence[SceneData], level: float) -> _ShapeDistance:
     """Compare the shapes that two integrators give each pixel."""
     found: dict[str, tuple[Floats, Blocks]] = {}
-    for evidence in evidences:
-        apart = _squares(evidence)
+    for data in scenes:
+        apart = _squares(data)
         if apart is not None:
-            found[evidence.name] = apart, evidence.whole().blocks
+            found[data.name] = apart, data.whole().blocks
     if not found:
-        return _Difference(Spread.unknown(level=level), math.nan, {})
+        return _ShapeDistance(Spread.unknown(level=level), math.nan, {})
     each = {name: permuted([values]) for name, (values, _) in found.items()}
     values, blocks = zip(*found.values(), strict=True)
     spread = mean_of(np.concatenate(values), Blocks.join(list(blocks)), level=level)
-    return _Difference(spread.root(), permuted(values), each)
+    return _ShapeDistance(spread.root(), permuted(values), each)
 
 
-def _squares(evidence: Evidence) -> Floats | None:
+def _squares(data: SceneData) -> Floats | None:
     """Return squared distances to the other render of the view; None where sizes differ."""
-    other = evidence.integrator or evidence.shorter
-    if other is None or other.shape[:2] != evidence.samples.shape[:2]:
+    other = data.integrator or data.shorter
+    if other is None or other.shape[:2] != data.samples.shape[:2]:
         return None
-    if evidence.samples.shares_numbers_with(other):
-        return squares_of_pairs(evidence.samples, other)
-    theirs = evidence.shorter_summary if other is evidence.shorter else None
+    if data.samples.shares_numbers_with(other):
+        return squares_of_pairs(data.samples, other)
+    theirs = data.shorter_summary if other is data.shorter else None
     if theirs is None:
         theirs = summarize(other, progress=False)
-    return squares(evidence.summary, theirs)
+    return squares(data.summary, theirs)
 
 
-def _exhibit(evidences: Sequence[Evidence], looks: Sequence[tuple[Floats, Blocks]]) -> Exhibit:
+def _plot_data(scenes: Sequence[SceneData], looks: Sequence[tuple[Floats, Blocks]]) -> PlotData:
     series = {}
-    for evidence, (shapes, _) in zip(evidences, looks, strict=True):
+    for data, (shapes, _) in zip(scenes, looks, strict=True):
         if len(shapes):
-            series[evidence.name] = (EDGES, shapes.mean(axis=0))
-    return Exhibit("curves", series, "log10 radiance around its mean", "share below")
+            series[data.name] = (EDGES, shapes.mean(axis=0))
+    return PlotData("curves", series, "log10 radiance around its mean", "share below")

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from chdstat._core.resampling import Blocks, Spread, largest_of
 from chdstat.studies.claims.glossy import SHIFT, channel_shift, pooled_distance
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, aligned, squared_distance
-from chdstat.studies.outcomes import Conclusion, Exhibit, Part, level_of
-from chdstat.studies.scene_data import Evidence, Patch, logs, slope_of
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import PixelSet, SceneData, logs, slope_of
 
 __all__ = ["CONTRAST", "NO_SLOPE", "measure"]
 
@@ -26,35 +26,33 @@ _PAIRED = "albedo-contrast"
 _PARTS = 3
 
 
-def measure(evidence: Evidence) -> Conclusion:
+def measure(data: SceneData) -> Outcome:
     """Compare shapes of channels, of dark and pale surfaces, and relative variance with albedo."""
-    albedo = evidence.feature("albedo")
-    if albedo is None or evidence.samples.shape[2] != albedo.shape[-1]:
-        return Conclusion(missing=("needs first-hit albedo of each channel",))
+    albedo = data.feature("albedo")
+    if albedo is None or data.samples.shape[2] != albedo.shape[-1]:
+        return Outcome(missing=("needs first-hit albedo of each channel",))
     if albedo.shape[-1] < 2:
-        return Conclusion(missing=("needs several channels",))
-    patch = _textured(evidence, albedo)
+        return Outcome(missing=("needs several channels",))
+    patch = _textured(data, albedo)
     if patch is None:
-        return Conclusion(
-            missing=(f"needs a region whose log10 albedo varies by {CONTRAST} or more",)
-        )
-    pair = _dark_and_pale(evidence, albedo)
-    x, level = evidence.radiance(patch), level_of(_PARTS + (pair is not None))
+        return Outcome(missing=(f"needs a region whose log10 albedo varies by {CONTRAST} or more",))
+    pair = _dark_and_pale(data, albedo)
+    x, level = data.radiance(patch), level_of(_PARTS + (pair is not None))
     log_albedo, log_variance = _centered(patch, albedo), _relative(patch, x)
     parts = [
-        Part.of(
+        ClaimTest.of(
             "shift between channels",
             channel_shift(x, patch.blocks, level=level),
             least=SHIFT,
             unit="decade",
         ),
-        Part.of(
+        ClaimTest.of(
             "distance between the shapes of channels",
             _between_channels(aligned(x), patch.blocks, level),
             most=SAME_SHAPE,
             unit="decade^1/2",
         ),
-        Part.of(
+        ClaimTest.of(
             "slope of log relative variance on log albedo",
             # Albedo has next to no noise that could flatten the slope.
             slope_of(log_albedo, log_variance, patch.blocks, level=level),
@@ -63,37 +61,37 @@ def measure(evidence: Evidence) -> Conclusion:
         ),
     ]
     if pair is not None:
-        dark, pale = (aligned(evidence.light(side)) for side in pair)
+        dark, pale = (aligned(data.light(side)) for side in pair)
         distance = pooled_distance(dark, pale, pair[0].blocks, pair[1].blocks, level=level)
         name = "distance between the shapes of dark and pale"
-        parts.append(Part.of(name, distance, most=SAME_SHAPE, unit="decade^1/2"))
-    return Conclusion(
+        parts.append(ClaimTest.of(name, distance, most=SAME_SHAPE, unit="decade^1/2"))
+    return Outcome(
         tuple(parts),
         details={"regions": list(patch.names), "pixels": len(patch)},
-        exhibit=_exhibit(evidence.samples.channels, log_albedo, log_variance),
+        plot_data=_plot_data(data.samples.channels, log_albedo, log_variance),
     )
 
 
-def _textured(evidence: Evidence, albedo: Floats) -> Patch | None:
+def _textured(data: SceneData, albedo: Floats) -> PixelSet | None:
     """Return the textures, or else other surfaces, that have contrast enough."""
     for phenomena in (("texture",), ("glossy", "diffuse")):
         chosen = tuple(
             region
-            for region in evidence.regions
+            for region in data.regions
             if region.phenomenon in phenomena
             and _contrast(albedo[region.pixels(*albedo.shape[:2])])
         )
         if chosen:
-            return Patch.of(chosen, *albedo.shape[:2])
+            return PixelSet.of(chosen, *albedo.shape[:2])
     return None
 
 
-def _dark_and_pale(evidence: Evidence, albedo: Floats) -> tuple[Patch, Patch] | None:
+def _dark_and_pale(data: SceneData, albedo: Floats) -> tuple[PixelSet, PixelSet] | None:
     """Return dark surfaces and the pale ones beside them; None without a pair of regions.
 
     They lie so close together that about the same light falls on both.
     """
-    chosen = [region for region in evidence.regions if region.phenomenon == _PAIRED]
+    chosen = [region for region in data.regions if region.phenomenon == _PAIRED]
     shape = albedo.shape[:2]
     pairs = [
         sorted(pair, key=lambda region: float(albedo[region.pixels(*shape)].mean()))
@@ -101,7 +99,7 @@ def _dark_and_pale(evidence: Evidence, albedo: Floats) -> tuple[Patch, Patch] | 
     ]
     if not pairs:
         return None
-    dark, pale = (Patch.of(side, *shape) for side in zip(*pairs, strict=True))
+    dark, pale = (PixelSet.of(side, *shape) for side in zip(*pairs, strict=True))
     return dark, pale
 
 
@@ -110,11 +108,11 @@ def _contrast(albedo: Floats) -> bool:
     return bool(known.size > 1 and np.log10(known).std() >= CONTRAST)
 
 
-def _centered(patch: Patch, albedo: Floats) -> Floats:
+def _centered(patch: PixelSet, albedo: Floats) -> Floats:
     return _less_region(patch, logs(patch.take(albedo)))
 
 
-def _relative(patch: Patch, x: Floats) -> Floats:
+def _relative(patch: PixelSet, x: Floats) -> Floats:
     """Return log10 of variance over squared mean, less the mean of its region."""
     good = np.isfinite(x)
     n = good.sum(axis=-1)
@@ -125,7 +123,7 @@ def _relative(patch: Patch, x: Floats) -> Floats:
     return _less_region(patch, logs(variance))
 
 
-def _less_region(patch: Patch, values: Floats) -> Floats:
+def _less_region(patch: PixelSet, values: Floats) -> Floats:
     """Return values less the mean of their region: light differs from region to region."""
     means = np.array(list(patch.by_region(values).values()))
     return np.asarray(values - means[patch.region, np.newaxis])
@@ -146,8 +144,8 @@ def _between_channels(shapes: LogChds, blocks: Blocks, level: float) -> Spread:
     return largest_of(squares, kept, level=level).root()
 
 
-def _exhibit(channels: tuple[str, ...], log_albedo: Floats, log_variance: Floats) -> Exhibit:
-    return Exhibit(
+def _plot_data(channels: tuple[str, ...], log_albedo: Floats, log_variance: Floats) -> PlotData:
+    return PlotData(
         "points",
         {name: (log_albedo[:, c], log_variance[:, c]) for c, name in enumerate(channels)},
         "log10 albedo around its region's mean",
