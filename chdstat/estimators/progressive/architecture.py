@@ -8,9 +8,9 @@ from typing import Any
 from chdstat.estimators.progressive.auxiliary import BANDS, RADII
 from chdstat.estimators.progressive.profile import OCTAVES
 
-__all__ = ["AIMS", "GROUPS", "LEVELS", "MOST_TRUST", "Shape"]
+__all__ = ["GROUPS", "LEVELS", "LOSSES", "MOST_TRUST", "Architecture"]
 
-AIMS = ("mse", "relmse")
+LOSSES = ("mse", "relmse")
 """What the answers of a network minimise."""
 LEVELS = tuple(range(-8, 5, 2))
 """Levels of the mean, in octaves of the unit, that networks are trusted at."""
@@ -21,7 +21,7 @@ MOST_TRUST = 1.5
 
 
 @dataclass(frozen=True)
-class Shape:
+class Architecture:
     """What a network looks at, and how large it is.
 
     Attributes
@@ -63,7 +63,7 @@ class Shape:
         return own + self.described + around + self.channels * self.neighbours
 
     @property
-    def answers(self) -> int:
+    def outputs(self) -> int:
         """Numbers that come out for each aim: weights, offsets, and the worth of the experience."""
         return self.octaves + self.channels + 1 + self.pools * BANDS + int(self.neighbours)
 

@@ -18,7 +18,15 @@ from chdstat.errors import InputError
 from chdstat.estimators.neighbourhood import pool
 from chdstat.estimators.progressive.profile import OCTAVES, Profile
 
-__all__ = ["BANDS", "NAMES", "RADII", "Features", "describe", "likeness_fields", "surround"]
+__all__ = [
+    "BANDS",
+    "NAMES",
+    "RADII",
+    "Features",
+    "describe",
+    "pool_neighbourhood",
+    "similarity_fields",
+]
 
 NAMES = ("albedo", "normal", "depth", "position")
 _WAVES = 3
@@ -64,7 +72,7 @@ def describe(features: Features | None, shape: tuple[int, int]) -> Array:
     return np.concatenate(parts, axis=-1).astype(np.float32)
 
 
-def likeness_fields(features: Features | None, shape: tuple[int, int]) -> dict[str, Array]:
+def similarity_fields(features: Features | None, shape: tuple[int, int]) -> dict[str, Array]:
     """Return the features that tell surfaces apart, finite, each of shape (y, x, number)."""
     return {name: field.astype(np.float32) for name, field in _checked(features, shape).items()}
 
@@ -99,7 +107,7 @@ _ALBEDO, _COSINE, _PLANE = 0.05, 0.1, 0.02
 at which two surfaces count as unlike."""
 
 
-def surround(
+def pool_neighbourhood(
     profile: Profile, features: Mapping[str, npt.NDArray[Any]] | None
 ) -> tuple[Array, Array]:
     """Pool the profiles around each pixel.
@@ -120,7 +128,7 @@ def surround(
         How many pixels' worth were pooled, shape (y, x, radius).
     """
     height, width = profile.count.shape
-    fields = likeness_fields(features, (height, width))
+    fields = similarity_fields(features, (height, width))
     order = [name for name in ("albedo", "normal", "depth", "position") if name in fields]
     count = np.maximum(profile.count, 1)[..., np.newaxis, np.newaxis]
     bands = (
@@ -139,7 +147,7 @@ def surround(
         def weigh(here: tuple[Any, ...], there: tuple[Any, ...], reach: float = reach) -> Any:
             distance = (here[0] - there[0]) ** 2 + (here[1] - there[1]) ** 2
             pairs = zip(order, zip(here[2:], there[2:], strict=True), strict=True)
-            return np.exp(-distance / reach - _unlike(dict(pairs)))
+            return np.exp(-distance / reach - _dissimilarity(dict(pairs)))
 
         sums, _ = pool(weigh, compared, values, radius=radius)
         around = sums - values
@@ -150,7 +158,7 @@ def surround(
     return np.maximum(stacked, 0).astype(np.float32), np.stack(weights, axis=-1).astype(np.float32)
 
 
-def _unlike(pairs: Mapping[str, tuple[Any, Any]]) -> Any:
+def _dissimilarity(pairs: Mapping[str, tuple[Any, Any]]) -> Any:
     """Return how unlike two surfaces are, 0 for the same, from features here and there."""
     total: Any = 0.0
     if "albedo" in pairs:

@@ -14,22 +14,28 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import is_bad
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.auxiliary import BANDS, RADII, Features, describe, surround
+from chdstat.estimators.progressive.auxiliary import (
+    BANDS,
+    RADII,
+    Features,
+    describe,
+    pool_neighbourhood,
+)
 from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.progressive.splits import Parts, Splits
+from chdstat.estimators.progressive.splits import MinibatchSource, SampleSplits
 from chdstat.estimators.similar_pixels import shared_patches
 from chdstat.estimators.validation import check_spp, checked_pixels, draw_pixels
 from chdstat.samples.samples import Samples
 
 __all__ = [
-    "Lesson",
-    "Lot",
-    "Material",
-    "Scene",
-    "Scenery",
-    "ask",
+    "AuxiliaryFeatures",
+    "TrainingConfig",
+    "TrainingImage",
+    "TrainingPixels",
+    "TrainingSet",
+    "auxiliary_features",
     "chosen_pixels",
-    "scenery_of",
+    "shared_estimates",
     "with_reference",
     "without_reference",
 ]
@@ -41,7 +47,7 @@ _MOST_PIXELS = 4 * _PIXELS
 
 
 @dataclass(frozen=True)
-class Scene:
+class TrainingImage:
     """An image that trains.
 
     Attributes
@@ -66,7 +72,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Lot:
+class TrainingPixels:
     """The good pixels of a scene.
 
     Attributes
@@ -91,7 +97,7 @@ class Lot:
     direct: npt.NDArray[np.float32] | None
 
     @classmethod
-    def of(cls, scene: Scene, spp: int) -> Lot:
+    def of(cls, scene: TrainingImage, spp: int) -> TrainingPixels:
         """Read that many samples of each pixel."""
         shape = scene.samples.shape[:2]
         pixels = np.argwhere(np.ones(shape, bool)) if scene.pixels is None else scene.pixels
@@ -186,7 +192,7 @@ Image = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
-class Scenery:
+class AuxiliaryFeatures:
     """What is known of each pixel beside its samples, one row a pixel.
 
     Attributes
@@ -202,18 +208,18 @@ class Scenery:
     weight: npt.NDArray[np.float32]
 
     @classmethod
-    def nothing(cls, pixels: int) -> Scenery:
+    def nothing(cls, pixels: int) -> AuxiliaryFeatures:
         """Return that nothing is known."""
         empty = np.zeros((pixels, 0), np.float32)
         return cls(empty, np.zeros((pixels, 0, BANDS, 1), np.float32), empty)
 
-    def __getitem__(self, pixels: npt.NDArray[np.int64] | slice) -> Scenery:
+    def __getitem__(self, pixels: npt.NDArray[np.int64] | slice) -> AuxiliaryFeatures:
         """Return that of some pixels."""
-        return Scenery(self.described[pixels], self.bands[pixels], self.weight[pixels])
+        return AuxiliaryFeatures(self.described[pixels], self.bands[pixels], self.weight[pixels])
 
 
 @dataclass(frozen=True)
-class Lesson:
+class TrainingConfig:
     """How to train.
 
     Attributes
@@ -234,7 +240,7 @@ class Lesson:
 
 
 @dataclass(frozen=True)
-class Material:
+class TrainingSet:
     """What a network is trained with.
 
     Attributes
@@ -249,20 +255,20 @@ class Material:
         How many of the pixels each scene gave, in order.
     """
 
-    splits: Parts
-    scenery: Scenery
-    lesson: Lesson
+    splits: MinibatchSource
+    auxiliary: AuxiliaryFeatures
+    config: TrainingConfig
     pixels: npt.NDArray[np.int64]
     excluded: int
     parts: Sequence[int]
 
 
 def with_reference(
-    scenes: Sequence[Scene],
+    scenes: Sequence[TrainingImage],
     *,
     sizes: Sequence[int] | None,
     iterations: int | None,
-) -> Material:
+) -> TrainingSet:
     """Return pixels with all their samples: the means of those not learned from are references.
 
     Each scene is measured in its own unit, so that none counts for being bright. All have as many
@@ -280,28 +286,28 @@ def with_reference(
         raise InputError(message)
     for scene in scenes:
         check_spp(scene.samples, min(wanted) if sizes is None else max(wanted))
-    _check_alike("channels", [scene.samples.shape[2] for scene in scenes])
+    _check_same("channels", [scene.samples.shape[2] for scene in scenes])
     spp = min(_MOST_SPP, *(scene.samples.spp for scene in scenes))
     # One scene at a time: the samples of all pixels of one are much larger than what is kept.
-    lots = [Lot.of(scene, spp) for scene in scenes]
-    _check_alike("numbers of the first hit", [lot.described.shape[1] for lot in lots])
-    lesson = Lesson(
+    read = [TrainingPixels.of(scene, spp) for scene in scenes]
+    _check_same("numbers of the first hit", [image.described.shape[1] for image in read])
+    config = TrainingConfig(
         sizes=[n for n in wanted if n <= spp // 2],
         reference=True,
         iterations=_ITERATIONS if iterations is None else iterations,
     )
-    rows = _joined([lot.rows for lot in lots])
-    direct = [lot.direct for lot in lots if lot.direct is not None]
-    nothing = Scenery.nothing(len(rows))
-    return Material(
-        splits=Splits(rows, unit=1.0, direct=_joined(direct) if direct else None),
-        scenery=Scenery(
-            np.concatenate([lot.described for lot in lots]), nothing.bands, nothing.weight
+    rows = _joined([image.rows for image in read])
+    direct = [image.direct for image in read if image.direct is not None]
+    nothing = AuxiliaryFeatures.nothing(len(rows))
+    return TrainingSet(
+        splits=SampleSplits(rows, unit=1.0, direct=_joined(direct) if direct else None),
+        auxiliary=AuxiliaryFeatures(
+            np.concatenate([image.described for image in read]), nothing.bands, nothing.weight
         ),
-        lesson=lesson,
-        pixels=np.concatenate([lot.pixels for lot in lots]),
-        excluded=sum(lot.excluded for lot in lots),
-        parts=[len(lot.rows) for lot in lots],
+        config=config,
+        pixels=np.concatenate([image.pixels for image in read]),
+        excluded=sum(image.excluded for image in read),
+        parts=[len(image.rows) for image in read],
     )
 
 
@@ -310,20 +316,20 @@ def _joined(parts: Sequence[Image]) -> Image:
     return np.concatenate(parts) if len(parts) > 1 else parts[0]
 
 
-def _check_alike(what: str, found: Sequence[int]) -> None:
+def _check_same(what: str, found: Sequence[int]) -> None:
     if len(set(found)) > 1:
         message = f"scenes that train together must have the same {what}, got {list(found)}"
         raise InputError(message)
 
 
 def without_reference(
-    scene: Scene,
+    scene: TrainingImage,
     *,
     neighbours: bool,
     sizes: Sequence[int] | None,
     iterations: int | None,
     rng: np.random.Generator,
-) -> Material:
+) -> TrainingSet:
     """Return pixels of a scene, each with splits of its own samples.
 
     Parameters
@@ -357,7 +363,7 @@ def without_reference(
     part = scene.samples.read(ys, xs)
     shape = part.shape[:2]
     prepared = _prepared(part, splits, rng) if neighbours else []
-    lesson = Lesson(
+    config = TrainingConfig(
         sizes=[len(places) for places, _ in prepared] or [n for n, _ in splits],
         reference=False,
         iterations=_ITERATIONS_ALONE if iterations is None else iterations,
@@ -375,33 +381,33 @@ def without_reference(
         bad |= is_bad(direct).any(axis=(1, 2))
     good = np.flatnonzero(wanted & ~bad)
     corner = np.array([ys.start, xs.start])
-    return Material(
-        splits=Splits(
+    return TrainingSet(
+        splits=SampleSplits(
             rows[good],
             unit=scene.unit,
             prepared=[(places, shared[good]) for places, shared in prepared],
-            shared=ask(part)[good] if neighbours else None,
+            shared=shared_estimates(part)[good] if neighbours else None,
             direct=None if direct is None else direct[good],
         ),
-        scenery=scenery_of(features, shape, profile)[good],
-        lesson=lesson,
+        auxiliary=auxiliary_features(features, shape, profile)[good],
+        config=config,
         pixels=np.stack(np.unravel_index(good, shape), axis=-1) + corner,
         excluded=int((wanted & bad).sum()),
         parts=[len(good)],
     )
 
 
-def scenery_of(
+def auxiliary_features(
     features: Features | None, shape: tuple[int, int], profile: Profile | None = None
-) -> Scenery:
+) -> AuxiliaryFeatures:
     """Return what is known of each pixel beside its samples; of its surroundings with a profile."""
     count = shape[0] * shape[1]
     described = describe(features, shape).reshape(count, -1)
     if profile is None:
-        nothing = Scenery.nothing(count)
-        return Scenery(described, nothing.bands, nothing.weight)
-    bands, weight = surround(profile, features)
-    return Scenery(
+        nothing = AuxiliaryFeatures.nothing(count)
+        return AuxiliaryFeatures(described, nothing.bands, nothing.weight)
+    bands, weight = pool_neighbourhood(profile, features)
+    return AuxiliaryFeatures(
         described, bands.reshape(count, *bands.shape[2:]), weight.reshape(count, len(RADII))
     )
 
@@ -421,16 +427,16 @@ def _prepared(
         for _ in range(times if spp <= 128 else max(1, times // 3)):
             places = rng.permutation(spp)
             found += [places[:n], places[n:]] if 2 * n == spp else [places[:n]]
-    return [(places, ask(image[..., places])) for places in found]
+    return [(places, shared_estimates(image[..., places])) for places in found]
 
 
-def ask(image: Image) -> npt.NDArray[np.float32]:
+def shared_estimates(image: Image) -> npt.NDArray[np.float32]:
     """Return what alike pixels around say, shape (pixel, channel); 0 where there are none."""
-    answers = np.nan_to_num(shared_patches(image), nan=0, posinf=0)
-    return np.asarray(answers.reshape(-1, answers.shape[-1]), np.float32)
+    estimates = np.nan_to_num(shared_patches(image), nan=0, posinf=0)
+    return np.asarray(estimates.reshape(-1, estimates.shape[-1]), np.float32)
 
 
-def _window(scene: Scene, rng: np.random.Generator) -> tuple[slice, slice]:
+def _window(scene: TrainingImage, rng: np.random.Generator) -> tuple[slice, slice]:
     """Return the part of an image that trains, around one of the chosen pixels."""
     shape = scene.samples.shape[:2]
     most = [max(length - _WINDOW, 0) for length in shape]

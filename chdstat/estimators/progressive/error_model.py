@@ -44,41 +44,41 @@ import numpy.typing as npt
 from scipy import interpolate, optimize, special
 
 from chdstat._core.arrays import spans
-from chdstat.estimators.progressive.architecture import AIMS
 from chdstat.estimators.progressive.architecture import LEVELS as BRIGHTNESS
-from chdstat.estimators.progressive.dataset import Material
+from chdstat.estimators.progressive.architecture import LOSSES
+from chdstat.estimators.progressive.dataset import TrainingSet
 from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.progressive.splits import Part
+from chdstat.estimators.progressive.splits import Minibatch
 
 if TYPE_CHECKING:
     from torch import nn
 
-    from chdstat.estimators.progressive.network import Answer
+    from chdstat.estimators.progressive.network import NetworkOutput
 
 __all__ = [
     "BALANCES",
     "BRIGHTNESS",
-    "CAUSES",
     "DARK",
+    "ERROR_TERMS",
     "LEVELS",
     "USUAL",
-    "Spread",
-    "Trial",
-    "bounded_weights",
-    "causes_of",
-    "change_of",
+    "ErrorModel",
+    "ValidationBatch",
+    "error_terms_of",
+    "mean_change",
     "ratio",
-    "trials_of",
+    "upper_bound",
+    "validation_batches",
 ]
 
-CAUSES = 6
+ERROR_TERMS = 6
 DARK = 0.02
 """Radiance, in units of the image's, below which errors no longer fall with it."""
 
 Floats = npt.NDArray[np.floating[Any]]
 
 
-def causes_of(answer: Answer, profile: Profile, aim: int) -> Floats:
+def error_terms_of(output: NetworkOutput, profile: Profile, loss: int) -> Floats:
     """Return what may cause squared errors, shape (row, channel, cause), float64.
 
     A constant for the dark, the square of the estimate, of its distance to the mean, the variance
@@ -87,10 +87,10 @@ def causes_of(answer: Answer, profile: Profile, aim: int) -> Floats:
     """
     estimate, mean, certainty = (
         t.cpu().numpy().astype(np.float64)
-        for t in (answer.estimate[:, aim], answer.mean, answer.certainty[:, aim, None])
+        for t in (output.estimate[:, loss], output.mean, output.certainty[:, loss, None])
     )
     noise = profile.variance_of_mean()
-    causes = (
+    error_terms = (
         np.full_like(estimate, DARK**2),
         estimate**2,
         (estimate - mean) ** 2,
@@ -98,7 +98,7 @@ def causes_of(answer: Answer, profile: Profile, aim: int) -> Floats:
         (1 - certainty) ** 2 * noise,
         certainty**2 * mean**2,
     )
-    return np.stack(causes, axis=-1)
+    return np.stack(error_terms, axis=-1)
 
 
 _DRAWS, _TIMES, _SAMPLES = 16, 4, 256
@@ -111,7 +111,7 @@ reference it is small, and one tells enough."""
 
 
 @dataclass(frozen=True)
-class Trial:
+class ValidationBatch:
     """Estimates of some pixels, in units of the image's radiance.
 
     Attributes
@@ -136,7 +136,7 @@ class Trial:
     mean: Floats
     target: Floats
     noise: Floats
-    causes: Floats
+    error_terms: Floats
 
     @property
     def squared(self) -> Floats:
@@ -145,51 +145,59 @@ class Trial:
 
     @classmethod
     def of(
-        cls, network: nn.Module, material: Material, part: Part, rng: np.random.Generator
+        cls,
+        network: nn.Module,
+        training_set: TrainingSet,
+        part: Minibatch,
+        rng: np.random.Generator,
     ) -> Self:
         """Estimate from a part of the samples."""
         import torch
 
-        from chdstat.estimators.progressive.training import look
+        from chdstat.estimators.progressive.training import encode
 
         with torch.inference_mode():
-            answer = network(look(part.profile, material.scenery[part.rows], part.shared, "cpu"))
-        times = 1 if material.lesson.reference else _CUTS
-        noise = [material.splits.halves(part, rng).noise for _ in range(times)]
+            output = network(
+                encode(part.profile, training_set.auxiliary[part.rows], part.shared, "cpu")
+            )
+        times = 1 if training_set.config.reference else _CUTS
+        noise = [training_set.splits.halves(part, rng).noise for _ in range(times)]
         return cls(
             size=part.size,
             rows=part.rows,
-            estimate=np.moveaxis(answer.estimate.numpy().astype(np.float64), 1, 0),
-            mean=answer.mean.numpy().astype(np.float64),
+            estimate=np.moveaxis(output.estimate.numpy().astype(np.float64), 1, 0),
+            mean=output.mean.numpy().astype(np.float64),
             target=part.target.astype(np.float64),
             noise=np.mean(noise, axis=0),
-            causes=np.stack([causes_of(answer, part.profile, aim) for aim in range(len(AIMS))]),
+            error_terms=np.stack(
+                [error_terms_of(output, part.profile, loss) for loss in range(len(LOSSES))]
+            ),
         )
 
 
-def trials_of(
+def validation_batches(
     network: nn.Module,
-    material: Material,
+    training_set: TrainingSet,
     *,
     pixels: npt.NDArray[np.int64],
     rng: np.random.Generator,
     samples: int = _SAMPLES,
-) -> list[Trial]:
+) -> list[ValidationBatch]:
     """Return trials of pixels at all sizes of the lesson, four or more of each pixel.
 
     So many `samples` of a pixel are seen at least in all its trials of a size.
     """
     found = []
-    for n in sorted(set(material.lesson.sizes)):
+    for n in sorted(set(training_set.config.sizes)):
         drawn, least = 0, _DRAWS
         while least > 0 or drawn < max(_TIMES, samples / n) * len(pixels):
-            part = material.splits.draw(pixels, n, _ROWS, rng)
-            found.append(Trial.of(network, material, part, rng))
+            part = training_set.splits.draw(pixels, n, _ROWS, rng)
+            found.append(ValidationBatch.of(network, training_set, part, rng))
             drawn, least = drawn + len(part.rows), least - 1
     return found
 
 
-def change_of(network: nn.Module, material: Material) -> Floats:
+def mean_change(network: nn.Module, training_set: TrainingSet) -> Floats:
     """Return what a network adds to the mean of all samples of pixels, shape (pixel, channel).
 
     It is the mean of what it adds under each aim, in units of the image's radiance, and nothing
@@ -197,14 +205,14 @@ def change_of(network: nn.Module, material: Material) -> Floats:
     """
     import torch
 
-    from chdstat.estimators.progressive.training import look
+    from chdstat.estimators.progressive.training import encode
 
-    splits, found = material.splits, []
+    splits, found = training_set.splits, []
     for block in spans(len(splits), _ROWS):
         profile, shared = splits.whole(np.arange(block.start, block.stop))
         with torch.inference_mode():
-            answer = network(look(profile, material.scenery[block], shared, "cpu"))
-        found.append((answer.estimate.mean(dim=1) - answer.mean).numpy().astype(np.float64))
+            output = network(encode(profile, training_set.auxiliary[block], shared, "cpu"))
+        found.append((output.estimate.mean(dim=1) - output.mean).numpy().astype(np.float64))
     noisy = splits.variance.any(axis=-1, keepdims=True)
     lit = splits.mean.any(axis=-1, keepdims=True)
     return np.where(noisy | ~lit, np.concatenate(found), 0)
@@ -218,15 +226,15 @@ _LEAST = 1e-3
 """Scale that no measurement falls below, so that an interval is never a point."""
 
 
-def bounded_weights(trials: Sequence[Trial], aim: int) -> Floats:
+def upper_bound(batches: Sequence[ValidationBatch], loss: int) -> Floats:
     """Return weights of the causes under which squared errors are hardly larger than expected."""
-    expected = [trial.causes[aim] @ USUAL for trial in trials]
-    weights = [v / (v + n) ** 2 for v, n in zip(expected, _noise(trials), strict=True)]
-    rows = np.concatenate([trial.rows for trial in trials])
+    expected = [batch.error_terms[loss] @ USUAL for batch in batches]
+    weights = [v / (v + n) ** 2 for v, n in zip(expected, _noise(batches), strict=True)]
+    rows = np.concatenate([batch.rows for batch in batches])
     above, below = (
         np.bincount(rows, np.concatenate([(w * x).sum(axis=-1) for w, x in pairs]))
         for pairs in (
-            zip(weights, (trial.squared[aim] for trial in trials), strict=True),
+            zip(weights, (batch.squared[loss] for batch in batches), strict=True),
             zip(weights, expected, strict=True),
         )
     )
@@ -252,17 +260,17 @@ def ratio(above: npt.NDArray[Any], below: npt.NDArray[Any]) -> tuple[float, floa
     return found, float(np.sqrt(squares * pixels / (pixels - 1))) / total
 
 
-def _noise(trials: Sequence[Trial]) -> list[Floats]:
+def _noise(batches: Sequence[ValidationBatch]) -> list[Floats]:
     """Return the variances of the targets, each averaged over all trials of a pixel and size."""
     found: dict[int, Floats] = {}
-    for size in {trial.size for trial in trials}:
-        alike = [trial for trial in trials if trial.size == size]
-        rows = np.concatenate([trial.rows for trial in alike])
-        noise = np.concatenate([trial.noise for trial in alike])
+    for size in {batch.size for batch in batches}:
+        of_size = [batch for batch in batches if batch.size == size]
+        rows = np.concatenate([batch.rows for batch in of_size])
+        noise = np.concatenate([batch.noise for batch in of_size])
         count = np.maximum(np.bincount(rows), 1)
         sums = [np.bincount(rows, column) / count for column in noise.T]
         found[size] = np.stack(sums, axis=-1)
-    return [found[trial.size][trial.rows] for trial in trials]
+    return [found[batch.size][batch.rows] for batch in batches]
 
 
 LEVELS = np.array([0.005, 0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975, 0.995])
@@ -278,7 +286,7 @@ _FEW = 5
 
 
 @dataclass(frozen=True)
-class Spread:
+class ErrorModel:
     """What errors to expect, in units of the image's radiance.
 
     Attributes
@@ -297,7 +305,7 @@ class Spread:
     normal: Floats
 
     def __post_init__(self) -> None:
-        expected = (len(AIMS), CAUSES), (len(self.sizes), *_CALIBRATED)
+        expected = (len(LOSSES), ERROR_TERMS), (len(self.sizes), *_CALIBRATED)
         received = self.weights.shape, self.normal.shape
         if expected != received:
             message = f"weights and normal must have shapes {expected}, got {received}"
@@ -307,32 +315,36 @@ class Spread:
     def learn(
         cls,
         network: nn.Module,
-        material: Material,
+        training_set: TrainingSet,
         *,
         pixels: npt.NDArray[np.int64],
         rng: np.random.Generator,
     ) -> Self:
         """Learn from splits of pixels that did not train the network."""
-        trials = trials_of(network, material, pixels=pixels, rng=rng)
-        if not material.lesson.reference:
-            weights = np.array([bounded_weights(trials, aim) for aim in range(len(AIMS))])
+        batches = validation_batches(network, training_set, pixels=pixels, rng=rng)
+        if not training_set.config.reference:
+            weights = np.array([upper_bound(batches, loss) for loss in range(len(LOSSES))])
             return cls(weights, np.empty(0), np.empty((0, *_CALIBRATED)))
-        weights = np.array([_weights(trials, aim) for aim in range(len(AIMS))])
-        sizes = sorted({trial.size for trial in trials})
+        weights = np.array([_weights(batches, loss) for loss in range(len(LOSSES))])
+        sizes = sorted({batch.size for batch in batches})
         # Lamps are in all pixels, hardly in a tenth of them.
-        all_of_them = np.arange(len(material.pixels))
-        everywhere = trials_of(network, material, pixels=all_of_them, rng=rng, samples=0)
+        all_of_them = np.arange(len(training_set.pixels))
+        everywhere = validation_batches(
+            network, training_set, pixels=all_of_them, rng=rng, samples=0
+        )
         normal = [
             _calibrate(
-                weights, *([t for t in part if t.size == n] for part in (trials, everywhere))
+                weights, *([t for t in part if t.size == n] for part in (batches, everywhere))
             )
             for n in sizes
         ]
         return cls(weights, np.array(sizes, np.float64), np.array(normal))
 
-    def variance(self, causes: Floats, balance: float) -> Floats:
+    def variance(self, error_terms: Floats, balance: float) -> Floats:
         """Return expected squared errors of mixed estimates, from causes (aim, ..., cause)."""
-        return _mixed(np.stack([c @ w for c, w in zip(causes, self.weights, strict=True)]), balance)
+        return _mixed(
+            np.stack([c @ w for c, w in zip(error_terms, self.weights, strict=True)]), balance
+        )
 
     def quantile(
         self,
@@ -375,14 +387,14 @@ def _mixed(of_aims: Floats, balance: float) -> Floats:
     return np.asarray((1 - balance) * of_aims[0] + balance * of_aims[1])
 
 
-def _weights(trials: Sequence[Trial], aim: int) -> Floats:
+def _weights(batches: Sequence[ValidationBatch], loss: int) -> Floats:
     """Return the weights of the causes by least squares, errors relative to the radiance."""
-    causes = np.concatenate([t.causes[aim].reshape(-1, CAUSES) for t in trials])
-    squared = np.concatenate([t.squared[aim].reshape(-1) for t in trials])
-    scale = 1 / causes[:, :4].sum(axis=1)
+    error_terms = np.concatenate([t.error_terms[loss].reshape(-1, ERROR_TERMS) for t in batches])
+    squared = np.concatenate([t.squared[loss].reshape(-1) for t in batches])
+    scale = 1 / error_terms[:, :4].sum(axis=1)
     # The normal equations: tens of thousands of rows, six weights.
-    scaled = causes * scale[:, np.newaxis]
-    gram = np.linalg.cholesky(scaled.T @ scaled + 1e-9 * np.eye(CAUSES) * len(scaled))
+    scaled = error_terms * scale[:, np.newaxis]
+    gram = np.linalg.cholesky(scaled.T @ scaled + 1e-9 * np.eye(ERROR_TERMS) * len(scaled))
     weights, _ = optimize.nnls(gram.T, np.linalg.solve(gram, scaled.T @ (squared * scale)))
     weights[0] = max(weights[0], 1e-4)
     return np.asarray(weights)
@@ -396,7 +408,9 @@ def _near(estimate: Floats) -> Floats:
     )
 
 
-def _calibrate(weights: Floats, trials: Sequence[Trial], everywhere: Sequence[Trial]) -> Floats:
+def _calibrate(
+    weights: Floats, batches: Sequence[ValidationBatch], everywhere: Sequence[ValidationBatch]
+) -> Floats:
     """Return the normal quantiles of the truth, shape (balance, brightness, level).
 
     They are those of pixels that did not train. Among all pixels, those as bright may differ from
@@ -405,7 +419,7 @@ def _calibrate(weights: Floats, trials: Sequence[Trial], everywhere: Sequence[Tr
     """
     found = []
     for balance in BALANCES:
-        watching = _quantiles(*_normals(weights, trials, balance)[:2])
+        held_out = _quantiles(*_normals(weights, batches, balance)[:2])
         normal, share, near = _normals(weights, everywhere, balance)
         usual, counts = _quantiles(normal, share), share @ near
         own = [
@@ -413,7 +427,7 @@ def _calibrate(weights: Floats, trials: Sequence[Trial], everywhere: Sequence[Tr
             for weight, count in zip(near.T, counts, strict=True)
         ]
         known = counts / (counts + _FEW)
-        found.append(watching + known[:, np.newaxis] * (np.array(own) - usual))
+        found.append(held_out + known[:, np.newaxis] * (np.array(own) - usual))
     return np.array(found)
 
 
@@ -428,18 +442,18 @@ def _quantiles(normal: Floats, share: Floats) -> Floats:
 
 
 def _normals(
-    weights: Floats, trials: Sequence[Trial], balance: float
+    weights: Floats, batches: Sequence[ValidationBatch], balance: float
 ) -> tuple[Floats, Floats, Floats]:
     """Return normal places of truths, what share of a pixel each is, and how bright it seems.
 
     The cube root of a gamma variable is near normal (Wilson and Hilferty 1931,
     doi:10.1073/pnas.17.12.684).
     """
-    estimate = _mixed(np.concatenate([t.estimate for t in trials], axis=1), balance)
-    causes = np.concatenate([t.causes for t in trials], axis=1)
-    truth = np.concatenate([t.target for t in trials]) + DARK
-    rows = np.concatenate([t.rows for t in trials])
-    variance = _mixed(np.stack([c @ w for c, w in zip(causes, weights, strict=True)]), balance)
+    estimate = _mixed(np.concatenate([t.estimate for t in batches], axis=1), balance)
+    error_terms = np.concatenate([t.error_terms for t in batches], axis=1)
+    truth = np.concatenate([t.target for t in batches]) + DARK
+    rows = np.concatenate([t.rows for t in batches])
+    variance = _mixed(np.stack([c @ w for c, w in zip(error_terms, weights, strict=True)]), balance)
     mean = estimate + DARK
     usable = mean >= DARK
     mean = np.where(usable, mean, DARK)

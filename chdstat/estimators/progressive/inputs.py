@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import as_samples
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.dataset import Scenery, scenery_of
+from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, auxiliary_features
 from chdstat.estimators.progressive.profile import Profile
 from chdstat.samples.samples import Samples
 
@@ -141,14 +141,14 @@ class InputConfig:
             message = f"the model sees {parts} part(s) of a sample, got {profile.parts}"
             raise InputError(message)
 
-    def scenery(
+    def auxiliary(
         self,
         features: Features | None,
         shape: tuple[int, ...],
         profile: Profile | None,
         *,
         described: int,
-    ) -> Scenery:
+    ) -> AuxiliaryFeatures:
         """Return what is seen of pixels beside their samples.
 
         Parameters
@@ -167,12 +167,14 @@ class InputConfig:
         InputError
             If the pixels are no image where they must be, or features are not as in training.
         """
-        found = Scenery.nothing(int(np.prod(shape)))
+        found = AuxiliaryFeatures.nothing(int(np.prod(shape)))
         if self.features or self.neighbours:
             if len(shape) != 2:
                 message = f"features belong to an image (y, x, channel, sample), got pixels {shape}"
                 raise InputError(message)
-            found = scenery_of(features if self.features else None, (shape[0], shape[1]), profile)
+            found = auxiliary_features(
+                features if self.features else None, (shape[0], shape[1]), profile
+            )
         if found.described.shape[1] != described:
             message = (
                 f"the model sees {described} numbers of the first hit, but these features give "

@@ -23,11 +23,11 @@ import numpy.typing as npt
 import chdstat
 from chdstat.errors import StoreError
 from chdstat.estimators.model_files import read_model, write_model
-from chdstat.estimators.progressive.architecture import AIMS, GROUPS, MOST_TRUST, Shape
-from chdstat.estimators.progressive.dataset import Material
-from chdstat.estimators.progressive.error_model import Spread
+from chdstat.estimators.progressive.architecture import GROUPS, LOSSES, MOST_TRUST, Architecture
+from chdstat.estimators.progressive.dataset import TrainingSet
+from chdstat.estimators.progressive.error_model import ErrorModel
 from chdstat.estimators.progressive.inputs import InputConfig
-from chdstat.estimators.progressive.splits import Splits
+from chdstat.estimators.progressive.splits import SampleSplits
 from chdstat.samples.samples import Samples
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Estimates",
+    "Fingerprint",
     "Learned",
-    "Marks",
     "Origin",
     "Trust",
     "provenance_of",
@@ -44,7 +44,7 @@ __all__ = [
     "write_learned",
 ]
 
-_MARKS, _TRIED = 2048, 2**15
+_SAMPLES, _TRIED = 2048, 2**15
 _ENOUGH = 0.5
 """Of the marks that are expected among the samples of an image: some pixels may be bad."""
 _FEWEST = 4
@@ -53,7 +53,7 @@ _SAME = 1e-6
 
 
 @dataclass(frozen=True)
-class Marks:
+class Fingerprint:
     """Samples, and the pixels that drew them.
 
     Attributes
@@ -73,15 +73,15 @@ class Marks:
         return cls(np.zeros((0, 3), np.int64), np.zeros((0, channels), np.float32))
 
     @classmethod
-    def of(cls, material: Material, channels: int, rng: np.random.Generator) -> Self:
+    def of(cls, training_set: TrainingSet, channels: int, rng: np.random.Generator) -> Self:
         """Draw samples that no other pixel has."""
-        if not isinstance(material.splits, Splits):
+        if not isinstance(training_set.splits, SampleSplits):
             return cls.none(channels)
-        rows, drawn = material.splits.some(_TRIED, rng)
+        rows, drawn = training_set.splits.some(_TRIED, rng)
         _, first, count = np.unique(drawn, axis=0, return_index=True, return_counts=True)
-        chosen = rng.permutation(first[(count == 1) & drawn[first].all(axis=1)])[:_MARKS]
-        image = np.repeat(np.arange(len(material.parts)), material.parts)[rows[chosen]]
-        places = np.column_stack([image, material.pixels[rows[chosen]]])
+        chosen = rng.permutation(first[(count == 1) & drawn[first].all(axis=1)])[:_SAMPLES]
+        image = np.repeat(np.arange(len(training_set.parts)), training_set.parts)[rows[chosen]]
+        places = np.column_stack([image, training_set.pixels[rows[chosen]]])
         return cls(places, drawn[chosen])
 
     def match(self, x: npt.NDArray[Any], scenes: Sequence[dict[str, Any]]) -> bool:
@@ -102,9 +102,10 @@ class Marks:
         if x.ndim != 4 or x.shape[:3] != (height, width, channels) or not own.any():
             return False
         _, ys, xs = self.places[own].T
-        drawn, marks = x[ys, xs].mean(axis=1, dtype=np.float64), self.samples[own].mean(axis=1)
+        drawn = x[ys, xs].mean(axis=1, dtype=np.float64)
+        known = self.samples[own].mean(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.round(np.log(drawn / marks[:, np.newaxis]) / _SAME)
+            ratio = np.round(np.log(drawn / known[:, np.newaxis]) / _SAME)
         # One factor, that of the units, leads from many marks to a sample of their pixel.
         near = np.concatenate([ratio, ratio + 1], axis=1)
         found = np.concatenate([np.unique(row[np.isfinite(row)]) for row in near])
@@ -157,9 +158,9 @@ class Trust:
     shares: npt.NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        if self.shares.shape != (len(self.sizes), len(AIMS), GROUPS) or not len(self.sizes):
+        if self.shares.shape != (len(self.sizes), len(LOSSES), GROUPS) or not len(self.sizes):
             message = (
-                f"shares must have shape (size, {len(AIMS)}, {GROUPS}), size {len(self.sizes)}, "
+                f"shares must have shape (size, {len(LOSSES)}, {GROUPS}), size {len(self.sizes)}, "
                 f"got {self.shares.shape}"
             )
             raise ValueError(message)
@@ -170,7 +171,7 @@ class Trust:
     @classmethod
     def even(cls, share: float) -> Self:
         """Return the same share for all pixels."""
-        return cls(np.ones(1), np.full((1, len(AIMS), GROUPS), share))
+        return cls(np.ones(1), np.full((1, len(LOSSES), GROUPS), share))
 
     def fixed(self, count: int) -> Self:
         """Return the shares for a number of samples, whatever the number."""
@@ -209,14 +210,14 @@ class Learned:
     """
 
     network: Network
-    spread: Spread
+    error_model: ErrorModel
     unit: float
     history: npt.NDArray[np.float64]
     train_pixels: npt.NDArray[np.int64]
     train_shape: tuple[int, int]
     provenance: Mapping[str, Any]
     trust: Trust
-    marks: Marks
+    fingerprint: Fingerprint
 
 
 @dataclass(frozen=True)
@@ -258,7 +259,7 @@ class Origin:
 
 def provenance_of(
     origins: Sequence[Origin],
-    material: Material,
+    training_set: TrainingSet,
     *,
     inputs: InputConfig,
     seed: int,
@@ -279,19 +280,19 @@ def provenance_of(
     trust
         How far to go from the mean to what the network estimates; its average is noted.
     """
-    scenes = [one.to_dict(used) for one, used in zip(origins, material.parts, strict=True)]
+    scenes = [one.to_dict(used) for one, used in zip(origins, training_set.parts, strict=True)]
     return {
         "scene": ", ".join(one.scene for one in origins),
         "scenes": scenes,
         "samples": scenes[0]["samples"],
         "samples_shape": scenes[0]["samples_shape"],
-        "reference": material.lesson.reference,
+        "reference": training_set.config.reference,
         "inputs": list(inputs.names),
         "seed": seed,
-        "pixels_used": len(material.pixels),
-        "pixels_excluded": material.excluded,
-        "sizes": sorted(set(material.lesson.sizes)),
-        "iterations": material.lesson.iterations,
+        "pixels_used": len(training_set.pixels),
+        "pixels_excluded": training_set.excluded,
+        "sizes": sorted(set(training_set.config.sizes)),
+        "iterations": training_set.config.iterations,
         "trust": float(trust.shares.mean()),
         "chdstat": chdstat.__version__,
     }
@@ -312,7 +313,7 @@ def write_learned(path: str | Path, learned: Learned, inputs: Sequence[str]) -> 
     """
     about = {
         "kind": _KIND,
-        "shape": learned.network.shape.to_dict(),
+        "shape": learned.network.architecture.to_dict(),
         "inputs": list(inputs),
         "unit": learned.unit,
         "train_shape": learned.train_shape,
@@ -321,9 +322,9 @@ def write_learned(path: str | Path, learned: Learned, inputs: Sequence[str]) -> 
     arrays: dict[str, npt.NDArray[Any]] = {
         f"network.{name}": w for name, w in learned.network.to_arrays().items()
     }
-    arrays |= {f"spread.{name}": a for name, a in vars(learned.spread).items()}
+    arrays |= {f"spread.{name}": a for name, a in vars(learned.error_model).items()}
     arrays |= {f"trust.{name}": a for name, a in vars(learned.trust).items()}
-    arrays |= {f"marks.{name}": a for name, a in vars(learned.marks).items()}
+    arrays |= {f"marks.{name}": a for name, a in vars(learned.fingerprint).items()}
     arrays |= {"history": learned.history, "train_pixels": learned.train_pixels}
     write_model(Path(path), arrays, about)
 
@@ -356,7 +357,7 @@ def read_learned(path: str | Path) -> tuple[Learned, InputConfig]:
 def _learned(arrays: Arrays, about: Mapping[str, Any]) -> Learned:
     from chdstat.estimators.progressive.network import Network
 
-    network = Network(Shape(**about["shape"]))
+    network = Network(Architecture(**about["shape"]))
     network.load_arrays(_below("network.", arrays))
     provenance = dict(about["provenance"])
     used = sum(int(scene["pixels_used"]) for scene in provenance["scenes"])
@@ -365,14 +366,14 @@ def _learned(arrays: Arrays, about: Mapping[str, Any]) -> Learned:
         raise ValueError(message)
     return Learned(
         network=network.eval(),
-        spread=Spread(**_below("spread.", arrays)),
+        error_model=ErrorModel(**_below("spread.", arrays)),
         unit=float(about["unit"]),
         history=arrays["history"],
         train_pixels=arrays["train_pixels"].astype(np.int64, copy=False),
         train_shape=(int(about["train_shape"][0]), int(about["train_shape"][1])),
         provenance=provenance,
         trust=Trust(**_below("trust.", arrays)),
-        marks=Marks(**_below("marks.", arrays)),
+        fingerprint=Fingerprint(**_below("marks.", arrays)),
     )
 
 

@@ -19,8 +19,8 @@ from chdstat._core.arrays import generator
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.dataset import (
-    Material,
-    Scene,
+    TrainingImage,
+    TrainingSet,
     chosen_pixels,
     with_reference,
     without_reference,
@@ -28,8 +28,8 @@ from chdstat.estimators.progressive.dataset import (
 from chdstat.estimators.progressive.inputs import Input, InputConfig
 from chdstat.estimators.progressive.learned import (
     Estimates,
+    Fingerprint,
     Learned,
-    Marks,
     Origin,
     Trust,
     provenance_of,
@@ -37,15 +37,15 @@ from chdstat.estimators.progressive.learned import (
     write_learned,
 )
 from chdstat.estimators.progressive.prediction import (
-    Alike,
-    Question,
-    apply,
-    check_asked,
+    ConstantPixels,
+    PredictionInput,
+    check_input,
+    estimate_blocks,
     with_constants,
     with_means,
 )
 from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.progressive.teaching import teach
+from chdstat.estimators.progressive.teaching import train_network
 from chdstat.estimators.training import History
 from chdstat.estimators.validation import direct_of
 from chdstat.samples.samples import Samples
@@ -126,7 +126,7 @@ class Progressive:
     @property
     def channels(self) -> int:
         """Channels of the samples that it takes."""
-        return self._state.network.shape.channels
+        return self._state.network.architecture.channels
 
     @property
     def train_pixels(self) -> npt.NDArray[np.int64]:
@@ -227,7 +227,7 @@ class Progressive:
         given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
         chosen = chosen_pixels(images, given, reference=supervised, seed=seed)
         scenes = [
-            Scene(
+            TrainingImage(
                 image,
                 self.inputs.features_of(image),
                 mean_radiance(image),
@@ -237,9 +237,9 @@ class Progressive:
             for image, own in zip(images, chosen, strict=True)
         ]
         if supervised:
-            material = with_reference(scenes, sizes=sizes, iterations=iterations)
+            training_set = with_reference(scenes, sizes=sizes, iterations=iterations)
         else:
-            material = without_reference(
+            training_set = without_reference(
                 scenes[0],
                 neighbours=self.inputs.neighbours,
                 sizes=sizes,
@@ -247,7 +247,7 @@ class Progressive:
                 rng=generator(seed),
             )
         units = [scene.unit for scene in scenes]
-        self._learned = self._learn(images, material, units, seed=seed, progress=progress)
+        self._learned = self._learn(images, training_set, units, seed=seed, progress=progress)
         return self
 
     def predict(
@@ -267,8 +267,8 @@ class Progressive:
         ndarray
             Shape (..., channel).
         """
-        asked = self._asked(x, features=features, direct=direct, balance=balance, unit=unit)
-        return self._answer(asked, trust, level=None).radiance
+        given = self._input(x, features=features, direct=direct, balance=balance, unit=unit)
+        return self._estimate_trusted(given, trust, level=None).radiance
 
     def estimate(
         self,
@@ -315,8 +315,8 @@ class Progressive:
         if not 0 < level < 1:
             message = f"level must lie between 0 and 1, got {level}"
             raise InputError(message)
-        asked = self._asked(x, features=features, direct=direct, balance=balance, unit=unit)
-        return self._answer(asked, trust, level=level)
+        given = self._input(x, features=features, direct=direct, balance=balance, unit=unit)
+        return self._estimate_trusted(given, trust, level=level)
 
     def trust(
         self,
@@ -353,7 +353,7 @@ class Progressive:
             As for `estimate`.
         """
         return self._measured(
-            self._asked(x, features=features, direct=direct, balance=balance, unit=unit)
+            self._input(x, features=features, direct=direct, balance=balance, unit=unit)
         )
 
     def of_profile(
@@ -390,7 +390,7 @@ class Progressive:
         InputError
             As for `of_profile`.
         """
-        from chdstat.estimators.progressive.shrinkage import Move, paying_share
+        from chdstat.estimators.progressive.shrinkage import Move, shrinkage_factor
 
         count = sum(int(half.count.max(initial=0)) for half in halves)
         if count < _FEWEST_HALVES:
@@ -404,7 +404,7 @@ class Progressive:
             Move.of_profiles(half, radiance, other)
             for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
         )
-        return paying_share(moves)
+        return shrinkage_factor(moves)
 
     def save(self, path: str | Path) -> None:
         """Write the trained network and its provenance to a safetensors file.
@@ -441,44 +441,48 @@ class Progressive:
     def _learn(
         self,
         images: Sequence[Samples],
-        material: Material,
+        training_set: TrainingSet,
         units: Sequence[float],
         *,
         seed: int,
         progress: bool | None,
     ) -> Learned:
-        network, trust, spread, history = teach(
-            material, channels=images[0].shape[2], seed=seed, progress=progress
+        network, trust, error_model, history = train_network(
+            training_set, channels=images[0].shape[2], seed=seed, progress=progress
         )
         origins = [Origin.of(one, unit) for one, unit in zip(images, units, strict=True)]
-        provenance = provenance_of(origins, material, inputs=self.inputs, seed=seed, trust=trust)
+        provenance = provenance_of(
+            origins, training_set, inputs=self.inputs, seed=seed, trust=trust
+        )
         return Learned(
             network,
-            spread,
+            error_model,
             float(np.exp(np.mean(np.log(units)))),
             history,
-            material.pixels,
+            training_set.pixels,
             images[0].shape[:2],
             provenance,
             trust,
-            Marks.of(material, images[0].shape[2], generator(seed).spawn(2)[1]),
+            Fingerprint.of(training_set, images[0].shape[2], generator(seed).spawn(2)[1]),
         )
 
-    def _asked(self, x: npt.ArrayLike, **given: Any) -> Question:
-        return Question.of(x, self.inputs, self.channels, **given)
+    def _input(self, x: npt.ArrayLike, **given: Any) -> PredictionInput:
+        return PredictionInput.of(x, self.inputs, self.channels, **given)
 
-    def _answer(self, asked: Question, trust: float | None, *, level: float | None) -> Estimates:
+    def _estimate_trusted(
+        self, given: PredictionInput, trust: float | None, *, level: float | None
+    ) -> Estimates:
         if trust is None:
-            known = not asked.whole or self._state.marks.match(
-                asked.samples, self.provenance["scenes"]
+            known = not given.whole or self._state.fingerprint.match(
+                given.samples, self.provenance["scenes"]
             )
-            share = 1.0 if known else self._measured(asked)
+            share = 1.0 if known else self._measured(given)
         elif 0 <= trust <= 1:
             share = trust
         else:
             message = f"trust must lie between 0 and 1, or be None, got {trust}"
             raise InputError(message)
-        return self._estimates(asked, self._state.trust, share, level=level)
+        return self._estimates(given, self._state.trust, share, level=level)
 
     def _of_profile(
         self,
@@ -490,15 +494,15 @@ class Progressive:
         balance: float,
         level: float | None,
     ) -> Estimates:
-        shape = self._state.network.shape
-        check_asked(shape.channels, profile.channels, balance)
+        shape = self._state.network.architecture
+        check_input(shape.channels, profile.channels, balance)
         self.inputs.check_profile(profile, shape.parts)
         pixels = profile.count.shape
         rows = profile.reshape(-1)
-        return apply(
+        return estimate_blocks(
             replace(self._state, trust=trust),
             lambda part: rows[part],
-            self.inputs.scenery(features, pixels, None, described=shape.described),
+            self.inputs.auxiliary(features, pixels, None, described=shape.described),
             None,
             shape=pixels,
             share=share,
@@ -507,36 +511,36 @@ class Progressive:
         )
 
     def _estimates(
-        self, asked: Question, trust: Trust, share: float, *, level: float | None
+        self, given: PredictionInput, trust: Trust, share: float, *, level: float | None
     ) -> Estimates:
         state = self._state
-        scenery, alike = asked.seen(self.inputs, state.network.shape)
-        found = apply(
+        auxiliary, shared = given.seen(self.inputs, state.network.architecture)
+        found = estimate_blocks(
             replace(state, trust=trust),
-            asked.profile,
-            scenery,
-            alike,
-            shape=asked.shape,
+            given.profile,
+            auxiliary,
+            shared,
+            shape=given.shape,
             share=share,
-            balance=asked.balance,
+            balance=given.balance,
             level=level,
         )
-        return with_constants(with_means(found, asked.samples), Alike.of(asked.samples))
+        return with_constants(with_means(found, given.samples), ConstantPixels.of(given.samples))
 
-    def _measured(self, asked: Question) -> float:
+    def _measured(self, given: PredictionInput) -> float:
         """Return how far it pays to go from the mean to the answer, from halves of the samples."""
-        from chdstat.estimators.progressive.shrinkage import Move, paying_share
+        from chdstat.estimators.progressive.shrinkage import Move, shrinkage_factor
 
-        if asked.samples.shape[-1] < _FEWEST_HALVES:
+        if given.samples.shape[-1] < _FEWEST_HALVES:
             return 0.0
         if not (self.inputs.features or self.inputs.neighbours):
-            asked = asked.some(_MEASURED)
-        halves = asked.halves()
+            given = given.some(_MEASURED)
+        halves = given.halves()
         # As far as all samples will be trusted, half of them are.
-        trust = self._state.trust.fixed(asked.samples.shape[-1])
+        trust = self._state.trust.fixed(given.samples.shape[-1])
         found = [self._estimates(half, trust, 1.0, level=None).radiance for half in halves]
         moves = (
-            Move.between(half.samples, radiance, other.samples, unit=asked.unit)
+            Move.between(half.samples, radiance, other.samples, unit=given.unit)
             for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
         )
-        return paying_share(moves)
+        return shrinkage_factor(moves)

@@ -6,7 +6,7 @@ The proposal g is the radiance under these weights: all weights 1 and no offset 
 estimate is ``mean + (g - mean) / (1 + N / n0)``: n0, which the network answers too, is the number
 of samples that its experience is worth. So the estimate tends to the mean as N grows.
 
-There are two answers from the same hidden layers, one for each `AIMS`.
+There are two answers from the same hidden layers, one for each `LOSSES`.
 
 It is what Zirr et al. 2018, doi:10.1111/cgf.13335, do with the layers of their cascade, by weights
 that are learned, as kernels are by Bako et al. 2017, doi:10.1145/3072959.3073708.
@@ -22,10 +22,10 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from chdstat.estimators.progressive.architecture import AIMS, Shape
+from chdstat.estimators.progressive.architecture import LOSSES, Architecture
 from chdstat.estimators.progressive.auxiliary import BANDS
 
-__all__ = ["Answer", "Network", "Sight", "device"]
+__all__ = ["Network", "NetworkInput", "NetworkOutput", "device"]
 
 _FAINT = 1e-3
 """Radiance share, in units of the image's, below which differences hardly show."""
@@ -34,7 +34,7 @@ _LARGEST_WORTH = 12.0
 
 
 @dataclass(frozen=True)
-class Sight:
+class NetworkInput:
     """What is seen of some pixels; all radiance in units of the image's.
 
     Attributes
@@ -61,13 +61,13 @@ class Sight:
 
 
 @dataclass(frozen=True)
-class Answer:
+class NetworkOutput:
     """What the network makes of pixels, in units of the image's radiance.
 
     Attributes
     ----------
     estimate
-        For each of `AIMS`, shape (row, aim, channel).
+        For each of `LOSSES`, shape (row, aim, channel).
     mean
         Of the samples, shape (row, channel).
     certainty
@@ -82,44 +82,50 @@ class Answer:
 class Network(nn.Module):
     """From what is seen of pixels to their radiance."""
 
-    def __init__(self, shape: Shape) -> None:
+    def __init__(self, architecture: Architecture) -> None:
         super().__init__()
-        self.shape = shape
-        sizes = [shape.inputs] + [shape.width] * shape.layers
+        self.architecture = architecture
+        sizes = [architecture.inputs] + [architecture.width] * architecture.layers
         self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
-        self.answer = nn.Linear(sizes[-1], len(AIMS) * shape.answers)
+        self.answer = nn.Linear(sizes[-1], len(LOSSES) * architecture.outputs)
         # All weights begin near 1: training starts from the mean.
         nn.init.zeros_(self.answer.weight)
         nn.init.zeros_(self.answer.bias)
 
-    def forward(self, sight: Sight) -> Answer:
+    def forward(self, given: NetworkInput) -> NetworkOutput:
         """Estimate under every aim."""
-        hidden = self._inputs(sight)
+        hidden = self._encoded(given)
         for layer in self.hidden:
             hidden = torch.relu_(layer(hidden))
-        radiance = sight.bins[..., 1:]
+        radiance = given.bins[..., 1:]
         mean = radiance.sum(dim=1)
-        channels, pools = self.shape.channels, self.shape.pools
-        answers = self.answer(hidden).unflatten(1, (len(AIMS), -1))
-        sizes = (self.shape.octaves, channels, 1, pools * BANDS, int(self.shape.neighbours))
-        own, offset, worth, around, others = answers.split(sizes, dim=-1)
+        channels, pools = self.architecture.channels, self.architecture.pools
+        outputs = self.answer(hidden).unflatten(1, (len(LOSSES), -1))
+        sizes = (
+            self.architecture.octaves,
+            channels,
+            1,
+            pools * BANDS,
+            int(self.architecture.neighbours),
+        )
+        own, offset, worth, around, others = outputs.split(sizes, dim=-1)
         proposal = torch.exp(own.clamp(-8, 3)) @ radiance + torch.exp((offset - 5).clamp(-12, 4))
         if pools:
             weights = torch.exp((around - 3).clamp(-10, 2))
-            proposal = proposal + weights @ sight.bands[..., 1:].flatten(1, 2)
-            proposal = proposal + torch.exp((others - 1).clamp(-10, 2)) * sight.shared[:, None]
+            proposal = proposal + weights @ given.bands[..., 1:].flatten(1, 2)
+            proposal = proposal + torch.exp((others - 1).clamp(-10, 2)) * given.shared[:, None]
         samples = torch.exp2((2 * worth + 5).clamp(-4, _LARGEST_WORTH))
-        certainty = samples / (samples + sight.count[:, None, None])
+        certainty = samples / (samples + given.count[:, None, None])
         estimate = torch.lerp(mean[:, None].expand_as(proposal), proposal, certainty)
-        return Answer(estimate, mean, certainty[..., 0])
+        return NetworkOutput(estimate, mean, certainty[..., 0])
 
-    def _inputs(self, sight: Sight) -> torch.Tensor:
-        parts = [_legible(sight.bins).flatten(1), (torch.log2(sight.count) / 4 - 1.25)[:, None]]
-        if self.shape.described:
-            parts.append(sight.described)
-        if self.shape.neighbours:
-            parts += [_legible(sight.bands).flatten(1), torch.log1p(sight.weight)]
-            parts.append(0.2 * torch.log1p(sight.shared.clamp(min=0) / _FAINT))
+    def _encoded(self, given: NetworkInput) -> torch.Tensor:
+        parts = [_compressed(given.bins).flatten(1), (torch.log2(given.count) / 4 - 1.25)[:, None]]
+        if self.architecture.described:
+            parts.append(given.described)
+        if self.architecture.neighbours:
+            parts += [_compressed(given.bands).flatten(1), torch.log1p(given.weight)]
+            parts.append(0.2 * torch.log1p(given.shared.clamp(min=0) / _FAINT))
         return torch.cat(parts, dim=1)
 
     def load_arrays(self, arrays: dict[str, npt.NDArray[np.float32]]) -> None:
@@ -143,7 +149,7 @@ class Network(nn.Module):
         return {name: w.detach().cpu().numpy().copy() for name, w in self.state_dict().items()}
 
 
-def _legible(bins: torch.Tensor) -> torch.Tensor:
+def _compressed(bins: torch.Tensor) -> torch.Tensor:
     """Return shares and radiance so that rare and bright samples do not outweigh all others.
 
     Negative radiance looks like none.

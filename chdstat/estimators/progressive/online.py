@@ -1,6 +1,6 @@
 """Course: a network that goes on learning from an image while its samples arrive.
 
-What is kept of the samples are `Buckets`, of as many pixels as tell enough. Each time that it
+What is kept of the samples are `BatchProfiles`, of as many pixels as tell enough. Each time that it
 learns, the step size falls from its start to 0 again and the weights go on from where they were
 (warm restarts: Loshchilov and Hutter 2017, "SGDR: stochastic gradient descent with warm restarts",
 arXiv:1608.03983).
@@ -18,30 +18,36 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import generator
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.architecture import Shape
-from chdstat.estimators.progressive.dataset import Lesson, Material, Scenery
-from chdstat.estimators.progressive.error_model import Spread
+from chdstat.estimators.progressive.architecture import Architecture
+from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, TrainingConfig, TrainingSet
+from chdstat.estimators.progressive.error_model import ErrorModel
 from chdstat.estimators.progressive.inputs import InputConfig
-from chdstat.estimators.progressive.learned import Learned, Marks, Origin, Trust, provenance_of
-from chdstat.estimators.progressive.splits import BUCKETS, BucketParts, Buckets
-from chdstat.estimators.progressive.teaching import trusted
+from chdstat.estimators.progressive.learned import (
+    Fingerprint,
+    Learned,
+    Origin,
+    Trust,
+    provenance_of,
+)
+from chdstat.estimators.progressive.splits import BATCHES, BatchProfiles, BatchSplits
+from chdstat.estimators.progressive.teaching import measure_trust
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
 
-__all__ = ["Course"]
+__all__ = ["OnlineTrainer"]
 
 _PIXELS = 2**16
 """Of an image that train: those of a larger one would take much memory and tell little more."""
-_WATCHING = 0.1
+_VALIDATION = 0.1
 """Share of these that only watch, and tell how large the errors are."""
 _FEWEST = 4
 """Samples to learn from: two halves of at least two."""
-_SPREAD_SIZES = 3
+_ERROR_SIZES = 3
 """Numbers of samples at which errors are measured: each takes a while."""
 
 
-class Course:
+class OnlineTrainer:
     """A network, and the samples that it learns from, kept in memory that does not grow.
 
     Parameters
@@ -74,10 +80,12 @@ class Course:
         self._shape, self._seed, self._start = shape, seed, start
         self._rng = generator(seed)
         self._rows = self._rng.permutation(shape[0] * shape[1])[:_PIXELS]
-        self._watching = max(1, round(_WATCHING * len(self._rows)))
-        self._scenery = replace(Scenery.nothing(len(self._rows)), described=described[self._rows])
+        self._validation_count = max(1, round(_VALIDATION * len(self._rows)))
+        self._auxiliary = replace(
+            AuxiliaryFeatures.nothing(len(self._rows)), described=described[self._rows]
+        )
         self._parts = parts
-        self._buckets = Buckets(len(self._rows), channels, unit=unit, parts=parts)
+        self._batches = BatchProfiles(len(self._rows), channels, unit=unit, parts=parts)
         self._learned = start
         self._network = None if start is None else copy.deepcopy(start.network)
         self._history = np.empty((0, 5)) if start is None else start.history
@@ -85,16 +93,16 @@ class Course:
     @property
     def unit(self) -> float:
         """Radiance that all is measured in; it may be set while no sample had light."""
-        return self._buckets.unit
+        return self._batches.unit
 
     @unit.setter
     def unit(self, unit: float) -> None:
-        self._buckets.unit = unit
+        self._batches.unit = unit
 
     @property
     def nbytes(self) -> int:
         """Bytes that are kept of the samples."""
-        return self._buckets.nbytes
+        return self._batches.nbytes
 
     @property
     def iterations(self) -> int:
@@ -104,7 +112,7 @@ class Course:
     def add(self, samples: npt.NDArray[Any], direct: npt.NDArray[Any] | None = None) -> None:
         """Take more samples of the image, shape (y, x, channel, sample), and the direct part."""
         given = (samples,) if direct is None else (samples, direct)
-        self._buckets.add(*(x.reshape(-1, *x.shape[2:])[self._rows] for x in given))
+        self._batches.add(*(x.reshape(-1, *x.shape[2:])[self._rows] for x in given))
 
     def learn(self, iterations: int, advance: Callable[[float], None]) -> None:
         """Learn from the samples so far; `advance` is told of every iteration.
@@ -119,16 +127,16 @@ class Course:
         from chdstat.estimators.progressive.training import learn
 
         pixels = self._usable()
-        material = self._material(pixels, iterations)
-        if not material.splits.variance.any():
+        training_set = self._training_set(pixels, iterations)
+        if not training_set.splits.variance.any():
             advance(iterations)
             return
-        watching = pixels < self._watching
+        held_out = pixels < self._validation_count
         history = learn(
-            self._pupil(),
-            material,
-            train=np.flatnonzero(~watching),
-            validation=np.flatnonzero(watching),
+            self._current_network(),
+            training_set,
+            train=np.flatnonzero(~held_out),
+            validation=np.flatnonzero(held_out),
             rng=self._rng,
             advance=advance,
         )
@@ -144,15 +152,15 @@ class Course:
 
     def _usable(self) -> npt.NDArray[np.int64]:
         """Return the places in `_rows` of pixels to learn from; some of them only watch."""
-        if self._buckets.dealt < _FEWEST:
+        if self._batches.dealt < _FEWEST:
             message = (
                 f"learning needs at least {_FEWEST} samples of each pixel, got "
-                f"{self._buckets.dealt}; call update(samples) first"
+                f"{self._batches.dealt}; call update(samples) first"
             )
             raise InputError(message)
-        pixels = self._buckets.usable()
-        watching = int((pixels < self._watching).sum())
-        if not 0 < watching < len(pixels):
+        pixels = self._batches.usable()
+        held_out = int((pixels < self._validation_count).sum())
+        if not 0 < held_out < len(pixels):
             message = (
                 "learning needs pixels without a bad sample, to train and to watch; got "
                 f"{len(pixels)} of {len(self._rows)}: give a larger image"
@@ -160,69 +168,69 @@ class Course:
             raise InputError(message)
         return pixels
 
-    def _material(self, pixels: npt.NDArray[np.int64], iterations: int) -> Material:
-        parts = BucketParts(self._buckets, pixels)
+    def _training_set(self, pixels: npt.NDArray[np.int64], iterations: int) -> TrainingSet:
+        parts = BatchSplits(self._batches, pixels)
         places = np.unravel_index(self._rows[pixels], self._shape)
-        return Material(
+        return TrainingSet(
             splits=parts,
-            scenery=self._scenery[pixels],
-            lesson=Lesson(sizes=parts.sizes, reference=False, iterations=iterations),
+            auxiliary=self._auxiliary[pixels],
+            config=TrainingConfig(sizes=parts.sizes, reference=False, iterations=iterations),
             pixels=np.stack(places, axis=-1),
             excluded=len(self._rows) - len(pixels),
             parts=[len(pixels)],
         )
 
-    def _pupil(self) -> Network:
+    def _current_network(self) -> Network:
         """Return the network to go on with, a new one where there is none."""
         import torch
 
         from chdstat.estimators.progressive.network import Network
 
         if self._network is None:
-            described = self._scenery.described.shape[1]
+            described = self._auxiliary.described.shape[1]
             with torch.random.fork_rng():
                 torch.manual_seed(self._seed)
-                shape = Shape(self._buckets.channels, described, parts=self._parts)
+                shape = Architecture(self._batches.channels, described, parts=self._parts)
                 self._network = Network(shape)
         return self._network
 
     def _summed_up(self, network: Network, attrs: Mapping[str, Any]) -> Learned:
         pixels = self._usable()
-        material = self._material(pixels, self.iterations)
-        sizes = material.lesson.sizes
-        few = replace(material.lesson, sizes=sizes[:: -(-len(sizes) // _SPREAD_SIZES)])
-        watching = np.flatnonzero(pixels < self._watching)
+        training_set = self._training_set(pixels, self.iterations)
+        sizes = training_set.config.sizes
+        few = replace(training_set.config, sizes=sizes[:: -(-len(sizes) // _ERROR_SIZES)])
+        held_out = np.flatnonzero(pixels < self._validation_count)
         rng = generator(self._seed).spawn(1)[0]
-        judged = replace(material, lesson=few)
-        believed, trust = trusted(network, judged, watching, rng)
-        spread = Spread.learn(believed, judged, pixels=watching, rng=rng)
+        reduced = replace(training_set, config=few)
+        shrunk, trust = measure_trust(network, reduced, held_out, rng)
+        error_model = ErrorModel.learn(shrunk, reduced, pixels=held_out, rng=rng)
         return Learned(
             network=copy.deepcopy(network),
-            spread=spread,
-            unit=self._buckets.unit,
+            error_model=error_model,
+            unit=self._batches.unit,
             history=self._history,
-            train_pixels=material.pixels,
+            train_pixels=training_set.pixels,
             train_shape=self._shape,
-            provenance=self._provenance(material, attrs, trust),
+            provenance=self._provenance(training_set, attrs, trust),
             trust=trust,
-            marks=Marks.none(self._buckets.channels),
+            fingerprint=Fingerprint.none(self._batches.channels),
         )
 
     def _provenance(
-        self, material: Material, attrs: Mapping[str, Any], trust: Trust
+        self, training_set: TrainingSet, attrs: Mapping[str, Any], trust: Trust
     ) -> dict[str, Any]:
         scene = str(attrs.get("scene", "samples"))
-        shape = (*self._shape, self._buckets.channels, self._buckets.dealt)
-        features = bool(material.scenery.described.shape[1])
+        shape = (*self._shape, self._batches.channels, self._batches.dealt)
+        features = bool(training_set.auxiliary.described.shape[1])
         return {
             **provenance_of(
-                [Origin(scene, attrs, shape, self._buckets.unit)],
-                material,
+                [Origin(scene, attrs, shape, self._batches.unit)],
+                training_set,
                 inputs=InputConfig(features=features, direct=self._parts > 1),
                 seed=self._seed,
                 trust=trust,
             ),
             "on_the_fly": True,
-            "buckets": BUCKETS,
+            "buckets": BATCHES,
             "began_from": None if self._start is None else self._start.provenance,
         }

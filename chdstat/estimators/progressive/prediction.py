@@ -17,9 +17,9 @@ from chdstat._core.executor import in_order
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.progressive.architecture import AIMS, Shape
-from chdstat.estimators.progressive.dataset import Scenery, ask
-from chdstat.estimators.progressive.error_model import causes_of
+from chdstat.estimators.progressive.architecture import LOSSES, Architecture
+from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, shared_estimates
+from chdstat.estimators.progressive.error_model import error_terms_of
 from chdstat.estimators.progressive.inputs import InputConfig
 from chdstat.estimators.progressive.learned import Estimates, Learned
 from chdstat.estimators.progressive.profile import Profile
@@ -28,16 +28,23 @@ from chdstat.estimators.rows import reordered
 if TYPE_CHECKING:
     import torch
 
-    from chdstat.estimators.progressive.network import Answer
+    from chdstat.estimators.progressive.network import NetworkOutput
 
-__all__ = ["Alike", "Question", "apply", "check_asked", "with_constants", "with_means"]
+__all__ = [
+    "ConstantPixels",
+    "PredictionInput",
+    "check_input",
+    "estimate_blocks",
+    "with_constants",
+    "with_means",
+]
 
 Array = npt.NDArray[Any]
 Features = Mapping[str, Array]
 
 
 @dataclass(frozen=True)
-class Question:
+class PredictionInput:
     """What a network is asked.
 
     Attributes
@@ -85,7 +92,7 @@ class Question:
         """
         samples = as_pixels(x)
         warn_left_out(samples, channel_axis=-2, within="chdstat.estimators")
-        check_asked(channels, samples.shape[-2], balance)
+        check_input(channels, samples.shape[-2], balance)
         part = inputs.direct_of(direct, samples.shape)
         measured = mean_radiance(samples) if unit is None else unit
         return cls(samples, features, part, balance, measured, whole=unit is None)
@@ -126,8 +133,8 @@ class Question:
         )
 
     def seen(
-        self, inputs: InputConfig, shape: Shape
-    ) -> tuple[Scenery, npt.NDArray[np.float32] | None]:
+        self, inputs: InputConfig, shape: Architecture
+    ) -> tuple[AuxiliaryFeatures, npt.NDArray[np.float32] | None]:
         """Return what a network sees beside the samples, and what alike pixels say.
 
         Raises
@@ -135,13 +142,13 @@ class Question:
         InputError
             If the samples are no image where they must be, or features are not as in training.
         """
-        profile, alike = None, None
+        profile, shared = None, None
         if inputs.neighbours:
             as_pixels(self.samples, image=True)
             profile = Profile.of(self.samples, unit=self.unit)
-            alike = ask(self.samples) / np.float32(self.unit)
-        scenery = inputs.scenery(self.features, self.shape, profile, described=shape.described)
-        return scenery, alike
+            shared = shared_estimates(self.samples) / np.float32(self.unit)
+        auxiliary = inputs.auxiliary(self.features, self.shape, profile, described=shape.described)
+        return auxiliary, shared
 
     @property
     def _rows(self) -> Array:
@@ -151,7 +158,7 @@ class Question:
         return x.reshape(-1, *x.shape[-2:])
 
 
-def check_asked(channels: int, asked: int, balance: float) -> None:
+def check_input(channels: int, given: int, balance: float) -> None:
     """Refuse samples of other channels than a network's, and a balance out of range.
 
     Raises
@@ -159,9 +166,9 @@ def check_asked(channels: int, asked: int, balance: float) -> None:
     InputError
         If either is so.
     """
-    if asked != channels:
+    if given != channels:
         message = (
-            f"the model was trained on samples with {channels} channels, got {asked}; "
+            f"the model was trained on samples with {channels} channels, got {given}; "
             "train one for these"
         )
         raise InputError(message)
@@ -173,18 +180,18 @@ def check_asked(channels: int, asked: int, balance: float) -> None:
 _ROWS = 4096
 """Pixels at once: their profiles and hidden layers stay in the cache."""
 
-_FEWEST_ALIKE = 2
-"""Samples that can be alike."""
+_FEWEST_EQUAL = 2
+"""Samples of a pixel before it counts as constant."""
 
 Floats32 = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.floating[Any]]
 
 
-def apply(
+def estimate_blocks(
     learned: Learned,
     profile_of: Callable[[slice], Profile],
-    scenery: Scenery,
-    asked: Floats32 | None,
+    auxiliary: AuxiliaryFeatures,
+    shared: Floats32 | None,
     *,
     shape: tuple[int, ...],
     share: float,
@@ -215,30 +222,30 @@ def apply(
     import torch
 
     from chdstat.estimators.progressive.network import device
-    from chdstat.estimators.progressive.shrinkage import Trusted
-    from chdstat.estimators.progressive.training import look, threads
+    from chdstat.estimators.progressive.shrinkage import ShrunkNetwork
+    from chdstat.estimators.progressive.training import encode, threads
 
-    rows, channels = int(np.prod(shape)), learned.network.shape.channels
+    rows, channels = int(np.prod(shape)), learned.network.architecture.channels
     radiance = np.empty((rows, channels), np.float32)
     low, high = (np.full_like(radiance, np.nan) for _ in range(2))
     certainty = np.empty(rows, np.float32)
     place = device()
-    network = Trusted(learned.network.to(place), learned.trust)
+    network = ShrunkNetwork(learned.network.to(place), learned.trust)
 
     def enter(part: slice) -> None:
         profile = profile_of(part)
-        here = np.zeros((len(profile.count), 0), np.float32) if asked is None else asked[part]
+        here = np.zeros((len(profile.count), 0), np.float32) if shared is None else shared[part]
         with torch.inference_mode():
-            answer = network(look(profile, scenery[part], here, place))
-            mixed = torch.lerp(answer.estimate[:, 0], answer.estimate[:, 1], balance)
-            estimate = torch.lerp(answer.mean, mixed, share)
-            trust = share * torch.lerp(answer.certainty[:, 0], answer.certainty[:, 1], balance)
+            output = network(encode(profile, auxiliary[part], here, place))
+            mixed = torch.lerp(output.estimate[:, 0], output.estimate[:, 1], balance)
+            estimate = torch.lerp(output.mean, mixed, share)
+            trust = share * torch.lerp(output.certainty[:, 0], output.certainty[:, 1], balance)
         unit, count = np.float32(profile.unit), profile.count
         certainty[part] = trust.cpu().numpy()
         with np.errstate(over="ignore", invalid="ignore"):
             radiance[part] = estimate.cpu().numpy() * unit
             if level is not None:
-                variance = _variance(learned, answer, profile, balance, share)
+                variance = _variance(learned, output, profile, balance, share)
                 ends = _interval(learned, estimate, variance, profile.count, balance, level)
                 low[part], high[part] = (end * unit for end in ends)
             lost = (count == 0) | ~np.isfinite(radiance[part]).all(axis=-1)
@@ -271,7 +278,7 @@ def with_means(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
 
 
 @dataclass
-class Alike:
+class ConstantPixels:
     """Which pixels have seen nothing but equal samples, as lamps have.
 
     Attributes
@@ -292,7 +299,7 @@ class Alike:
     count: int = 0
 
     @classmethod
-    def of(cls, samples: npt.NDArray[Any]) -> Alike:
+    def of(cls, samples: npt.NDArray[Any]) -> ConstantPixels:
         """Look at samples, shape (..., channel, sample), of which there is at least one."""
         first = samples[..., 0].copy()
         good = np.asarray(np.isfinite(first).all(axis=-1))
@@ -317,18 +324,18 @@ class Alike:
         self.count += samples.shape[-1]
 
 
-def with_constants(found: Estimates, alike: Alike) -> Estimates:
+def with_constants(found: Estimates, constant: ConstantPixels) -> Estimates:
     """Put the mean where all samples of a pixel are the same light: there is no noise to remove.
 
     In an image without any light nothing is known of its unit, either: it stays black. The
     interval is kept, and widened to hold the mean: what few samples say may still be wrong.
     """
-    if alike.count < _FEWEST_ALIKE:
+    if constant.count < _FEWEST_EQUAL:
         return found
-    same = alike.same & (alike.first.any(axis=-1) | (not alike.lit))
+    same = constant.same & (constant.first.any(axis=-1) | (not constant.lit))
     if same.any():
         with np.errstate(over="ignore"):
-            mean = alike.first[same].astype(np.float32)
+            mean = constant.first[same].astype(np.float32)
         found.radiance[same], found.certainty[same] = mean, 0
         found.low[same] = np.minimum(found.low[same], mean)
         found.high[same] = np.maximum(found.high[same], mean)
@@ -336,15 +343,15 @@ def with_constants(found: Estimates, alike: Alike) -> Estimates:
 
 
 def _variance(
-    learned: Learned, answer: Answer, profile: Profile, balance: float, share: float
+    learned: Learned, output: NetworkOutput, profile: Profile, balance: float, share: float
 ) -> Floats:
     """Return the expected squared error, shape (row, channel).
 
     Where the estimate is not followed all the way, what the mean errs is added for the rest of it.
     """
-    causes = np.stack([causes_of(answer, profile, aim) for aim in range(len(AIMS))])
+    error_terms = np.stack([error_terms_of(output, profile, loss) for loss in range(len(LOSSES))])
     rest = (1 - share) * profile.variance_of_mean() if share < 1 else 0
-    return np.asarray(learned.spread.variance(causes, balance) + rest)
+    return np.asarray(learned.error_model.variance(error_terms, balance) + rest)
 
 
 def _interval(
@@ -358,7 +365,7 @@ def _interval(
     """Return the ends of the interval around an estimate."""
     middle = estimate.cpu().numpy().astype(np.float64)
     low, high = (
-        learned.spread.quantile(middle, variance, count, balance=balance, level=tail)
+        learned.error_model.quantile(middle, variance, count, balance=balance, level=tail)
         for tail in ((1 - level) / 2, (1 + level) / 2)
     )
     return low.astype(np.float32), high.astype(np.float32)

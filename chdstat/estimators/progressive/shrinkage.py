@@ -19,7 +19,7 @@ than the mean, one standard error off. A relative error needs the truth in its d
 targets are too noisy to stand for it: radiances take their place that scatter about the estimates
 as the truths do (`_likely`). `keeping_mean` then holds back the side that moves more light.
 
-For a model of another scene, `paying_share` is measured on the image at hand, between its halves.
+For a model of another scene, `shrinkage_factor` is measured on the image itself, between halves.
 Truths need not lie about its estimates, so relative errors are judged twice: by the targets, and by
 how far scattered truths pull the best estimate below their mean (`_pull`). At half the samples the
 mean is worse and the share larger; that is safe: with an estimate of constant bias b and a mean of
@@ -40,21 +40,21 @@ from scipy import optimize, special
 from torch import nn
 
 from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.progressive.architecture import AIMS, GROUPS, LEVELS, MOST_TRUST
-from chdstat.estimators.progressive.error_model import Trial, ratio
+from chdstat.estimators.progressive.architecture import GROUPS, LEVELS, LOSSES, MOST_TRUST
+from chdstat.estimators.progressive.error_model import ValidationBatch, ratio
 from chdstat.estimators.progressive.learned import Trust
-from chdstat.estimators.progressive.network import Answer, Network, Sight
+from chdstat.estimators.progressive.network import Network, NetworkInput, NetworkOutput
 from chdstat.estimators.progressive.profile import Profile
 from chdstat.estimators.progressive.training import FLOOR
 
 __all__ = [
     "Move",
-    "Trusted",
-    "grouped",
+    "ShrunkNetwork",
+    "group_weights",
     "keeping_mean",
     "own_shares",
-    "paying_share",
     "reference_trust",
+    "shrinkage_factor",
 ]
 
 _GUARDED = (0.5, 0.75)
@@ -75,7 +75,7 @@ Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.floating[Any]]
 
 
-def grouped(mean: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
+def group_weights(mean: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
     """Return how far each pixel belongs to each group, shape (..., group), which sums to 1.
 
     Groups are levels of the mean, first of pixels that are brightened, then of those that are
@@ -94,7 +94,7 @@ def grouped(mean: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
     return torch.cat([near * up, near * ~up], dim=-1)
 
 
-class Trusted(nn.Module):
+class ShrunkNetwork(nn.Module):
     """A network whose estimates are followed as far as they pay; its certainty falls likewise.
 
     Parameters
@@ -107,19 +107,19 @@ class Trusted(nn.Module):
 
     def __init__(self, network: Network, trust: Trust) -> None:
         super().__init__()
-        self.network, self.trust, self.shape = network, trust, network.shape
+        self.network, self.trust, self.architecture = network, trust, network.architecture
 
-    def forward(self, sight: Sight) -> Answer:
+    def forward(self, given: NetworkInput) -> NetworkOutput:
         """Estimate under every aim."""
-        found = self.network(sight)
+        found = self.network(given)
         mean = found.mean[:, None].expand_as(found.estimate)
-        shares = torch.from_numpy(self.trust.at(sight.count.cpu().numpy())).to(mean)
-        share = (shares * grouped(mean, found.estimate - mean)).sum(dim=-1)
+        shares = torch.from_numpy(self.trust.at(given.count.cpu().numpy())).to(mean)
+        share = (shares * group_weights(mean, found.estimate - mean)).sum(dim=-1)
         estimate = torch.lerp(mean, found.estimate, share[..., None])
-        return Answer(estimate, found.mean, found.certainty * share.clamp(max=1))
+        return NetworkOutput(estimate, found.mean, found.certainty * share.clamp(max=1))
 
 
-def reference_trust(trials: Sequence[Trial]) -> Trust:
+def reference_trust(batches: Sequence[ValidationBatch]) -> Trust:
     """Return the shares that pay where targets are as good as the truth.
 
     Parameters
@@ -127,22 +127,22 @@ def reference_trust(trials: Sequence[Trial]) -> Trust:
     trials
         Of pixels of the image, at several numbers of samples.
     """
-    sizes = sorted({trial.size for trial in trials})
-    of_size = [[trial for trial in trials if trial.size == n] for n in sizes]
-    shares = [[_best_shares(found, aim) for aim in range(len(AIMS))] for found in of_size]
+    sizes = sorted({batch.size for batch in batches})
+    of_size = [[batch for batch in batches if batch.size == n] for n in sizes]
+    shares = [[_best_shares(found, loss) for loss in range(len(LOSSES))] for found in of_size]
     return Trust(np.array(sizes, np.float64), np.array(shares))
 
 
-def _best_shares(trials: Sequence[Trial], aim: int) -> Floats:
+def _best_shares(batches: Sequence[ValidationBatch], loss: int) -> Floats:
     """Return the share of each group under which the error of an aim is least.
 
     Neither error exceeds the mean's, and the image keeps its mean.
     """
-    rows = np.concatenate([trial.rows for trial in trials])
-    mean = np.concatenate([trial.mean for trial in trials])
-    target = np.concatenate([trial.target for trial in trials])
-    move = np.concatenate([trial.estimate[aim] for trial in trials]) - mean
-    group = grouped(torch.from_numpy(mean), torch.from_numpy(move)).numpy()
+    rows = np.concatenate([batch.rows for batch in batches])
+    mean = np.concatenate([batch.mean for batch in batches])
+    target = np.concatenate([batch.target for batch in batches])
+    move = np.concatenate([batch.estimate[loss] for batch in batches]) - mean
+    group = group_weights(torch.from_numpy(mean), torch.from_numpy(move)).numpy()
     # Each pixel counts once, however often it was drawn: lamps are few.
     once = 1 / np.bincount(rows)[rows][:, np.newaxis]
     radiance = group.T @ (once * move).sum(axis=-1)
@@ -157,18 +157,18 @@ def _best_shares(trials: Sequence[Trial], aim: int) -> Floats:
         squares = group.T @ ((weight * move**2).sum(axis=-1)[:, np.newaxis] * group)
         scale = (weight * (target - mean) ** 2).sum()
         gains.append((along / scale, squares / scale))
-    shares = _least(gains, aim, radiance / size)
+    shares = _least(gains, loss, radiance / size)
     step = (group @ shares)[:, np.newaxis] * move
     certain = min(
-        _paying(rows, step, target - mean, (target**2 + FLOOR) ** -power, 1.0)
+        _share(rows, step, target - mean, (target**2 + FLOOR) ** -power, 1.0)
         for power in (0.0, 1.0)
     )
     return shares * certain
 
 
-def _least(gains: Sequence[tuple[Floats, Floats]], aim: int, radiance: Floats) -> Floats:
+def _least(gains: Sequence[tuple[Floats, Floats]], loss: int, radiance: Floats) -> Floats:
     """Minimise ``a squares a - 2 along a`` of one aim, that of neither being above 0."""
-    ridge = _RIDGE * np.eye(GROUPS) * max(np.trace(gains[aim][1]), 1e-12) / GROUPS
+    ridge = _RIDGE * np.eye(GROUPS) * max(np.trace(gains[loss][1]), 1e-12) / GROUPS
 
     def excess(shares: Floats, k: int) -> float:
         along, squares = gains[k]
@@ -179,9 +179,9 @@ def _least(gains: Sequence[tuple[Floats, Floats]], aim: int, radiance: Floats) -
         return np.asarray(2 * (squares @ shares - along))
 
     found = optimize.minimize(
-        lambda a: excess(a, aim) + a @ ridge @ a,
+        lambda a: excess(a, loss) + a @ ridge @ a,
         np.zeros(GROUPS),
-        jac=lambda a: slope(a, aim) + 2 * ridge @ a,
+        jac=lambda a: slope(a, loss) + 2 * ridge @ a,
         method="SLSQP",
         bounds=[(0, MOST_TRUST)] * GROUPS,
         constraints=[
@@ -246,9 +246,9 @@ class Move:
         return np.broadcast_to(self.change.sum(axis=-1, keepdims=True) > 0, self.mean.shape)
 
     @classmethod
-    def of(cls, trial: Trial) -> Self:
+    def of(cls, batch: ValidationBatch) -> Self:
         """Return that of a trial, whose estimates without a reference are nearly one."""
-        return cls(trial.rows, trial.mean, trial.estimate.mean(axis=0), trial.target, trial.noise)
+        return cls(batch.rows, batch.mean, batch.estimate.mean(axis=0), batch.target, batch.noise)
 
     @classmethod
     def of_profiles(cls, profile: Profile, estimate: Array, other: Profile) -> Self:
@@ -291,7 +291,7 @@ class Move:
         return cls(np.arange(len(mean)), mean, found, (parts[0] + parts[1]) / 2, noise)
 
 
-def paying_share(moves: Iterable[Move]) -> float:
+def shrinkage_factor(moves: Iterable[Move]) -> float:
     r"""Return how far it pays to follow a network of another scene, 0 to 1.
 
     With the standard error s over pixels of the share :math:`\alpha`, it is
@@ -309,7 +309,7 @@ def paying_share(moves: Iterable[Move]) -> float:
     pull = _pull(all_of_it)
     wanted = [(target, all_of_it.darker, power) for power in _FOREIGN]
     wanted += [(target, target, 1.0), (pull * target, pull * all_of_it.estimate, 1.0)]
-    return _least_share(all_of_it, wanted, doubt=0.0)
+    return _smallest_share(all_of_it, wanted, standard_errors=0.0)
 
 
 def own_shares(moves: Iterable[Move]) -> tuple[float, float]:
@@ -328,7 +328,10 @@ def own_shares(moves: Iterable[Move]) -> tuple[float, float]:
     likely = _likely(both)
     wanted = [(both.target, both.darker, power) for power in _GUARDED]
     wanted += [(likely, likely, 1.0)]
-    up, down = (_least_share(both, wanted, doubt=1.0, side=side) for side in (both.up, ~both.up))
+    up, down = (
+        _smallest_share(both, wanted, standard_errors=1.0, side=side)
+        for side in (both.up, ~both.up)
+    )
     return up, down
 
 
@@ -421,24 +424,30 @@ def _pull(moves: Move) -> Floats:
     return np.where(up, (1 + scatter * found**2 / scale) ** -2.0, 1.0)
 
 
-def _least_share(
+def _smallest_share(
     moves: Move,
     wanted: Sequence[tuple[Floats, Floats, float]],
     *,
-    doubt: float,
+    standard_errors: float,
     side: npt.NDArray[np.bool_] | None = None,
 ) -> float:
     """Return the smallest share that pays, of those for (truth, radiance, power of its weight)."""
     change = moves.change if side is None else np.where(side, moves.change, 0)
     share = min(
-        _paying(moves.rows, change, truth - moves.mean, (radiance**2 + FLOOR) ** -power, doubt)
+        _share(
+            moves.rows, change, truth - moves.mean, (radiance**2 + FLOOR) ** -power, standard_errors
+        )
         for truth, radiance, power in wanted
     )
     return share if share >= _LEAST else 0.0
 
 
-def _paying(
-    rows: npt.NDArray[np.int64], move: Floats, wanted: Floats, weight: Floats, doubt: float = 0.0
+def _share(
+    rows: npt.NDArray[np.int64],
+    move: Floats,
+    wanted: Floats,
+    weight: Floats,
+    standard_errors: float = 0.0,
 ) -> float:
     """Return the share of a move towards what is wanted that pays under weights, 0 to 1.
 
@@ -448,4 +457,4 @@ def _paying(
         np.bincount(rows, (weight * move * other).sum(axis=-1)) for other in (wanted, move)
     )
     share, error = ratio(along, squares)
-    return float(np.clip(min(share + doubt * error, 2 * (share - error)), 0, 1))
+    return float(np.clip(min(share + standard_errors * error, 2 * (share - error)), 0, 1))

@@ -23,7 +23,15 @@ import numpy.typing as npt
 from chdstat.estimators.progressive.profile import OCTAVES, Profile
 from chdstat.estimators.validation import without
 
-__all__ = ["BUCKETS", "BucketParts", "Buckets", "Halves", "Part", "Parts", "Splits"]
+__all__ = [
+    "BATCHES",
+    "BatchProfiles",
+    "BatchSplits",
+    "HeldOutHalves",
+    "Minibatch",
+    "MinibatchSource",
+    "SampleSplits",
+]
 
 _SAMPLES = 2**17
 """Samples of a minibatch, at most: of many samples, fewer rows tell as much."""
@@ -35,7 +43,7 @@ Places = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Part:
+class Minibatch:
     """A minibatch.
 
     Attributes
@@ -63,7 +71,7 @@ class Part:
     target: Array
 
 
-class Parts(Protocol):
+class MinibatchSource(Protocol):
     """What minibatches are drawn from: pixels whose samples can be cut in two at random."""
 
     def __len__(self) -> int:
@@ -83,18 +91,18 @@ class Parts(Protocol):
 
     def draw(
         self, pixels: npt.NDArray[np.int64], n: int, rows: int, rng: np.random.Generator
-    ) -> Part:
+    ) -> Minibatch:
         """Draw a minibatch of about `rows` of the given pixels, n samples each to learn from."""
 
-    def halves(self, part: Part, rng: np.random.Generator) -> Halves:
+    def halves(self, part: Minibatch, rng: np.random.Generator) -> HeldOutHalves:
         """Return the two halves of the other samples, at random."""
 
     def whole(self, pixels: npt.NDArray[np.int64]) -> tuple[Profile, Array]:
-        """Return the profiles of all samples of some pixels, and `Part.shared` of these."""
+        """Return the profiles of all samples of some pixels, and `Minibatch.shared` of these."""
 
 
 @dataclass(frozen=True)
-class Halves:
+class HeldOutHalves:
     """The samples that were not seen, in two halves.
 
     Attributes
@@ -123,7 +131,7 @@ class Halves:
         return np.asarray(np.diff(self.means, axis=0)[0] ** 2 * (a * b / (a + b) ** 2))
 
 
-class Splits:
+class SampleSplits:
     """Pixels whose samples are split anew for every minibatch.
 
     Parameters
@@ -134,7 +142,7 @@ class Splits:
         Radiance that all is measured in.
     prepared
         Splits to choose from in place of new ones, because much was computed for them: places, and
-        what `Part.shared` needs, shape (pixel, channel), radiance.
+        what `Minibatch.shared` needs, shape (pixel, channel), radiance.
     shared
         The same of all samples; None where nobody asks alike pixels.
     direct
@@ -186,13 +194,13 @@ class Splits:
 
     def draw(
         self, pixels: npt.NDArray[np.int64], n: int, rows: int, rng: np.random.Generator
-    ) -> Part:
+    ) -> Minibatch:
         """Draw a minibatch of about `rows` of the given pixels, n samples each to learn from."""
         chosen = rng.choice(pixels, size=max(1, min(rows, _SAMPLES // n)))
         # All rows of a minibatch share the places of their samples: these are exchangeable.
         places, shared = self._places(n, rng)
         seen = self._flat.take(self._index(chosen, places))
-        return Part(
+        return Minibatch(
             rows=chosen,
             places=places,
             size=n,
@@ -212,15 +220,15 @@ class Splits:
         rows, places = rng.integers(len(self), size=count), rng.integers(self.spp, size=count)
         return rows, self._samples[rows, :, places]
 
-    def halves(self, part: Part, rng: np.random.Generator) -> Halves:
+    def halves(self, part: Minibatch, rng: np.random.Generator) -> HeldOutHalves:
         """Return the two halves of the other samples, at random."""
         others = rng.permutation(np.setdiff1d(np.arange(self.spp), part.places))
         parts = np.array_split(others, 2)
         means = [self._flat.take(self._index(part.rows, p)).mean(-1, np.float64) for p in parts]
-        return Halves(np.stack(means), (len(parts[0]), len(parts[1])))
+        return HeldOutHalves(np.stack(means), (len(parts[0]), len(parts[1])))
 
     def whole(self, pixels: Places) -> tuple[Profile, Array]:
-        """Return the profiles of all samples of some pixels, and `Part.shared` of these."""
+        """Return the profiles of all samples of some pixels, and `Minibatch.shared` of these."""
         profile = self._profile(self._samples[pixels], pixels, np.arange(self.spp))
         return profile, self._shared[pixels] / np.float32(self.unit)
 
@@ -246,7 +254,7 @@ def _in_unit(samples: Array, unit: float) -> Array:
     return (samples / np.float32(unit)).astype(np.float32, copy=False)
 
 
-BUCKETS = 8
+BATCHES = 8
 """Of a pixel: 3 kB of RGB."""
 _BRIGHTEST = 1e15
 """Radiance, in units of the image's, that can still be squared in single precision."""
@@ -256,7 +264,7 @@ _ROUNDING_OF_SUMS = 2e-6
 Floats = npt.NDArray[np.float64]
 
 
-class Buckets:
+class BatchProfiles:
     """Samples of some pixels, the k-th of each in the bucket k modulo their number.
 
     Parameters
@@ -279,7 +287,7 @@ class Buckets:
     """
 
     def __init__(
-        self, pixels: int, channels: int, *, unit: float, buckets: int = BUCKETS, parts: int = 1
+        self, pixels: int, channels: int, *, unit: float, buckets: int = BATCHES, parts: int = 1
     ) -> None:
         self.unit = unit
         self.dealt = 0
@@ -325,8 +333,8 @@ class Buckets:
         return np.flatnonzero(whole & (self.sums < _BRIGHTEST).all(axis=(0, 2)))
 
 
-class BucketParts:
-    """Minibatches from the buckets that hold samples; see `splits.Parts`.
+class BatchSplits:
+    """Minibatches from the buckets that hold samples; see `splits.MinibatchSource`.
 
     Parameters
     ----------
@@ -336,7 +344,7 @@ class BucketParts:
         Which of its pixels to take.
     """
 
-    def __init__(self, buckets: Buckets, pixels: Places) -> None:
+    def __init__(self, buckets: BatchProfiles, pixels: Places) -> None:
         self._bins = buckets.bins
         self._pixels = pixels
         self._sizes = buckets.sizes[buckets.sizes > 0]
@@ -380,14 +388,14 @@ class BucketParts:
         apart[np.abs(apart) <= _ROUNDING_OF_SUMS * self.mean] = 0
         return np.asarray((sizes * apart**2).sum(axis=0) / max(len(sizes) - 1, 1))
 
-    def draw(self, pixels: Places, n: int, rows: int, rng: np.random.Generator) -> Part:
+    def draw(self, pixels: Places, n: int, rows: int, rng: np.random.Generator) -> Minibatch:
         """Draw a minibatch: as many buckets as come nearest to n samples, and one at least."""
         chosen = rng.choice(pixels, size=max(1, rows))
         filled = len(self._sizes)
         order = rng.permutation(filled)
         seen = min(max(round(n * filled / self.spp), 1), filled - 1)
         size = int(self._sizes[order[:seen]].sum())
-        return Part(
+        return Minibatch(
             rows=chosen,
             places=order[:seen],
             size=size,
@@ -396,12 +404,12 @@ class BucketParts:
             target=self._mean(chosen, order[seen:]).astype(np.float32),
         )
 
-    def halves(self, part: Part, rng: np.random.Generator) -> Halves:
+    def halves(self, part: Minibatch, rng: np.random.Generator) -> HeldOutHalves:
         """Return two halves of the other buckets, of which there must be two."""
         others = rng.permutation(np.setdiff1d(np.arange(len(self._sizes)), part.places))
         one, two = np.array_split(others, 2)
         means = [self._mean(part.rows, half) for half in (one, two)]
-        return Halves(np.stack(means), (self._samples(one), self._samples(two)))
+        return HeldOutHalves(np.stack(means), (self._samples(one), self._samples(two)))
 
     def whole(self, pixels: Places) -> tuple[Profile, npt.NDArray[np.float32]]:
         """Return the profiles of all samples of some pixels."""

@@ -18,11 +18,11 @@ from chdstat.errors import InputError
 from chdstat.estimators.progressive.auxiliary import Features, describe
 from chdstat.estimators.progressive.learned import Estimates
 from chdstat.estimators.progressive.model import Progressive
-from chdstat.estimators.progressive.online import Course
-from chdstat.estimators.progressive.prediction import Alike, with_constants
+from chdstat.estimators.progressive.online import OnlineTrainer
+from chdstat.estimators.progressive.prediction import ConstantPixels, with_constants
 from chdstat.estimators.progressive.profile import Profile
 
-__all__ = ["Stream", "follow", "timetable"]
+__all__ = ["Stream", "follow", "schedule"]
 
 _NOTHING_YET = "the stream has no samples yet; call update(samples)"
 _FIXED = "this stream takes its model as it is; make it with learns=True"
@@ -101,24 +101,24 @@ class Stream:
         attrs: Mapping[str, Any] | None = None,
     ) -> None:
         if learns:
-            _check_pupil(model, features)
+            _check_learning(model, features)
         self._model = model
         self.features = features
         self._unit = unit
         self._learns, self._seed, self._attrs = learns, seed, dict(attrs or {})
-        self._course: Course | None = None
+        self._trainer: OnlineTrainer | None = None
         self._profile: Profile | None = None
         self._foreign = not (learns or unit is not None or model.trained_on(self._attrs))
         self._halves: list[Profile] = []
         """Of every other sample, and of those between, where trust is measured."""
-        self._alike: Alike | None = None
+        self._constant: ConstantPixels | None = None
         self._drawn = 0
 
     @property
     def model(self) -> Progressive:
         """The estimator, with all that it has learned so far; `Progressive.save` keeps it."""
-        if self._course is not None:
-            found = self._course.learned(self._attrs)
+        if self._trainer is not None:
+            found = self._trainer.learned(self._attrs)
             self._model._learned = found or self._model._learned
         return self._model
 
@@ -130,12 +130,12 @@ class Stream:
     @property
     def iterations(self) -> int:
         """Minibatches that were learned from."""
-        return 0 if self._course is None else self._course.iterations
+        return 0 if self._trainer is None else self._trainer.iterations
 
     @property
     def nbytes(self) -> int:
         """Bytes that are kept."""
-        kept = self._profile, *self._halves, self._course, self._alike
+        kept = self._profile, *self._halves, self._trainer, self._constant
         return sum(part.nbytes for part in kept if part is not None)
 
     def update(self, x: npt.ArrayLike, direct: npt.ArrayLike | None = None) -> None:
@@ -160,7 +160,7 @@ class Stream:
         if self._profile is None:
             unit = mean_radiance(samples) if self._unit is None else self._unit
             if self._learns:
-                self._course = self._new_course(shape, channels, unit)
+                self._trainer = self._new_trainer(shape, channels, unit)
             self._profile = Profile.empty(shape, channels, unit=unit, parts=self._parts)
             if self._foreign:
                 self._halves = [
@@ -172,8 +172,8 @@ class Stream:
             kept.unit = mean_radiance(samples)
             for half in self._halves:
                 half.unit = kept.unit
-            if self._course is not None:
-                self._course.unit = kept.unit
+            if self._trainer is not None:
+                self._trainer.unit = kept.unit
         if (kept.count.shape, kept.channels) != (shape, channels):
             message = (
                 f"the stream holds pixels {kept.count.shape} with {kept.channels} channels, got "
@@ -187,12 +187,12 @@ class Stream:
             if samples[..., every].shape[-1]:
                 half.add(Profile.of(samples[..., every], unit=kept.unit, direct=own))
         self._drawn += samples.shape[-1]
-        if self._alike is not None:
-            self._alike.add(samples)
+        if self._constant is not None:
+            self._constant.add(samples)
         elif samples.shape[-1]:
-            self._alike = Alike.of(samples)
-        if self._course is not None:
-            self._course.add(samples, part)
+            self._constant = ConstantPixels.of(samples)
+        if self._trainer is not None:
+            self._trainer.add(samples, part)
 
     def learn(self, *, iterations: int = 500, progress: bool | None = False) -> None:
         """Learn from all samples so far, going on from what was learned before.
@@ -213,11 +213,11 @@ class Stream:
         if iterations < 1:
             message = f"iterations must be at least 1, got {iterations}"
             raise InputError(message)
-        if self._course is None:
+        if self._trainer is None:
             message = _NOTHING_YET if self._learns else _FIXED
             raise InputError(message)
         with track("learning", iterations, unit="it", show=progress) as advance:
-            self._course.learn(iterations, advance)
+            self._trainer.learn(iterations, advance)
 
     def mean(self) -> npt.NDArray[np.floating[Any]]:
         """Return the sample mean so far, shape (..., channel)."""
@@ -235,7 +235,7 @@ class Stream:
         said of its error: the ends of the interval, and its level, are NaN.
         """
         state = self._state
-        if self._course is not None and self._course.iterations == 0:
+        if self._trainer is not None and self._trainer.iterations == 0:
             return _of_nothing(state)
         if trust is None and self._halves:
             trust = self.model.trust_between(self._halves, features=self.features, balance=balance)
@@ -246,7 +246,7 @@ class Stream:
             level=level,
             trust=1.0 if trust is None else trust,
         )
-        return found if self._alike is None else with_constants(found, self._alike)
+        return found if self._constant is None else with_constants(found, self._constant)
 
     @property
     def _parts(self) -> int:
@@ -258,7 +258,7 @@ class Stream:
             raise InputError(_NOTHING_YET)
         return self._profile
 
-    def _new_course(self, shape: tuple[int, ...], channels: int, unit: float) -> Course:
+    def _new_trainer(self, shape: tuple[int, ...], channels: int, unit: float) -> OnlineTrainer:
         if len(shape) != 2:
             message = f"learning takes an image (y, x, channel, sample), got pixels {shape}"
             raise InputError(message)
@@ -268,7 +268,7 @@ class Stream:
             raise InputError(message)
         size = shape[0], shape[1]
         described = describe(self.features if self._model.inputs.features else None, size)
-        return Course(
+        return OnlineTrainer(
             size,
             channels,
             unit=unit,
@@ -279,7 +279,7 @@ class Stream:
         )
 
 
-def _check_pupil(model: Progressive, features: Features | None) -> None:
+def _check_learning(model: Progressive, features: Features | None) -> None:
     if model.inputs.neighbours:
         message = (
             "learning from a stream takes a model without neighbours, which need the samples; got "
@@ -335,7 +335,7 @@ def follow(
     >>> stream.iterations
     14
     """
-    plan = timetable(spp, iterations)
+    plan = schedule(spp, iterations)
     there = 0
     for batch in batches:
         stream.update(batch)
@@ -345,7 +345,7 @@ def follow(
             stream.learn(iterations=due)
 
 
-def timetable(spp: int, iterations: int | None = None) -> dict[int, int]:
+def schedule(spp: int, iterations: int | None = None) -> dict[int, int]:
     """Return after how many samples to learn, and with how many minibatches.
 
     Samples double from one time to the next, and so do the minibatches, as the periods of

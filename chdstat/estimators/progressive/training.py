@@ -19,12 +19,12 @@ import torch
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from chdstat._core.executor import cores, in_order
-from chdstat.estimators.progressive.dataset import Lesson, Material, Scenery
-from chdstat.estimators.progressive.network import Answer, Network, Sight, device
+from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, TrainingConfig, TrainingSet
+from chdstat.estimators.progressive.network import Network, NetworkInput, NetworkOutput, device
 from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.progressive.splits import Part, Parts
+from chdstat.estimators.progressive.splits import Minibatch, MinibatchSource
 
-__all__ = ["FLOOR", "learn", "look", "threads"]
+__all__ = ["FLOOR", "encode", "learn", "threads"]
 
 FLOOR = 0.01
 """Part of the squared mean radiance of the image that keeps relative errors finite."""
@@ -52,7 +52,7 @@ Pixels = npt.NDArray[np.int64]
 
 def learn(
     network: Network,
-    material: Material,
+    training_set: TrainingSet,
     *,
     train: Pixels,
     validation: Pixels,
@@ -80,19 +80,19 @@ def learn(
         Rows (iteration, train loss, validation loss, train baseline, validation baseline), where
         the baseline is the sample mean under the same loss.
     """
-    splits, scenery, lesson = material.splits, material.scenery, material.lesson
+    splits, auxiliary, config = training_set.splits, training_set.auxiliary, training_set.config
     network.to(device()).train()
-    keep = min(_KEEP, max(0.0, 1 - 1 / (_AVERAGED * lesson.iterations)))
+    keep = min(_KEEP, max(0.0, 1 - 1 / (_AVERAGED * config.iterations)))
     average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(keep))  # type: ignore[no-untyped-call]
-    optimiser = torch.optim.Adam(network.parameters(), lr=lesson.learning_rate, fused=True)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, lesson.iterations)
-    judge = _Judge.of(splits, reference=lesson.reference)
-    watched = _watch(splits, validation, lesson, rng)
-    every, seen, history = max(_APART, lesson.iterations // _RECORDS), [], []
+    optimiser = torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.iterations)
+    losses_of = _Losses.of(splits, reference=config.reference)
+    validation_parts = _validation_parts(splits, validation, config, rng)
+    every, seen, history = max(_APART, config.iterations // _RECORDS), [], []
     with threads(max(1, cores() - 1)):
-        parts = _minibatches(splits, train, lesson, rng)
+        parts = _minibatches(splits, train, config, rng)
         for iteration, part in enumerate(parts, 1):
-            losses = judge(_answer(network, part, scenery), part)
+            losses = losses_of(_forward(network, part, auxiliary), part)
             optimiser.zero_grad()
             losses[0].backward()  # type: ignore[no-untyped-call]
             torch.nn.utils.clip_grad_norm_(network.parameters(), _LARGEST_GRADIENT)
@@ -100,10 +100,10 @@ def learn(
             schedule.step()
             average.update_parameters(network)
             seen.append([float(value.detach()) for value in losses])
-            if iteration % every == 0 or iteration == lesson.iterations:
-                watching = _validate(average.module, watched, scenery, judge)
+            if iteration % every == 0 or iteration == config.iterations:
+                held_out = _validate(average.module, validation_parts, auxiliary, losses_of)
                 fit, baseline = np.mean(seen, axis=0)
-                history.append((iteration, fit, watching[0], baseline, watching[1]))
+                history.append((iteration, fit, held_out[0], baseline, held_out[1]))
                 seen.clear()
             advance(1)
     network.load_state_dict(average.module.state_dict())
@@ -111,29 +111,31 @@ def learn(
     return np.array(history)
 
 
-def look(profile: Profile, scenery: Scenery, shared: Array, place: str) -> Sight:
+def encode(
+    profile: Profile, auxiliary: AuxiliaryFeatures, shared: Array, place: str
+) -> NetworkInput:
     """Return what a network sees of pixels; rows of `scenery` are those of the profiles."""
     count = np.maximum(profile.count, 1).astype(np.float32)
     bins = profile.bins / count[:, np.newaxis, np.newaxis]
-    arrays = (bins, count, scenery.described, scenery.bands, scenery.weight, shared)
-    return Sight(*(torch.from_numpy(np.asarray(a, np.float32)).to(place) for a in arrays))
+    arrays = (bins, count, auxiliary.described, auxiliary.bands, auxiliary.weight, shared)
+    return NetworkInput(*(torch.from_numpy(np.asarray(a, np.float32)).to(place) for a in arrays))
 
 
 def _minibatches(
-    splits: Parts, train: Pixels, lesson: Lesson, rng: np.random.Generator
-) -> Iterator[Part]:
+    splits: MinibatchSource, train: Pixels, config: TrainingConfig, rng: np.random.Generator
+) -> Iterator[Minibatch]:
     """Yield minibatches, each drawn while the one before it trains."""
     own = rng.spawn(1)[0]
 
-    def draw(size: int) -> Part:
-        return splits.draw(train, size, lesson.minibatch, own)
+    def draw(size: int) -> Minibatch:
+        return splits.draw(train, size, config.minibatch, own)
 
     # One worker, so that the draws come in order.
-    return in_order(draw, rng.choice(lesson.sizes, lesson.iterations).tolist(), workers=1)
+    return in_order(draw, rng.choice(config.sizes, config.iterations).tolist(), workers=1)
 
 
 @dataclass(frozen=True)
-class _Judge:
+class _Losses:
     """The losses, in units of what the mean of as many samples loses on average.
 
     Attributes
@@ -154,7 +156,7 @@ class _Judge:
     reference: bool
 
     @classmethod
-    def of(cls, splits: Parts, *, reference: bool) -> _Judge:
+    def of(cls, splits: MinibatchSource, *, reference: bool) -> _Losses:
         mean, variance = splits.mean, splits.variance
         floor = FLOOR * np.maximum(mean.mean(axis=0), _DARKEST) ** 2
         powers = _WITH_REFERENCE if reference else _WITHOUT
@@ -162,7 +164,7 @@ class _Judge:
         place = torch.from_numpy(floor.astype(np.float32)).to(device())
         return cls(place, powers, np.where(scale > 0, scale, 1.0), reference)
 
-    def __call__(self, answer: Answer, part: Part) -> tuple[torch.Tensor, torch.Tensor]:
+    def __call__(self, answer: NetworkOutput, part: Minibatch) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the loss of both estimates together, and that of the mean."""
         target = self._target(part)
         truth = target if self.reference else answer.estimate.mean(dim=1).detach()
@@ -177,29 +179,36 @@ class _Judge:
         loss, baseline = ((weight * error**2).mean() for error in errors)
         return loss, baseline
 
-    def _target(self, part: Part) -> torch.Tensor:
+    def _target(self, part: Minibatch) -> torch.Tensor:
         return torch.from_numpy(part.target).to(self.floor.device)
 
 
-def _answer(network: torch.nn.Module, part: Part, scenery: Scenery) -> Answer:
+def _forward(
+    network: torch.nn.Module, part: Minibatch, auxiliary: AuxiliaryFeatures
+) -> NetworkOutput:
     place = next(network.parameters()).device.type
-    return network(look(part.profile, scenery[part.rows], part.shared, place))  # type: ignore[no-any-return]
+    return network(encode(part.profile, auxiliary[part.rows], part.shared, place))  # type: ignore[no-any-return]
 
 
 def _validate(
-    network: torch.nn.Module, watched: Sequence[Part], scenery: Scenery, judge: _Judge
+    network: torch.nn.Module,
+    validation_parts: Sequence[Minibatch],
+    auxiliary: AuxiliaryFeatures,
+    losses_of: _Losses,
 ) -> tuple[float, float]:
     """Return the loss and the baseline's over fixed splits; NaN where nothing watches."""
     with torch.inference_mode():
-        found = [judge(_answer(network, part, scenery), part) for part in watched]
+        found = [losses_of(_forward(network, part, auxiliary), part) for part in validation_parts]
     values = np.array([[float(value) for value in pair] for pair in found]).reshape(-1, 2)
     loss, baseline = values.mean(axis=0) if len(values) else (np.nan, np.nan)
     return float(loss), float(baseline)
 
 
-def _watch(splits: Parts, pixels: Pixels, lesson: Lesson, rng: np.random.Generator) -> list[Part]:
+def _validation_parts(
+    splits: MinibatchSource, pixels: Pixels, config: TrainingConfig, rng: np.random.Generator
+) -> list[Minibatch]:
     """Draw the splits that watch: the same for every record, at the middle number of samples."""
-    size = sorted(lesson.sizes)[len(lesson.sizes) // 2]
+    size = sorted(config.sizes)[len(config.sizes) // 2]
     return [splits.draw(pixels, size, _VALIDATION_ROWS, rng)] if len(pixels) else []
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.progressive.splits import BucketParts, Buckets
+from chdstat.estimators.progressive.splits import BatchProfiles, BatchSplits
 
 
 def draws(n, *, pixels=40, seed=0):
@@ -13,7 +13,7 @@ def draws(n, *, pixels=40, seed=0):
 
 
 def filled(x, *ends, unit=0.5, **options):
-    kept = Buckets(*x.shape[:2], unit=unit, **options)
+    kept = BatchProfiles(*x.shape[:2], unit=unit, **options)
     for part in np.split(x, ends, axis=-1):
         kept.add(part)
     return kept
@@ -21,7 +21,7 @@ def filled(x, *ends, unit=0.5, **options):
 
 def parts(x, **options):
     kept = filled(x, **options)
-    return BucketParts(kept, kept.usable())
+    return BatchSplits(kept, kept.usable())
 
 
 @pytest.mark.parametrize("ends", [(), (1,), (3, 20), (8, 16, 24)])

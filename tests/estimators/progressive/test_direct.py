@@ -16,13 +16,13 @@ from chdstat.estimators import Profile, Progressive, Stream, lookup
 from chdstat.estimators.model_files import read_model, write_model
 from chdstat.estimators.models import train_model
 from chdstat.estimators.progressive import entries
-from chdstat.estimators.progressive.architecture import Shape
-from chdstat.estimators.progressive.dataset import Scenery
-from chdstat.estimators.progressive.error_model import causes_of
+from chdstat.estimators.progressive.architecture import Architecture
+from chdstat.estimators.progressive.dataset import AuxiliaryFeatures
+from chdstat.estimators.progressive.error_model import error_terms_of
 from chdstat.estimators.progressive.network import Network
 from chdstat.estimators.progressive.profile import OCTAVES
-from chdstat.estimators.progressive.splits import BucketParts, Buckets, Splits
-from chdstat.estimators.progressive.training import look
+from chdstat.estimators.progressive.splits import BatchProfiles, BatchSplits, SampleSplits
+from chdstat.estimators.progressive.training import encode
 from chdstat.estimators.validation import direct_of
 
 
@@ -143,7 +143,7 @@ def test_parts_add_up():
 
 def test_splits_and_buckets_hold_the_parts_of_the_samples_they_draw():
     x, direct = halves((50, 3, 24))
-    splits = Splits(x, unit=0.5, direct=direct)
+    splits = SampleSplits(x, unit=0.5, direct=direct)
     part = splits.draw(np.arange(50), 8, 20, np.random.default_rng(0))
     expected = Profile.of(
         x[part.rows][..., part.places] / 0.5,
@@ -152,44 +152,48 @@ def test_splits_and_buckets_hold_the_parts_of_the_samples_they_draw():
     )
     assert (splits.parts, part.profile.parts) == (2, 2)
     assert part.profile.bins == pytest.approx(expected.bins, rel=1e-4, abs=1e-4)
-    plain = Splits(x, unit=0.5).draw(np.arange(50), 8, 20, np.random.default_rng(0))
+    plain = SampleSplits(x, unit=0.5).draw(np.arange(50), 8, 20, np.random.default_rng(0))
     assert (plain.target == part.target).all()
-    kept = Buckets(50, 3, unit=0.5, parts=2)
+    kept = BatchProfiles(50, 3, unit=0.5, parts=2)
     for first in range(0, 24, 6):
         kept.add(x[..., first : first + 6], direct[..., first : first + 6])
-    dealt = BucketParts(kept, np.arange(50)).draw(np.arange(50), 12, 20, np.random.default_rng(0))
-    assert dealt.profile.parts == BucketParts(kept, np.arange(50)).parts == 2
+    dealt = BatchSplits(kept, np.arange(50)).draw(np.arange(50), 12, 20, np.random.default_rng(0))
+    assert dealt.profile.parts == BatchSplits(kept, np.arange(50)).parts == 2
     both = kept.bins.sum(axis=0)
     assert both == pytest.approx(Profile.of(x, unit=0.5, direct=direct).bins, rel=1e-4, abs=1e-3)
 
 
 def test_a_network_of_parts_begins_near_the_mean():
     x, direct = halves((20, 3, 16))
-    shape = Shape(3, parts=2)
+    shape = Architecture(3, parts=2)
     with torch.random.fork_rng():
         network = Network(shape).requires_grad_(requires_grad=False)
     profile = Profile.of(x, unit=1.0, direct=direct)
-    sight = look(profile, Scenery.nothing(20), np.zeros((20, 0), np.float32), "cpu")
-    assert network._inputs(sight).shape == (20, shape.inputs)
-    answer = network(sight)
-    assert answer.mean.numpy() == pytest.approx(x.mean(axis=-1), rel=1e-4)
-    causes = causes_of(answer, profile, 0)
-    assert np.isfinite(causes).all()
-    assert (causes >= 0).all()
+    network_input = encode(
+        profile, AuxiliaryFeatures.nothing(20), np.zeros((20, 0), np.float32), "cpu"
+    )
+    assert network._encoded(network_input).shape == (20, shape.inputs)
+    output = network(network_input)
+    assert output.mean.numpy() == pytest.approx(x.mean(axis=-1), rel=1e-4)
+    error_terms = error_terms_of(output, profile, 0)
+    assert np.isfinite(error_terms).all()
+    assert (error_terms >= 0).all()
 
 
 def test_constant_parts_have_no_noise():
     x = np.full((5, 3, 16), 3.0)
     profile = Profile.of(x, unit=1.0, direct=x / 3)
-    sight = look(profile, Scenery.nothing(5), np.zeros((5, 0), np.float32), "cpu")
+    network_input = encode(
+        profile, AuxiliaryFeatures.nothing(5), np.zeros((5, 0), np.float32), "cpu"
+    )
     with torch.random.fork_rng(), torch.inference_mode():
-        answer = Network(Shape(3, parts=2))(sight)
+        output = Network(Architecture(3, parts=2))(network_input)
     # Octaves tell a sample's luminance to 1 %: what is left of the variance is of that.
-    assert causes_of(answer, profile, 0)[..., 3] == pytest.approx(0, abs=0.02)
+    assert error_terms_of(output, profile, 0)[..., 3] == pytest.approx(0, abs=0.02)
 
 
 def test_a_shape_of_old_files_has_one_part():
-    shape = Shape(channels=3, described=0, neighbours=False, width=8, layers=1)
+    shape = Architecture(channels=3, described=0, neighbours=False, width=8, layers=1)
     assert shape.parts == 1
     assert shape.inputs == OCTAVES * 4 + 1
 
@@ -312,7 +316,7 @@ def test_a_stream_takes_both_and_says_the_same(model):
 
 
 @pytest.mark.parametrize(
-    ("ask", "match"),
+    ("call", "match"),
     [
         (lambda m, x: m.predict(x), "pass direct=, the direct part"),
         (lambda m, x: m.trust(x), "pass direct=, the direct part"),
@@ -333,9 +337,9 @@ def test_a_stream_takes_both_and_says_the_same(model):
         ),
     ],
 )
-def test_what_is_no_direct_part_is_refused(model, ask, match):
+def test_what_is_no_direct_part_is_refused(model, call, match):
     with pytest.raises(InputError, match=match):
-        ask(model, lit(8, 8).samples.read())
+        call(model, lit(8, 8).samples.read())
 
 
 def test_that_of_fewer_samples_is_refused():

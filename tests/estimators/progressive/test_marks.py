@@ -18,7 +18,7 @@ def known(request):
 
 
 def knows(model, x):
-    return model._learned.marks.match(x, model.provenance["scenes"])
+    return model._learned.fingerprint.match(x, model.provenance["scenes"])
 
 
 @pytest.mark.parametrize("factor", [1, 2.0**-30, 1e4, np.pi])

@@ -5,26 +5,31 @@ import pytest
 import torch
 
 from chdstat.estimators import Profile
-from chdstat.estimators.progressive.architecture import AIMS, Shape
+from chdstat.estimators.progressive.architecture import LOSSES, Architecture
 from chdstat.estimators.progressive.auxiliary import BANDS, RADII
-from chdstat.estimators.progressive.dataset import Scenery
+from chdstat.estimators.progressive.dataset import AuxiliaryFeatures
 from chdstat.estimators.progressive.network import Network, device
-from chdstat.estimators.progressive.training import look
+from chdstat.estimators.progressive.training import encode
 
-SHAPES = [Shape(3), Shape(1), Shape(3, described=5), Shape(3, described=5, neighbours=True)]
+SHAPES = [
+    Architecture(3),
+    Architecture(1),
+    Architecture(3, described=5),
+    Architecture(3, described=5, neighbours=True),
+]
 
 
-def sight(shape, rows=20, n=16, seed=0):
+def network_input(shape, rows=20, n=16, seed=0):
     rng = np.random.default_rng(seed)
     profile = Profile.of(rng.gamma(0.5, size=(rows, shape.channels, n)), unit=0.5)
     pools = len(RADII) if shape.neighbours else 0
-    scenery = Scenery(
+    auxiliary = AuxiliaryFeatures(
         rng.normal(size=(rows, shape.described)),
         rng.random((rows, pools, BANDS, 1 + shape.channels)),
         rng.random((rows, pools)),
     )
     shared = rng.random((rows, shape.channels if shape.neighbours else 0))
-    return look(profile, scenery, shared, "cpu")
+    return encode(profile, auxiliary, shared, "cpu")
 
 
 def scrambled(shape, seed=0):
@@ -48,54 +53,54 @@ def test_torch_computes_somewhere():
 @pytest.mark.parametrize("shape", SHAPES)
 def test_shapes_of_what_goes_in_and_comes_out(shape):
     network = scrambled(shape)
-    assert network._inputs(sight(shape)).shape == (20, shape.inputs)
-    answer = network(sight(shape))
-    assert answer.estimate.shape == (20, len(AIMS), shape.channels)
-    assert answer.mean.shape == (20, shape.channels)
-    assert answer.certainty.shape == (20, len(AIMS))
+    assert network._encoded(network_input(shape)).shape == (20, shape.inputs)
+    output = network(network_input(shape))
+    assert output.estimate.shape == (20, len(LOSSES), shape.channels)
+    assert output.mean.shape == (20, shape.channels)
+    assert output.certainty.shape == (20, len(LOSSES))
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_it_begins_near_the_mean(channels):
-    answer = Network(Shape(channels))(sight(Shape(channels)))
-    difference = (answer.estimate - answer.mean[:, None]).abs().max()
+    output = Network(Architecture(channels))(network_input(Architecture(channels)))
+    difference = (output.estimate - output.mean[:, None]).abs().max()
     assert 0 < difference < 0.01
 
 
 def test_the_estimate_lies_between_the_mean_and_the_proposal():
-    shape = Shape(3)
-    network, seen = scrambled(shape), sight(shape)
-    answer = network(seen)
-    assert ((answer.certainty > 0) & (answer.certainty < 1)).all()
-    assert (answer.estimate >= 0).all()
+    shape = Architecture(3)
+    network, seen = scrambled(shape), network_input(shape)
+    output = network(seen)
+    assert ((output.certainty > 0) & (output.certainty < 1)).all()
+    assert (output.estimate >= 0).all()
     mean = seen.bins[..., 1:].sum(dim=1)
-    assert answer.mean.detach().numpy() == pytest.approx(mean.numpy())
+    assert output.mean.detach().numpy() == pytest.approx(mean.numpy())
 
 
 def test_with_ever_more_samples_of_the_same_kind_it_tends_to_the_mean():
-    shape = Shape(3)
-    network, seen = scrambled(shape), sight(shape)
+    shape = Architecture(3)
+    network, seen = scrambled(shape), network_input(shape)
     distances = []
     for count in (2.0**16, 2.0**24):
         seen.count.fill_(count)
-        answer = network(seen)
-        distances.append((answer.estimate - answer.mean[:, None]).abs().max().item())
-        assert answer.certainty.max() <= 2**12 / (2**12 + count)
+        output = network(seen)
+        distances.append((output.estimate - output.mean[:, None]).abs().max().item())
+        assert output.certainty.max() <= 2**12 / (2**12 + count)
     assert distances[1] < 0.01 * distances[0]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_gradients_reach_every_weight(shape):
     network = scrambled(shape)
-    network(sight(shape)).estimate.square().sum().backward()
+    network(network_input(shape)).estimate.square().sum().backward()
     for name, weight in network.named_parameters():
         assert weight.grad is not None, name
         assert weight.grad.abs().max() > 0, name
 
 
 def test_each_row_is_on_its_own():
-    shape = Shape(3, described=5, neighbours=True)
-    network, seen = scrambled(shape), sight(shape)
+    shape = Architecture(3, described=5, neighbours=True)
+    network, seen = scrambled(shape), network_input(shape)
     part = type(seen)(**{name: value[3:5] for name, value in vars(seen).items()})
     assert network(part).estimate.detach().numpy() == pytest.approx(
         network(seen).estimate[3:5].detach().numpy(), rel=1e-5
@@ -103,28 +108,28 @@ def test_each_row_is_on_its_own():
 
 
 def test_black_and_very_bright_pixels_have_finite_answers():
-    shape = Shape(3)
+    shape = Architecture(3)
     x = np.zeros((2, 3, 8))
     x[1] = 1e30
     profile = Profile.of(x, unit=1.0)
-    seen = look(profile, Scenery.nothing(2), np.zeros((2, 0), np.float32), "cpu")
+    seen = encode(profile, AuxiliaryFeatures.nothing(2), np.zeros((2, 0), np.float32), "cpu")
     assert torch.isfinite(scrambled(shape)(seen).estimate).all()
 
 
 def test_arrays_go_out_and_come_in():
-    shape = Shape(3)
+    shape = Architecture(3)
     one, other = scrambled(shape, 0), scrambled(shape, 1)
     other.load_arrays(one.to_arrays())
-    assert torch.equal(one(sight(shape)).estimate, other(sight(shape)).estimate)
+    assert torch.equal(one(network_input(shape)).estimate, other(network_input(shape)).estimate)
 
 
 def test_arrays_that_do_not_fit_are_refused():
-    network = Network(Shape(3))
+    network = Network(Architecture(3))
     arrays = network.to_arrays()
     with pytest.raises(ValueError, match="finite"):
         network.load_arrays(arrays | {"answer.bias": np.full_like(arrays["answer.bias"], np.nan)})
     with pytest.raises(ValueError, match="size mismatch"):
-        network.load_arrays(Network(Shape(1)).to_arrays())
+        network.load_arrays(Network(Architecture(1)).to_arrays())
     del arrays["answer.bias"]
     with pytest.raises(ValueError, match="answer.bias"):
         network.load_arrays(arrays)

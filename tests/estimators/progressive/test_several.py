@@ -9,8 +9,8 @@ import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import Progressive, Stream
 from chdstat.estimators.model_files import read_model, write_model
-from chdstat.estimators.progressive.error_model import CAUSES
-from chdstat.estimators.progressive.shrinkage import Move, paying_share
+from chdstat.estimators.progressive.error_model import ERROR_TERMS
+from chdstat.estimators.progressive.shrinkage import Move, shrinkage_factor
 from chdstat.estimators.validation import judging_pixels
 
 
@@ -165,7 +165,7 @@ def test_a_file_whose_pixels_do_not_fit_its_scenes_is_refused(both, tmp_path):
 def share_of(samples, estimate):
     """Return how far a foreign estimate is followed, measured between halves of samples."""
     halves = samples[..., 0::2], samples[..., 1::2]
-    return paying_share(
+    return shrinkage_factor(
         Move.between(half, estimate(half), other, unit=1.0)
         for half, other in zip(halves, halves[::-1], strict=True)
     )
@@ -275,9 +275,11 @@ def test_the_interval_of_a_model_that_is_not_followed_is_not_narrower_than_the_m
 ):
     """What it expects of its own errors may rest on how far it moves, and here it does not."""
     x = varied(seed=7).read(ss=slice(0, 16))
-    spread = replace(foreign._learned.spread, weights=np.tile(np.eye(CAUSES)[2], (2, 1)))
+    error_model = replace(
+        foreign._learned.error_model, weights=np.tile(np.eye(ERROR_TERMS)[2], (2, 1))
+    )
     model = Progressive()
-    model._learned = replace(foreign._learned, spread=spread)
+    model._learned = replace(foreign._learned, error_model=error_model)
     found = model.estimate(x, balance=balance, trust=0.0)
     error = x.std(axis=-1, ddof=1) / 4
     assert np.median((found.high - found.low) / error) > 2.5

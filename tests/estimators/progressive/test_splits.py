@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from chdstat.estimators.progressive.splits import Splits
+from chdstat.estimators.progressive.splits import SampleSplits
 
 
 def splits(seed=0, **options):
     rng = np.random.default_rng(seed)
-    return Splits(rng.exponential(size=(50, 3, 24)).astype(np.float32), unit=0.5, **options)
+    return SampleSplits(rng.exponential(size=(50, 3, 24)).astype(np.float32), unit=0.5, **options)
 
 
 def test_both_parts_together_are_all_samples():
@@ -28,7 +28,7 @@ def test_only_the_given_pixels_are_drawn():
 
 def test_large_samples_make_small_minibatches():
     rng = np.random.default_rng(0)
-    made = Splits(np.ones((4, 1, 2**13), np.float32), unit=1.0)
+    made = SampleSplits(np.ones((4, 1, 2**13), np.float32), unit=1.0)
     assert len(made.draw(np.arange(4), 2**12, 1024, rng).rows) == 32
 
 
@@ -45,7 +45,7 @@ def test_uneven_halves_tell_the_variance_of_the_target_without_bias():
     """Three samples are left, in halves of two and one: 40,000 pixels, within five deviations."""
     rng = np.random.default_rng(0)
     x = rng.normal(8, 1, size=(40_000, 1, 7)).astype(np.float32)
-    made = Splits(x, unit=1.0)
+    made = SampleSplits(x, unit=1.0)
     noise = made.halves(made.draw(np.arange(40_000), 4, 40_000, rng), rng).noise
     assert abs(noise.mean() - 1 / 3) < 5 * noise.std() / np.sqrt(noise.size)
 
@@ -54,7 +54,7 @@ def test_mean_and_variance_are_those_of_the_samples():
     x = np.random.default_rng(0).exponential(size=(50, 3, 24)).astype(np.float32) / 0.5
     assert splits().mean == pytest.approx(x.mean(axis=-1), rel=1e-5)
     assert splits().variance == pytest.approx(x.var(axis=-1, ddof=1), rel=1e-4)
-    constant = Splits(np.full((2, 1, 9), 0.1, np.float32), unit=1.0)
+    constant = SampleSplits(np.full((2, 1, 9), 0.1, np.float32), unit=1.0)
     assert constant.variance == pytest.approx(0, abs=1e-8)
 
 

@@ -8,14 +8,14 @@ from scipy import stats
 
 from chdstat.estimators.progressive.error_model import (
     BRIGHTNESS,
-    CAUSES,
+    ERROR_TERMS,
     LEVELS,
-    Spread,
-    Trial,
+    ErrorModel,
+    ValidationBatch,
     _calibrate,
     _weights,
 )
-from chdstat.estimators.progressive.splits import Splits
+from chdstat.estimators.progressive.splits import SampleSplits
 
 
 def test_halves_of_what_was_not_seen_tell_squared_errors_without_bias():
@@ -27,7 +27,7 @@ def test_halves_of_what_was_not_seen_tell_squared_errors_without_bias():
     rng = np.random.default_rng(0)
     y, p = 1.0, 1.3
     x = rng.exponential(y, size=(40_000, 1, 32)).astype(np.float32)
-    splits = Splits(x, unit=1.0)
+    splits = SampleSplits(x, unit=1.0)
     part = splits.draw(np.arange(40_000), 8, 4096, rng)
     rows = np.arange(40_000)
     whole = replace(part, rows=rows)
@@ -37,27 +37,27 @@ def test_halves_of_what_was_not_seen_tell_squared_errors_without_bias():
     assert ((p - first) ** 2).mean() > (p - y) ** 2 + 0.05
 
 
-def trial(rng, rows=4000, *, size=16):
+def batch(rng, rows=4000, *, size=16):
     """Return estimates whose errors have the causes 1, 3 and none else; gamma distributed truth."""
     estimate = rng.lognormal(size=(1, rows, 1))
-    causes = rng.gamma(1, 1, size=(1, rows, 1, CAUSES)) * estimate[..., np.newaxis] ** 2
-    variance = 0.02 * causes[..., 1] + 0.05 * causes[..., 3]
+    error_terms = rng.gamma(1, 1, size=(1, rows, 1, ERROR_TERMS)) * estimate[..., np.newaxis] ** 2
+    variance = 0.02 * error_terms[..., 1] + 0.05 * error_terms[..., 3]
     truth = rng.gamma(estimate**2 / variance, variance / estimate)[0]
-    return Trial(
+    return ValidationBatch(
         size=size,
         rows=np.arange(rows),
         estimate=np.repeat(estimate, 2, axis=0),
         mean=estimate[0],
         target=truth,
         noise=np.zeros_like(truth),
-        causes=np.repeat(causes, 2, axis=0),
+        error_terms=np.repeat(error_terms, 2, axis=0),
     )
 
 
 def test_causes_get_the_weights_that_they_have():
     """Least squares of 40,000 rows with a fixed seed; weights have standard errors below 0.004."""
     rng = np.random.default_rng(0)
-    weights = _weights([trial(rng) for _ in range(10)], 0)
+    weights = _weights([batch(rng) for _ in range(10)], 0)
     expected = np.array([0, 0.02, 0, 0.05, 0, 0])
     assert weights == pytest.approx(expected, abs=0.012)
     assert (weights >= 0).all()
@@ -65,13 +65,13 @@ def test_causes_get_the_weights_that_they_have():
 
 def test_levels_beyond_the_calibrated_ones_are_wider_still():
     rng = np.random.default_rng(0)
-    weights = np.full((2, CAUSES), 0.05)
-    one = [trial(rng)]
+    weights = np.full((2, ERROR_TERMS), 0.05)
+    one = [batch(rng)]
     normal = _calibrate(weights, one, one)[np.newaxis]
-    spread = Spread(weights, np.array([16.0]), normal)
+    error_model = ErrorModel(weights, np.array([16.0]), normal)
     estimate, count = np.ones((1, 1)), np.array([16])
     high = [
-        spread.quantile(estimate, 0.1 * estimate, count, balance=0.5, level=level).item()
+        error_model.quantile(estimate, 0.1 * estimate, count, balance=0.5, level=level).item()
         for level in (0.99, 0.995, 0.9995, 0.99995)
     ]
     assert (np.diff(high) > 0.01).all()
@@ -81,35 +81,35 @@ def test_calibrated_quantiles_hold_as_often_as_stated():
     """8000 trials calibrate and 8000 judge: a share strays by 0.03 once in a million seeds."""
     rng = np.random.default_rng(1)
     weights = np.tile([1e-4, 0.06, 0.0, 0.02, 0.0, 0.0], (2, 1))  # not the true ones
-    two = [trial(rng), trial(rng)]
+    two = [batch(rng), batch(rng)]
     normal = _calibrate(weights, two, two)[np.newaxis]
-    spread = Spread(weights, np.array([16.0]), normal)
-    fresh = trial(rng, 8000)
-    variance = spread.variance(fresh.causes, 0.5)
+    error_model = ErrorModel(weights, np.array([16.0]), normal)
+    fresh = batch(rng, 8000)
+    variance = error_model.variance(fresh.error_terms, 0.5)
     count = np.full(8000, 16)
     for level in (0.05, 0.25, 0.5, 0.95):
-        end = spread.quantile(fresh.estimate[0], variance, count, balance=0.5, level=level)
+        end = error_model.quantile(fresh.estimate[0], variance, count, balance=0.5, level=level)
         assert (fresh.target <= end).mean() == pytest.approx(level, abs=0.03)
 
 
 def test_without_a_reference_quantiles_are_those_of_a_gamma_distribution():
-    spread = Spread(
-        np.ones((2, CAUSES)), np.empty(0), np.empty((0, 3, len(BRIGHTNESS), len(LEVELS)))
+    error_model = ErrorModel(
+        np.ones((2, ERROR_TERMS)), np.empty(0), np.empty((0, 3, len(BRIGHTNESS), len(LEVELS)))
     )
     mean, variance, count = np.full((1, 1), 5.0), np.full((1, 1), 1.0), np.array([16])
     for level in (0.05, 0.5, 0.95):
-        found = spread.quantile(mean, variance, count, balance=0.5, level=level)
+        found = error_model.quantile(mean, variance, count, balance=0.5, level=level)
         assert found.item() == pytest.approx(stats.gamma.ppf(level, 25, scale=1 / 5), rel=0.01)
 
 
 def test_quantiles_between_sizes_and_beyond_them():
     levels = np.tile(stats.norm.ppf(LEVELS), (2, 3, len(BRIGHTNESS), 1))
     normal = levels * np.array([2, 1])[:, None, None, None]
-    spread = Spread(np.ones((2, CAUSES)), np.array([4.0, 64.0]), normal)
+    error_model = ErrorModel(np.ones((2, ERROR_TERMS)), np.array([4.0, 64.0]), normal)
 
     def high(count):
         ends = np.ones((1, 1)), np.full((1, 1), 0.01)
-        return spread.quantile(*ends, np.array([count]), balance=0.75, level=0.9).item()
+        return error_model.quantile(*ends, np.array([count]), balance=0.75, level=0.9).item()
 
     assert high(4) > high(16) > high(64)
     assert high(0) == high(1) == high(4)
@@ -117,12 +117,12 @@ def test_quantiles_between_sizes_and_beyond_them():
 
 
 def test_quantiles_are_radiance_whatever_the_variance():
-    spread = Spread(
-        np.ones((2, CAUSES)), np.empty(0), np.empty((0, 3, len(BRIGHTNESS), len(LEVELS)))
+    error_model = ErrorModel(
+        np.ones((2, ERROR_TERMS)), np.empty(0), np.empty((0, 3, len(BRIGHTNESS), len(LEVELS)))
     )
     estimate = np.array([[0.0, 1e-9, 1.0, 1e20]])
     for variance in (0.0, 1.0, 1e30):
-        found = spread.quantile(
+        found = error_model.quantile(
             estimate, np.full((1, 4), variance), np.array([8]), balance=0.5, level=0.05
         )
         assert (found >= 0).all()
@@ -132,7 +132,7 @@ def test_quantiles_are_radiance_whatever_the_variance():
 def test_few_bright_pixels_with_other_errors_have_quantiles_of_their_own():
     """Of 2000 pixels 20 are lamps, whose errors have four times the standard deviation."""
     rng = np.random.default_rng(2)
-    weights = np.zeros((2, CAUSES))
+    weights = np.zeros((2, ERROR_TERMS))
     weights[:, 1] = 0.01
 
     def lit(lamps, times):
@@ -140,16 +140,20 @@ def test_few_bright_pixels_with_other_errors_have_quantiles_of_their_own():
         estimate = np.where(rows < lamps, 16.0, 0.25)[:, np.newaxis]
         wide = np.where(rows < lamps, 0.4, 0.1)[:, np.newaxis] * estimate
         truth = rng.gamma(estimate**2 / wide**2, wide**2 / estimate)
-        causes = np.broadcast_to(estimate[..., np.newaxis] ** 2, (2, *estimate.shape, CAUSES))
+        error_terms = np.broadcast_to(
+            estimate[..., np.newaxis] ** 2, (2, *estimate.shape, ERROR_TERMS)
+        )
         both = np.stack([estimate, estimate])
-        return Trial(16, rows, both, estimate, truth, np.zeros_like(truth), causes)
+        return ValidationBatch(16, rows, both, estimate, truth, np.zeros_like(truth), error_terms)
 
-    spread = Spread(weights, np.array([16.0]), _calibrate(weights, [lit(0, 1)], [lit(20, 4)])[None])
+    error_model = ErrorModel(
+        weights, np.array([16.0]), _calibrate(weights, [lit(0, 1)], [lit(20, 4)])[None]
+    )
     fresh = lit(1980, 1)
     count = np.full(len(fresh.rows), 16)
-    variance = spread.variance(fresh.causes, 0.5)
+    variance = error_model.variance(fresh.error_terms, 0.5)
     low, high = (
-        spread.quantile(fresh.estimate[0], variance, count, balance=0.5, level=level)
+        error_model.quantile(fresh.estimate[0], variance, count, balance=0.5, level=level)
         for level in (0.05, 0.95)
     )
     holds = (low <= fresh.target) & (fresh.target <= high)

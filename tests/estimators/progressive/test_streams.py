@@ -189,8 +189,8 @@ def test_learning_brings_it_nearer_to_the_truth():
     The network begins at the mean. Of 1024 pixels, errors below 0.9 by chance alone would be a
     matter of less than one seed in a thousand: the mean's squared error varies by 1 in 20.
     """
-    alike = CHD((Component("lognormal", 1.0, 0.8),), tail_index=0.3, null_share=0.6)
-    samples = chd.simulate([alike], size=(32, 32), spp=64, seed=3)
+    similar = CHD((Component("lognormal", 1.0, 0.8),), tail_index=0.3, null_share=0.6)
+    samples = chd.simulate([similar], size=(32, 32), spp=64, seed=3)
     truth = truth_of(samples)["mean"].to_numpy()[..., np.newaxis]
     stream = Stream(Progressive(), learns=True)
     for part in np.split(samples.read(), 4, axis=-1):

@@ -9,9 +9,9 @@ import torch
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Profile, Progressive
-from chdstat.estimators.progressive.network import Answer
-from chdstat.estimators.progressive.splits import Part, Splits
-from chdstat.estimators.progressive.training import _Judge
+from chdstat.estimators.progressive.network import NetworkOutput
+from chdstat.estimators.progressive.splits import Minibatch, SampleSplits
+from chdstat.estimators.progressive.training import _Losses
 
 
 def test_it_beats_the_mean_on_pixels_that_it_has_not_seen(trained, image):
@@ -97,9 +97,9 @@ def judge_of(targets, *, reference):
     """Return the gradient of the loss for one common estimate of all pixels, per aim."""
     rows = len(targets)
     rng = np.random.default_rng(1)
-    splits = Splits(rng.exponential(size=(rows, 1, 8)).astype(np.float32), unit=1.0)
-    judge = _Judge.of(splits, reference=reference)
-    part = Part(
+    splits = SampleSplits(rng.exponential(size=(rows, 1, 8)).astype(np.float32), unit=1.0)
+    losses_of = _Losses.of(splits, reference=reference)
+    part = Minibatch(
         rows=np.arange(rows),
         places=np.arange(4),
         size=4,
@@ -111,8 +111,8 @@ def judge_of(targets, *, reference):
     def gradient(level):
         estimate = torch.full((2,), float(level), requires_grad=True)
         everywhere = estimate[None, :, None].expand(rows, 2, 1)
-        answer = Answer(everywhere, torch.ones(rows, 1), torch.ones(rows, 2))
-        judge(answer, part)[0].backward()
+        output = NetworkOutput(everywhere, torch.ones(rows, 1), torch.ones(rows, 2))
+        losses_of(output, part)[0].backward()
         return estimate.grad.numpy()
 
     return gradient

@@ -9,7 +9,12 @@ import chdstat as chd
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive.architecture import GROUPS
 from chdstat.estimators.progressive.learned import Trust
-from chdstat.estimators.progressive.shrinkage import Move, keeping_mean, own_shares, paying_share
+from chdstat.estimators.progressive.shrinkage import (
+    Move,
+    keeping_mean,
+    own_shares,
+    shrinkage_factor,
+)
 
 
 def moves(rng, share, *, pixels=300, draws=4):
@@ -29,10 +34,10 @@ def test_what_pays_is_followed_and_what_does_not_is_not():
     rng = np.random.default_rng(0)
     assert min(own_shares(moves(rng, 1.0))) > 0.9
     assert own_shares(moves(rng, 0.4)) == pytest.approx((0.45, 0.45), abs=0.2)
-    assert paying_share(moves(rng, 0.4)) == pytest.approx(0.35, abs=0.2)
+    assert shrinkage_factor(moves(rng, 0.4)) == pytest.approx(0.35, abs=0.2)
     for none in (0.0, -1.0):
         assert own_shares(moves(rng, none)) == (0, 0)
-        assert paying_share(moves(rng, none)) == 0
+        assert shrinkage_factor(moves(rng, none)) == 0
 
 
 def test_one_pixel_and_no_move_are_no_evidence():
@@ -40,7 +45,7 @@ def test_one_pixel_and_no_move_are_no_evidence():
     still = [replace(move, estimate=move.mean) for move in moves(rng, 1.0)]
     for none in (moves(rng, 1.0, pixels=1), still):
         assert own_shares(none) == (0, 0)
-        assert paying_share(none) == 0
+        assert shrinkage_factor(none) == 0
 
 
 @pytest.mark.parametrize("scatter", [0.0, 1.0])
