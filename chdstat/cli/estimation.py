@@ -155,7 +155,7 @@ def estimate(
     trained = None if model is None else load_model(model)
     drawn = batches_of if while_rendering else samples_of
     seen = isinstance(trained, Progressive) and trained.inputs.direct
-    apart = {"direct": True} if seen and not while_rendering else {}
+    extra = {"direct": True} if seen and not while_rendering else {}
     samples = drawn(
         source,
         define=define,
@@ -166,7 +166,7 @@ def estimate(
         seed=seed,
         max_depth=max_depth,
         backend=backend,
-        **apart,  # what such a model looks at is rendered with the rest
+        **extra,  # what such a model looks at is rendered with the rest
     )
     path = write_estimates(
         target,
@@ -239,7 +239,7 @@ def compare(
     if as_json:
         print_json(found.to_dict() | ({} if errors is None else {"curve": errors.to_dict()}))
         return
-    print_rows(found.table(), _COMPARED, apart="uses_neighbours")
+    print_rows(found.table(), _COMPARED, separate="uses_neighbours")
     if found.breakdown is not None:
         print_rows(found.breakdown.table(), {"label": "pattern", "pixels": "pixels", **_COMPARED})
     if errors is not None:

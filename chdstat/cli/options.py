@@ -1,4 +1,4 @@
-"""Options: what several commands take, and what is read out of it."""
+"""Options that several commands take, and what their values mean."""
 
 from __future__ import annotations
 

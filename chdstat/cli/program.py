@@ -1,7 +1,4 @@
-"""Output: tables for people, JSON for scripts.
-
-App: the program itself, its own options, and how it ends.
-"""
+"""Program: the command line application, its own options, its output, and how it ends."""
 
 from __future__ import annotations
 
@@ -50,9 +47,9 @@ def print_table(content: dict[str, Any]) -> None:
 
 
 def print_rows(
-    rows: list[dict[str, Any]], columns: dict[str, str], *, apart: str | None = None
+    rows: list[dict[str, Any]], columns: dict[str, str], *, separate: str | None = None
 ) -> None:
-    """Print rows with the columns that they have; a line before the first that is `apart`."""
+    """Print rows with the columns that they have; a line before the first that is `separate`."""
     from rich.console import Console
     from rich.table import Table
 
@@ -63,7 +60,7 @@ def print_rows(
         table.add_column(title, justify=side, no_wrap=True)
     before = False
     for row in rows:
-        if apart is not None and row[apart] and not before:
+        if separate is not None and row[separate] and not before:
             before = True
             table.add_row("with neighbours:", style="bold")
         table.add_row(*(_readable(row[key]) for key in shown))

@@ -1,7 +1,4 @@
-"""Samples: the commands that render them and say what is stored.
-
-Statistics: the commands that say what samples are like.
-"""
+"""Samples: the commands that render, describe, convert and analyse them."""
 
 from __future__ import annotations
 

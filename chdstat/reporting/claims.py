@@ -24,8 +24,8 @@ __all__ = [
     "chips",
     "claim_content",
     "claim_figures",
-    "exhibits",
     "finding_content",
+    "plot_findings",
     "remake_note",
 ]
 
@@ -159,7 +159,7 @@ def _claimed(part: ClaimTest) -> Iterator[str]:
 
 
 def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]:
-    """Draw what was found on one claim, by scene: intervals, and what the findings exhibit."""
+    """Draw what was found on one claim, by scene: intervals, and what the findings show."""
     rows, drawn = asked(found), {}
     measured = _measured(rows.values())
     if measured:
@@ -167,14 +167,14 @@ def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]
         drawn[f"claim{claim}"] = viz.claim_intervals(measured, names)
     # What is about all scenes, or the only one, needs no title.
     titles = found if len(found) > 1 else [""] * len(found)
-    shown = exhibits(dict(zip(titles, found.values(), strict=True)))
+    shown = plot_findings(dict(zip(titles, found.values(), strict=True)))
     if shown is not None:
         drawn[f"exhibit{claim}"] = shown
     return drawn
 
 
-def exhibits(found: Mapping[str, Finding]) -> Figure | None:
-    """Draw what findings exhibit, each under its title; None where none has anything to show."""
+def plot_findings(found: Mapping[str, Finding]) -> Figure | None:
+    """Draw what findings show, each under its title; None where none has anything to show."""
     shown = [_display(title, f) for title, f in found.items() if _has_plot_data(f)]
     if len({(display.x_label, display.y_label) for display in shown}) > 1:
         # Each panel has labels of its own, in several lines.

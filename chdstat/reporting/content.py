@@ -14,7 +14,7 @@ from chdstat.comparison import Comparison, ErrorCurve
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS, Atlas
 from chdstat.reporting import figures
-from chdstat.reporting.claims import chips, exhibits, finding_content, remake_note
+from chdstat.reporting.claims import chips, finding_content, plot_findings, remake_note
 from chdstat.reporting.findings import findings
 from chdstat.reporting.scene_figures import SelfTraining, panels_of, scene_figures
 from chdstat.reporting.typst import NAMES, Document, between, number, percent
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-__all__ = ["Study", "document"]
+__all__ = ["ReportData", "document"]
 
 
 @dataclass(frozen=True)
-class Study:
+class ReportData:
     """What is known about a scene.
 
     Parameters
@@ -78,53 +78,51 @@ class Study:
         return self.evidence.comparison
 
 
-def document(study: Study) -> Document:
+def document(data: ReportData) -> Document:
     """Return the report on a scene, ready to typeset."""
-    panels = panels_of(study.evidence)
+    panels = panels_of(data.evidence)
     content: dict[str, Any] = {
-        "title": study.samples.name,
-        "regions_chosen": study.chosen,
-        "regions": [_region(study, i) for i in range(len(panels))],
-        "provenance": _provenance(study.samples),
+        "title": data.samples.name,
+        "regions_chosen": data.chosen,
+        "regions": [_region(data, i) for i in range(len(panels))],
+        "provenance": _provenance(data.samples),
         "findings": [
             vars(finding)
-            for finding in findings(
-                study.overview, study.atlas, study.comparison, study.self_training
-            )
+            for finding in findings(data.overview, data.atlas, data.comparison, data.self_training)
         ],
-        "alpha": percent(float(study.dataset.attrs["false_discovery_rate"])),
-        "thresholds": _thresholds(study.dataset),
-        "families": _families(study.dataset),
-        "patterns": _patterns(study.overview),
-        "n_means": int(study.dataset.attrs.get("n_means", 0)),
-        "spp": study.samples.spp,
-        "no_estimators": study.why_not,
+        "alpha": percent(float(data.dataset.attrs["false_discovery_rate"])),
+        "thresholds": _thresholds(data.dataset),
+        "families": _families(data.dataset),
+        "patterns": _patterns(data.overview),
+        "n_means": int(data.dataset.attrs.get("n_means", 0)),
+        "spp": data.samples.spp,
+        "no_estimators": data.why_not,
         "verdicts": chips(),
-        "claims": [finding_content(finding) for finding in study.claims],
-        "unasked": _unasked(study.claims),
-        "remake": remake_note([study.samples]),
+        "claims": [finding_content(finding) for finding in data.claims],
+        "unasked": _unasked(data.claims),
+        "remake": remake_note([data.samples]),
     }
     drawn: dict[str, Figure] = {
-        "maps": figures.maps(study.dataset),
-        **scene_figures(study.evidence, panels, atlas=study.atlas),
+        "maps": figures.maps(data.dataset),
+        **scene_figures(data.evidence, panels, atlas=data.atlas),
     }
     if panels:
         drawn["chds"] = figures.chds(panels)
     else:
-        drawn["image"] = viz.with_marks(study.dataset["mean"].values)
-    shown = exhibits({f"{f.number} {f.name}": f for f in study.claims})
+        drawn["image"] = viz.with_marks(data.dataset["mean"].values)
+    shown = plot_findings({f"{f.number} {f.name}": f for f in data.claims})
     if shown is not None:
         drawn["exhibits"] = shown
-    if study.atlas is not None:
-        content["atlas"] = _atlas(study.atlas)
-    if study.overview.averages:
-        drawn["averages"] = figures.averages(study.dataset, study.overview)
-    if study.comparison is not None:
-        content["estimators"] = _estimators(study.comparison)
-        drawn |= figures.of_comparison(study.comparison, study.curve)
-        if study.self_training is not None:
-            content["self_training"] = study.self_training.content()
-            drawn["self_training"] = study.self_training.figure()
+    if data.atlas is not None:
+        content["atlas"] = _atlas(data.atlas)
+    if data.overview.averages:
+        drawn["averages"] = figures.averages(data.dataset, data.overview)
+    if data.comparison is not None:
+        content["estimators"] = _estimators(data.comparison)
+        drawn |= figures.of_comparison(data.comparison, data.curve)
+        if data.self_training is not None:
+            content["self_training"] = data.self_training.content()
+            drawn["self_training"] = data.self_training.figure()
     return Document("report.typ", content, drawn)
 
 
@@ -160,11 +158,11 @@ def _unasked(claims: Sequence[Finding]) -> list[str]:
     return [f"{claim.number} ({claim.name})" for claim in FINDINGS if claim.number not in asked]
 
 
-def _region(study: Study, index: int) -> dict[str, Any]:
+def _region(data: ReportData, index: int) -> dict[str, Any]:
     """Return one row of the table of regions."""
-    region, (height, width) = study.evidence.regions[index], study.samples.shape[:2]
+    region, (height, width) = data.evidence.regions[index], data.samples.shape[:2]
     pixel = dict(zip("yx", region.center(height, width), strict=True))
-    found = study.dataset.isel(pixel)
+    found = data.dataset.isel(pixel)
     return {
         "name": region.name,
         "phenomenon": region.phenomenon,

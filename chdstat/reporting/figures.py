@@ -1,6 +1,6 @@
-"""Figures of the report: results handed to `chdstat.viz`.
+"""Figures of a scene's analysis and of a comparison: results handed to `chdstat.viz`.
 
-Comparison files: what a comparison found as numbers, maps and figures in a folder.
+`save_comparison` writes a comparison to a folder, as numbers, maps and figures.
 """
 
 from __future__ import annotations

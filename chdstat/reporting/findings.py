@@ -1,4 +1,4 @@
-"""Findings: what the numbers of a scene say, in words."""
+"""Findings: the numbers of a scene, in words."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from chdstat.patterns import Atlas
 from chdstat.reporting.scene_figures import SelfTraining
 from chdstat.reporting.typst import NAMES, number, percent
 
-__all__ = ["Finding", "findings"]
+__all__ = ["FindingRow", "findings"]
 
 
 @dataclass(frozen=True)
-class Finding:
+class FindingRow:
     """One row of the table of findings.
 
     Parameters
@@ -39,7 +39,7 @@ def findings(
     atlas: Atlas | None,
     comparison: Comparison | None,
     self_training: SelfTraining | None = None,
-) -> list[Finding]:
+) -> list[FindingRow]:
     """Return the findings on a scene, in the order of the report."""
     rows = [_nulls(scene), _spread(scene), _family(scene), _fit(scene), _log_shape(scene)]
     rows += [
@@ -59,8 +59,8 @@ def findings(
     return rows
 
 
-def _nulls(scene: Overview) -> Finding:
-    return Finding(
+def _nulls(scene: Overview) -> FindingRow:
+    return FindingRow(
         "How often does a path find no light?",
         f"{percent(scene.null_share)} of all samples are null; in {percent(scene.null_pixels)} of "
         "the pixels they are the majority.",
@@ -68,12 +68,12 @@ def _nulls(scene: Overview) -> Finding:
     )
 
 
-def _spread(scene: Overview) -> Finding:
+def _spread(scene: Overview) -> FindingRow:
     question = "How far do samples scatter?"
     if not math.isfinite(scene.variation[1]):
-        return Finding(question, "No pixel has two samples and a mean above 0.", "—")
+        return FindingRow(question, "No pixel has two samples and a mean above 0.", "—")
     low, middle, high = (number(v) for v in scene.variation)
-    return Finding(
+    return FindingRow(
         question,
         f"The standard deviation of a pixel's samples is {middle} times their mean "
         f"(quartiles {low} and {high}).",
@@ -81,10 +81,10 @@ def _spread(scene: Overview) -> Finding:
     )
 
 
-def _family(scene: Overview) -> Finding:
+def _family(scene: Overview) -> FindingRow:
     question = "Which family describes the samples?"
     if not any(share > 0 for share in scene.families.values()):
-        return Finding(question, "No pixel could be fitted.", "—")
+        return FindingRow(question, "No pixel could be fitted.", "—")
     best, share = max(scene.families.items(), key=lambda item: item[1])
     held_out = max(scene.families_held_out.items(), key=lambda item: item[1], default=None)
     agreed = (
@@ -92,7 +92,7 @@ def _family(scene: Overview) -> Finding:
         if held_out is None
         else f"By held-out likelihood it is {_name(held_out[0])}, {percent(held_out[1])}. "
     )
-    return Finding(
+    return FindingRow(
         question,
         f"By BIC, {_name(best)} describes {percent(share)} of the pixel channels best "
         f"({_listed(scene.families, best)}); the evidence is very strong for "
@@ -101,12 +101,12 @@ def _family(scene: Overview) -> Finding:
     )
 
 
-def _fit(scene: Overview) -> Finding:
+def _fit(scene: Overview) -> FindingRow:
     question = "Is the best family a good one?"
     if not math.isfinite(scene.misfit[1]):
-        return Finding(question, "No pixel could be fitted.", "—")
+        return FindingRow(question, "No pixel could be fitted.", "—")
     low, middle, high = (percent(v) for v in scene.misfit)
-    return Finding(
+    return FindingRow(
         question,
         f"The distribution function of the samples is at most {middle} away from that of the best "
         f"family in the median pixel channel (quartiles {low} and {high}).",
@@ -114,12 +114,12 @@ def _fit(scene: Overview) -> Finding:
     )
 
 
-def _log_shape(scene: Overview) -> Finding:
+def _log_shape(scene: Overview) -> FindingRow:
     question = "Are logarithms of samples Gaussian?"
     if not math.isfinite(scene.log_rejected):
-        return Finding(question, "No pixel has enough positive samples to test.", "—")
+        return FindingRow(question, "No pixel has enough positive samples to test.", "—")
     low, middle, high = (number(v) for v in scene.log_skewness)
-    return Finding(
+    return FindingRow(
         question,
         f"{percent(scene.log_rejected)} of the pixel channels are told from a Gaussian; their "
         f"skewness has median {middle} (quartiles {low} and {high}).",
@@ -127,12 +127,14 @@ def _log_shape(scene: Overview) -> Finding:
     )
 
 
-def _tails(scene: Overview) -> Finding:
+def _tails(scene: Overview) -> FindingRow:
     question = "Are tails long?"
     if not math.isfinite(scene.doubtful_variance):
-        return Finding(question, "No pixel has enough positive samples to look at its tail.", "—")
+        return FindingRow(
+            question, "No pixel has enough positive samples to look at its tail.", "—"
+        )
     long = scene.patterns["long_tail"]
-    return Finding(
+    return FindingRow(
         question,
         f"{percent(long)} of the pixels have a long tail. In {percent(scene.doubtful_variance)} of "
         "the pixel channels the tail index is estimated at 1/2 or more, where the variance of such "
@@ -142,9 +144,9 @@ def _tails(scene: Overview) -> Finding:
     )
 
 
-def _fireflies(scene: Overview) -> Finding:
+def _fireflies(scene: Overview) -> FindingRow:
     share = scene.patterns["firefly_dominated"]
-    return Finding(
+    return FindingRow(
         "Does one sample decide a pixel?",
         f"In {percent(share)} of the pixels, a single one of {scene.spp} samples carries a large "
         "share of the mean."
@@ -155,9 +157,9 @@ def _fireflies(scene: Overview) -> Finding:
     )
 
 
-def _modes(scene: Overview) -> Finding:
+def _modes(scene: Overview) -> FindingRow:
     two, more = scene.patterns["bimodal"], scene.patterns["multimodal"]
-    return Finding(
+    return FindingRow(
         "Do several kinds of paths mix?",
         f"{percent(two)} of the pixels have two clearly separated modes of log luminance, "
         f"{percent(more)} three or more.",
@@ -165,11 +167,11 @@ def _modes(scene: Overview) -> Finding:
     )
 
 
-def _neighbours(scene: Overview) -> Finding:
+def _neighbours(scene: Overview) -> FindingRow:
     question = "Do patterns form regions?"
     if not math.isfinite(scene.label_agreement):
-        return Finding(question, "All pixels have the same label, or none.", "—")
-    return Finding(
+        return FindingRow(question, "All pixels have the same label, or none.", "—")
+    return FindingRow(
         question,
         f"Neighbouring pixels share their primary pattern with a kappa of "
         f"{number(scene.label_agreement)}: 0 would be chance, 1 complete agreement.",
@@ -177,11 +179,11 @@ def _neighbours(scene: Overview) -> Finding:
     )
 
 
-def _shapes(atlas: Atlas) -> Finding:
+def _shapes(atlas: Atlas) -> FindingRow:
     question = "Which shapes recur?"
     count = len(atlas.share)
     if not count:
-        return Finding(question, "No pixel has enough positive samples for a shape.", "—")
+        return FindingRow(question, "No pixel has enough positive samples for a shape.", "—")
     if count == 1:
         answer = "All pixels have one shape, but for scale and noise."
     else:
@@ -190,14 +192,14 @@ def _shapes(atlas: Atlas) -> Finding:
             f"{percent(float(atlas.share[0]))} of the pixels. Pixels are a continuum, of which "
             "these are landmarks."
         )
-    return Finding(question, answer, f"{count}")
+    return FindingRow(question, answer, f"{count}")
 
 
-def _averages(scene: Overview) -> Iterator[Finding]:
+def _averages(scene: Overview) -> Iterator[FindingRow]:
     if not scene.averages or not any(math.isfinite(share) for share in scene.averages.values()):
         return
     largest = max(scene.averages)
-    yield Finding(
+    yield FindingRow(
         "Are pixel estimates Gaussian?",
         f"Averages of {largest} samples are told from Gaussian in "
         f"{percent(scene.averages[largest])} of the pixel channels, single samples in "
@@ -207,9 +209,9 @@ def _averages(scene: Overview) -> Iterator[Finding]:
     )
 
 
-def _bad(scene: Overview) -> Finding:
+def _bad(scene: Overview) -> FindingRow:
     total = scene.pixels * scene.spp
-    return Finding(
+    return FindingRow(
         "Did the renderer return impossible values?",
         f"{scene.bad_samples} of {total} samples are NaN or infinite; they are counted "
         "and left out."
@@ -219,7 +221,7 @@ def _bad(scene: Overview) -> Finding:
     )
 
 
-def _estimators(comparison: Comparison) -> Iterator[Finding]:
+def _estimators(comparison: Comparison) -> Iterator[FindingRow]:
     for row in comparison.table():
         if row["estimator"] == "mean":
             continue
@@ -229,7 +231,7 @@ def _estimators(comparison: Comparison) -> Iterator[Finding]:
         majority = (
             "more than half" if low > 0.5 else "fewer than half" if high < 0.5 else "about half"
         )
-        yield Finding(
+        yield FindingRow(
             f"{claim} {name} beat the mean of {comparison.n} samples?",
             f"It improves {majority} of the estimates ({percent(row['improved'])}), at "
             f"{number(row['mse_ratio'])} times the squared and {number(row['relmse_ratio'])} times "
@@ -238,9 +240,9 @@ def _estimators(comparison: Comparison) -> Iterator[Finding]:
         )
 
 
-def _without_reference(trained: SelfTraining) -> Finding:
+def _without_reference(trained: SelfTraining) -> FindingRow:
     found = trained.content()
-    return Finding(
+    return FindingRow(
         f"What becomes of {found['n']} samples without a reference?",
         f"Trained on them alone, ours has {found['mse_ratio']} times the squared and "
         f"{found['relmse_ratio']} times the relative squared error of their mean, and improves "

@@ -1,11 +1,9 @@
-"""Self-training: what the report shows of an estimate that has no reference to learn from.
+"""Figures of one scene, for its report and in a study, and an estimate without a reference.
 
-In practice there is no reference image. `SelfTraining.of` trains on the first samples of a scene
-alone, and lets all other samples judge the estimate, its certainty and its intervals.
-
-Figures of one scene, after the case study of Elek et al. 2019: for its report and in a study.
-
-Regions with their CHDs, batches and their means, the brightest firefly, shorter paths, shapes.
+`scene_figures` follows the case study of Elek et al. 2019: regions with their CHDs, batches and
+their means, the brightest firefly, shorter paths, shapes. In practice there is no reference image:
+`SelfTraining.of` trains on the first samples of a scene alone, and measures the errors of the
+estimate, its certainty and its intervals against all other samples.
 """
 
 from __future__ import annotations
@@ -47,7 +45,7 @@ _SPP = 64
 
 @dataclass(frozen=True)
 class SelfTraining:
-    """An estimate without a reference, and how it was judged.
+    """An estimate without a reference, and how it was comparison.
 
     Attributes
     ----------
@@ -165,10 +163,10 @@ class SelfTraining:
         )
 
 
-def coverage(estimate: Callable[[float], Estimates], judged: Comparison) -> tuple[float, ...]:
+def coverage(estimate: Callable[[float], Estimates], comparison: Comparison) -> tuple[float, ...]:
     """Return how often the reference lies in an interval of each level, over the test pixels."""
-    usable = judged.test_pixels & np.isfinite(judged.first_reference).all(axis=-1)
-    reference = judged.first_reference[usable].astype(np.float32)
+    usable = comparison.test_pixels & np.isfinite(comparison.first_reference).all(axis=-1)
+    reference = comparison.first_reference[usable].astype(np.float32)
     found = [estimate(level) for level in LEVELS]
     return tuple(
         float(((x.low[usable] <= reference) & (reference <= x.high[usable])).mean()) for x in found
@@ -183,7 +181,7 @@ _PIXELS = 5
 _BINS = 40
 _USUAL = 3
 """Batches that tell what is usual for a pixel."""
-_ALIKE = 1.5
+_SIMILAR = 1.5
 """Ratio up to which two pixels are about the same."""
 _DECADES = np.linspace(-5, 5, 101)
 
@@ -299,8 +297,8 @@ def _brightest(batches: Floats) -> tuple[int, int, int] | None:
     usual = np.median(batches, axis=-1)
     lower, upper = usual[1:], usual[:-1]
     high, low = np.maximum(lower, upper), np.minimum(lower, upper)
-    alike = (low > 0) & (high <= _ALIKE * low)
-    ratio = np.where(alike, batches[1:].max(axis=-1) / np.where(alike, high, 1), 0)
+    similar = (low > 0) & (high <= _SIMILAR * low)
+    ratio = np.where(similar, batches[1:].max(axis=-1) / np.where(similar, high, 1), 0)
     if ratio.max() < BRIGHTER:
         return None
     y, x = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))

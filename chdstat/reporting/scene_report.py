@@ -1,4 +1,4 @@
-"""The main job: render, analyse, train, compare and typeset, with no other input."""
+"""Report on a scene: render, analyse, train, compare and typeset, with no other input."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from chdstat.rendering.recipes import (
     own_recipe,
     regions_of,
 )
-from chdstat.reporting.content import Study, document
+from chdstat.reporting.content import ReportData, document
 from chdstat.reporting.scene_figures import SelfTraining
 from chdstat.reporting.typst import typeset
 from chdstat.samples.samples import Samples
@@ -127,9 +127,9 @@ def report(
     if samples.nbytes <= _IN_MEMORY:
         samples = samples.load()
     regions = named.regions if named else regions_of(samples)
-    study = _studied(samples, regions, estimators, iterations, progress)
+    data = _collect(samples, regions, estimators, iterations, progress)
     with scratch() as folder:
-        return typeset(document(study), folder, target)
+        return typeset(document(data), folder, target)
 
 
 def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples | None:
@@ -141,14 +141,14 @@ def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples 
     return None
 
 
-def _studied(
+def _collect(
     samples: Samples,
     regions: tuple[Region, ...],
     estimators: Sequence[str],
     iterations: int | None,
     progress: bool | None,
-) -> Study:
-    """Ask the samples for everything that the report says."""
+) -> ReportData:
+    """Compute everything that the report shows."""
     dataset = analyze(samples, progress=progress)
     comparison, why_not = _compare(samples, estimators, dataset["label"], iterations, progress)
     evidence = SceneData(
@@ -158,7 +158,7 @@ def _studied(
         given=dataset,
         comparison=comparison,
     )
-    return Study(
+    return ReportData(
         evidence=evidence,
         overview=overview(dataset),
         claims=tuple(claim.find(evidence) for claim in FINDINGS if claim.alone),

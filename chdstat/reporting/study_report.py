@@ -1,7 +1,4 @@
-"""Figures of a study: results handed to `chdstat.viz`.
-
-Typesetting: a study to words, tables and figures, and these to a PDF.
-"""
+"""Report on a study: its figures, words and tables, and these as a PDF."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""Numbers as a reader wants them.
+"""Typesetting: a document of text, tables and figures to PDF, with Typst.
 
-Typesetting: a document of text, tables and figures to PDF, with Typst.
+`number`, `percent` and `between` write numbers as a reader wants them; `NAMES` has the names of
+estimators, families and patterns in running text.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Batches: what a renderer sees of a pixel at a time, and what its averages make of it.
+"""CHDs of pixels: histograms with their fits, and histograms of batches and their means.
 
-After the first figure of Elek et al. 2019: histograms of many batches superimposed, and below them
-the histogram of their means.
-
-CHD panels: linear and log10 histograms of a pixel's samples per channel, with their fits.
+`chd_grid` and `chd_axes` draw linear and log10 histograms per channel. `batch_histograms` follows
+the first figure of Elek et al. 2019: many batches of samples superimposed, and below them the
+histogram of their means.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
-"""Claims: verdicts by scene, and intervals against the ranges that claims state.
+"""Claims: verdicts by scene, intervals against the ranges that claims state, and plots of findings.
 
-Exhibits: what findings show, as small figures side by side.
+`verdict_matrix` draws the verdicts, `claim_intervals` the measured values, `displays` what the
+findings show, as small figures side by side.
 """
 
 from __future__ import annotations

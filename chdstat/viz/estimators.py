@@ -1,11 +1,7 @@
-"""Errors: which estimator errs how much, for each pattern and against the number of samples.
+"""Estimators compared: their errors, and what they estimate for a few pixels.
 
-`pattern_breakdown` draws a measure for each pattern, `error_curves` how errors fall with N.
-
-Estimates: what a comparison of estimators found, as a whole and for a few pixels.
-
-`estimator_measures` draws all measures side by side, `pixel_estimates` a few pixels one by one.
-`chdstat.viz.estimators` has what breaks errors down.
+`pattern_breakdown` draws a measure for each pattern, `error_curves` how errors fall with N,
+`estimator_measures` all measures side by side, `pixel_estimates` a few pixels one by one.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Images: linear radiance shown as a person would see it, with marks, insets and errors.
+"""Images: linear radiance as a person would see it, with marks, insets and errors.
 
-Contrasts: two pixels side by side, or one view rendered in two ways.
+`firefly_pair` shows two pixels side by side, `view_pair` one view that was rendered in two ways.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Maps: one value, label or colour per pixel, with the scale that reads them.
 
-Shapes: the atlas of recurring distributions, as a map and as small multiples.
+`atlas` draws the recurring distributions, as a map and as small multiples.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Regions: the study figure of a scene, after the case study of Elek et al. 2019.
+"""Study figures: the regions of a scene, averages that become Gaussian, and training curves.
 
-An image with its regions in colours and, for each of them, an inset and the linear and logarithmic
-histograms of its channels in the colour of the region.
-
-Curves: how averages become Gaussian, and how training goes.
+`region_study` follows the case study of Elek et al. 2019: an image with its regions in colours
+and, for each of them, an inset and the linear and logarithmic histograms of its channels in the
+colour of the region.
 """
 
 from __future__ import annotations

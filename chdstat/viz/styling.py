@@ -1,9 +1,8 @@
 """Style: one look for all figures, as a context that leaves the user's settings alone.
 
-Lettering: what users have named is drawn as they wrote it, in fonts that have its letters.
-
-`verbatim` is for every name that is not the library's own, `families` has the fonts, and `spelt`
-goes around what saves figures.
+What users have named is drawn as they wrote it, in fonts that have its letters: `verbatim` is for
+every name that is not the library's own, `families` has the fonts, and `spelt` goes around what
+saves figures.
 """
 
 from __future__ import annotations

@@ -8,7 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chdstat.reporting.claims import asked, claim_content, claim_figures, exhibits, finding_content
+from chdstat.reporting.claims import (
+    asked,
+    claim_content,
+    claim_figures,
+    finding_content,
+    plot_findings,
+)
 from chdstat.studies.claims import FINDINGS, ClaimTest, Finding, Statistic
 from chdstat.studies.outcomes import PlotData
 
@@ -74,11 +80,11 @@ def test_what_cannot_be_told_says_what_is_needed():
     assert finding_content(finding("supported"))["needs"] == ""
 
 
-def test_exhibits_of_several_claims_have_labels_that_fit_their_panels():
+def test_plots_of_several_claims_have_labels_that_fit_their_panels():
     long = "log10 relative variance around its region's mean"
     x = np.arange(5.0)
     one = finding("supported", plot_data=PlotData("curves", {"a": (x, x)}, "x", long))
     two = replace(one, plot_data=PlotData("bars", {"a": (x[:1], x[:1])}, y_label="share"))
-    figure = exhibits({"1": one, "2": two})
+    figure = plot_findings({"1": one, "2": two})
     assert max(len(line) for line in figure.axes[0].get_ylabel().splitlines()) < 30
-    assert exhibits({"none": finding("supported")}) is None
+    assert plot_findings({"none": finding("supported")}) is None
