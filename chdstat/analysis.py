@@ -44,7 +44,7 @@ from chdstat.inference import (
 )
 from chdstat.inference.normality import TESTS, TestName, Transform
 from chdstat.patterns import PATTERNS, Thresholds, finish_patterns, patterns_variables
-from chdstat.patterns.pixel_fits import PixelFits
+from chdstat.patterns.classification import PixelFits
 from chdstat.samples.samples import Mapped, Samples
 from chdstat.summary.statistics import summarize
 

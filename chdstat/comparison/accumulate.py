@@ -1,13 +1,12 @@
-"""Sums: what is added up of the errors of estimators, and the measures that it comes to.
+"""Errors of many estimators on the same batches, added up, and the measures they come to.
 
-Every measure is a ratio of sums over units, so that one bootstrap over the units serves them all.
-A unit is a block of pixels with all their batches, or a batch with all its pixels.
-
-ErrorAccumulator: many estimators judged on the same batches, their errors added up as they come.
+`judge` lets every estimator estimate from each batch and returns an `ErrorAccumulator`. Every
+measure is a ratio of sums over units, so that one bootstrap over the units serves them all. A unit
+is a block of pixels with all their batches, or a batch with all its pixels. Neighbours see the same
+light and gain or lose together, so that blocks, not pixels, tell how sure a measure is (Künsch
+1989, doi:10.1214/aos/1176347265).
 
 Memory is bounded: one batch of the image, one estimate of it, and sums over blocks of pixels.
-Neighbours see the same light and gain or lose together, so that blocks, not pixels, tell how sure a
-measure is (Künsch 1989, doi:10.1214/aos/1176347265).
 """
 
 from __future__ import annotations

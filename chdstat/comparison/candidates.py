@@ -1,7 +1,4 @@
-"""Entries: who takes part in a comparison, looked up and checked.
-
-Candidates: the estimators of a comparison, looked up, checked, and trained where they learn.
-"""
+"""Candidates: the estimators of a comparison, looked up, checked, and trained where they learn."""
 
 from __future__ import annotations
 

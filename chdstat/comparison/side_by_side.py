@@ -1,6 +1,4 @@
-"""Labels: a name for every pixel of an image, from whatever says so.
-
-Side by side: estimators on the same samples, against a held-out reference.
+"""Comparison of estimators on the same samples, against a held-out reference.
 
 `compare` cuts the samples of every pixel into batches of n, lets each estimator estimate from each
 batch, and measures against the mean of all *other* samples of the pixel. Estimators that learn are
@@ -8,6 +6,8 @@ trained first, each on as many pixels as it wants of those that do not judge. Wh
 depends on the image and the seed alone, so that no row of the table depends on who else is in it;
 only where nobody was trained on an image of this size, all pixels judge. `error_curve` in
 `chdstat.comparison.curves` does the same for many n.
+
+`labels_of` names the pixels by which a comparison is broken down.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""Tables: measures with their intervals as rows, as variables, and as JSON.
+"""Results of a comparison as tables, dictionaries, datasets and JSON.
 
-Parts: what a comparison says of each pattern, and of a few pixels one by one.
-
-Results: tables, dictionaries and datasets of what `chdstat.compare` found.
+`Comparison` holds every measure with its interval, `Breakdown` the measures of each pattern, and
+`PixelEstimates` the estimates of a few pixels.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ from chdstat.inference import (
     sizes_of_means,
 )
 from chdstat.patterns import Patterns
-from chdstat.patterns.pixel_fits import PixelFits
+from chdstat.patterns.classification import PixelFits
 from chdstat.summary.histograms import Histogram, histogram
 
 __all__ = ["MOST_FITTED", "RESAMPLES", "FamilyGoodness", "PlaceStatistics", "Positive", "goodness"]

@@ -1,16 +1,14 @@
-"""Cascade: averages of N samples for many N, each from the averages of a divisor of N.
+"""Averages of N samples for several N: their tests of normality, and the N that is predicted.
 
-`cascade` walks rows of samples up the sizes, `shapes` measures what comes out. Samples are relative
-to the largest of their row, so that no power of them overflows or vanishes.
+`cascade` forms the averages of N samples from those of a divisor of N, `shapes` measures their
+skewness and kurtosis, and `run_on_averages` tests them. Samples are relative to the largest of
+their row, so that no power of them overflows or vanishes.
 
-Predicted N: how many samples an average needs by the central limit theorem, with its interval.
-
-Skewness and kurtosis rest on rare bright samples. Those that were seen say how large both are at
-least. Those that were not are in the tail: beyond its threshold, a generalised Pareto distribution
-of the largest index that the samples allow takes their place, which has a kurtosis only if that
-index is below 1/4. Otherwise the N is not identified.
-
-Averages of samples: their tests for several sizes at once, and what follows from these.
+`predict` tells how many samples an average needs by the central limit theorem, with an interval.
+Skewness and kurtosis rest on rare bright samples: those that were seen give a lower bound of both.
+Those that were not seen lie in the tail: beyond its threshold, a generalised Pareto distribution of
+the largest index that the samples allow takes their place. It has a kurtosis only if that index is
+below 1/4; otherwise N is not identified.
 """
 
 from __future__ import annotations
@@ -24,10 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import spans
-from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask, PositivePart
+from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
 from chdstat._core.reasons import Reason
-from chdstat.fit.tail import Tail, tail_of_part
-from chdstat.inference.normality import NormalityTest, TestName, run_tests
+from chdstat.fit.tail import Tail
+from chdstat.inference.normality import NormalityTest, run_tests
 
 __all__ = [
     "MORE_THAN_TESTED",
@@ -247,62 +245,6 @@ _CHUNK_OF_MEANS = 2**17
 
 
 @dataclass(frozen=True)
-class GaussianityOfMeans:
-    """Normality of averages of N samples, for several N; arrays of shape (..., size) or (...).
-
-    Attributes
-    ----------
-    test, n_means, alpha
-        What was tested, on how many averages for every N, and the level of `n_needed`.
-    sizes
-        The N in ascending order, shape (size,).
-    statistic, p_value
-        Of the test, shape (..., size); NaN where `reason` says why.
-    skewness, kurtosis
-        Of all complete averages, not only of the tested ones, shape (..., size). Few averages bias
-        both towards 0.
-    predicted_skewness, predicted_kurtosis
-        What independent samples predict: ``skewness / sqrt(N)`` and ``kurtosis / N`` of all,
-        shape (..., size).
-    skewness_ratio
-        ``skewness / predicted_skewness``, shape (..., size): 1 where the central limit theorem is
-        at work. NaN where the samples' skewness is below two of its standard errors under
-        normality, ``2 sqrt(6 / n)``.
-    n_needed
-        Smallest N tested from which on no test rejects, shape (...); -1 where the averages of the
-        largest N still are told from Gaussian, 0 where there is no answer. Where all averages are
-        Gaussian, it is 1 with a probability of at least 1 - `alpha`: the level of each test is
-        `alpha` over the number of sizes.
-    n_predicted, n_predicted_interval
-        Smallest N, tested or not, at which the predicted skewness and kurtosis fall below two
-        standard errors of those of `n_means` Gaussian averages, ``2 sqrt(6 / n_means)`` and
-        ``2 sqrt(24 / n_means)``, shape (...), and its 95 % interval, shape (..., 2). NaN where
-        there is no answer, or where the samples do not identify their kurtosis.
-    n_predicted_reason
-        `Reason` codes of these two, shape (...).
-    reason
-        `Reason` codes, shape (..., size).
-    """
-
-    test: TestName
-    n_means: int
-    alpha: float
-    sizes: Counts
-    statistic: Floats
-    p_value: Floats
-    skewness: Floats
-    kurtosis: Floats
-    predicted_skewness: Floats
-    predicted_kurtosis: Floats
-    skewness_ratio: Floats
-    n_needed: Counts
-    n_predicted: Floats
-    n_predicted_interval: Floats
-    n_predicted_reason: npt.NDArray[np.int8]
-    reason: npt.NDArray[np.int8]
-
-
-@dataclass(frozen=True)
 class TestedAverages:
     """What is found of averages, shape (..., size), and of the samples themselves, shape (...).
 
@@ -322,41 +264,6 @@ class TestedAverages:
     def varied(self) -> Mask:
         """Where the samples are not all equal."""
         return np.isfinite(self.skewness_of_samples)
-
-
-def gaussianity_of_rows(
-    x: npt.NDArray[Any],
-    bad: Mask,
-    sizes: Counts,
-    n_means: int,
-    test: NormalityTest,
-    alpha: float,
-    tail: Tail | None = None,
-) -> GaussianityOfMeans:
-    """Test averages of samples, shape (..., sample), and tell the N needed and predicted."""
-    predictions = predict(x, bad, tail or tail_of_part(PositivePart.of(x, bad=bad)), n_means)
-    found = run_on_averages(x, bad, sizes, n_means, test)
-    root = np.sqrt(sizes)
-    predicted = found.skewness_of_samples[..., np.newaxis] / root
-    return GaussianityOfMeans(
-        test=test.name,
-        n_means=n_means,
-        alpha=alpha,
-        sizes=sizes,
-        statistic=found.statistic,
-        p_value=found.p_value,
-        skewness=found.skewness,
-        kurtosis=found.kurtosis,
-        predicted_skewness=predicted,
-        predicted_kurtosis=found.kurtosis_of_samples[..., np.newaxis] / sizes,
-        skewness_ratio=skewness_ratio(found, predicted),
-        # Bonferroni over the sizes: else each further one would be a chance to fail.
-        n_needed=n_needed(found.p_value * len(sizes) <= alpha, found.reason, found.varied, sizes),
-        n_predicted=predictions.n,
-        n_predicted_interval=predictions.interval,
-        n_predicted_reason=predictions.reason,
-        reason=found.reason,
-    )
 
 
 def run_on_averages(

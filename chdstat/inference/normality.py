@@ -1,9 +1,4 @@
-"""Tests of normality on many rows at once, each with its own number of samples.
-
-`TESTS` is the table; `run_tests` transforms and standardises sorted rows once for each transform,
-and runs any of the tests on them.
-
-Normality: how far samples and their logarithms are from Gaussian.
+"""Normality: how far samples and their logarithms are from Gaussian.
 
 Use `gaussianity` on the positive samples of a CHD, `gaussianity_of_means` on pixel estimates. At
 2048 spp nearly every p-value is tiny: read skewness and kurtosis beside it.
@@ -11,6 +6,9 @@ Use `gaussianity` on the positive samples of a CHD, `gaussianity_of_means` on pi
 Which test? Shapiro-Wilk is among the most powerful against every shape that CHDs have, and best
 with few samples. Anderson-Darling looks at the whole distribution function, which suits modes.
 D'Agostino's K^2 looks at skewness and kurtosis alone. The gallery has the power curves.
+
+`TESTS` is the table of tests; `run_tests` runs them on many rows at once, each with its own number
+of samples, and transforms and standardises sorted rows once for each transform.
 """
 
 from __future__ import annotations

@@ -1,31 +1,33 @@
-"""Averages: how many samples a pixel estimate needs until it behaves like a Gaussian.
+"""Normality of averages: how many samples a pixel estimate needs until it behaves like a Gaussian.
 
-`gaussianity_of_means` averages N samples for several N, tests the averages and tells the N that is
-needed, beside the one that the central limit theorem predicts. Error bars and most denoisers assume
+`gaussianity_of_means` averages N samples for several N, tests the averages, and tells the N that is
+needed beside the one that the central limit theorem predicts. Error bars and most denoisers assume
 that the averages are Gaussian.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import as_samples, is_bad, warn_left_out
-from chdstat._core.positive import Counts
+from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
-from chdstat.fit.tail import Tail
+from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference.averages import (
     MORE_THAN_TESTED,
     UNTESTED,
-    GaussianityOfMeans,
-    gaussianity_of_rows,
     n_needed,
+    predict,
+    run_on_averages,
+    skewness_ratio,
 )
-from chdstat.inference.normality import TESTS, TestName
+from chdstat.inference.normality import TESTS, NormalityTest, TestName
 from chdstat.inference.statistics import check_choice, check_level, finish
 from chdstat.samples.samples import Mapped, Samples
 
@@ -51,6 +53,62 @@ Twice as many tell smaller departures, but halve the largest N. Of averages of a
 (skewness 2), at level 0.05, Shapiro-Wilk tells for N = 1, 2, 4, 8 with 16 averages 72, 41, 22, 14 %
 from Gaussian, with 32 98, 79, 46, 25 %, with 128 100, 100, 98, 81 %.
 """
+
+
+@dataclass(frozen=True)
+class GaussianityOfMeans:
+    """Normality of averages of N samples, for several N; arrays of shape (..., size) or (...).
+
+    Attributes
+    ----------
+    test, n_means, alpha
+        What was tested, on how many averages for every N, and the level of `n_needed`.
+    sizes
+        The N in ascending order, shape (size,).
+    statistic, p_value
+        Of the test, shape (..., size); NaN where `reason` says why.
+    skewness, kurtosis
+        Of all complete averages, not only of the tested ones, shape (..., size). Few averages bias
+        both towards 0.
+    predicted_skewness, predicted_kurtosis
+        What independent samples predict: ``skewness / sqrt(N)`` and ``kurtosis / N`` of all,
+        shape (..., size).
+    skewness_ratio
+        ``skewness / predicted_skewness``, shape (..., size): 1 where the central limit theorem is
+        at work. NaN where the samples' skewness is below two of its standard errors under
+        normality, ``2 sqrt(6 / n)``.
+    n_needed
+        Smallest N tested from which on no test rejects, shape (...); -1 where the averages of the
+        largest N still are told from Gaussian, 0 where there is no answer. Where all averages are
+        Gaussian, it is 1 with a probability of at least 1 - `alpha`: the level of each test is
+        `alpha` over the number of sizes.
+    n_predicted, n_predicted_interval
+        Smallest N, tested or not, at which the predicted skewness and kurtosis fall below two
+        standard errors of those of `n_means` Gaussian averages, ``2 sqrt(6 / n_means)`` and
+        ``2 sqrt(24 / n_means)``, shape (...), and its 95 % interval, shape (..., 2). NaN where
+        there is no answer, or where the samples do not identify their kurtosis.
+    n_predicted_reason
+        `Reason` codes of these two, shape (...).
+    reason
+        `Reason` codes, shape (..., size).
+    """
+
+    test: TestName
+    n_means: int
+    alpha: float
+    sizes: Counts
+    statistic: Floats
+    p_value: Floats
+    skewness: Floats
+    kurtosis: Floats
+    predicted_skewness: Floats
+    predicted_kurtosis: Floats
+    skewness_ratio: Floats
+    n_needed: Counts
+    n_predicted: Floats
+    n_predicted_interval: Floats
+    n_predicted_reason: npt.NDArray[np.int8]
+    reason: npt.NDArray[np.int8]
 
 
 @overload
@@ -156,7 +214,7 @@ def gaussianity_of_means(
     array = as_samples(x)
     warn_left_out(array)
     chosen = sizes_of_means(array.shape[-1], n_means, sizes=sizes, test=test)
-    return gaussianity_of_rows(array, is_bad(array), chosen, n_means, TESTS[test], alpha)
+    return _gaussianity_of_rows(array, is_bad(array), chosen, n_means, TESTS[test], alpha)
 
 
 def sizes_of_means(
@@ -196,7 +254,42 @@ def means_of_block(
     `tail` is that of the same samples, for whoever has it.
     """
     bad = np.broadcast_to(is_bad(block).any(axis=-2, keepdims=True), block.shape)
-    return gaussianity_of_rows(block, bad, sizes, n_means, TESTS[test], alpha, tail)
+    return _gaussianity_of_rows(block, bad, sizes, n_means, TESTS[test], alpha, tail)
+
+
+def _gaussianity_of_rows(
+    x: npt.NDArray[Any],
+    bad: Mask,
+    sizes: Counts,
+    n_means: int,
+    test: NormalityTest,
+    alpha: float,
+    tail: Tail | None = None,
+) -> GaussianityOfMeans:
+    """Test averages of samples, shape (..., sample), and tell the N needed and predicted."""
+    predictions = predict(x, bad, tail or tail_of_part(PositivePart.of(x, bad=bad)), n_means)
+    found = run_on_averages(x, bad, sizes, n_means, test)
+    root = np.sqrt(sizes)
+    predicted = found.skewness_of_samples[..., np.newaxis] / root
+    return GaussianityOfMeans(
+        test=test.name,
+        n_means=n_means,
+        alpha=alpha,
+        sizes=sizes,
+        statistic=found.statistic,
+        p_value=found.p_value,
+        skewness=found.skewness,
+        kurtosis=found.kurtosis,
+        predicted_skewness=predicted,
+        predicted_kurtosis=found.kurtosis_of_samples[..., np.newaxis] / sizes,
+        skewness_ratio=skewness_ratio(found, predicted),
+        # Bonferroni over the sizes: else each further one would be a chance to fail.
+        n_needed=n_needed(found.p_value * len(sizes) <= alpha, found.reason, found.varied, sizes),
+        n_predicted=predictions.n,
+        n_predicted_interval=predictions.interval,
+        n_predicted_reason=predictions.reason,
+        reason=found.reason,
+    )
 
 
 def means_variables(result: GaussianityOfMeans) -> Mapped:

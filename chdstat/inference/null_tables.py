@@ -1,22 +1,12 @@
-"""Quantiles of statistics of normality under the null.
+"""Quantiles of test statistics under the null, and p-values interpolated between them.
 
-Written by tools/make_normality_tables.py: change that.
+A table has a row for each of `LEVELS`, the probability above the quantile, with the coefficients of
+the quantile as a polynomial in 1 / sqrt(n): smooth in n, it holds for any number of samples.
 
-Of each scaled statistic (`chdstat.inference.statistics.SCALES`), a row holds the coefficients of
-the quantile with one of `LEVELS` above it: a polynomial in 1 / sqrt(n).
-
-Null quantiles: p-values between simulated quantiles, by the number of samples.
-
-A table of quantiles is a row for each level, the probability above the quantile, of coefficients of
-a polynomial in 1 / sqrt(n): smooth in n, it holds for any number of samples. The tables are written
-by tools/make_normality_tables.py and tools/make_dip_table.py.
-
-Quantiles of the dip under the null: uniform samples.
-
-Written by tools/make_dip_table.py: change that.
-
-Of sqrt(n) times the dip, a row holds the coefficients of the quantile with one of `LEVELS` above
-it: a polynomial in 1 / sqrt(n), from 20 samples to any number.
+`QUANTILES` are those of the statistics of normality, scaled as in `chdstat.inference.statistics`
+(`SCALES`) and written by tools/make_normality_tables.py. `DIP_QUANTILES` are those of sqrt(n) times
+the dip of uniform samples, from 20 samples on, written by tools/make_dip_table.py. Change the
+tables there.
 """
 
 from __future__ import annotations

@@ -1,17 +1,16 @@
-"""Statistics of normality, of many rows at once, each with its own number of samples.
+"""Statistics of normality and their p-values, of many rows, each with its own number of samples.
 
 `standardise` sorted rows once and share the `Rows` between the statistics: what two of them need is
-computed when first used, and kept. P-values are another module's matter.
+computed when first used, and kept.
 
-P-values of statistics of normality, mean and variance estimated, by the number of samples.
+P-values hold for estimated mean and variance. They are interpolated between simulated quantiles
+(`chdstat.inference.null_tables`), since the published approximations are not uniform under the
+null: of 100 samples, p = 0.001 by chi-square happens in 0.004 of the cases for D'Agostino and
+Pearson; Stephens' formulas for Anderson-Darling are off by 0.03 near p = 0.6. Those of Royston for
+Shapiro-Wilk are within 0.013 of p, and 7 % of it down to 0.01, for 30 to 2000 samples, and used
+there.
 
-They are interpolated between simulated quantiles (`chdstat.inference.null_tables`), since the
-published approximations are not uniform under the null: of 100 samples, p = 0.001 by chi-square
-happens in 0.004 of the cases for D'Agostino and Pearson; Stephens' formulas for Anderson-Darling
-are off by 0.03 near p = 0.6. Those of Royston for Shapiro-Wilk are within 0.013 of p, and 7 % of it
-down to 0.01, for 30 to 2000 samples, and used there.
-
-Normality maps: names, units and q-values of the datasets that tests of normality end in.
+`finish` adds names, units and q-values to the datasets of the tests.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Neighbours: how well the labels of pixels agree with those around them.
+"""Agreement of the labels of pixels with those of their neighbours.
 
 Labels that mean something form regions; labels that are noise look like the same labels shuffled.
 """
@@ -58,7 +58,7 @@ def agreement(labels: npt.NDArray[np.integer], known: Mask | None = None) -> Agr
     labels
         Shape (y, x).
     known
-        Which pixels have a label, same shape; None for all. Others are nobody's neighbour.
+        Which pixels have a label, same shape; None for all. Pixels without a label are ignored.
 
     Raises
     ------

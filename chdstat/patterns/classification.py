@@ -2,7 +2,8 @@
 
 `PATTERNS` is the table: what a pattern means, its statistic, and the rule that turns it into a flag
 at a threshold. `classify` applies them all to the luminance of each pixel. Flags do not exclude
-each other, but for those that describe a plain body; `Label` says which comes first.
+each other, but for those that describe a plain body; `Label` says which comes first. `PixelFits`
+finds fits, tails and modes once each for several analyses of the same samples.
 """
 
 from __future__ import annotations
@@ -10,18 +11,21 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels, warn_left_out
+from chdstat._core.arrays import Result, as_pixels, take_rows, warn_left_out
 from chdstat._core.positive import Floats, Mask, PositivePart
 from chdstat._core.reasons import Reason, flag_attributes
 from chdstat._core.resampling import q_values
-from chdstat.fit.selection import SELECTED, Selection
-from chdstat.fit.tail import Tail
-from chdstat.inference import Modality
+from chdstat.fit.families import FAMILIES
+from chdstat.fit.results import Mixture
+from chdstat.fit.selection import SELECTED, Selection, select_part
+from chdstat.fit.tail import Tail, tail_of_part
+from chdstat.inference import Modality, mixture_and_modes_of_part
 from chdstat.patterns.agreement import Agreement, agreement
 from chdstat.patterns.pixel_statistics import PixelStatistics, gather
 from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
@@ -36,6 +40,7 @@ __all__ = [
     "Label",
     "Pattern",
     "Patterns",
+    "PixelFits",
     "Thresholds",
     "agreement",
     "classify",
@@ -225,7 +230,7 @@ def patterns_of_part(
         `chdstat.fit.selection.SELECTED`.
     """
     thresholds = thresholds or Thresholds()
-    evidence = gather(
+    statistics = gather(
         part,
         firefly_share=thresholds.firefly_share,
         firefly_samples=thresholds.firefly_samples,
@@ -234,25 +239,96 @@ def patterns_of_part(
         families=families,
     )
     # Of a single pixel, arithmetic returns numbers: results are arrays of shape ().
-    p_values = {p.name: np.asarray(p.test(evidence, thresholds)) for p in PATTERNS if p.test}
-    large_enough = {p.name: np.asarray(p.large_enough(evidence, thresholds)) for p in PATTERNS}
+    p_values = {p.name: np.asarray(p.test(statistics, thresholds)) for p in PATTERNS if p.test}
+    large_enough = {p.name: np.asarray(p.large_enough(statistics, thresholds)) for p in PATTERNS}
     flags = _decide(large_enough, p_values, thresholds)
     reason = part.reason()
     return Patterns(
         flags=flags,
         large_enough=large_enough,
-        statistics={p.name: np.asarray(p.measure(evidence)) for p in PATTERNS},
+        statistics={p.name: np.asarray(p.measure(statistics)) for p in PATTERNS},
         p_values=p_values,
-        intervals={p.name: p.interval(evidence) for p in PATTERNS if p.interval},
-        dip=evidence.dip,
-        luminance_family=evidence.family,
-        misfit=evidence.misfit,
-        long_tail_se=evidence.tail_index_se,
-        variance_unidentified=evidence.variance_unidentified,
-        body_tail_index=evidence.body_index,
-        label=_label(flags, reason, _is_known(evidence)),
+        intervals={p.name: p.interval(statistics) for p in PATTERNS if p.interval},
+        dip=statistics.dip,
+        luminance_family=statistics.family,
+        misfit=statistics.misfit,
+        long_tail_se=statistics.tail_index_se,
+        variance_unidentified=statistics.variance_unidentified,
+        body_tail_index=statistics.body_index,
+        label=_label(flags, reason, _is_known(statistics)),
         reason=reason,
     )
+
+
+class PixelFits:
+    """Fits, tails and modes of the channels of some pixels, and of their luminance as the last row.
+
+    Each is found once, when it is first used, and handed to what needs it.
+
+    Parameters
+    ----------
+    part
+        Positive part of the rows, shape (..., row, sample), as `PositivePart.of_pixels` makes it
+        with ``rows="both"``.
+    held_out
+        Compare the families by held-out likelihood, too.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.random.default_rng(0).gamma(2.0, size=(3, 512))
+    >>> found = PixelFits(PositivePart.of_pixels(x, rows="both"))
+    >>> found.selection.best.shape, found.of_luminance(found.tail).xi.shape
+    ((4,), ())
+    """
+
+    def __init__(self, part: PositivePart, *, held_out: bool = False) -> None:
+        self.part = part
+        self._held_out = held_out
+        self._axis = part.n.ndim - 1
+
+    @cached_property
+    def selection(self) -> Selection:
+        """The families and which of them is best, of each row."""
+        families = [FAMILIES[name] for name in SELECTED]
+        return select_part(self.part, families, held_out=self._held_out)
+
+    @cached_property
+    def tail(self) -> Tail:
+        """Tail of each row."""
+        return tail_of_part(self.part)
+
+    @cached_property
+    def _mixture_and_modes(self) -> tuple[Mixture, Modality]:
+        return mixture_and_modes_of_part(self.part, fits=self.selection.fits.values())
+
+    @property
+    def mixture(self) -> Mixture:
+        """The log-normal mixture behind the modes, of each row."""
+        return self._mixture_and_modes[0]
+
+    @property
+    def modes(self) -> Modality:
+        """Modes of each row."""
+        return self._mixture_and_modes[1]
+
+    def patterns(self, thresholds: Thresholds | None = None) -> Patterns:
+        """Return the patterns of luminance, each pixel tested for itself."""
+        return patterns_of_part(
+            self.of_luminance(self.part),
+            thresholds,
+            tail=self.of_luminance(self.tail),
+            modes=self.of_luminance(self.modes),
+            families=self.of_luminance(self.selection),
+        )
+
+    def of_luminance(self, result: Result) -> Result:
+        """Return what a result says of luminance."""
+        return take_rows(result, -1, axis=self._axis)
+
+    def of_first(self, result: Result, rows: int) -> Result:
+        """Return what a result says of the first rows, the channels."""
+        return take_rows(result, slice(0, rows), axis=self._axis)
 
 
 def patterns_variables(patterns: Patterns) -> Mapped:
@@ -303,9 +379,9 @@ def _decide(
     return flags
 
 
-def _is_known(evidence: PixelStatistics) -> Mask:
+def _is_known(statistics: PixelStatistics) -> Mask:
     """Say where there are enough samples for the shape."""
-    return np.asarray(evidence.modes > 0)
+    return np.asarray(statistics.modes > 0)
 
 
 def _label(

@@ -1,8 +1,7 @@
-"""Component: one kind of light path of a simulated CHD, a known distribution of radiance.
+"""CHDs that are known exactly, to draw samples from and to compare with.
 
-CHD: a sample distribution that is known exactly, to draw from and to compare with.
-
-`chdstat.patterns` makes images and populations of them.
+A `CHD` is a mixture of `Component` distributions of radiance, one for each kind of light path, with
+nulls, a tail and fireflies. `chdstat.patterns` makes images and populations of them.
 """
 
 from __future__ import annotations

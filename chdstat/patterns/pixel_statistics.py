@@ -98,13 +98,13 @@ def gather(
     families: Selection | None = None,
 ) -> PixelStatistics:
     """Measure every pixel; results for the same part that are already there are not repeated."""
-    evidence = _measure(part, tail, modes, families)
+    found = _measure(part, tail, modes, families)
     limit = firefly_limit(part.n, firefly_share, firefly_samples)
-    rows = np.asarray(evidence.largest_share > limit)
+    rows = np.asarray(found.largest_share > limit)
     if not rows.any():
-        return evidence
+        return found
     rest = without_largest(part, rows)
-    return _replace_shape(evidence, _measure(rest, None, None, None), rows)
+    return _replace_shape(found, _measure(rest, None, None, None), rows)
 
 
 def firefly_limit(n: npt.NDArray[np.int64], share: float, samples: float) -> Floats:
@@ -167,10 +167,10 @@ def _measure(
     )
 
 
-def _replace_shape(evidence: PixelStatistics, rest: PixelStatistics, rows: Mask) -> PixelStatistics:
+def _replace_shape(found: PixelStatistics, rest: PixelStatistics, rows: Mask) -> PixelStatistics:
     """Take what describes the shape from `rest`, in its rows; counts and the firefly stay."""
     kept = {"n", "n_good", "n_null", "constant", "spread", "largest_share"}
-    values = {field.name: getattr(evidence, field.name) for field in fields(PixelStatistics)}
+    values = {field.name: getattr(found, field.name) for field in fields(PixelStatistics)}
     for name in values.keys() - kept:
         values[name] = np.array(values[name])
         values[name][rows] = getattr(rest, name)

@@ -1,6 +1,8 @@
-"""Truth: which patterns a known CHD has, and where there is no telling.
+"""Population of random CHDs whose patterns are known, and flags scored on it.
 
-Population: CHDs at random with every pattern and combination, and flags scored on them.
+`truth` says which patterns a known CHD has, and None within the indifference zone of a pattern.
+`random_chds` draws CHDs with every pattern and combination, outside of these zones; `flag_scores`
+counts how often `classify` is right about them.
 """
 
 from __future__ import annotations

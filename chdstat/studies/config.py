@@ -1,4 +1,4 @@
-"""Subjects: which scenes a study looks at, how each is rendered, and where to look."""
+"""Configuration of a study: which scenes it looks at, how each is rendered, and where to look."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Running: scenes to renders, analyses, comparisons and findings."""
+"""A study from scenes to findings: renders, analyses, comparisons and claims."""
 
 from __future__ import annotations
 

@@ -1,9 +1,8 @@
-"""Caches: what was computed of a store, kept beside it until the samples or the code change.
-
-Stores: the renders of a study in one folder, each made once and found again.
+"""Stores of a study: its renders in one folder, and what was computed of them, each made once.
 
 The name of a store tells its scene and, as a digest, everything else that its samples depend on but
-for their number: a render that was stopped resumes, and more samples append.
+for their number: a render that was stopped resumes, and more samples append. Analyses, summaries
+and comparisons are kept beside the store until the samples or the code change.
 """
 
 from __future__ import annotations

@@ -1,17 +1,13 @@
-"""Explained: how much of the variance map first-hit features can predict.
+"""Assumptions that denoisers make about noise and radiance, tested (finding 13).
 
-Growth: how much larger a moment would be, were there more samples.
+The paper holds that four of them fail: that noise is spatially uniform and additive, that averages
+are Gaussian, that variance follows feature buffers, that radiance is regular.
 
-Skewness and kurtosis rest on the rare bright samples of a tail, most of which a pixel has not seen:
-they are too small, and grow with the number of samples. That they lie above a border is then safe
-to say, that they lie below one is not.
-
-Uniformity: tests of whether the noise of pixels has one variance.
-
-Assumptions: what denoisers take for granted of noise and radiance, tested (finding 13).
-
-The paper holds that four assumptions fail: that noise is spatially uniform and additive, that
-averages are Gaussian, that variance follows feature buffers, that radiance is regular.
+`uniformity` tests whether the noise of pixels has one variance. `explained_by_features` measures
+how much of the variance map first-hit features predict. `growing` and `with_room` allow for samples
+that are missing: skewness and kurtosis rest on the rare bright samples of a tail, most of which a
+pixel has not seen. Both are too small, and grow with the number of samples, so that it is safe to
+say that they lie above a limit, but not that they lie below one.
 """
 
 from __future__ import annotations

@@ -1,15 +1,11 @@
-"""Equal numbers: as many positive samples of every pixel of every scene, to compare what is left.
+"""Scene-specific shapes: whether CHDs alone tell the scene and the integrator (finding 12).
 
-What one sees of a distribution depends on how many samples one has: a distribution function is the
-smoother, and has the more modes that can be told, the more there are. Scenes with other shares of
-nulls, or other spp, would differ by that alone.
+`scene_accuracy` classifies scenes by shapes of as many positive samples of every pixel of every
+scene: a distribution function is the smoother, and shows the more modes, the more samples there
+are, so that scenes with other shares of nulls, or other spp, would differ by that alone.
 
-Integrators: whether two of them give the pixels of a scene CHDs of the same shape.
-
-`permuted` tests whether there is any difference at all; how large it is, is a statement of its own,
-with an interval of its own.
-
-Scene shapes: whether a scene can be told by the shapes of its CHDs alone (finding 12).
+`permuted` tests whether two integrators differ at all in the shapes that they give the pixels of a
+scene; `squares` measures by how much, with an interval of its own.
 """
 
 from __future__ import annotations
