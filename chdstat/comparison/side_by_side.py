@@ -274,7 +274,7 @@ def _comparison(
 def _breakdown(
     named: Labels, units: Units, errors: ErrorAccumulator, candidates: Candidates, seed: int
 ) -> Breakdown:
-    """Measure the pixels of each label apart."""
+    """Measure the pixels of each label separately."""
     judged = errors.by_unit.count > 0
     codes = np.unique(units.label[judged])
     parts = [errors.by_unit[units.label == code].measures(seed=seed) for code in codes]

@@ -1,4 +1,4 @@
-"""Inference: tests of normality, tests of modality, and how far two CHDs are apart.
+"""Inference: tests of normality, tests of modality, and the distance between two CHDs.
 
 `gaussianity` tests the positive samples of a CHD, `gaussianity_of_means` averages of them.
 `modality` looks at the positive samples in the log domain in two ways: Hartigan's dip test, which

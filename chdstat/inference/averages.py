@@ -236,7 +236,7 @@ def _with_tail(
 
 
 MORE_THAN_TESTED = -1
-"""As N needed: the averages of the largest N tested are still told from Gaussian."""
+"""As N needed: in averages of the largest N tested, normality is still rejected."""
 UNTESTED = 0
 """As N needed: no answer, since samples are equal, null, bad or too few for every N."""
 
@@ -303,15 +303,15 @@ def skewness_ratio(found: TestedAverages, predicted: Floats) -> Floats:
         return np.where(clear[..., np.newaxis], found.skewness / predicted, np.nan)
 
 
-def n_needed(told: Mask, reason: npt.NDArray[np.int8], varied: Mask, sizes: Counts) -> Counts:
-    """Return the smallest size tested from which on none is told from Gaussian, shape (...).
+def n_needed(rejected: Mask, reason: npt.NDArray[np.int8], varied: Mask, sizes: Counts) -> Counts:
+    """Return the smallest size tested from which on normality is not rejected, shape (...).
 
-    Tested averages that are all equal, of samples that are not, are told from Gaussian.
+    Tested averages that are all equal, of samples that are not, are not Gaussian.
     """
     equal = np.isin(reason, [Reason.ALL_NULL, Reason.CONSTANT])
     answered = equal | (reason == Reason.OK)
-    told_from_here_on = np.maximum.accumulate((told | equal)[..., ::-1], axis=-1)[..., ::-1]
-    candidates = ~told_from_here_on & answered
+    rejected_from_here_on = np.maximum.accumulate((rejected | equal)[..., ::-1], axis=-1)[..., ::-1]
+    candidates = ~rejected_from_here_on & answered
     first = np.where(candidates.any(axis=-1), sizes[candidates.argmax(axis=-1)], MORE_THAN_TESTED)
     return np.where(varied & answered.any(axis=-1), first, UNTESTED).astype(np.int64)
 

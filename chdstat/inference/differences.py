@@ -1,4 +1,4 @@
-"""Differences: how far two CHDs are apart, and whether chance alone would do that.
+"""Differences: the distance between two CHDs, and whether chance alone explains it.
 
 Use it for two pixels, or for all pixels of two stores: of another integrator, path length or spp.
 `chdstat.compare` is about estimators.

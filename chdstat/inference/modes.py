@@ -83,7 +83,7 @@ class Modality:
         Hartigan's dip, in [1/(2n), 1/4], and its p-value under unimodality, at least 1e-5. Where
         the hypothesis is true, p is uniform for uniform samples and larger for others.
     tied_share
-        Share of samples that are equal to another one. Ties are moved apart by less than float32
+        Share of samples that are equal to another one. Ties are separated by less than float32
         can tell, as the test is one of continuous samples. Rounded samples, of which 8 % or more
         tie at other values than the three most frequent ones, are spread half-way to their
         neighbours first: a step is no mode.
@@ -381,7 +381,7 @@ _FLOOR = 1e-5
 def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats, Floats]:
     """Return dips of log radiance and p-values; NaN where not usable.
 
-    Samples of `tied` rows are moved apart: the test is one of continuous samples.
+    Samples of `tied` rows are separated: the test is one of continuous samples.
     """
     dip, p = np.full((2, part.n.size), np.nan)
     samples, n, tied = part.x.shape[-1], part.n.reshape(-1), tied.reshape(-1)

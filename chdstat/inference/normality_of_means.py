@@ -79,7 +79,7 @@ class GaussianityOfMeans:
         normality, ``2 sqrt(6 / n)``.
     n_needed
         Smallest N tested from which on no test rejects, shape (...); -1 where the averages of the
-        largest N still are told from Gaussian, 0 where there is no answer. Where all averages are
+        largest N still are not Gaussian, 0 where there is no answer. Where all averages are
         Gaussian, it is 1 with a probability of at least 1 - `alpha`: the level of each test is
         `alpha` over the number of sizes.
     n_predicted, n_predicted_interval
@@ -146,9 +146,9 @@ def gaussianity_of_means(
     falling share of rejections means that the averages, not the test, have changed. Nulls belong to
     an estimate and are averaged; bad samples are left out of their batch.
 
-    The N needed is an answer to "can these averages be told from Gaussian by `n_means` of them?",
+    The N needed is an answer to "can `n_means` of these averages reject normality?",
     which is the question of whoever looks at so many; more averages need a larger N. Where the
-    tested averages are all equal although the samples are not, they count as told from Gaussian.
+    tested averages are all equal although the samples are not, they count as not Gaussian.
 
     Skewness and kurtosis of the samples assume finite moments. Where the tail index is 1/2 or more
     (`chdstat.fit.tail_index`), the variance of the CHD is infinite: averages then never turn
@@ -180,8 +180,8 @@ def gaussianity_of_means(
     GaussianityOfMeans or xarray.Dataset
         `GaussianityOfMeans` for an array. For `Samples`, its fields over (y, x, channel, size),
         `n_needed` and `n_predicted` over (y, x, channel), q-value and ``rejected`` as of
-        `chdstat.gaussianity` for every channel and N apart, and ``rejected_share`` over (channel,
-        size): the share of rejected pixels among those tested.
+        `chdstat.gaussianity` for every channel and N separately, and ``rejected_share`` over
+        (channel, size): the share of rejected pixels among those tested.
 
     Raises
     ------

@@ -251,7 +251,7 @@ def check_level(alpha: float) -> None:
 
 
 def finish(dataset: xr.Dataset, title: str, alpha: float) -> xr.Dataset:
-    """Add q-value and ``rejected`` for every axis beyond (y, x) apart, and say what is what."""
+    """Add q-value and ``rejected`` for every axis beyond (y, x) separately, and set names."""
     p_value = dataset["p_value"]
     q_value = p_value.copy(data=q_values(p_value.to_numpy()))
     dataset = dataset.assign(q_value=q_value, rejected=rejections(q_value, alpha))

@@ -27,7 +27,7 @@ from chdstat.fit.selection import SELECTED, Selection, select_part
 from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference import Modality, mixture_and_modes_of_part
 from chdstat.patterns.agreement import Agreement, agreement
-from chdstat.patterns.pixel_statistics import PixelStatistics, gather
+from chdstat.patterns.pixel_statistics import gather
 from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
 from chdstat.samples.samples import Mapped, Samples
 
@@ -255,7 +255,7 @@ def patterns_of_part(
         long_tail_se=statistics.tail_index_se,
         variance_unidentified=statistics.variance_unidentified,
         body_tail_index=statistics.body_index,
-        label=_label(flags, reason, _is_known(statistics)),
+        label=_label(flags, reason, statistics.modes > 0),
         reason=reason,
     )
 
@@ -377,11 +377,6 @@ def _decide(
         for other in pattern.excluded_by:
             flags[pattern.name] &= ~flags[other]
     return flags
-
-
-def _is_known(statistics: PixelStatistics) -> Mask:
-    """Say where there are enough samples for the shape."""
-    return np.asarray(statistics.modes > 0)
 
 
 def _label(

@@ -1,4 +1,4 @@
-"""Groups: points that are near to each other, and how many groups the noise lets one tell apart.
+"""Groups: points that are near to each other, and how many groups the noise lets one distinguish.
 
 `find_groups` is given every point three times: measured with all samples, and with two halves of
 them. What one half says of the other is what repeats; the rest is noise. `chdstat.patterns` says

@@ -38,7 +38,7 @@ class Subject:
     Attributes
     ----------
     name
-        Of the scene; no two of a study are alike.
+        Of the scene; no two of a study have the same.
     scene
         What to render; None where there are only samples.
     samples

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from chdstat.comparison import Comparison
 
-__all__ = ["PixelSet", "SceneData", "correlation_of", "logs", "slope_of"]
+__all__ = ["PixelSet", "SceneData", "correlation_of", "fold_of", "logs", "slope_of"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -88,6 +88,21 @@ def logs(values: npt.NDArray[np.float64]) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.log10(values)
     return np.asarray(np.where(np.isfinite(found), found, np.nan))
+
+
+def fold_of(blocks: Blocks, *, across: int, folds: int) -> npt.NDArray[np.int64]:
+    """Return the fold of each pixel for cross-validation; blocks of one fold do not touch.
+
+    Parameters
+    ----------
+    blocks
+        Blocks of the pixels, numbered in reading order.
+    across
+        Blocks along each side of the image.
+    folds
+        How many folds.
+    """
+    return np.asarray((blocks.of_pixel % across + 2 * (blocks.of_pixel // across)) % folds)
 
 
 def _sums(x: Floats, y: Floats, z: Floats, blocks: Blocks) -> Floats:
@@ -176,7 +191,7 @@ class SceneData:
     comparison
         Estimators side by side on this scene, a learned one among them.
     complexity
-        Any measure of how complex the scene is, alike for all scenes; None to take the share of
+        Any measure of how complex the scene is, the same for all scenes; None to take the share of
         neighbouring pixels that see different surfaces.
 
     Examples
@@ -254,8 +269,19 @@ class SceneData:
                 yield PixelSet((f"block {block}",), whole.y[some], whole.x[some], 0 * some, blocks)
 
     def radiance(self, patch: PixelSet) -> Floats:
-        """Return the samples of a patch, shape (pixel, channel, sample); bad ones are NaN."""
-        return radiance_of(self.samples, patch)
+        """Return the samples of a patch, shape (pixel, channel, sample).
+
+        A sample with a bad channel is NaN in all channels.
+        """
+        parts = []
+        for i in range(len(patch.names)):
+            y, x = patch.y[patch.region == i], patch.x[patch.region == i]
+            top, left = int(y.min()), int(x.min())
+            block = self.samples.read(slice(top, int(y.max()) + 1), slice(left, int(x.max()) + 1))
+            parts.append(block[y - top, x - left].astype(np.float64))
+        found = np.concatenate(parts)
+        bad = is_bad(found).any(axis=-2, keepdims=True)
+        return np.where(bad, np.nan, found)
 
     def light(self, patch: PixelSet) -> Floats:
         """Return the luminance of the samples of a patch, shape (pixel, sample); bad: NaN."""
@@ -265,16 +291,3 @@ class SceneData:
         """Return a first-hit feature (y, x) or (y, x, component); None without it."""
         found = self.samples.features.get(name)
         return None if found is None else np.asarray(found, dtype=np.float64)
-
-
-def radiance_of(samples: Samples, patch: PixelSet) -> Floats:
-    """Return the samples of the pixels of a patch; a sample with a bad channel is NaN in all."""
-    parts = []
-    for i in range(len(patch.names)):
-        y, x = patch.y[patch.region == i], patch.x[patch.region == i]
-        top, left = int(y.min()), int(x.min())
-        block = samples.read(slice(top, int(y.max()) + 1), slice(left, int(x.max()) + 1))
-        parts.append(block[y - top, x - left].astype(np.float64))
-    found = np.concatenate(parts)
-    bad = is_bad(found).any(axis=-2, keepdims=True)
-    return np.where(bad, np.nan, found)

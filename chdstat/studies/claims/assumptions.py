@@ -26,7 +26,7 @@ from chdstat._core.arrays import generator, luminance
 from chdstat._core.moments import Moments
 from chdstat._core.resampling import Blocks, Spread, holm, interval_of, median_of
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
-from chdstat.studies.scene_data import SceneData, logs, slope_of
+from chdstat.studies.scene_data import SceneData, fold_of, logs, slope_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -103,8 +103,7 @@ def explained_by_features(data: SceneData, batches: Floats, *, level: float) -> 
     if not reliability > _RELIABLE:
         return Explained(Spread.unknown(level=level), reliability)
     whole = data.whole(across=_ACROSS).blocks
-    # Blocks of one fold do not touch.
-    fold = ((whole.of_pixel % _ACROSS + 2 * (whole.of_pixel // _ACROSS)) % _FOLDS)[known]
+    fold = fold_of(whole, across=_ACROSS, folds=_FOLDS)[known]
     y, blocks = target[known], whole[known]
     left, right = _errors(features[known], y, fold)
     error, total = blocks.sums(left), blocks.sums(right)
@@ -371,7 +370,7 @@ def _skewness(data: SceneData, blocks: Blocks, level: float) -> Spread:
 
 
 def _told(summary: xr.Dataset) -> dict[int, float] | None:
-    """Return, by N, the share of pixel channels whose averages of N are told from Gaussian."""
+    """Return, by N, the share of pixel channels whose averages of N are not Gaussian."""
     if "averages_rejected_share" not in summary:
         return None
     shares = summary["averages_rejected_share"].mean("channel")

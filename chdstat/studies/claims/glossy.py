@@ -1,4 +1,4 @@
-"""Glossy objects: the shape of diffuse ones, with channels that are moved apart (finding 3)."""
+"""Glossy objects: the shape of diffuse ones, with separated channels (finding 3)."""
 
 from __future__ import annotations
 
@@ -65,7 +65,11 @@ def pooled_distance(
     one: LogChds, two: LogChds, blocks: Blocks, others: Blocks, *, level: float
 ) -> Spread:
     """Return the distance between the mean shapes of two patches, with halves against noise."""
-    both = Blocks.join([blocks[one.known], others[two.known]]) if _some(one, two) else None
+    both = (
+        Blocks.join([blocks[one.known], others[two.known]])
+        if one.known.any() and two.known.any()
+        else None
+    )
     if both is None:
         return Spread.unknown(level=level)
     first = len(blocks[one.known])
@@ -85,10 +89,6 @@ def pooled_distance(
 def _root(one: LogChds, two: LogChds) -> Floats:
     """Return Cramér distances; 0 where noise makes the square negative."""
     return np.sqrt(np.maximum(squared_distance(one, two), 0))
-
-
-def _some(*chds: LogChds) -> bool:
-    return all(bool(c.known.any()) for c in chds)
 
 
 def channel_shift(x: Floats, blocks: Blocks, *, level: float) -> Spread:

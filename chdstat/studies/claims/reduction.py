@@ -54,7 +54,7 @@ def measure(data: SceneData) -> Outcome:
     found = {
         name: _of_estimator(data, comparison, name)
         for name in comparison.estimators
-        if name in comparison.models or _learns(name)
+        if name in comparison.models or name in names("learned")
     }
     curves = {k: v for told in found.values() for k, v in told.plot_data.series.items()}
     asked = found.pop(PAPER, None)
@@ -62,10 +62,6 @@ def measure(data: SceneData) -> Outcome:
         asked = Outcome(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
     labels = "log10 radiance in W sr-1 m-2", "log10 of the relative deviation"
     return replace(asked, beside=found, plot_data=PlotData("curves", curves, *labels))
-
-
-def _learns(name: str) -> bool:
-    return name in names("learned")
 
 
 def _of_estimator(data: SceneData, comparison: Comparison, name: str) -> Outcome:

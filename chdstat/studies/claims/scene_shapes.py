@@ -24,7 +24,7 @@ from chdstat.patterns.atlas_shapes import WIDTH, of_histograms
 from chdstat.samples.samples import Samples
 from chdstat.studies.log_chds import EDGES, LogChds, aligned, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
-from chdstat.studies.scene_data import SceneData
+from chdstat.studies.scene_data import SceneData, fold_of
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
@@ -144,8 +144,9 @@ def squares(one: xr.Dataset, two: xr.Dataset, *, seed: int = 0) -> Floats:
 def squares_of_pairs(one: Samples, two: Samples, *, seed: int = 0) -> Floats:
     """Return squared distances of renders that share random numbers, shape (pixel,).
 
-    As `squares`, but a half is every other sample of both: of halves drawn from each render apart,
-    the first of one would be correlated with the second of the other, and distances be too small.
+    As `squares`, but a half is every other sample of both: of halves drawn separately from each
+    render, the first of one would be correlated with the second of the other, and distances be too
+    small.
     """
     rng, spp, middle = generator(seed), min(one.spp, two.spp), one.shape[2] // 2
     halves = []
@@ -228,7 +229,7 @@ def permuted(squared: Sequence[Floats], *, seed: int = 0) -> float:
     for part in spans(_PERMUTATIONS, _AT_ONCE):
         signs = rng.integers(0, 2, (part.stop - part.start, len(values)), dtype=np.int8)
         sums = 2 * (signs @ values) - seen
-        # Rounding must not tell equal sums apart.
+        # Rounding must not separate equal sums.
         reached += int(np.count_nonzero(sums >= seen - 1e-12 * np.abs(values).sum()))
     return (1 + reached) / (1 + _PERMUTATIONS)
 
@@ -265,7 +266,7 @@ _PARTS = 2
 
 @dataclass(frozen=True)
 class _ShapeDistance:
-    """How far the shapes of two integrators are apart, and whether they are, by scene, too."""
+    """Distance between the shapes of two integrators, and its p-value, by scene, too."""
 
     spread: Spread
     p_value: float
@@ -273,7 +274,7 @@ class _ShapeDistance:
 
 
 def measure(scenes: Sequence[SceneData]) -> Outcome:
-    """Tell scenes apart by shapes, and compare shapes of integrators pixel by pixel."""
+    """Classify scenes by shapes, and compare shapes of integrators pixel by pixel."""
     level = level_of(_PARTS)
     parts, missing = list[ClaimTest](), list[str]()
     details: dict[str, Any] = {}
@@ -318,7 +319,7 @@ def scene_accuracy(
     shapes without place or scale, each of as many positive samples: of more, a shape is smoother,
     which would tell of nulls and spp. Each image is cut into 16 blocks; a quarter of
     them is held out at a time, as neighbours resemble each other (Roberts et al. 2017,
-    doi:10.1111/ecog.02881). Every scene counts alike.
+    doi:10.1111/ecog.02881). Every scene has the same weight.
 
     Half-way between chance and certainty, the claim's border, is a choice of ours.
     """
@@ -329,10 +330,7 @@ def scene_accuracy(
         return Spread.unknown(level=level), None
     x = np.concatenate(shapes)
     scene = np.repeat(np.arange(len(shapes)), [len(s) for s in shapes])
-    # Blocks of one fold do not touch.
-    fold = np.concatenate(
-        [(b.of_pixel % _ACROSS + 2 * (b.of_pixel // _ACROSS)) % _FOLDS for b in blocks]
-    )
+    fold = np.concatenate([fold_of(b, across=_ACROSS, folds=_FOLDS) for b in blocks])
     guess = np.full(len(x), -1)
     for k in range(_FOLDS):
         if (held := fold == k).any():
@@ -372,9 +370,9 @@ def _between_integrators(scenes: Sequence[SceneData], level: float) -> _ShapeDis
     """Compare the shapes that two integrators give each pixel."""
     found: dict[str, tuple[Floats, Blocks]] = {}
     for data in scenes:
-        apart = _squares(data)
-        if apart is not None:
-            found[data.name] = apart, data.whole().blocks
+        distances = _squares(data)
+        if distances is not None:
+            found[data.name] = distances, data.whole().blocks
     if not found:
         return _ShapeDistance(Spread.unknown(level=level), math.nan, {})
     each = {name: permuted([values]) for name, (values, _) in found.items()}

@@ -38,7 +38,7 @@ def measure(data: SceneData) -> Outcome:
         return Outcome(missing=(f"needs a region whose log10 albedo varies by {CONTRAST} or more",))
     pair = _dark_and_pale(data, albedo)
     x, level = data.radiance(patch), level_of(_PARTS + (pair is not None))
-    log_albedo, log_variance = _centered(patch, albedo), _relative(patch, x)
+    log_albedo, log_variance = _less_region(patch, logs(patch.take(albedo))), _relative(patch, x)
     parts = [
         ClaimTest.of(
             "shift between channels",
@@ -106,10 +106,6 @@ def _dark_and_pale(data: SceneData, albedo: Floats) -> tuple[PixelSet, PixelSet]
 def _contrast(albedo: Floats) -> bool:
     known = albedo[albedo > 0]
     return bool(known.size > 1 and np.log10(known).std() >= CONTRAST)
-
-
-def _centered(patch: PixelSet, albedo: Floats) -> Floats:
-    return _less_region(patch, logs(patch.take(albedo)))
 
 
 def _relative(patch: PixelSet, x: Floats) -> Floats:
