@@ -52,7 +52,7 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ScoredEstimate:
-    """What an estimator says of one place.
+    """Estimate of one place by one estimator, with its errors.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class ScoredEstimate:
     improved
         Share of the estimates that are nearer to the reference than the sample mean.
     certainty
-        Of a trained estimator, the mean over batches; NaN where it says none.
+        Of a trained estimator, the mean over batches; NaN where it has none.
     low, high
         Of a trained estimator, the ends of its interval, means over batches, shape (channel,).
     """
@@ -274,7 +274,7 @@ class Learner:
     name
         Of its file, or of the model.
     model
-        What is asked.
+        The trained model.
     """
 
     name: str
@@ -347,7 +347,7 @@ def scored_learners(
 ) -> list[ScoredEstimate]:
     """Judge trained estimators on the batches of a place.
 
-    Left out is what cannot be asked: a model for another number of samples or channels, and one
+    Left out is what does not apply: a model for another number of samples or channels, and one
     that looks around where there is no image, as for a region.
 
     Parameters
@@ -372,19 +372,19 @@ def scored_learners(
             if source is None or len(place) != 2:
                 continue
             some = batches.first(_MOST_AROUND)
-            says = _around(learner, some, source, (place[0], place[1]), unit)
+            estimated = _around(learner, some, source, (place[0], place[1]), unit)
         else:
             some = batches
-            says = _alone(learner, some.x, source, unit)
-        if says is not None:
-            estimates.append(_scored_learner(learner.name, says, some))
+            estimated = _alone(learner, some.x, source, unit)
+        if estimated is not None:
+            estimates.append(_scored_learner(learner.name, estimated, some))
     return estimates
 
 
 def _alone(
     learner: Learner, x: Image, source: StoreSource | None, unit: float | None
 ) -> Estimates | None:
-    """Ask about batches (batch, channel, sample), each for itself."""
+    """Return estimates from batches (batch, channel, sample), each by itself."""
     model = learner.model
     if isinstance(model, MLP):
         if x.shape[-1] != model.inputs:
@@ -406,7 +406,7 @@ def _around(
     place: tuple[int, int],
     unit: float | None,
 ) -> Estimates | None:
-    """Ask about a part of the image, batch by batch, and keep what is said of its middle."""
+    """Return estimates of a pixel from a part of the image around it, batch by batch."""
     model = learner.model
     known = set(source.samples.features)
     if isinstance(model, MLP) or some.x.shape[-2] != model.channels:
@@ -435,13 +435,13 @@ def _around(
     )
 
 
-def _scored_learner(name: str, says: Estimates, some: ScoringBatches) -> ScoredEstimate:
-    found = score(name, np.asarray(says.radiance, np.float64), some)
+def _scored_learner(name: str, estimated: Estimates, some: ScoringBatches) -> ScoredEstimate:
+    found = score(name, np.asarray(estimated.radiance, np.float64), some)
     return replace(
         found,
-        certainty=float(_average(says.certainty)),
-        low=_average(says.low),
-        high=_average(says.high),
+        certainty=float(_average(estimated.certainty)),
+        low=_average(estimated.low),
+        high=_average(estimated.high),
     )
 
 

@@ -154,7 +154,7 @@ def stream(source: StoreSource, step: Callable[[float], None]) -> Overall:
 
 
 class ImageAccumulator:
-    """What blocks (y, x, channel, sample) of the same pixels say together, in constant memory."""
+    """Sums over blocks (y, x, channel, sample) of the same pixels, in constant memory."""
 
     def __init__(self) -> None:
         self._moments: Moments | None = None
@@ -301,7 +301,7 @@ class SceneSource:
         return f"{width} × {height} px · {kind} · sampled where you click"
 
     def pixel(self, y: int, x: int) -> Image:
-        """Return the samples that a pixel has; the first of them are drawn when first asked for."""
+        """Return the samples that a pixel has; the first of them are drawn on the first call."""
         check_pixel(y, x, *self.size)
         with self._lock:
             found = self._pixels.get((y, x))
@@ -363,10 +363,8 @@ class SceneSource:
         with self._lock:
             self._pixels.pop((y, x), None)
             self._pixels[y, x] = found
-            while len(self._pixels) > 1 and _size(self._pixels) > _KEPT_BYTES:
+            while (
+                len(self._pixels) > 1 and sum(x.nbytes for x in self._pixels.values()) > _KEPT_BYTES
+            ):
                 self._pixels.pop(next(iter(self._pixels)))
         return found
-
-
-def _size(pixels: dict[tuple[int, int], Image]) -> int:
-    return sum(samples.nbytes for samples in pixels.values())

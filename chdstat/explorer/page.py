@@ -160,7 +160,7 @@ class Page:
 
     # --- what is shown --------------------------------------------------------------------------
 
-    def say(self, *items: Mapping[str, Any]) -> None:
+    def send(self, *items: Mapping[str, Any]) -> None:
         """Send what the shell is to show."""
         self.outbox.value = json.dumps({"number": next(self._numbers), "items": items})
 
@@ -254,12 +254,12 @@ def _variables(
 
 
 class PageConnection:
-    """One page, until it is gone.
+    """The connection to one page, until the page is gone.
 
     Parameters
     ----------
     document, page
-        The page; what is said and shown goes there.
+        The page, which receives everything that is sent.
     gone
         Called once, when the page turns out to be gone, or `close` is called.
     """
@@ -274,13 +274,13 @@ class PageConnection:
             self.closed = True
             self._gone()
 
-    def say(self, *items: Mapping[str, Any]) -> None:
-        """Say something; in the page's own thread."""
-        self._page.say(*items)
+    def send(self, *items: Mapping[str, Any]) -> None:
+        """Send what the shell is to show; in the page's own thread."""
+        self._page.send(*items)
 
     def alert(self, text: str) -> None:
-        """Say what went wrong; in the page's own thread."""
-        self.say({"kind": "alert", "text": text})
+        """Send a message on what went wrong; in the page's own thread."""
+        self.send({"kind": "alert", "text": text})
 
     def next(self, callback: Callable[[], None]) -> None:
         """Call something in the page's own thread, soon."""
@@ -295,5 +295,5 @@ class PageConnection:
             return
         try:
             add(callback, *when)
-        except (RuntimeError, AttributeError):  # the page is gone, and its document taken apart
+        except (RuntimeError, AttributeError):  # the page is gone, and its document dissolved
             self.close()

@@ -62,7 +62,7 @@ def contrast(one: str, other: str) -> float:
 
 @cache
 def ramp() -> tuple[str, ...]:
-    """Return 256 colours of magnitudes, dark to bright and apart for the colour-blind: viridis."""
+    """Return 256 colours of magnitudes, dark to bright, distinct for the colour-blind: viridis."""
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 

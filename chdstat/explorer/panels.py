@@ -73,7 +73,7 @@ class PanelData:
     marks
         x and colour of vertical lines.
     notes
-        What is said beside the title.
+        Text beside the title.
     """
 
     areas: Sequence[Trace] = ()
@@ -116,23 +116,21 @@ def series_of(
                 rows = range(len(place.channels))
                 colors = [CHANNEL_COLORS.get(c, BLENDED) for c in place.channels]
             else:
-                rows = range(
-                    r := place.row("luminance" if view.channel == "all" else view.channel), r + 1
-                )
-                colors = [PIXEL_COLORS[i]] if len(places) > 1 else [_color_of_row(place, r)]
+                row = place.row("luminance" if view.channel == "all" else view.channel)
+                rows = range(row, row + 1)
+                own = CHANNEL_COLORS.get(place.names[row], BLENDED)
+                colors = [PIXEL_COLORS[i] if len(places) > 1 else own]
             found += [
-                Series(place, row, color, _name(place, row, i, len(places)), is_other)
+                Series(
+                    place,
+                    row,
+                    color,
+                    f"pixel {i + 1}" if len(places) > 1 else place.names[row],
+                    is_other,
+                )
                 for row, color in zip(rows, colors, strict=True)
             ]
     return found
-
-
-def _color_of_row(place: PlaceStatistics, row: int) -> str:
-    return CHANNEL_COLORS.get(place.names[row], BLENDED)
-
-
-def _name(place: PlaceStatistics, row: int, index: int, count: int) -> str:
-    return place.names[row] if count == 1 else f"pixel {index + 1}"
 
 
 _POINTS = 160
@@ -292,12 +290,12 @@ def _running(series: Sequence[Series]) -> PanelData:
             areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color, name=s.name))
         lines.append(Trace(at, mean, s.color, "dashed" if s.other else "solid", 1.6, s.name))
         tails.append((s.place.tail, s.row))
-    doubt = ""
+    caution = ""
     if any(tail.variance_suspect[row] for tail, row in tails):
-        doubt = " · tail index ≥ ½: do not trust it"
+        caution = " · tail index ≥ ½: do not trust it"
     elif any(tail.variance_unidentified[row] for tail, row in tails):
-        doubt = " · samples cannot tell whether the variance is finite"
-    return PanelData(areas, lines, notes=[f"95 % interval of the mean{doubt}"])
+        caution = " · samples cannot tell whether the variance is finite"
+    return PanelData(areas, lines, notes=[f"95 % interval of the mean{caution}"])
 
 
 def _averages(view: View, series: Sequence[Series]) -> PanelData:

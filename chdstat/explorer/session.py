@@ -93,7 +93,7 @@ class ImageDisplay:
             found = of_overall(overall, view.map) if overall is not None else None
             found = found or self._shared.maps.get(view.map)
         self._page.show_map(found)
-        self._page.say({"kind": "colorbar", "bar": colorbar(found)})
+        self._page.send({"kind": "colorbar", "bar": colorbar(found)})
 
 
 class Session:
@@ -149,7 +149,7 @@ class Session:
         parts = [source.describe()]
         if other is not None:
             parts.append(f"against {other.name}: {other.describe()}")
-        self._connection.say({"kind": "described", "text": "  |  ".join(parts)})
+        self._connection.send({"kind": "described", "text": "  |  ".join(parts)})
         self._display.image(self.view)
         notes = list(self._notes)
         if self.view.map != "image":
@@ -207,7 +207,7 @@ class Session:
         if self._worker.shown is None:
             message = "nothing is selected: click a pixel before exporting"
             raise InputError(message)
-        self._connection.say({"kind": "working", "text": f"exporting {format}"})
+        self._connection.send({"kind": "working", "text": f"exporting {format}"})
         overall, exposure = self._display.overall, self._display.exposure(self.view)
         work = partial(exported, format, self._worker.shown, self.view, overall, exposure)
         future = self._shared.exports.submit(work)
@@ -251,7 +251,7 @@ class Session:
     # --- what they change -----------------------------------------------------------------------
 
     def _go(self, seq: int, view: View) -> None:
-        """Show the selection at once, and what there is to say about it when it is computed."""
+        """Show the selection at once, and its results when they are computed."""
         self.view = view
         self._show_view()
         self._worker.compute(view, seq)
@@ -259,7 +259,7 @@ class Session:
     def _heard(self, what: str) -> None:
         """Show news of the passes over the image, or of the source."""
         if what == "working":
-            self._connection.say({"kind": "working", "text": self._shared.working})
+            self._connection.send({"kind": "working", "text": self._shared.working})
             if self._shared.failed:
                 self._connection.alert(self._shared.failed)
         elif what == "image":
@@ -267,14 +267,14 @@ class Session:
             self._show_view()
             self._display.map(self.view)
         elif what == "source":
-            self._connection.say({"kind": "described", "text": self._shared.source.describe()})
+            self._connection.send({"kind": "described", "text": self._shared.source.describe()})
             self._show_view()
             self._worker.compute(self.view)
         elif what == self.view.map:
             self._display.map(self.view)
 
     def _show_view(self) -> None:
-        self._connection.say(
+        self._connection.send(
             {
                 "kind": "view",
                 "view": asdict(self.view),
@@ -285,7 +285,7 @@ class Session:
         )
 
     def _exported(self, future: Future[File]) -> None:
-        self._connection.say({"kind": "working", "text": ""})
+        self._connection.send({"kind": "working", "text": ""})
         if future.cancelled():
             return
         if error := future.exception():
@@ -293,7 +293,7 @@ class Session:
             return
         file = future.result()
         data = base64.b64encode(file.content).decode("ascii")
-        self._connection.say({"kind": "file", "name": file.name, "type": file.type, "data": data})
+        self._connection.send({"kind": "file", "name": file.name, "type": file.type, "data": data})
 
 
 def _page(document: Document, shared: Shared) -> Page:

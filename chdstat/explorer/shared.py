@@ -78,14 +78,10 @@ def _file(samples: Samples, name: str) -> Path | None:
         written = max(part.stat().st_mtime_ns for part in parts)
     except OSError:
         return None
-    told = f"{path}|{samples.spp}|{written}|{name}|{code_digest()}"
-    key = hashlib.sha256(told.encode()).hexdigest()[:32]
-    return _folder() / f"{key}.npz"
-
-
-def _folder() -> Path:
+    identity = f"{path}|{samples.spp}|{written}|{name}|{code_digest()}"
+    key = hashlib.sha256(identity.encode()).hexdigest()[:32]
     root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(root) / "chdstat" / "explorer"
+    return Path(root) / "chdstat" / "explorer" / f"{key}.npz"
 
 
 def _write(file: Path, arrays: Arrays) -> None:
@@ -136,13 +132,11 @@ def _sized(source: StoreSource | SceneSource) -> str:
 
 
 def _source(source: Explored, **options: Any) -> StoreSource | SceneSource:
-    if isinstance(source, Samples) or _is_store(source):
+    if isinstance(source, Samples) or (
+        isinstance(source, str | Path) and (Path(source) / "zarr.json").is_file()
+    ):
         return _store(source)
     return SceneSource(load_scene(source), **options)
-
-
-def _is_store(source: object) -> bool:
-    return isinstance(source, str | Path) and (Path(source) / "zarr.json").is_file()
 
 
 def _store(source: Any) -> StoreSource:
@@ -161,7 +155,7 @@ Listener = Callable[[str], None]
 
 
 class Stopped(Exception):  # noqa: N818 - not an error
-    """The explorer is closing, or nobody waits for an answer any more."""
+    """The explorer is closing, or nobody waits for the result any more."""
 
 
 class Shared:
@@ -176,7 +170,7 @@ class Shared:
     reference
         A store of the same scene with more samples, which errors are measured against.
     learners
-        Trained estimators that are asked about what is selected.
+        Trained estimators of what is selected.
 
     Attributes
     ----------
@@ -266,7 +260,7 @@ class Shared:
         return end
 
     def urgent(self, change: int) -> None:
-        """Count the clicks that wait for an answer."""
+        """Count the clicks that wait for their results."""
         with self._lock:
             self._urgent += change
 

@@ -37,7 +37,7 @@ Box = tuple[int, int, int, int]
 
 
 class Source(Protocol):
-    """What the explorer asks of an image."""
+    """Samples of an image, as the explorer reads them."""
 
     @property
     def name(self) -> str:
@@ -242,7 +242,7 @@ def mixed(x: Image) -> Image:
 
 
 def pooled(height: int, width: int, spp: int) -> tuple[int, int]:
-    """Return samples of each pixel, and every how manieth pixel, to pool from a region.
+    """Return how many samples to pool of every `step`-th pixel of a region, and `step`.
 
     Examples
     --------

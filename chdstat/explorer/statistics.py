@@ -209,7 +209,7 @@ class PlaceStatistics:
 
     @cached_property
     def fitted(self) -> PixelFits:
-        """What fits say of each row."""
+        """Fits of each row."""
         some = self.rows[: len(self.channels), : self.fitted_spp]
         return PixelFits(PositivePart.of_pixels(some, rows="both"))
 

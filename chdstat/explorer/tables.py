@@ -64,7 +64,8 @@ def statistics(place: PlaceStatistics) -> Table:
         "columns": ["", *place.names],
         "rows": rows,
         "note": note,
-        "summary": _summary(place),
+        "summary": f"{place.spp} samples · {percent(place.null_share)} null · "
+        f"{int(place.bad.sum())} bad",
     }
 
 
@@ -102,7 +103,7 @@ def patterns(place: PlaceStatistics) -> Table:
 def estimates(
     found: Sequence[ScoredEstimate], channels: Sequence[str], n: int, reference: str
 ) -> Table:
-    """Return what every estimator says, and its error."""
+    """Return the estimate and the error of every estimator."""
     rows = [
         [
             _estimator(e),
@@ -177,11 +178,6 @@ def _values(found: ScoredEstimate) -> list[str]:
         _with_interval(float(v), e) if np.isfinite(e).all() else number(float(v))
         for v, e in zip(found.value, ends, strict=True)
     ]
-
-
-def _summary(place: PlaceStatistics) -> str:
-    bad = int(place.bad.sum())
-    return f"{place.spp} samples · {percent(place.null_share)} null · {bad} bad"
 
 
 def _row(title: str, values: Array, text: Callable[[float], str] = number) -> list[str]:

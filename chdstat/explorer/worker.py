@@ -31,13 +31,13 @@ _PAUSE = 250
 _LOOK = 0.4
 """Seconds of sampling between two updates of a pixel that is looked at."""
 _OWN_ACCORD = -1
-"""Instead of the number of a command, where a page is told what it did not ask for."""
+"""Instead of the number of a command, where an update follows from none."""
 
 Found = tuple[SelectionPlots, SelectionTables] | None
 
 
 class Worker:
-    """Asks, and shows what there is to say.
+    """Computes results of the selection and sends them to the page.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class Worker:
         self._visible = True
 
     def compute(self, view: View, seq: int = _OWN_ACCORD) -> None:
-        """Find what there is to say about a view; `seq` is the number of the command."""
+        """Compute what a view shows; `seq` is the number of the command."""
         self._generation += 1
         self._plots = None
         self._view = view
@@ -108,7 +108,7 @@ class Worker:
             if generation != self._generation:
                 raise Stopped
             self._connection.next(
-                partial(self._connection.say, {"kind": "goodness", "share": share})
+                partial(self._connection.send, {"kind": "goodness", "share": share})
             )
 
         work = partial(self._results.goodness, plots, step)
@@ -155,7 +155,7 @@ class Worker:
 
     def _draw(self, drawn: Mapping[str, Any], generation: int) -> None:
         if generation == self._generation:
-            self._connection.say(drawn)
+            self._connection.send(drawn)
 
     def _finished(self, future: Future[Found], *, generation: int, seq: int, start: float) -> None:
         if future.cancelled() or generation != self._generation:
@@ -163,7 +163,7 @@ class Worker:
         done = {"kind": "done", "seq": seq}
         if error := future.exception():
             self._connection.alert(_explained(error))
-            self._connection.say({**done, "took": 0})
+            self._connection.send({**done, "took": 0})
             return
         found = future.result()
         if found is None:
@@ -172,7 +172,7 @@ class Worker:
         done["took"] = time.perf_counter() - start
         self._plots = plots
         self.shown = plots.shown if plots.shown.places else None
-        self._connection.say(
+        self._connection.send(
             *([{"kind": "tables", "tables": quick.tables}] if self.shown else []), done
         )
         self._live_spp = plots.live_spp
@@ -199,14 +199,14 @@ class Worker:
         self._connection.later(begin, _PAUSE)
 
     def _add_later(self, work: Callable[[], dict[str, Any]], name: str, generation: int) -> None:
-        """Compute a table apart from clicks, and show it if the selection is still the same."""
+        """Compute a table in another thread, and show it if the selection is still the same."""
 
         def add(future: Future[dict[str, Any]]) -> None:
             if future.cancelled() or generation != self._generation:
                 return
             error = future.exception()
             if error is None:
-                self._connection.say({"kind": "tables", "tables": {name: future.result()}})
+                self._connection.send({"kind": "tables", "tables": {name: future.result()}})
             elif not isinstance(error, Stopped):
                 self._connection.alert(_explained(error))
 
@@ -229,11 +229,11 @@ class Worker:
             return
         if (spp := self._live_spp) is None:
             if not self._view.pixels:
-                self._connection.say({"kind": "live", "shown": False})
+                self._connection.send({"kind": "live", "shown": False})
             return
         text = f"{spp:,} of {MOST_SPP:,} samples".replace(",", " ")
         state = {"share": spp / MOST_SPP, "text": text, "paused": self._paused}
-        self._connection.say({"kind": "live", "shown": True, **state})
+        self._connection.send({"kind": "live", "shown": True, **state})
 
 
 def _drawn(plots: SelectionPlots) -> dict[str, Any]:

@@ -90,18 +90,15 @@ def _null_hypothesis(finding: Finding) -> str:
 
 
 def _rows(found: Mapping[str, Finding]) -> list[dict[str, Any]]:
-    """Return rows of verdict and reason; scenes of which the same is said share one."""
-    said: dict[tuple[str, str], list[str]] = {}
+    """Return rows of verdict and reason; scenes with the same ones share a row."""
+    scenes_of: dict[tuple[str, str], list[str]] = {}
     for name, finding in found.items():
-        said.setdefault((finding.verdict, _reason(finding)), []).append(name)
+        reason = f"{finding.reason} {_p_value(finding)}".rstrip()
+        scenes_of.setdefault((finding.verdict, reason), []).append(name)
     return [
         {"scenes": names, "verdict": verdict, "reason": reason}
-        for (verdict, reason), names in said.items()
+        for (verdict, reason), names in scenes_of.items()
     ]
-
-
-def _reason(finding: Finding) -> str:
-    return f"{finding.reason} {_p_value(finding)}".rstrip()
 
 
 def _p_value(finding: Finding) -> str:
@@ -175,7 +172,11 @@ def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]
 
 def plot_findings(found: Mapping[str, Finding]) -> Figure | None:
     """Draw what findings show, each under its title; None where none has anything to show."""
-    shown = [_display(title, f) for title, f in found.items() if _has_plot_data(f)]
+    shown = [
+        viz.Display(data.kind, data.series, data.x_label, data.y_label, title)
+        for title, data in ((title, finding.plot_data) for title, finding in found.items())
+        if any(np.isfinite(np.asarray(y)).any() for _, y in data.series.values())
+    ]
     if len({(display.x_label, display.y_label) for display in shown}) > 1:
         # Each panel has labels of its own, in several lines.
         return viz.displays(shown, columns=3, height=1.6)
@@ -209,12 +210,3 @@ def _part(
         part.most,
         part.statistic.unit,
     )
-
-
-def _has_plot_data(finding: Finding) -> bool:
-    return any(np.isfinite(np.asarray(y)).any() for _, y in finding.plot_data.series.values())
-
-
-def _display(title: str, finding: Finding) -> viz.Display:
-    shown = finding.plot_data
-    return viz.Display(shown.kind, shown.series, shown.x_label, shown.y_label, title)

@@ -105,6 +105,7 @@ def _found(study: Study, claim: Claim) -> dict[str, Finding]:
 
 def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
     samples, seen = scene.evidence.samples, scene.overview
+    seconds = samples.attrs.get("render_seconds")
     integrator = dict(samples.attrs.get("integrator") or {})
     height, width, _, spp = samples.shape
     regions = scene.evidence.regions
@@ -120,7 +121,7 @@ def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
         "null_share": percent(seen.null_share),
         "variation": number(seen.variation[1]),
         "family": _leading(seen.families),
-        "time": _time(samples.attrs.get("render_seconds")),
+        "time": f"{float(seconds):.0f} s" if seconds else "—",
         "chosen": scene.chosen,
         "regions": [
             {
@@ -151,10 +152,6 @@ def _leading(families: Mapping[str, float]) -> str:
         return "—"
     name, share = max(families.items(), key=lambda item: item[1])
     return f"{name} {percent(share)}"
-
-
-def _time(seconds: Any) -> str:
-    return "—" if not seconds else f"{float(seconds):.0f} s"
 
 
 def _renders(scene: SceneStudy) -> Iterator[str]:

@@ -64,7 +64,7 @@ def verdict_matrix(verdicts: Mapping[str, Mapping[str, str]]) -> Figure:
     ----------
     verdicts
         By claim, then by scene: "supported", "not supported" or "cannot tell"; where a scene is
-        missing or has "", nothing was asked. A trailing "*" marks what another seed repeated.
+        missing or has "", nothing was tested. A trailing "*" marks what another seed repeated.
 
     Raises
     ------
@@ -397,13 +397,10 @@ def _bars(axes: Axes, display: Display) -> None:
     values = [float(np.asarray(y, dtype=float)[0]) for _, y in display.series.values()]
     axes.barh(range(len(names)), values, color=PALETTE[1], height=0.7)
     axes.axvline(0, color="#444444", linewidth=0.6)
-    axes.set_yticks(range(len(names)), [verbatim(_short(n)) for n in names], fontsize=6)
+    short = [n if len(n) <= _LONG else f"{n[: _LONG - 1]}…" for n in names]
+    axes.set_yticks(range(len(names)), [verbatim(n) for n in short], fontsize=6)
     axes.invert_yaxis()
     axes.tick_params(axis="y", length=0)
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= _LONG else f"{name[: _LONG - 1]}…"
 
 
 def _map(axes: Axes, display: Display) -> None:

@@ -252,7 +252,7 @@ TITLES = {
 
 
 def estimator_measures(found: Comparison, *, names: Names = None) -> Figure:
-    """Draw all measures of all estimators, those that use neighbours apart, below a line.
+    """Draw all measures of all estimators, those that use neighbours separately, below a line.
 
     Ratios are those to the sample mean, on a logarithmic scale; intervals are over blocks.
 
@@ -334,7 +334,7 @@ def _log_axis(axes: Axes, values: Array) -> None:
 def pixel_estimates(
     found: PixelEstimates, *, channel: str | None = None, names: Names = None
 ) -> Figure:
-    """Draw a few pixels one by one: reference, sample mean and what the estimators say.
+    """Draw a few pixels one by one: reference, sample mean and estimates.
 
     This is the numerical evaluation of Elek, Thomas and Forbes 2019. Thin lines join the sample
     mean to the reference: an estimate improves where it ends up closer to the black bar. The scale

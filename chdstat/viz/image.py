@@ -278,8 +278,8 @@ def firefly_pair(
         for color, (row, column) in zip(_COLORS, pixels.values(), strict=True):
             corner = (column - 0.5, row - 0.5)
             axes[0].add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=color, linewidth=1.5))
-        said = notes or {}
-        labels = {name: f"{name}{': ' * (name in said)}{said.get(name, '')}" for name in pixels}
+        known = notes or {}
+        labels = {name: f"{name}{': ' * (name in known)}{known.get(name, '')}" for name in pixels}
         _overlay(axes[1], {labels[n]: c for n, c in linear.items()})
         _overlay(axes[2], {labels[n]: c for n, c in log.items()}, log=True)
         axes[1].set_xlabel("radiance in W sr$^{-1}$ m$^{-2}$")

@@ -120,7 +120,7 @@ def n_needed(
     ----------
     needed
         As ``n_needed`` of `chdstat.gaussianity_of_means`, shape (y, x): one of the sizes, -1 for
-        more than the largest, 0 for no answer.
+        more than the largest, 0 where it is unknown.
     sizes
         The sizes that were tested, shape (size,).
     title
