@@ -18,7 +18,7 @@ import chdstat as chd
 from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.capture import scene_integrator, scene_size
+from chdstat.rendering.jobs import scene_integrator, scene_size
 from chdstat.scenes import load_scene
 
 WHOLE, CROP = (

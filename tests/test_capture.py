@@ -18,13 +18,14 @@ import zarr
 import chdstat as chd
 from chdstat._core.arrays import is_bad, luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
-from chdstat.rendering import capture
+from chdstat.rendering import jobs
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import max_spp
-from chdstat.rendering.writers import StoreSink
+from chdstat.rendering.writers import StoreWriter
 from chdstat.samples import store as layout
-from chdstat.samples.store import Store, chunk_grid
+from chdstat.samples.layout import chunk_grid
+from chdstat.samples.store import Store
 from chdstat.scenes import load_scene
 
 SIZE = (72, 40)
@@ -291,7 +292,7 @@ def test_a_damaged_chunk_is_rendered_again_to_the_same_bits(tmp_path, whole):
 
 def fill_the_disk(patch: pytest.MonkeyPatch, names: str, *, after: int = 0) -> None:
     """Act as if there was no room for more than some of the files of these names."""
-    put, written = layout._put, []
+    put, written = layout.put, []
 
     def full(file: Path, content: bytes) -> None:
         if re.search(names, str(file)):
@@ -300,7 +301,7 @@ def fill_the_disk(patch: pytest.MonkeyPatch, names: str, *, after: int = 0) -> N
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         put(file, content)
 
-    patch.setattr(layout, "_put", full)
+    patch.setattr(layout, "put", full)
 
 
 def test_a_full_disk_is_reported_and_the_render_resumes(tmp_path, monkeypatch):
@@ -320,10 +321,10 @@ def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
     path = tmp_path / "s.zarr"
     render(out=path)
 
-    sink = StoreSink(Store.open(path, writable=True))
+    writer = StoreWriter(Store.open(path, writable=True))
     fill_the_disk(monkeypatch, "zarr.json")
-    sink.spent(1.0)
-    sink.close()
+    writer.spent(1.0)
+    writer.close()
     assert Store.open(path).attrs["render_seconds"] < 1
 
 
@@ -554,8 +555,8 @@ def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place)
     job = {"scene": "cornell-box", "size": (1024, 1024), "backend": "scalar", "spp": 3840}
     path = tmp_path / out if out else None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(capture, "free_disk", lambda _: 10**9)
-        patch.setattr(capture, "memory", lambda: 10**9)
+        patch.setattr(jobs, "free_disk", lambda _: 10**9)
+        patch.setattr(jobs, "memory", lambda: 10**9)
         with pytest.raises(InputError, match=f"take 48.3 GB, {place}"):
             chd.render(**job, out=path)
     assert list(tmp_path.iterdir()) == []

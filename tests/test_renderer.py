@@ -23,7 +23,7 @@ from chdstat.rendering import seeds
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import max_spp
-from chdstat.samples.store import TILE, chunk_grid
+from chdstat.samples.layout import TILE, chunk_grid
 from chdstat.scenes import load_scene
 
 ALPHA = 1e-3

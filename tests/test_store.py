@@ -18,10 +18,12 @@ import chdstat as chd
 from chdstat._core.files import Lock
 from chdstat.cli import main
 from chdstat.errors import StoreError
-from chdstat.rendering.capture import convert
+from chdstat.rendering.conversion import convert
 from chdstat.samples import store as layout
+from chdstat.samples.layout import BATCH, TILE, chunk_grid
+from chdstat.samples.manifest import SCHEMA_VERSION, store_exists
 from chdstat.samples.samples import inspect
-from chdstat.samples.store import BATCH, SCHEMA_VERSION, TILE, Store, chunk_grid
+from chdstat.samples.store import Store
 
 ALL = slice(None)
 BALL = [
@@ -165,7 +167,7 @@ def test_a_growth_stopped_halfway_goes_on(tmp_path, monkeypatch):
     x = radiance(4, 4, 100)
     path = tmp_path / "s.zarr"
     store = fill(create(path, x[..., :10]), x[..., :10])
-    put = layout._put
+    put = layout.put
 
     def stop_before_radiance(file: Path, content: bytes) -> None:
         if file.parent.name == "radiance":
@@ -173,7 +175,7 @@ def test_a_growth_stopped_halfway_goes_on(tmp_path, monkeypatch):
         put(file, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(layout, "_put", stop_before_radiance)
+        patch.setattr(layout, "put", stop_before_radiance)
         with pytest.raises(KeyboardInterrupt):
             store.extend(100)
     store.close()
@@ -203,7 +205,7 @@ def test_leftovers_of_a_killed_writer_are_removed(tmp_path):
 
 @pytest.mark.parametrize("stop", ["zarr.json", "features/depth/c/0/0"])
 def test_what_a_stopped_maker_left_is_completed(tmp_path, monkeypatch, stop):
-    path, put = tmp_path / "s.zarr", layout._put
+    path, put = tmp_path / "s.zarr", layout.put
     x, features = radiance(4, 4, 4), {"depth": np.ones((4, 4), np.float32)}
 
     def stopped(file: Path, content: bytes) -> None:
@@ -212,11 +214,11 @@ def test_what_a_stopped_maker_left_is_completed(tmp_path, monkeypatch, stop):
         put(file, content)
 
     with monkeypatch.context() as patch:
-        patch.setattr(layout, "_put", stopped)
+        patch.setattr(layout, "put", stopped)
         with pytest.raises(KeyboardInterrupt):
             create(path, x, features=features)
-    assert Store.exists(path) == (stop != "zarr.json")
-    store = Store.open(path, writable=True) if Store.exists(path) else create(path, x)
+    assert store_exists(path) == (stop != "zarr.json")
+    store = Store.open(path, writable=True) if store_exists(path) else create(path, x)
     with store:
         store.restore(lambda: features)
         assert store.damaged() == []
@@ -461,7 +463,7 @@ def test_a_full_disk_keeps_what_is_stored(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(layout, "_put", full)
+        patch.setattr(layout, "put", full)
         with pytest.raises(StoreError, match="cannot write to .*No space left.*resume"):
             fill(store, x)
     store.close()

@@ -109,7 +109,7 @@ def samples_of(
 ) -> Any:
     """Return the samples of a finished store, or render those of a scene."""
     import chdstat
-    from chdstat.rendering.capture import refuse_render
+    from chdstat.rendering.jobs import refuse_render
 
     found = source_of(source, define)
     if isinstance(found, Path):
@@ -134,7 +134,7 @@ def batches_of(
     **settings: Any,
 ) -> Any:
     """Return a rendering of a scene, batch by batch, of which no sample is kept."""
-    from chdstat.rendering.capture import render_batches
+    from chdstat.rendering.live import render_batches
 
     if is_store(source) or store is not None:
         message = (
@@ -151,7 +151,7 @@ def batches_of(
 
 def source_of(source: str, define: list[str] | None) -> Any:
     """Return the path of a finished store, or a scene by name or file, with its parameters."""
-    from chdstat.rendering.capture import refuse_render
+    from chdstat.rendering.jobs import refuse_render
 
     if not is_store(source):
         return scene_of(source, define)

@@ -118,7 +118,7 @@ def convert(
 
     The old store stays as it is.
     """
-    from chdstat.rendering.capture import convert as converted
+    from chdstat.rendering.conversion import convert as converted
 
     of = None if scene is None else scene_of(scene, define)
     say_samples(converted(store, out, scene=of, progress=progress_of(quiet)), as_json)

@@ -24,9 +24,9 @@ from chdstat.errors import InputError, SceneError
 from chdstat.explorer.sources import Box, StoreSource, mixed, pooled
 from chdstat.explorer.view import check_pixel
 from chdstat.rendering.backend import activate
-from chdstat.rendering.capture import job_of
+from chdstat.rendering.jobs import job_of
 from chdstat.rendering.renderer import Renderer
-from chdstat.samples.store import TILE, Chunk
+from chdstat.samples.layout import TILE, Chunk
 from chdstat.scenes import Scene
 
 __all__ = [

@@ -6,7 +6,7 @@ rendered; `render_pixels` renders a few pixels alone.
 
 from __future__ import annotations
 
-from chdstat.rendering.capture import render, render_batches, render_pixels
-from chdstat.rendering.live import Rendering
+from chdstat.rendering.capture import render, render_pixels
+from chdstat.rendering.live import Rendering, render_batches
 
 __all__ = ["Rendering", "render", "render_batches", "render_pixels"]

@@ -1,30 +1,93 @@
-"""Rendering: the samples of a scene as they are rendered, batch by batch, none of them kept."""
+"""Samples of a scene as they are rendered, batch by batch, none of them kept."""
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans
+from chdstat._core.arrays import spans, whole
 from chdstat._core.executor import track
-from chdstat.rendering.backend import activate
+from chdstat.rendering.backend import Backend, activate
+from chdstat.rendering.jobs import check_room, check_streams, job_of
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.workers import rendered
 from chdstat.rendering.writers import provenance
-from chdstat.samples.store import BATCH, Chunk, chunk_grid
+from chdstat.samples.layout import BATCH, Chunk, chunk_grid
+from chdstat.scenes import Scene
 
-__all__ = ["Rendering"]
+__all__ = ["Rendering", "render_batches"]
+
+_log = logging.getLogger("chdstat")
 
 _AT_ONCE = 4
 """Samples that a scalar thread draws of a tile: few tiles shall keep all threads busy."""
 
 Image = npt.NDArray[np.float32]
+
+
+def render_batches(
+    scene: str | Path | dict[str, Any] | Scene,
+    *,
+    spp: int = 256,
+    batch: int = 16,
+    size: tuple[int, int] | None = None,
+    seed: int = 0,
+    max_depth: int | None = None,
+    sensor: int = 0,
+    backend: Backend = "auto",
+    progress: bool | None = None,
+) -> Rendering:
+    """Render a scene batch by batch and keep nothing: memory is that of a batch.
+
+    The samples are those of `render` with the same scene, backend and seed, to the bit.
+
+    Parameters
+    ----------
+    scene, size, seed, max_depth, sensor, backend
+        As for `render`.
+    spp
+        Samples per pixel in all.
+    batch
+        Samples per pixel in a batch; the last one may have fewer.
+    progress
+        Show a progress bar while batches are drawn; None shows it on a terminal.
+
+    Returns
+    -------
+    Rendering
+        To loop over: each turn renders a batch, shape (y, x, channel, sample), float32.
+
+    Raises
+    ------
+    InputError
+        If `spp`, `batch`, `size` or `seed` is out of range.
+    SceneError, RenderError
+        If the scene cannot be read, or not be rendered as asked.
+
+    Examples
+    --------
+    >>> from chdstat.rendering.live import render_batches
+    >>> rendering = render_batches("cornell-box", spp=40, size=(8, 8), backend="scalar")
+    >>> [batch.shape for batch in rendering]
+    [(8, 8, 3, 16), (8, 8, 3, 16), (8, 8, 3, 8)]
+    """
+    spp, batch = whole("spp", spp, least=1), whole("batch", batch, least=1)
+    job = job_of(scene, backend, size, seed, max_depth, sensor)
+    with activate(job.verdict):
+        renderer = Renderer(job)
+    check_streams(job, renderer, spp)
+    check_room(renderer.size, min(spp, batch), None)
+    for note in renderer.notes:
+        _log.warning("%s", note)
+    return Rendering(job, renderer, spp=spp, batch=batch, progress=progress)
 
 
 class Rendering:
@@ -36,7 +99,7 @@ class Rendering:
 
     Examples
     --------
-    >>> from chdstat.rendering.capture import render_batches
+    >>> from chdstat.rendering.live import render_batches
     >>> rendering = render_batches("cornell-box", spp=4, size=(8, 8), backend="scalar")
     >>> rendering
     <Rendering 'cornell-box' 8 x 8 pixels, 4 spp in batches of 16>

@@ -19,7 +19,7 @@ from chdstat._core.executor import Interrupted
 from chdstat.errors import RenderError, SceneError, brief
 from chdstat.rendering.backend import BACKENDS, Verdict, activate
 from chdstat.rendering.seeds import Streams
-from chdstat.samples.store import Chunk
+from chdstat.samples.layout import Chunk
 from chdstat.scenes import Scene
 from chdstat.scenes.files import code_of, plugins_made
 from chdstat.scenes.loading import Asked, asked_for

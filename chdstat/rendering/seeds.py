@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from chdstat.samples.store import BATCH, TILE, Chunk
+from chdstat.samples.layout import BATCH, TILE, Chunk
 
 __all__ = [
     "CHUNKS",

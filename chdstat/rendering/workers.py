@@ -1,4 +1,4 @@
-"""Crew: who draws the chunks of a render, the threads of this process or workers of a cluster."""
+"""Workers that render chunks: the threads of this process, or the workers of a cluster."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from chdstat._core.executor import Interrupts, cores
 from chdstat.errors import RenderError
 from chdstat.rendering.backend import activate
 from chdstat.rendering.renderer import Job, Renderer
-from chdstat.samples.store import Chunk
+from chdstat.samples.layout import Chunk
 
 if TYPE_CHECKING:
     from distributed import Client

@@ -1,4 +1,4 @@
-"""Sinks: where rendered samples go, memory or a store, and the provenance that goes with them."""
+"""Writers of rendered samples, to memory or to a store, and the provenance that goes with them."""
 
 from __future__ import annotations
 
@@ -14,10 +14,12 @@ import numpy.typing as npt
 from chdstat.errors import StoreError
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import STREAMS
+from chdstat.samples.layout import Chunk, chunk_grid
+from chdstat.samples.manifest import check_schema, store_exists
 from chdstat.samples.samples import Samples
-from chdstat.samples.store import Chunk, Store, check_schema, chunk_grid
+from chdstat.samples.store import Store
 
-__all__ = ["MemorySink", "Sink", "StoreSink", "existing_store", "provenance"]
+__all__ = ["MemoryWriter", "StoreWriter", "Writer", "existing_store", "provenance"]
 
 Image = npt.NDArray[np.float32]
 
@@ -65,13 +67,13 @@ lack them."""
 
 def existing_store(out: str | Path | None) -> Store | None:
     """Return the store that is already at `out`, if any."""
-    if out is None or not Store.exists(Path(out)):
+    if out is None or not store_exists(Path(out)):
         return None
     return Store.open(Path(out))
 
 
-class MemorySink:
-    """Samples kept in memory."""
+class MemoryWriter:
+    """Keeps rendered samples in memory."""
 
     def __init__(
         self, attrs: dict[str, Any], renderer: Renderer, spp: int, *, features: bool = True
@@ -101,8 +103,8 @@ class MemorySink:
         return Samples(array=self._array, attrs=self._attrs, features=self._features, direct=direct)
 
 
-class StoreSink:
-    """Samples kept in a store on disk."""
+class StoreWriter:
+    """Writes rendered samples to a store on disk."""
 
     def __init__(self, store: Store) -> None:
         self._store = store
@@ -117,7 +119,7 @@ class StoreSink:
         spp: int,
         *,
         features: bool = True,
-    ) -> StoreSink:
+    ) -> StoreWriter:
         """Open or create the store and make room for the samples asked for."""
         width, height = renderer.size
         if existing is None:
@@ -199,4 +201,4 @@ def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> str:
     return "".join(parts)
 
 
-Sink = MemorySink | StoreSink
+Writer = MemoryWriter | StoreWriter

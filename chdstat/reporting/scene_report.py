@@ -16,7 +16,8 @@ from chdstat.estimators.models import first_samples
 from chdstat.estimators.validation import draw_pixels
 from chdstat.patterns import Atlas, atlas
 from chdstat.rendering.backend import Backend
-from chdstat.rendering.capture import refuse_render, render, scene_size
+from chdstat.rendering.capture import render
+from chdstat.rendering.jobs import refuse_render, scene_size
 from chdstat.rendering.recipes import (
     Region,
     check_integrator,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from chdstat.errors import InputError
-from chdstat.rendering.capture import scene_size
+from chdstat.rendering.jobs import scene_size
 from chdstat.rendering.recipes import (
     Recipe,
     Region,

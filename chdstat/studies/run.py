@@ -15,7 +15,7 @@ from chdstat.errors import InputError, StoreError
 from chdstat.estimators import lookup
 from chdstat.patterns import Atlas, atlas
 from chdstat.rendering.backend import Backend
-from chdstat.rendering.capture import refuse_render
+from chdstat.rendering.jobs import refuse_render
 from chdstat.rendering.recipes import choose_regions
 from chdstat.samples.samples import Samples
 from chdstat.studies.claims import FINDINGS, Finding, SceneData

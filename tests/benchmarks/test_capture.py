@@ -20,7 +20,7 @@ import pytest
 from chdstat.rendering import capture
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
-from chdstat.rendering.writers import StoreSink, provenance
+from chdstat.rendering.writers import StoreWriter, provenance
 from chdstat.scenes import Scene, load_scene
 
 SIZE, SPP, ROUNDS = (128, 128), 256, 7
@@ -55,10 +55,10 @@ def test_capture_against_plain_rendering(benchmark, tmp_path, scene, request, ba
 
         def turn() -> None:
             path, attrs = tmp_path / f"{len(ratios)}.zarr", provenance(job, renderer, SPP)
-            sink = StoreSink.open(path, None, attrs, renderer, SPP)
+            writer = StoreWriter.open(path, None, attrs, renderer, SPP)
 
             def captured() -> None:
-                capture._fill(job, renderer, sink, None, False)
+                capture._fill(job, renderer, writer, None, False)
 
             # Who comes first alternates too.
             if len(ratios) % 2:

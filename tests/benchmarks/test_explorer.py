@@ -22,7 +22,8 @@ import psutil
 import pytest
 
 import chdstat as chd
-from chdstat.samples.store import BATCH, TILE, Store, chunk_grid
+from chdstat.samples.layout import BATCH, TILE, chunk_grid
+from chdstat.samples.store import Store
 
 SERVE = (
     "import sys\nfrom chdstat.explorer import explore\nexplorer = explore(sys.argv[1])\n"

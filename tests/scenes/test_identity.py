@@ -15,7 +15,7 @@ import chdstat as chd
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.io import write_exr
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.capture import job_of
+from chdstat.rendering.jobs import job_of
 from chdstat.rendering.renderer import Renderer
 from chdstat.scenes import Scene, load_scene
 

@@ -18,7 +18,8 @@ from chdstat.errors import RenderError
 from chdstat.rendering import workers
 from chdstat.rendering.backend import probe
 from chdstat.rendering.renderer import Job, Renderer
-from chdstat.samples.store import Store, chunk_grid
+from chdstat.samples.layout import chunk_grid
+from chdstat.samples.store import Store
 from chdstat.scenes import load_scene
 
 SETTINGS: dict[str, Any] = {"size": (8, 8), "backend": "scalar"}
