@@ -1,8 +1,8 @@
 """Averages of N samples for several N: their tests of normality, and the N that is predicted.
 
-`cascade` forms the averages of N samples from those of a divisor of N, `shapes` measures their
-skewness and kurtosis, and `run_on_averages` tests them. Samples are relative to the largest of
-their row, so that no power of them overflows or vanishes.
+`nested_averages` forms the averages of N samples from those of a divisor of N, `shapes` measures
+their skewness and kurtosis, and `run_on_averages` tests them. Samples are relative to the largest
+of their row, so that no power of them overflows or vanishes.
 
 `predict` tells how many samples an average needs by the central limit theorem, with an interval.
 Skewness and kurtosis rest on rare bright samples: those that were seen give a lower bound of both.
@@ -33,8 +33,8 @@ __all__ = [
     "Averages",
     "Prediction",
     "TestedAverages",
-    "cascade",
     "n_needed",
+    "nested_averages",
     "predict",
     "run_on_averages",
     "shapes",
@@ -54,7 +54,7 @@ class Averages:
     formed: Mask | None
 
 
-def cascade(x: npt.NDArray[Any], bad: Mask, sizes: Counts) -> Iterator[Averages]:
+def nested_averages(x: npt.NDArray[Any], bad: Mask, sizes: Counts) -> Iterator[Averages]:
     """Yield the averages of samples, shape (row, sample), for ascending sizes."""
     spoilt = bool(bad.any())
     samples = x.astype(np.float64)
@@ -278,7 +278,7 @@ def run_on_averages(
     # Rows that have no answer are computed, too, and masked by their reason.
     with np.errstate(all="ignore"):
         for part in spans(len(rows), max(1, _CHUNK_OF_MEANS // samples)):
-            levels = list(cascade(rows[part], masks[part], np.union1d(1, sizes)))
+            levels = list(nested_averages(rows[part], masks[part], np.union1d(1, sizes)))
             whole[:, part] = _of_samples(levels[0])
             wanted = [level for level in levels if level.size in sizes]
             found[:, part], reason[part] = _of_averages(wanted, n_means, test)

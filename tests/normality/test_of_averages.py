@@ -14,7 +14,7 @@ from chdstat.inference import (
     gaussianity_of_means,
     sizes_of_means,
 )
-from chdstat.inference.averages import cascade, shapes
+from chdstat.inference.averages import nested_averages, shapes
 
 
 @pytest.mark.parametrize("spoilt", [False, True])
@@ -26,7 +26,7 @@ def test_cascade_equals_plain_averages(spoilt):
         bad[0, :12] = True
     sizes = np.array([1, 2, 3, 4, 5, 7, 8, 12, 24, 33])
     hidden = np.where(bad, np.nan, x)
-    levels = list(cascade(hidden, bad, sizes))
+    levels = list(nested_averages(hidden, bad, sizes))
     assert [level.size for level in levels] == sizes.tolist()
     for level in levels:
         batches = hidden[:, : 100 // level.size * level.size].reshape(3, -1, level.size)
