@@ -259,8 +259,6 @@ _RADIUS = 24
 """Pixels to each side that a model sees, where it looks around."""
 _PART = 256
 """Side of the part of an image that tells how far a model is followed."""
-_MOST_AROUND = 4
-"""Batches of a model that looks around."""
 
 Image = npt.NDArray[np.float32]
 
@@ -371,7 +369,7 @@ def scored_learners(
         if learner.looks_around:
             if source is None or len(place) != 2:
                 continue
-            some = batches.first(_MOST_AROUND)
+            some = batches.first(BATCHES_AROUND)
             estimated = _around(learner, some, source, (place[0], place[1]), unit)
         else:
             some = batches
