@@ -1,10 +1,8 @@
-"""Multiplicity: shares with their intervals, and p-values of many pixels at once.
+"""Intervals and tests over the pixels of an image, which are many and not independent.
 
-Resampling: intervals of statistics over pixels that resemble their neighbours.
-
-Neighbouring pixels see the same light, so that they are not draws of their own. What is drawn with
-replacement are blocks of them, within each region apart: the regions are given, their pixels are
-examples of what they show.
+Multiple testing: q-values and Holm's correction for p-values of many pixels, Wilson's interval for
+a share. Block bootstrap: neighbouring pixels see the same light, so that they are no independent
+draws; blocks of them are drawn with replacement, separately within each region.
 """
 
 from __future__ import annotations
@@ -42,7 +40,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def q_values(p: npt.NDArray[np.floating[Any]]) -> Floats:
-    """Return Benjamini-Hochberg q-values over the image, for each further axis apart.
+    """Return Benjamini-Hochberg q-values over the image, separately for each further axis.
 
     The expected share of false ones among the pixels with q <= alpha is at most alpha. Pixels
     without a p-value (NaN) take no part and stay NaN.

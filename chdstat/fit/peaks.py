@@ -408,8 +408,10 @@ def _of_piece(
     also = _enter(of_gamma, found.cells, several, log_n, best, count, table) - rival[several]
     gain[several] = np.maximum(gain[several], also)
     several = several[doubtful[several] & (count[several] > 1)]
-    assert isinstance(found.ground, SampleRows)
-    edge = edge_scores(found.ground.log_sorted[several], found.ground.n[several], best[several])
+    assert isinstance(found.objective, SampleRows)
+    edge = edge_scores(
+        found.objective.log_sorted[several], found.objective.n[several], best[several]
+    )
     gain[several] -= np.maximum(edge - rival[several], 0)
     beaten = several[edge >= best[several]]
     count[beaten], table[:, beaten] = 1, one[:, beaten]

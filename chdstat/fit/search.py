@@ -1,11 +1,9 @@
-"""Grounds: what a search climbs on, and how it ends there: on the samples, or between bins.
+"""Search for the best mixtures of 1, 2, ... components that EM finds, for all rows of a part.
 
-The cells are a stand-in. Where samples are at hand, solutions are judged by them, and improved on
-them where the cells have blurred too much. Where only bins are, their width is taken out again.
-
-Search: the best mixtures of 1, 2, ... components that EM finds, for all rows of a part.
-
-`search` is what `chdstat.fit.mixture` and `chdstat.modality` share.
+`chdstat.fit.mixture` and `chdstat.modality` share `search`. Its objective is the likelihood of
+samples, or of bins. EM works on weighted cells in place of the samples; where samples are at hand,
+solutions are judged by them, and improved on them where the cells have blurred too much. Where only
+bins are, their width is taken out again.
 """
 
 from __future__ import annotations
@@ -47,7 +45,7 @@ __all__ = [
     "Bins",
     "Effort",
     "Found",
-    "Ground",
+    "Objective",
     "SampleRows",
     "Solution",
     "log_likelihood",
@@ -109,7 +107,7 @@ class Solution:
         return Solution(self.family, state, origin, value, converged)
 
 
-class Ground(Protocol):
+class Objective(Protocol):
     """What a search climbs on."""
 
     @property
@@ -120,7 +118,7 @@ class Ground(Protocol):
     def sharp(self) -> Cells:
         """Cells as close to the samples as there are."""
 
-    def take(self, rows: Counts) -> Ground:
+    def take(self, rows: Counts) -> Objective:
         """Return some of the rows."""
 
     def finish(self, family: ComponentFamily, end: Climb) -> Solution:
@@ -284,7 +282,7 @@ class Found:
         Which rows of the part, its batch flattened.
     solutions
         From one component up.
-    ground
+    objective
         What was climbed on.
     plan
         How hard it was searched.
@@ -292,20 +290,22 @@ class Found:
 
     rows: Counts
     solutions: list[Solution]
-    ground: Ground
+    objective: Objective
     plan: _Plan
 
     @property
     def cells(self) -> Cells:
         """Cells of the rows."""
-        return self.ground.sharp
+        return self.objective.sharp
 
     def also(self, family: MixtureFamily, rows: Counts) -> list[Solution]:
         """Fit another family to some of the rows, from where the solutions of this one are."""
-        kind, ground, solutions = COMPONENTS[family], self.ground.take(rows), []
+        kind, objective, solutions = COMPONENTS[family], self.objective.take(rows), []
         for model in (solution.take(rows) for solution in self.solutions):
-            belonging = responsibilities(ground.cells, model.family, model.state)
-            solution = _climb(ground, kind, maximise(ground.cells, kind, belonging), self.plan)
+            belonging = responsibilities(objective.cells, model.family, model.state)
+            solution = _climb(
+                objective, kind, maximise(objective.cells, kind, belonging), self.plan
+            )
             value = np.where(np.isinf(model.log_likelihood), -np.inf, solution.log_likelihood)
             solutions.append(replace(solution, log_likelihood=value))
         return solutions
@@ -327,9 +327,9 @@ def search(
     log-likelihood of what was not tried is minus infinity.
     """
     plan = EFFORTS[effort]
-    for rows, ground in _pieces(part, usable, plan):
+    for rows, objective in _pieces(part, usable, plan):
         bar = None if rival is None else rival.reshape(-1)[rows]
-        yield Found(rows, _fit(ground, COMPONENTS[family], max_k, plan, bar), ground, plan)
+        yield Found(rows, _fit(objective, COMPONENTS[family], max_k, plan, bar), objective, plan)
 
 
 def score(solution: Solution, n: Floats) -> Floats:
@@ -338,7 +338,7 @@ def score(solution: Solution, n: Floats) -> Floats:
     return np.asarray(solution.log_likelihood - 0.5 * parameters * np.log(n))
 
 
-def _pieces(part: Part, usable: Mask, plan: _Plan) -> Iterator[tuple[Counts, Ground]]:
+def _pieces(part: Part, usable: Mask, plan: _Plan) -> Iterator[tuple[Counts, Objective]]:
     chosen = np.flatnonzero(usable.reshape(-1))
     if isinstance(part, BinnedPart):
         yield from _binned_pieces(part, chosen, plan)
@@ -353,7 +353,7 @@ def _pieces(part: Part, usable: Mask, plan: _Plan) -> Iterator[tuple[Counts, Gro
 
 def _binned_pieces(
     part: BinnedPart, chosen: Counts, plan: _Plan
-) -> Iterator[tuple[Counts, Ground]]:
+) -> Iterator[tuple[Counts, Objective]]:
     bins = part.counts.shape[-1]
     counts = part.counts.reshape(-1, bins)
     centers = np.broadcast_to(part.log_centers, part.counts.shape).reshape(-1, bins)
@@ -370,31 +370,33 @@ def _alike(rows: Counts, lengths: Counts, plan: _Plan) -> Iterator[Counts]:
 
 
 def _fit(
-    ground: Ground, family: ComponentFamily, max_k: int, plan: _Plan, rival: Floats | None
+    objective: Objective, family: ComponentFamily, max_k: int, plan: _Plan, rival: Floats | None
 ) -> list[Solution]:
-    solutions = [_climb(ground, family, single(ground.cells, family), plan)]
-    rows = np.arange(len(ground.cells.n))
+    solutions = [_climb(objective, family, single(objective.cells, family), plan)]
+    rows = np.arange(len(objective.cells.n))
     for k in range(2, max_k + 1):
         if rival is not None and k > 2:
-            rows = _worth_it(solutions, rival, ground.cells.n)
-        here = ground if rows.size == len(ground.cells.n) else ground.take(rows)
+            rows = _worth_it(solutions, rival, objective.cells.n)
+        here = objective if rows.size == len(objective.cells.n) else objective.take(rows)
         starts = [
             *segmentations(here.cells, family, k),
             *insertions(here.cells, family, solutions[-1].state[..., rows], plan.windows),
             split(here.cells, family, solutions[-1].state[..., rows]),
         ]
         solution = _climb(here, family, _choose(here.cells, family, starts, plan), plan)
-        solutions.append(solution.put(rows, ground.cells.origin))
+        solutions.append(solution.put(rows, objective.cells.origin))
     return solutions
 
 
-def _climb(ground: Ground, family: ComponentFamily, state: Floats, plan: _Plan) -> Solution:
+def _climb(objective: Objective, family: ComponentFamily, state: Floats, plan: _Plan) -> Solution:
     if state.shape[1] == 1:
         # One component is at its maximum at once.
         there = np.ones(state.shape[-1], dtype=bool)
-        return ground.finish(family, Climb(state, bound_at(ground.cells, family, state), there))
-    end = climb(ground.cells, family, state, cycles=plan.cycles, tolerance=plan.tolerance)
-    return ground.finish(family, end)
+        return objective.finish(
+            family, Climb(state, bound_at(objective.cells, family, state), there)
+        )
+    end = climb(objective.cells, family, state, cycles=plan.cycles, tolerance=plan.tolerance)
+    return objective.finish(family, end)
 
 
 def _worth_it(solutions: list[Solution], rival: Floats, n: Floats) -> Counts:

@@ -24,8 +24,8 @@ from chdstat.errors import InputError
 from chdstat.fit._gamma import gamma_shape
 from chdstat.fit.tail_fits import (
     MINIMUM_EXCESSES,
-    Fitted,
     Tail,
+    TailFits,
     candidates,
     finish_tail,
     hill_tail,
@@ -292,7 +292,7 @@ def effective_tail_index(distribution: Any, share: float = 0.1) -> Floats:
     return np.asarray(-1 - share * slope / distribution.pdf(u))
 
 
-def _spread(found: Fitted, usable: Mask) -> Fitted:
+def _spread(found: TailFits, usable: Mask) -> TailFits:
     """Put rows back to where they were, NaN and 0 elsewhere."""
     values = np.full((4, *usable.shape), np.nan)
     values[:, usable] = np.where(
@@ -301,7 +301,7 @@ def _spread(found: Fitted, usable: Mask) -> Fitted:
     n = np.zeros(usable.shape, dtype=np.int64)
     n[usable] = np.where(np.isnan(found.xi), 0, found.n)
     xi, scale, threshold, first_xi = values
-    return Fitted(xi=xi, scale=scale, threshold=threshold, n=n, first_xi=first_xi)
+    return TailFits(xi=xi, scale=scale, threshold=threshold, n=n, first_xi=first_xi)
 
 
 def _tied(part: PositivePart) -> Mask:

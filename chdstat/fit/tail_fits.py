@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MINIMUM_EXCESSES",
-    "Fitted",
     "Tail",
+    "TailFits",
     "candidates",
     "finish_tail",
     "hill_tail",
@@ -183,7 +183,7 @@ _LEAST = 1e-12
 
 
 @dataclass(frozen=True)
-class Fitted:
+class TailFits:
     """A fit to the excesses of some rows, all of shape (row,).
 
     Attributes
@@ -243,7 +243,7 @@ def candidates(n: Counts, share: float | None) -> Counts:
     return np.asarray(np.maximum(k, np.minimum(k[:, :1], MINIMUM_EXCESSES)))
 
 
-def pareto_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts) -> Fitted:
+def pareto_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts) -> TailFits:
     """Fit generalised Pareto distributions by Zhang and Stephens (2009).
 
     Parameters
@@ -258,21 +258,21 @@ def pareto_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts) -> Fitted:
     return _in_chunks(ascending, n, k, _generalised_pareto, log=False)
 
 
-def hill_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts) -> Fitted:
+def hill_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts) -> TailFits:
     """Fit power laws by Hill (1975); arguments as of `pareto_tail`, the scale is the threshold."""
     return _in_chunks(ascending, n, k, _power_law, log=True)
 
 
 def _in_chunks(
     ascending: npt.NDArray[Any], n: Counts, k: Counts, model: _Model, *, log: bool
-) -> Fitted:
+) -> TailFits:
     values, used = np.full((4, len(n)), np.nan), np.zeros(len(n), dtype=np.int64)
     order = np.argsort(k[:, 0], kind="stable")
     for part in spans(len(n), max(1, _CHUNK // int(k.max(initial=1)))):
         rows = order[part]
         values[:, rows], used[rows] = _choose(ascending, n, k, rows, model, log)
     xi, scale, threshold, first_xi = values
-    return Fitted(xi=xi, scale=scale, threshold=threshold, n=used, first_xi=first_xi)
+    return TailFits(xi=xi, scale=scale, threshold=threshold, n=used, first_xi=first_xi)
 
 
 def _choose(
