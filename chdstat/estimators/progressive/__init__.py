@@ -1,6 +1,6 @@
-"""Progressive: our estimator, which learns how far each octave of a pixel's samples counts.
+"""Progressive estimator: a network that learns weights for the octaves of a pixel's samples.
 
-`Progressive` is the estimator, `Estimates` what it says; `Stream` feeds it samples as they are
+`Progressive` is the estimator, `Estimates` what it returns; `Stream` feeds it samples as they are
 rendered, and `self_trained` trains it on the very image that it improves.
 """
 

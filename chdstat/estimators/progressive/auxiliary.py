@@ -1,9 +1,9 @@
-"""First hits: what a camera ray meets, as numbers that a network can work with.
+"""Auxiliary features of pixels: what camera rays hit first, and the pixels around, as numbers.
 
-Surroundings: profiles of the pixels around, weighed by how like the surface is.
-
-They lend a pixel statistics: what its rare samples may be worth, and what the light is like where
-it has seen none. The pixel itself is left out, so that its surroundings are independent of it.
+First hits describe the surface that a pixel shows. The neighbourhood lends it statistics: what its
+rare samples may be worth, and what the light is like where it has seen none. Profiles around are
+averaged with weights that fall with the distance and with how different the surfaces are. The pixel
+itself is left out, so that its neighbourhood is independent of it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ __all__ = [
     "RADII",
     "Features",
     "describe",
-    "pool_neighbourhood",
+    "pool_around",
     "similarity_fields",
 ]
 
@@ -107,7 +107,7 @@ _ALBEDO, _COSINE, _PLANE = 0.05, 0.1, 0.02
 at which two surfaces count as unlike."""
 
 
-def pool_neighbourhood(
+def pool_around(
     profile: Profile, features: Mapping[str, npt.NDArray[Any]] | None
 ) -> tuple[Array, Array]:
     """Pool the profiles around each pixel.
@@ -123,7 +123,7 @@ def pool_neighbourhood(
     -------
     bands : ndarray
         Share of the samples in each band, then their radiance in each channel in units of the
-        profile's; shape (y, x, radius, band, 1 + channel), 0 where nothing around is alike.
+        profile's; shape (y, x, radius, band, 1 + channel), 0 where nothing around is similar.
     weight : ndarray
         How many pixels' worth were pooled, shape (y, x, radius).
     """

@@ -1,6 +1,8 @@
-"""Images: which pixels of one or several scenes train, with their samples and descriptions.
+"""Training sets of the progressive estimator, with a reference or from split samples.
 
-Lessons: what of an image trains, with a reference or without one.
+An image, or several with a reference, gives pixels with their samples and auxiliary features. With
+a reference many samples a pixel are kept, and the mean of those not learned from is the reference.
+Without one, pixels of a part of the image are kept, each with splits of its own samples.
 """
 
 from __future__ import annotations
@@ -14,13 +16,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import is_bad
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.auxiliary import (
-    BANDS,
-    RADII,
-    Features,
-    describe,
-    pool_neighbourhood,
-)
+from chdstat.estimators.progressive.auxiliary import BANDS, RADII, Features, describe, pool_around
 from chdstat.estimators.progressive.profile import Profile
 from chdstat.estimators.progressive.splits import MinibatchSource, SampleSplits
 from chdstat.estimators.similar_pixels import shared_patches
@@ -181,10 +177,10 @@ _FEWEST = 4
 _HALVES = 2
 """Samples of each part of a split, at least: the targets are cut in two."""
 _SPLITS = ((0.5, 2), (0.75, 8))
-"""Shares of the samples to learn from, and how many splits of each are made where alike pixels are
-asked: the larger share is the nearer to all samples, which are what the estimate is for."""
+"""Shares of the samples to learn from, and how many splits of each are made for estimates from
+similar pixels: the larger share is nearer to all samples, which are estimated from in the end."""
 _SPLITS_OF_SIZE = 5
-"""Splits of each size that is asked for, instead."""
+"""Splits of each size that is given, instead."""
 _WINDOW = 256
 """Side of the part of a large image that trains: more would take long and tell little."""
 
@@ -193,14 +189,14 @@ Image = npt.NDArray[np.float32]
 
 @dataclass(frozen=True)
 class AuxiliaryFeatures:
-    """What is known of each pixel beside its samples, one row a pixel.
+    """Features of pixels beside their samples, one row a pixel.
 
     Attributes
     ----------
     described
         Of the first hit, shape (pixel, number).
     bands, weight
-        Of the surroundings, shape (pixel, radius, band, 1 + channel) and (pixel, radius).
+        Of the neighbourhood, shape (pixel, radius, band, 1 + channel) and (pixel, radius).
     """
 
     described: npt.NDArray[np.float32]
@@ -209,7 +205,7 @@ class AuxiliaryFeatures:
 
     @classmethod
     def nothing(cls, pixels: int) -> AuxiliaryFeatures:
-        """Return that nothing is known."""
+        """Return no features."""
         empty = np.zeros((pixels, 0), np.float32)
         return cls(empty, np.zeros((pixels, 0, BANDS, 1), np.float32), empty)
 
@@ -220,7 +216,7 @@ class AuxiliaryFeatures:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """How to train.
+    """Options of a training.
 
     Attributes
     ----------
@@ -241,11 +237,11 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class TrainingSet:
-    """What a network is trained with.
+    """Pixels that train a network, and how.
 
     Attributes
     ----------
-    splits, scenery, lesson
+    splits, auxiliary, config
         For `training.learn`.
     pixels
         The pixels of `splits` in their images, rows (y, x), scene by scene.
@@ -337,7 +333,7 @@ def without_reference(
     scene
         Of which a part is read, if it is large.
     neighbours
-        Whether alike pixels around are asked; their answers are computed for every split.
+        Whether similar pixels around are an input; their estimates are computed for every split.
     sizes, iterations, rng
         As for the others.
 
@@ -400,13 +396,13 @@ def without_reference(
 def auxiliary_features(
     features: Features | None, shape: tuple[int, int], profile: Profile | None = None
 ) -> AuxiliaryFeatures:
-    """Return what is known of each pixel beside its samples; of its surroundings with a profile."""
+    """Return the auxiliary features of pixels; of the neighbourhood where there is a profile."""
     count = shape[0] * shape[1]
     described = describe(features, shape).reshape(count, -1)
     if profile is None:
         nothing = AuxiliaryFeatures.nothing(count)
         return AuxiliaryFeatures(described, nothing.bands, nothing.weight)
-    bands, weight = pool_neighbourhood(profile, features)
+    bands, weight = pool_around(profile, features)
     return AuxiliaryFeatures(
         described, bands.reshape(count, *bands.shape[2:]), weight.reshape(count, len(RADII))
     )
@@ -420,7 +416,7 @@ def _share_of(spp: int, share: float) -> int:
 def _prepared(
     image: Image, splits: Sequence[tuple[int, int]], rng: np.random.Generator
 ) -> list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]]:
-    """Return so many splits of each size with what alike pixels say, shape (pixel, channel)."""
+    """Return splits of each size, with estimates from similar pixels (pixel, channel)."""
     spp, found = image.shape[-1], []
     for n, times in splits:
         # Of many samples, fewer splits differ enough, and each takes longer.
@@ -431,7 +427,7 @@ def _prepared(
 
 
 def shared_estimates(image: Image) -> npt.NDArray[np.float32]:
-    """Return what alike pixels around say, shape (pixel, channel); 0 where there are none."""
+    """Return estimates from similar pixels around (pixel, channel), 0 where there are none."""
     estimates = np.nan_to_num(shared_patches(image), nan=0, posinf=0)
     return np.asarray(estimates.reshape(-1, estimates.shape[-1]), np.float32)
 

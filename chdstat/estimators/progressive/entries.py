@@ -1,4 +1,4 @@
-"""Entries: the progressive estimator in the registry, for comparisons and the command line."""
+"""Rows of the progressive estimator in the registry, for comparisons and the command line."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def self_trained(
     """Train a progressive estimator on an image's own samples, and estimate from all of them.
 
     No reference and no second render is needed. It learns from splits of each pixel's samples, so
-    that the truth is the expectation of what it learns from, and it looks at features and
-    neighbours. In which order the samples come makes no difference.
+    that the truth is the expectation of what it learns from, with features and neighbours
+    for inputs. In which order the samples come makes no difference.
 
     Parameters
     ----------

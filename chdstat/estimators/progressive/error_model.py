@@ -1,17 +1,18 @@
-"""Causes: what may make an estimate err, in squared units of the image's radiance.
-
-Trials: estimates from some samples of pixels, and what the other samples say of them.
+"""Error model: how large the errors of estimates are, from pixels that did not train the network.
 
 The samples that an estimate p has not seen are cut in two. Their means t and u are independent and
-unbiased, and so ``(p - t)(p - u)`` has the expectation ``(p - y)^2`` whatever the truth y is: this
-tells errors without a reference.
+unbiased, and so ``(p - t)(p - u)`` has the expectation ``(p - y)^2`` whatever the truth y is: a
+`ValidationBatch` measures errors without a reference.
 
-Bounds: how large squared errors may be, as far as pixels tell that trained nothing.
+Squared errors are explained by a sum of error terms, each with a weight that is not negative. The
+radiance of a pixel is then taken for gamma distributed with the estimate for its mean and that
+variance. With references the weights are least squares, and quantiles are calibrated by split
+conformal prediction (Lei et al. 2018, doi:10.1080/01621459.2017.1307116), separately for dark and
+for bright estimates.
 
-Without a reference, products of what is left over tell squared errors without bias, but with so
-much noise that few pixels cannot tell six weights apart, and an image whose rare bright samples
-have not come yet seems to have no errors. So the weights keep the proportions `USUAL`, and one
-scale k is measured,
+Without a reference the products are so noisy that few pixels cannot tell six weights apart, and an
+image whose rare bright samples have not come yet seems to have no errors. So the weights keep the
+proportions `USUAL`, and one scale k is measured,
 
     k = sum w s / sum w v,    w = v / (v + n)^2,
 
@@ -21,16 +22,8 @@ confidence interval is taken in place of k, with the standard error of a ratio o
 (Cochran 1977, Sampling Techniques, 6.4): an interval that is too wide claims less than one that is
 too narrow. The noise of a pixel that has not had its bright samples yet is underestimated, its
 weight is too large, and its distance from the target, too: this also errs on the side of width.
-
-Spread: how large the errors of the estimates are, learned from pixels that did not train them.
-
-Squared errors are explained by a sum of what may cause them, each with a weight that is not
-negative. The radiance of a pixel is then taken for gamma distributed with the estimate for its mean
-and that variance. Where references tell, the weights are least squares, and quantiles are
-calibrated by split conformal prediction (Lei et al. 2018, doi:10.1080/01621459.2017.1307116),
-separately for dark and for bright estimates.
-Without one the weights are upper bounds (`bounds`), and the quantiles normal ones: where errors are
-mixtures of many sizes, these hold 90 % nearly as often as they say, whatever the mixture.
+Quantiles are normal ones: where errors are mixtures of many sizes, these hold 90 % nearly as often
+as they say, whatever the mixture.
 """
 
 from __future__ import annotations
@@ -43,10 +36,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, optimize, special
 
-from chdstat._core.arrays import spans
-from chdstat.estimators.progressive.architecture import LEVELS as BRIGHTNESS
-from chdstat.estimators.progressive.architecture import LOSSES
 from chdstat.estimators.progressive.dataset import TrainingSet
+from chdstat.estimators.progressive.inputs import LEVELS as BRIGHTNESS
+from chdstat.estimators.progressive.inputs import LOSSES
 from chdstat.estimators.progressive.profile import Profile
 from chdstat.estimators.progressive.splits import Minibatch
 
@@ -65,7 +57,6 @@ __all__ = [
     "ErrorModel",
     "ValidationBatch",
     "error_terms_of",
-    "mean_change",
     "ratio",
     "upper_bound",
     "validation_batches",
@@ -79,7 +70,7 @@ Floats = npt.NDArray[np.floating[Any]]
 
 
 def error_terms_of(output: NetworkOutput, profile: Profile, loss: int) -> Floats:
-    """Return what may cause squared errors, shape (row, channel, cause), float64.
+    """Return the terms of squared errors, shape (row, channel, term), float64.
 
     A constant for the dark, the square of the estimate, of its distance to the mean, the variance
     of the mean and what the estimate takes over of it, and the square of the mean where the
@@ -121,13 +112,13 @@ class ValidationBatch:
     rows
         Which pixels, shape (row,).
     estimate
-        Shape (aim, row, channel).
+        Shape (loss, row, channel).
     mean, target
         Of the samples that were seen and of the others, shape (row, channel).
     noise
         Unbiased for the variance of the target, shape (row, channel).
-    causes
-        Of squared errors, shape (aim, row, channel, cause).
+    error_terms
+        Of squared errors, shape (loss, row, channel, term).
     """
 
     size: int
@@ -140,7 +131,7 @@ class ValidationBatch:
 
     @property
     def squared(self) -> Floats:
-        """Unbiased for the squared error of the estimate, shape (aim, row, channel)."""
+        """Unbiased for the squared error of the estimate, shape (loss, row, channel)."""
         return np.asarray((self.estimate - self.target) ** 2 - self.noise)
 
     @classmethod
@@ -154,7 +145,7 @@ class ValidationBatch:
         """Estimate from a part of the samples."""
         import torch
 
-        from chdstat.estimators.progressive.training import encode
+        from chdstat.estimators.progressive.network import encode
 
         with torch.inference_mode():
             output = network(
@@ -183,9 +174,9 @@ def validation_batches(
     rng: np.random.Generator,
     samples: int = _SAMPLES,
 ) -> list[ValidationBatch]:
-    """Return trials of pixels at all sizes of the lesson, four or more of each pixel.
+    """Return batches of pixels at all sizes of the training, four or more of each pixel.
 
-    So many `samples` of a pixel are seen at least in all its trials of a size.
+    So many `samples` of a pixel are seen at least in all its batches of a size.
     """
     found = []
     for n in sorted(set(training_set.config.sizes)):
@@ -197,37 +188,16 @@ def validation_batches(
     return found
 
 
-def mean_change(network: nn.Module, training_set: TrainingSet) -> Floats:
-    """Return what a network adds to the mean of all samples of pixels, shape (pixel, channel).
-
-    It is the mean of what it adds under each aim, in units of the image's radiance, and nothing
-    where all samples are the same light: there the mean is kept.
-    """
-    import torch
-
-    from chdstat.estimators.progressive.training import encode
-
-    splits, found = training_set.splits, []
-    for block in spans(len(splits), _ROWS):
-        profile, shared = splits.whole(np.arange(block.start, block.stop))
-        with torch.inference_mode():
-            output = network(encode(profile, training_set.auxiliary[block], shared, "cpu"))
-        found.append((output.estimate.mean(dim=1) - output.mean).numpy().astype(np.float64))
-    noisy = splits.variance.any(axis=-1, keepdims=True)
-    lit = splits.mean.any(axis=-1, keepdims=True)
-    return np.where(noisy | ~lit, np.concatenate(found), 0)
-
-
 USUAL = np.array([0.03, 0.03, 0.17, 0.05, 0.3, 0.0])
-"""Weights of the causes, up to their scale: about what errors against references have on simulated
-and on rendered images, scaled to 1."""
+"""Weights of the error terms, up to their scale: about what errors against references have on
+simulated and on rendered images, scaled to 1."""
 _CONFIDENCE = 0.95
 _LEAST = 1e-3
 """Scale that no measurement falls below, so that an interval is never a point."""
 
 
 def upper_bound(batches: Sequence[ValidationBatch], loss: int) -> Floats:
-    """Return weights of the causes under which squared errors are hardly larger than expected."""
+    """Return weights of error terms under which squared errors are hardly larger than expected."""
     expected = [batch.error_terms[loss] @ USUAL for batch in batches]
     weights = [v / (v + n) ** 2 for v, n in zip(expected, _noise(batches), strict=True)]
     rows = np.concatenate([batch.rows for batch in batches])
@@ -261,7 +231,7 @@ def ratio(above: npt.NDArray[Any], below: npt.NDArray[Any]) -> tuple[float, floa
 
 
 def _noise(batches: Sequence[ValidationBatch]) -> list[Floats]:
-    """Return the variances of the targets, each averaged over all trials of a pixel and size."""
+    """Return the variances of the targets, each averaged over all batches of a pixel and size."""
     found: dict[int, Floats] = {}
     for size in {batch.size for batch in batches}:
         of_size = [batch for batch in batches if batch.size == size]
@@ -276,7 +246,7 @@ def _noise(batches: Sequence[ValidationBatch]) -> list[Floats]:
 LEVELS = np.array([0.005, 0.025, 0.05, 0.1, 0.25, 0.5, 0.75, 0.9, 0.95, 0.975, 0.995])
 """Probabilities at which quantiles are calibrated."""
 BALANCES = np.array([0.0, 0.5, 1.0])
-"""Mixtures of the aims that quantiles are calibrated for; between them they are interpolated."""
+"""Mixtures of the losses that quantiles are calibrated for; between them they are interpolated."""
 
 _CALIBRATED = (len(BALANCES), len(BRIGHTNESS), len(LEVELS))
 _CHANCE = 0.5
@@ -292,7 +262,7 @@ class ErrorModel:
     Attributes
     ----------
     weights
-        Of the causes of squared errors, shape (aim, cause).
+        Of the error terms, shape (loss, term).
     sizes
         Numbers of samples that quantiles were calibrated at, ascending; none without a reference.
     normal
@@ -341,7 +311,7 @@ class ErrorModel:
         return cls(weights, np.array(sizes, np.float64), np.array(normal))
 
     def variance(self, error_terms: Floats, balance: float) -> Floats:
-        """Return expected squared errors of mixed estimates, from causes (aim, ..., cause)."""
+        """Return expected squared errors of mixed estimates, from terms (loss, ..., term)."""
         return _mixed(
             np.stack([c @ w for c, w in zip(error_terms, self.weights, strict=True)]), balance
         )
@@ -383,12 +353,12 @@ class ErrorModel:
 
 
 def _mixed(of_aims: Floats, balance: float) -> Floats:
-    """Return the mixture of what two aims give, shape (aim, ...)."""
+    """Return the mixture of what two losses give, shape (loss, ...)."""
     return np.asarray((1 - balance) * of_aims[0] + balance * of_aims[1])
 
 
 def _weights(batches: Sequence[ValidationBatch], loss: int) -> Floats:
-    """Return the weights of the causes by least squares, errors relative to the radiance."""
+    """Return the weights of the error terms by least squares, errors relative to the radiance."""
     error_terms = np.concatenate([t.error_terms[loss].reshape(-1, ERROR_TERMS) for t in batches])
     squared = np.concatenate([t.squared[loss].reshape(-1) for t in batches])
     scale = 1 / error_terms[:, :4].sum(axis=1)

@@ -1,9 +1,14 @@
-"""Inputs: what the estimator sees beside the samples of a pixel, and whether it is all there."""
+"""Inputs of the progressive estimator: which ones it takes, and the network that they call for.
+
+`InputConfig` says what is known of a pixel beside its samples, and refuses images where a part of
+it is missing. `Architecture` follows from it: sizes of the layers, without the weights. Neither
+needs torch, nor do the constants that training, estimation and model files share.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -11,15 +16,37 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import as_samples
 from chdstat.errors import InputError
+from chdstat.estimators.progressive.auxiliary import BANDS, RADII
 from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, auxiliary_features
-from chdstat.estimators.progressive.profile import Profile
+from chdstat.estimators.progressive.profile import OCTAVES, Profile
 from chdstat.samples.samples import Samples
 
-__all__ = ["Input", "InputConfig"]
+__all__ = [
+    "FLOOR",
+    "GROUPS",
+    "LEVELS",
+    "LOSSES",
+    "MOST_TRUST",
+    "Architecture",
+    "Input",
+    "InputConfig",
+]
 
 Array = npt.NDArray[Any]
 Features = Mapping[str, Array]
 Input = Literal["features", "neighbours", "direct"]
+
+
+LOSSES = ("mse", "relmse")
+"""What the estimates of a network minimise."""
+LEVELS = tuple(range(-8, 5, 2))
+"""Levels of the mean, in octaves of the unit, that networks are trusted at."""
+GROUPS = 2 * len(LEVELS)
+"""Groups of pixels that a network is trusted in: of each level, brightened and darkened ones."""
+MOST_TRUST = 1.5
+"""Share of a move at most: beyond 1 where others are held back and the image would lose light."""
+FLOOR = 0.01
+"""Part of the squared mean radiance of the image that keeps relative errors finite."""
 
 
 @dataclass(frozen=True)
@@ -182,3 +209,55 @@ class InputConfig:
             )
             raise InputError(message)
         return found
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """Inputs and size of a network.
+
+    Attributes
+    ----------
+    channels
+        Channels of a sample.
+    described
+        Numbers that describe the first hit; 0 without features.
+    neighbours
+        Whether pixels around are inputs.
+    parts
+        Parts of a sample: 2 where direct and indirect light are separate inputs.
+    width, layers
+        Neurons of a hidden layer, and how many of these there are.
+    """
+
+    channels: int
+    described: int = 0
+    neighbours: bool = False
+    parts: int = 1
+    width: int = 128
+    layers: int = 3
+
+    @property
+    def octaves(self) -> int:
+        """Octaves of all parts."""
+        return OCTAVES * self.parts
+
+    @property
+    def pools(self) -> int:
+        """Windows around a pixel."""
+        return len(RADII) if self.neighbours else 0
+
+    @property
+    def inputs(self) -> int:
+        """Input neurons."""
+        own = self.octaves * (1 + self.channels) + 1
+        around = self.pools * (BANDS * (1 + self.channels) + 1)
+        return own + self.described + around + self.channels * self.neighbours
+
+    @property
+    def outputs(self) -> int:
+        """Output neurons for each loss: weights, offsets, and the worth of the experience."""
+        return self.octaves + self.channels + 1 + self.pools * BANDS + int(self.neighbours)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields, ready for JSON."""
+        return asdict(self)

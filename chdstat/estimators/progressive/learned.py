@@ -1,13 +1,9 @@
-"""Marks: some of the samples that trained a network, by which it knows their image again.
+"""Trained state of the progressive estimator: what training leaves, its provenance, and its file.
 
-An array has no provenance. A model of another scene is followed only as far as it pays, which is
-measured with noise; one of this very image need not be doubted twice.
-
-Results: what a progressive estimator says of pixels, and what training leaves behind.
-
-Provenance: where a trained progressive estimator comes from, ready for JSON.
-
-Storage: a trained progressive estimator as a safetensors file, which runs no code when read.
+The file is in the safetensors format, which runs no code when read. Beside the network it holds how
+far to trust it, its error model, and a `Fingerprint`: some of the samples that trained it, by which
+it recognises their image, as an array has no provenance. A model of another scene is followed only
+as far as it pays, which is measured with noise; for its own image that is not measured again.
 """
 
 from __future__ import annotations
@@ -23,10 +19,15 @@ import numpy.typing as npt
 import chdstat
 from chdstat.errors import StoreError
 from chdstat.estimators.model_files import read_model, write_model
-from chdstat.estimators.progressive.architecture import GROUPS, LOSSES, MOST_TRUST, Architecture
 from chdstat.estimators.progressive.dataset import TrainingSet
 from chdstat.estimators.progressive.error_model import ErrorModel
-from chdstat.estimators.progressive.inputs import InputConfig
+from chdstat.estimators.progressive.inputs import (
+    GROUPS,
+    LOSSES,
+    MOST_TRUST,
+    Architecture,
+    InputConfig,
+)
 from chdstat.estimators.progressive.splits import SampleSplits
 from chdstat.samples.samples import Samples
 
@@ -116,7 +117,7 @@ class Fingerprint:
 
 @dataclass(frozen=True)
 class Estimates:
-    """What a progressive estimator says of pixels.
+    """Estimates of a progressive estimator.
 
     Attributes
     ----------
@@ -150,7 +151,7 @@ class Trust:
         Numbers of samples that shares are known for, ascending; between them they are
         interpolated along the logarithm, beyond them they go on.
     shares
-        0 for the mean, 1 for the estimate; shape (size, aim, group), groups of pixels as of
+        0 for the mean, 1 for the estimate; shape (size, loss, group), groups of pixels as of
         `trust.grouped`. Beyond 1 where others are held back.
     """
 
@@ -178,7 +179,7 @@ class Trust:
         return replace(self, sizes=np.ones(1), shares=self.at(np.array([count])))
 
     def at(self, count: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        """Return the shares for numbers of samples, shape (row, aim, group)."""
+        """Return the shares for numbers of samples, shape (row, loss, group)."""
         last = len(self.sizes) - 1
         place = np.interp(np.log2(np.maximum(count, 1)), np.log2(self.sizes), np.arange(last + 1))
         below = np.floor(place).astype(np.int64)
@@ -193,7 +194,7 @@ class Learned:
 
     Attributes
     ----------
-    network, spread
+    network, error_model
         What estimates, and what says how large its errors are.
     unit
         Mean radiance of the image that it was trained on.
@@ -205,7 +206,7 @@ class Learned:
         Where it comes from, ready for JSON.
     trust
         How far to go from the mean to what the network estimates.
-    marks
+    fingerprint
         Samples that trained it.
     """
 
@@ -271,7 +272,7 @@ def provenance_of(
     ----------
     origins
         What trained.
-    material
+    training_set
         What was made of it.
     inputs
         Of the estimator.

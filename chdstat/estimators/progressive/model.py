@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -20,7 +19,6 @@ from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.dataset import (
     TrainingImage,
-    TrainingSet,
     chosen_pixels,
     with_reference,
     without_reference,
@@ -28,24 +26,19 @@ from chdstat.estimators.progressive.dataset import (
 from chdstat.estimators.progressive.inputs import Input, InputConfig
 from chdstat.estimators.progressive.learned import (
     Estimates,
-    Fingerprint,
     Learned,
     Origin,
-    Trust,
-    provenance_of,
     read_learned,
     write_learned,
 )
 from chdstat.estimators.progressive.prediction import (
-    ConstantPixels,
     PredictionInput,
-    check_input,
-    estimate_blocks,
-    with_constants,
-    with_means,
+    estimate_input,
+    estimate_profiles,
+    share_of_input,
+    share_of_profiles,
 )
 from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.progressive.teaching import train_network
 from chdstat.estimators.training import History
 from chdstat.estimators.validation import direct_of
 from chdstat.samples.samples import Samples
@@ -55,25 +48,20 @@ __all__ = ["Progressive"]
 Array = npt.NDArray[Any]
 Features = Mapping[str, Array]
 
-_MEASURED = 2**14
-"""Pixels that trust is measured on, where each is seen for itself: more tell little more."""
-_FEWEST_HALVES = 4
-"""Samples that trust is measured with: two halves, one of them cut in two."""
-
 
 class Progressive:
     """A network that reweighs the samples of a pixel octave by octave of their luminance.
 
     It takes any number of samples in any order, all channels together, and scales with their unit.
     Its estimate is the mean, moved towards what it proposes by ``n0 / (n0 + N)``; n0, the number of
-    samples that its experience is worth, is part of its answer. So it tends to the mean as N grows,
+    samples that its experience is worth, is predicted, too. So it tends to the mean as N grows,
     and is the mean where it has learned nothing.
 
-    With a reference it learns two answers, one for the least MSE and one for the least relMSE;
+    With a reference it learns two estimates, one for the least MSE and one for the least relMSE;
     `balance` mixes them. Without one it learns from halves of each pixel's own samples, whose
-    expectation is the truth: then every answer is unbiased, and `balance` makes little difference.
-    How far it is then believed is measured on pixels that did not train it, so that an image which
-    teaches it nothing keeps its means.
+    expectation is the truth: then every estimate is unbiased, and `balance` matters little.
+    How far it is then followed is measured on pixels that did not train it, so that an image which
+    does not help it keeps its means.
 
     Where all samples of a pixel are the same light, as those of a lamp, their mean is kept.
 
@@ -142,7 +130,7 @@ class Progressive:
         """Return the pixels that it was trained on in images of a shape, rows (y, x).
 
         Several scenes may have the same shape: then a pixel that trained in one of them counts as
-        seen in all, so that nobody need know which image is which.
+        seen in all, so that it does not matter which image is which.
         """
         scenes = self.provenance["scenes"]
         ends = np.cumsum([scene["pixels_used"] for scene in scenes])
@@ -218,6 +206,8 @@ class Progressive:
             reference, there are several images without one, or they differ in channels, or one
             has no features, or no direct part of all samples, where these are inputs.
         """
+        from chdstat.estimators.progressive.training import train_network
+
         if iterations is not None and iterations < 1:
             message = f"iterations must be at least 1, got {iterations}"
             raise InputError(message)
@@ -246,8 +236,10 @@ class Progressive:
                 iterations=iterations,
                 rng=generator(seed),
             )
-        units = [scene.unit for scene in scenes]
-        self._learned = self._learn(images, training_set, units, seed=seed, progress=progress)
+        origins = [Origin.of(scene.samples, scene.unit) for scene in scenes]
+        self._learned = train_network(
+            training_set, origins, inputs=self.inputs, seed=seed, progress=progress
+        )
         return self
 
     def predict(
@@ -287,12 +279,12 @@ class Progressive:
         ----------
         x
             Samples, shape (..., channel, sample), any number of them; an image (y, x, channel,
-            sample) where it looks at features or neighbours. A sample of which any channel is NaN
+            sample) where features or neighbours are inputs. A sample of which any channel is NaN
             or infinite is left out.
         features
             First-hit features of the image.
         direct
-            Direct part of the samples, of the shape of `x`, where it looks at that.
+            Direct part of the samples, of the shape of `x`, where it is an input.
         balance
             0 for the least MSE, 1 for the least relMSE, and what lies between.
         unit
@@ -352,9 +344,8 @@ class Progressive:
         InputError
             As for `estimate`.
         """
-        return self._measured(
-            self._input(x, features=features, direct=direct, balance=balance, unit=unit)
-        )
+        given = self._input(x, features=features, direct=direct, balance=balance, unit=unit)
+        return share_of_input(self._state, self.inputs, given)
 
     def of_profile(
         self,
@@ -372,8 +363,14 @@ class Progressive:
         InputError
             As for `estimate`; or if neighbours are an input, which need samples.
         """
-        return self._of_profile(
-            profile, self._state.trust, trust, features, balance=balance, level=level
+        return estimate_profiles(
+            self._state,
+            self.inputs,
+            profile,
+            trust,
+            features=features,
+            balance=balance,
+            level=level,
         )
 
     def trust_between(
@@ -390,21 +387,9 @@ class Progressive:
         InputError
             As for `of_profile`.
         """
-        from chdstat.estimators.progressive.shrinkage import Move, shrinkage_factor
-
-        count = sum(int(half.count.max(initial=0)) for half in halves)
-        if count < _FEWEST_HALVES:
-            return 0.0
-        trust = self._state.trust.fixed(count)
-        found = [
-            self._of_profile(half, trust, 1.0, features, balance=balance, level=None).radiance
-            for half in halves
-        ]
-        moves = (
-            Move.of_profiles(half, radiance, other)
-            for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
+        return share_of_profiles(
+            self._state, self.inputs, halves, features=features, balance=balance
         )
-        return shrinkage_factor(moves)
 
     def save(self, path: str | Path) -> None:
         """Write the trained network and its provenance to a safetensors file.
@@ -438,34 +423,6 @@ class Progressive:
             raise InputError(message)
         return self._learned
 
-    def _learn(
-        self,
-        images: Sequence[Samples],
-        training_set: TrainingSet,
-        units: Sequence[float],
-        *,
-        seed: int,
-        progress: bool | None,
-    ) -> Learned:
-        network, trust, error_model, history = train_network(
-            training_set, channels=images[0].shape[2], seed=seed, progress=progress
-        )
-        origins = [Origin.of(one, unit) for one, unit in zip(images, units, strict=True)]
-        provenance = provenance_of(
-            origins, training_set, inputs=self.inputs, seed=seed, trust=trust
-        )
-        return Learned(
-            network,
-            error_model,
-            float(np.exp(np.mean(np.log(units)))),
-            history,
-            training_set.pixels,
-            images[0].shape[:2],
-            provenance,
-            trust,
-            Fingerprint.of(training_set, images[0].shape[2], generator(seed).spawn(2)[1]),
-        )
-
     def _input(self, x: npt.ArrayLike, **given: Any) -> PredictionInput:
         return PredictionInput.of(x, self.inputs, self.channels, **given)
 
@@ -476,71 +433,10 @@ class Progressive:
             known = not given.whole or self._state.fingerprint.match(
                 given.samples, self.provenance["scenes"]
             )
-            share = 1.0 if known else self._measured(given)
+            share = 1.0 if known else share_of_input(self._state, self.inputs, given)
         elif 0 <= trust <= 1:
             share = trust
         else:
             message = f"trust must lie between 0 and 1, or be None, got {trust}"
             raise InputError(message)
-        return self._estimates(given, self._state.trust, share, level=level)
-
-    def _of_profile(
-        self,
-        profile: Profile,
-        trust: Trust,
-        share: float,
-        features: Features | None,
-        *,
-        balance: float,
-        level: float | None,
-    ) -> Estimates:
-        shape = self._state.network.architecture
-        check_input(shape.channels, profile.channels, balance)
-        self.inputs.check_profile(profile, shape.parts)
-        pixels = profile.count.shape
-        rows = profile.reshape(-1)
-        return estimate_blocks(
-            replace(self._state, trust=trust),
-            lambda part: rows[part],
-            self.inputs.auxiliary(features, pixels, None, described=shape.described),
-            None,
-            shape=pixels,
-            share=share,
-            balance=balance,
-            level=level,
-        )
-
-    def _estimates(
-        self, given: PredictionInput, trust: Trust, share: float, *, level: float | None
-    ) -> Estimates:
-        state = self._state
-        auxiliary, shared = given.seen(self.inputs, state.network.architecture)
-        found = estimate_blocks(
-            replace(state, trust=trust),
-            given.profile,
-            auxiliary,
-            shared,
-            shape=given.shape,
-            share=share,
-            balance=given.balance,
-            level=level,
-        )
-        return with_constants(with_means(found, given.samples), ConstantPixels.of(given.samples))
-
-    def _measured(self, given: PredictionInput) -> float:
-        """Return how far it pays to go from the mean to the answer, from halves of the samples."""
-        from chdstat.estimators.progressive.shrinkage import Move, shrinkage_factor
-
-        if given.samples.shape[-1] < _FEWEST_HALVES:
-            return 0.0
-        if not (self.inputs.features or self.inputs.neighbours):
-            given = given.some(_MEASURED)
-        halves = given.halves()
-        # As far as all samples will be trusted, half of them are.
-        trust = self._state.trust.fixed(given.samples.shape[-1])
-        found = [self._estimates(half, trust, 1.0, level=None).radiance for half in halves]
-        moves = (
-            Move.between(half.samples, radiance, other.samples, unit=given.unit)
-            for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
-        )
-        return shrinkage_factor(moves)
+        return estimate_input(self._state, self.inputs, given, share, level=level)

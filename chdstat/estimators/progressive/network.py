@@ -1,12 +1,12 @@
-"""Network: how far each octave of a pixel is to be believed.
+"""Dense network that weighs the octaves of a pixel's luminance.
 
-A dense network looks at the profile of a pixel, and at what else is known of it, and answers with a
-weight for each octave of its own samples, for each band of its surroundings, and with an offset.
+Its inputs are the profile of a pixel and its auxiliary features. It predicts a weight for each
+octave of the pixel's own samples, for each band of its neighbourhood, and an offset.
 The proposal g is the radiance under these weights: all weights 1 and no offset give the mean. The
-estimate is ``mean + (g - mean) / (1 + N / n0)``: n0, which the network answers too, is the number
+estimate is ``mean + (g - mean) / (1 + N / n0)``: n0, which the network predicts, too, is the number
 of samples that its experience is worth. So the estimate tends to the mean as N grows.
 
-There are two answers from the same hidden layers, one for each `LOSSES`.
+There are two estimates from the same hidden layers, one for each `LOSSES`.
 
 It is what Zirr et al. 2018, doi:10.1111/cgf.13335, do with the layers of their cascade, by weights
 that are learned, as kernels are by Bako et al. 2017, doi:10.1145/3072959.3073708.
@@ -14,6 +14,8 @@ that are learned, as kernels are by Bako et al. 2017, doi:10.1145/3072959.307370
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -22,10 +24,22 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from chdstat.estimators.progressive.architecture import LOSSES, Architecture
 from chdstat.estimators.progressive.auxiliary import BANDS
+from chdstat.estimators.progressive.dataset import AuxiliaryFeatures
+from chdstat.estimators.progressive.inputs import LEVELS, LOSSES, Architecture
+from chdstat.estimators.progressive.learned import Trust
+from chdstat.estimators.progressive.profile import Profile
 
-__all__ = ["Network", "NetworkInput", "NetworkOutput", "device"]
+__all__ = [
+    "Network",
+    "NetworkInput",
+    "NetworkOutput",
+    "ShrunkNetwork",
+    "device",
+    "encode",
+    "group_weights",
+    "threads",
+]
 
 _FAINT = 1e-3
 """Radiance share, in units of the image's, below which differences hardly show."""
@@ -35,7 +49,7 @@ _LARGEST_WORTH = 12.0
 
 @dataclass(frozen=True)
 class NetworkInput:
-    """What is seen of some pixels; all radiance in units of the image's.
+    """Inputs of the network for some pixels; all radiance in units of the image's.
 
     Attributes
     ----------
@@ -47,9 +61,9 @@ class NetworkInput:
     described
         Of the first hit, shape (row, number).
     bands, weight
-        Of the surroundings, shape (row, radius, band, 1 + channel) and (row, radius).
+        Of the neighbourhood, shape (row, radius, band, 1 + channel) and (row, radius).
     shared
-        What alike pixels around say, shape (row, channel).
+        Estimates from similar pixels around, shape (row, channel).
     """
 
     bins: torch.Tensor
@@ -62,16 +76,16 @@ class NetworkInput:
 
 @dataclass(frozen=True)
 class NetworkOutput:
-    """What the network makes of pixels, in units of the image's radiance.
+    """Estimates of the network for pixels, in units of the image's radiance.
 
     Attributes
     ----------
     estimate
-        For each of `LOSSES`, shape (row, aim, channel).
+        For each of `LOSSES`, shape (row, loss, channel).
     mean
         Of the samples, shape (row, channel).
     certainty
-        Weight of the proposal beside the mean, 0 to 1, shape (row, aim).
+        Weight of the proposal beside the mean, 0 to 1, shape (row, loss).
     """
 
     estimate: torch.Tensor
@@ -80,7 +94,7 @@ class NetworkOutput:
 
 
 class Network(nn.Module):
-    """From what is seen of pixels to their radiance."""
+    """Dense network from the inputs of pixels to estimates of their radiance."""
 
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()
@@ -93,7 +107,7 @@ class Network(nn.Module):
         nn.init.zeros_(self.answer.bias)
 
     def forward(self, given: NetworkInput) -> NetworkOutput:
-        """Estimate under every aim."""
+        """Estimate under every loss."""
         hidden = self._encoded(given)
         for layer in self.hidden:
             hidden = torch.relu_(layer(hidden))
@@ -161,6 +175,71 @@ def _compressed(bins: torch.Tensor) -> torch.Tensor:
     return legible
 
 
+class ShrunkNetwork(nn.Module):
+    """A network whose estimates are followed as far as they pay; its certainty falls likewise.
+
+    Parameters
+    ----------
+    network
+        The network.
+    trust
+        How far.
+    """
+
+    def __init__(self, network: Network, trust: Trust) -> None:
+        super().__init__()
+        self.network, self.trust, self.architecture = network, trust, network.architecture
+
+    def forward(self, given: NetworkInput) -> NetworkOutput:
+        """Estimate under every loss."""
+        found = self.network(given)
+        mean = found.mean[:, None].expand_as(found.estimate)
+        shares = torch.from_numpy(self.trust.at(given.count.cpu().numpy())).to(mean)
+        share = (shares * group_weights(mean, found.estimate - mean)).sum(dim=-1)
+        estimate = torch.lerp(mean, found.estimate, share[..., None])
+        return NetworkOutput(estimate, found.mean, found.certainty * share.clamp(max=1))
+
+
+def group_weights(mean: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
+    """Return how far each pixel belongs to each group, shape (..., group), which sums to 1.
+
+    Groups are levels of the mean, first of pixels that are brightened, then of those that are
+    darkened.
+
+    Parameters
+    ----------
+    mean, move
+        Shape (..., channel), in units of the image's radiance.
+    """
+    octave = torch.log2(mean.mean(dim=-1).clamp(min=1e-12))
+    levels = torch.as_tensor(LEVELS, dtype=mean.dtype, device=mean.device)
+    place = octave.clamp(levels[0], levels[-1])
+    near = (1 - (place[..., None] - levels).abs() / 2).clamp(min=0)
+    up = (move.mean(dim=-1) > 0)[..., None]
+    return torch.cat([near * up, near * ~up], dim=-1)
+
+
+def encode(
+    profile: Profile, auxiliary: AuxiliaryFeatures, shared: npt.NDArray[np.float32], place: str
+) -> NetworkInput:
+    """Return the inputs of a network; rows of `auxiliary` are those of the profiles."""
+    count = np.maximum(profile.count, 1).astype(np.float32)
+    bins = profile.bins / count[:, np.newaxis, np.newaxis]
+    arrays = (bins, count, auxiliary.described, auxiliary.bands, auxiliary.weight, shared)
+    return NetworkInput(*(torch.from_numpy(np.asarray(a, np.float32)).to(place) for a in arrays))
+
+
 def device() -> str:
     """Return where torch computes: a GPU where it finds one."""
     return "cuda" if torch.cuda.is_available() else "cpu"
+
+
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Let torch use so many threads while the context lasts."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

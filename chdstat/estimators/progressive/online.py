@@ -1,4 +1,4 @@
-"""Course: a network that goes on learning from an image while its samples arrive.
+"""Online training: a network that goes on learning from an image while its samples arrive.
 
 What is kept of the samples are `BatchProfiles`, of as many pixels as tell enough. Each time that it
 learns, the step size falls from its start to 0 again and the weights go on from where they were
@@ -18,10 +18,9 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import generator
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.architecture import Architecture
 from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, TrainingConfig, TrainingSet
 from chdstat.estimators.progressive.error_model import ErrorModel
-from chdstat.estimators.progressive.inputs import InputConfig
+from chdstat.estimators.progressive.inputs import Architecture, InputConfig
 from chdstat.estimators.progressive.learned import (
     Fingerprint,
     Learned,
@@ -30,7 +29,6 @@ from chdstat.estimators.progressive.learned import (
     provenance_of,
 )
 from chdstat.estimators.progressive.splits import BATCHES, BatchProfiles, BatchSplits
-from chdstat.estimators.progressive.teaching import measure_trust
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
@@ -40,7 +38,7 @@ __all__ = ["OnlineTrainer"]
 _PIXELS = 2**16
 """Of an image that train: those of a larger one would take much memory and tell little more."""
 _VALIDATION = 0.1
-"""Share of these that only watch, and tell how large the errors are."""
+"""Share of these held out for validation, to measure how large the errors are."""
 _FEWEST = 4
 """Samples to learn from: two halves of at least two."""
 _ERROR_SIZES = 3
@@ -63,7 +61,7 @@ class OnlineTrainer:
     start
         What was learned before, to go on from; None starts anew.
     parts
-        2 where direct and indirect light are told apart, else 1.
+        2 where direct and indirect light are separate inputs, else 1.
     """
 
     def __init__(
@@ -151,7 +149,7 @@ class OnlineTrainer:
         return self._learned
 
     def _usable(self) -> npt.NDArray[np.int64]:
-        """Return the places in `_rows` of pixels to learn from; some of them only watch."""
+        """Return the places in `_rows` of pixels to learn from and to validate on."""
         if self._batches.dealt < _FEWEST:
             message = (
                 f"learning needs at least {_FEWEST} samples of each pixel, got "
@@ -162,7 +160,7 @@ class OnlineTrainer:
         held_out = int((pixels < self._validation_count).sum())
         if not 0 < held_out < len(pixels):
             message = (
-                "learning needs pixels without a bad sample, to train and to watch; got "
+                "learning needs pixels without a bad sample, to train and to validate; got "
                 f"{len(pixels)} of {len(self._rows)}: give a larger image"
             )
             raise InputError(message)
@@ -195,6 +193,8 @@ class OnlineTrainer:
         return self._network
 
     def _summed_up(self, network: Network, attrs: Mapping[str, Any]) -> Learned:
+        from chdstat.estimators.progressive.training import measure_trust
+
         pixels = self._usable()
         training_set = self._training_set(pixels, self.iterations)
         sizes = training_set.config.sizes

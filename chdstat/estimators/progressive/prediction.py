@@ -1,13 +1,14 @@
-"""Questions: samples to estimate from, with all that goes with them, checked once.
+"""Prediction: a trained network on samples or profiles of many pixels, block by block on all cores.
 
-Application: a trained network on many pixels, block by block on all cores.
+`PredictionInput` holds samples with all that goes with them, checked once. How far it pays to go
+from the mean to the estimate is measured here, too: between the two halves of the samples.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,12 +18,12 @@ from chdstat._core.executor import in_order
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.progressive.architecture import LOSSES, Architecture
 from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, shared_estimates
 from chdstat.estimators.progressive.error_model import error_terms_of
-from chdstat.estimators.progressive.inputs import InputConfig
+from chdstat.estimators.progressive.inputs import LOSSES, Architecture, InputConfig
 from chdstat.estimators.progressive.learned import Estimates, Learned
-from chdstat.estimators.progressive.profile import Profile
+from chdstat.estimators.progressive.profile import ConstantPixels, Profile
+from chdstat.estimators.progressive.shrinkage import Move, shrinkage_factor
 from chdstat.estimators.rows import reordered
 
 if TYPE_CHECKING:
@@ -31,12 +32,12 @@ if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import NetworkOutput
 
 __all__ = [
-    "ConstantPixels",
     "PredictionInput",
-    "check_input",
-    "estimate_blocks",
+    "estimate_input",
+    "estimate_profiles",
+    "share_of_input",
+    "share_of_profiles",
     "with_constants",
-    "with_means",
 ]
 
 Array = npt.NDArray[Any]
@@ -45,7 +46,7 @@ Features = Mapping[str, Array]
 
 @dataclass(frozen=True)
 class PredictionInput:
-    """What a network is asked.
+    """Samples to estimate from, with all that goes with them.
 
     Attributes
     ----------
@@ -82,7 +83,7 @@ class PredictionInput:
         balance: float,
         unit: float | None,
     ) -> Self:
-        """Check what a user asks of an estimator with inputs, for samples of so many channels.
+        """Check samples for an estimator with these inputs and channels.
 
         Raises
         ------
@@ -92,13 +93,13 @@ class PredictionInput:
         """
         samples = as_pixels(x)
         warn_left_out(samples, channel_axis=-2, within="chdstat.estimators")
-        check_input(channels, samples.shape[-2], balance)
+        _check_input(channels, samples.shape[-2], balance)
         part = inputs.direct_of(direct, samples.shape)
         measured = mean_radiance(samples) if unit is None else unit
         return cls(samples, features, part, balance, measured, whole=unit is None)
 
     def halves(self) -> tuple[Self, Self]:
-        """Return the same question about two halves of the samples, whatever their order."""
+        """Return the same for two halves of the samples, whatever their order."""
         samples, *direct = reordered(self.samples, *([] if self.direct is None else [self.direct]))
         first, second = (
             replace(
@@ -111,7 +112,7 @@ class PredictionInput:
         return first, second
 
     def some(self, most: int) -> Self:
-        """Return the same question about so many pixels at most, each for itself."""
+        """Return the same for at most that many pixels, each for itself."""
         rows = self._rows
         if len(rows) <= most:
             return self
@@ -135,7 +136,7 @@ class PredictionInput:
     def seen(
         self, inputs: InputConfig, shape: Architecture
     ) -> tuple[AuxiliaryFeatures, npt.NDArray[np.float32] | None]:
-        """Return what a network sees beside the samples, and what alike pixels say.
+        """Return what a network sees beside the samples, and estimates from similar pixels.
 
         Raises
         ------
@@ -158,7 +159,7 @@ class PredictionInput:
         return x.reshape(-1, *x.shape[-2:])
 
 
-def check_input(channels: int, given: int, balance: float) -> None:
+def _check_input(channels: int, given: int, balance: float) -> None:
     """Refuse samples of other channels than a network's, and a balance out of range.
 
     Raises
@@ -177,6 +178,12 @@ def check_input(channels: int, given: int, balance: float) -> None:
         raise InputError(message)
 
 
+_Half = TypeVar("_Half")
+
+_MEASURED = 2**14
+"""Pixels that trust is measured on, where each is estimated for itself: more tell little more."""
+_FEWEST_HALVES = 4
+"""Samples that trust is measured with: two halves, one of them cut in two."""
 _ROWS = 4096
 """Pixels at once: their profiles and hidden layers stay in the cache."""
 
@@ -187,7 +194,117 @@ Floats32 = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.floating[Any]]
 
 
-def estimate_blocks(
+def estimate_input(
+    learned: Learned,
+    inputs: InputConfig,
+    given: PredictionInput,
+    share: float,
+    *,
+    level: float | None,
+) -> Estimates:
+    """Estimate from samples, with a share of the way from the mean; see `_estimate_blocks`."""
+    auxiliary, shared = given.seen(inputs, learned.network.architecture)
+    found = _estimate_blocks(
+        learned,
+        given.profile,
+        auxiliary,
+        shared,
+        shape=given.shape,
+        share=share,
+        balance=given.balance,
+        level=level,
+    )
+    return with_constants(_with_means(found, given.samples), ConstantPixels.of(given.samples))
+
+
+def estimate_profiles(
+    learned: Learned,
+    inputs: InputConfig,
+    profile: Profile,
+    share: float,
+    *,
+    features: Features | None,
+    balance: float,
+    level: float | None,
+) -> Estimates:
+    """Estimate from profiles, with a share of the way from the mean; see `_estimate_blocks`.
+
+    Raises
+    ------
+    InputError
+        If the profiles are not those of the inputs, or the balance is out of range.
+    """
+    architecture = learned.network.architecture
+    _check_input(architecture.channels, profile.channels, balance)
+    inputs.check_profile(profile, architecture.parts)
+    pixels = profile.count.shape
+    rows = profile.reshape(-1)
+    return _estimate_blocks(
+        learned,
+        lambda part: rows[part],
+        inputs.auxiliary(features, pixels, None, described=architecture.described),
+        None,
+        shape=pixels,
+        share=share,
+        balance=balance,
+        level=level,
+    )
+
+
+def share_of_input(learned: Learned, inputs: InputConfig, given: PredictionInput) -> float:
+    """Return how far it pays to go from the mean to the estimate, from halves of the samples."""
+    count = given.samples.shape[-1]
+    if count < _FEWEST_HALVES:
+        return 0.0
+    if not (inputs.features or inputs.neighbours):
+        given = given.some(_MEASURED)
+    # As far as all samples will be trusted, half of them are.
+    fixed = replace(learned, trust=learned.trust.fixed(count))
+    return _share_between(
+        given.halves(),
+        lambda half: estimate_input(fixed, inputs, half, 1.0, level=None),
+        lambda half, radiance, other: Move.between(
+            half.samples, radiance, other.samples, unit=given.unit
+        ),
+    )
+
+
+def share_of_profiles(
+    learned: Learned,
+    inputs: InputConfig,
+    halves: Sequence[Profile],
+    *,
+    features: Features | None,
+    balance: float,
+) -> float:
+    """Return how far it pays to go from the mean to the estimate, from profiles of two halves."""
+    count = sum(int(half.count.max(initial=0)) for half in halves)
+    if count < _FEWEST_HALVES:
+        return 0.0
+    fixed = replace(learned, trust=learned.trust.fixed(count))
+    return _share_between(
+        halves,
+        lambda half: estimate_profiles(
+            fixed, inputs, half, 1.0, features=features, balance=balance, level=None
+        ),
+        Move.of_profiles,
+    )
+
+
+def _share_between(
+    halves: Sequence[_Half],
+    estimate: Callable[[_Half], Estimates],
+    move: Callable[[_Half, Array, _Half], Move],
+) -> float:
+    """Compare the estimate from each half of the samples with the other half."""
+    found = [estimate(half).radiance for half in halves]
+    return shrinkage_factor(
+        move(half, radiance, other)
+        for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
+    )
+
+
+def _estimate_blocks(
     learned: Learned,
     profile_of: Callable[[slice], Profile],
     auxiliary: AuxiliaryFeatures,
@@ -206,24 +323,22 @@ def estimate_blocks(
         The network.
     profile_of
         Returns the profiles of some of the rows.
-    scenery
+    auxiliary
         What is known of the rows beside.
-    asked
-        What alike pixels say, shape (row, channel), in units of the profiles'.
+    shared
+        Estimates from similar pixels, shape (row, channel), in units of the profiles'.
     shape
         Of the pixels that the rows are.
     share
         Of the way from the mean to the estimate, 0 to 1.
     balance
-        0 for the first of the aims, 1 for the second.
+        0 for the first of the losses, 1 for the second.
     level
         Probability of the interval; None leaves it out (NaN).
     """
     import torch
 
-    from chdstat.estimators.progressive.network import device
-    from chdstat.estimators.progressive.shrinkage import ShrunkNetwork
-    from chdstat.estimators.progressive.training import encode, threads
+    from chdstat.estimators.progressive.network import ShrunkNetwork, device, encode, threads
 
     rows, channels = int(np.prod(shape)), learned.network.architecture.channels
     radiance = np.empty((rows, channels), np.float32)
@@ -266,7 +381,7 @@ def estimate_blocks(
     )
 
 
-def with_means(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
+def _with_means(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
     """Put the mean of good samples where a profile overflows or has no sample good as a whole."""
     lost = ~np.isfinite(found.radiance).all(axis=-1)
     if lost.any():
@@ -275,53 +390,6 @@ def with_means(found: Estimates, samples: npt.NDArray[Any]) -> Estimates:
         found.radiance[lost] = found.low[lost] = found.high[lost] = mean
         found.certainty[lost] = 0
     return found
-
-
-@dataclass
-class ConstantPixels:
-    """Which pixels have seen nothing but equal samples, as lamps have.
-
-    Attributes
-    ----------
-    first
-        The first sample, shape (..., channel).
-    same
-        Whether all others are equal to it and good, shape (...).
-    lit
-        Whether any sample of the image is not 0.
-    count
-        Samples so far.
-    """
-
-    first: npt.NDArray[Any]
-    same: npt.NDArray[np.bool_]
-    lit: bool = False
-    count: int = 0
-
-    @classmethod
-    def of(cls, samples: npt.NDArray[Any]) -> ConstantPixels:
-        """Look at samples, shape (..., channel, sample), of which there is at least one."""
-        first = samples[..., 0].copy()
-        good = np.asarray(np.isfinite(first).all(axis=-1))
-        found = cls(first, good)
-        found.add(samples)
-        return found
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that are kept."""
-        return self.first.nbytes + self.same.nbytes
-
-    def add(self, samples: npt.NDArray[Any]) -> None:
-        """Look at further samples of the same pixels."""
-        # The last one tells nearly all pixels apart from these; only the others are read.
-        last = (samples[..., -1] == self.first).all(axis=-1)
-        self.same[~last] = False
-        same = self.same
-        same[same] = (samples[same] == self.first[same][..., np.newaxis]).all(axis=(-2, -1))
-        # Of nearly all images one sample a pixel is enough to tell.
-        self.lit = self.lit or bool(samples[..., 0].any() or samples.any())
-        self.count += samples.shape[-1]
 
 
 def with_constants(found: Estimates, constant: ConstantPixels) -> Estimates:

@@ -23,7 +23,7 @@ from chdstat._core.arrays import LUMINANCE, as_pixels, as_samples, is_bad, spans
 from chdstat._core.executor import in_order
 from chdstat.errors import InputError
 
-__all__ = ["OCTAVES", "Profile"]
+__all__ = ["OCTAVES", "ConstantPixels", "Profile"]
 
 OCTAVES = 24
 _LOWEST = -12
@@ -160,6 +160,53 @@ class Profile:
     def __getitem__(self, pixels: Any) -> Self:
         """Return the profiles of some pixels."""
         return type(self)(self.bins[pixels], self.count[pixels], self.unit)
+
+
+@dataclass
+class ConstantPixels:
+    """Which pixels have seen nothing but equal samples, as lamps have.
+
+    Attributes
+    ----------
+    first
+        The first sample, shape (..., channel).
+    same
+        Whether all others are equal to it and good, shape (...).
+    lit
+        Whether any sample of the image is not 0.
+    count
+        Samples so far.
+    """
+
+    first: npt.NDArray[Any]
+    same: npt.NDArray[np.bool_]
+    lit: bool = False
+    count: int = 0
+
+    @classmethod
+    def of(cls, samples: npt.NDArray[Any]) -> ConstantPixels:
+        """Start from samples, shape (..., channel, sample), of which there is at least one."""
+        first = samples[..., 0].copy()
+        good = np.asarray(np.isfinite(first).all(axis=-1))
+        found = cls(first, good)
+        found.add(samples)
+        return found
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept."""
+        return self.first.nbytes + self.same.nbytes
+
+    def add(self, samples: npt.NDArray[Any]) -> None:
+        """Add samples of the same pixels."""
+        # The last one tells nearly all pixels apart from these; only the others are read.
+        last = (samples[..., -1] == self.first).all(axis=-1)
+        self.same[~last] = False
+        same = self.same
+        same[same] = (samples[same] == self.first[same][..., np.newaxis]).all(axis=(-2, -1))
+        # Of nearly all images one sample a pixel is enough to tell.
+        self.lit = self.lit or bool(samples[..., 0].any() or samples.any())
+        self.count += samples.shape[-1]
 
 
 def _checked(x: npt.ArrayLike, unit: float) -> Floats:

@@ -1,4 +1,4 @@
-r"""Trust: how far it pays to move from the sample mean to what a network estimates.
+r"""Shrinkage: how far it pays to move from the sample mean to what a network estimates.
 
 An estimate ``m + a (g - m)`` lies between the mean m and the network's g. Where t is an unbiased
 target that neither has seen, the share with the least squared error under weights w is
@@ -7,7 +7,7 @@ target that neither has seen, the share with the least squared error under weigh
 
 and every share below :math:`2 \alpha` is better than the mean (Stein's shrinkage with a known
 target; Rousselle et al. 2012, doi:10.1145/2366145.2366214, choose between filters by two halves of
-the samples alike). Three cases differ in what is known:
+the samples likewise). Three cases differ in what is known:
 
 With a reference, `reference_trust` finds shares for pixels of each brightness, brightened and
 darkened apart: those with the least error among those under which neither MSE nor relMSE exceeds
@@ -35,22 +35,16 @@ from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from scipy import optimize, special
-from torch import nn
 
 from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.progressive.architecture import GROUPS, LEVELS, LOSSES, MOST_TRUST
 from chdstat.estimators.progressive.error_model import ValidationBatch, ratio
+from chdstat.estimators.progressive.inputs import FLOOR, GROUPS, LOSSES, MOST_TRUST
 from chdstat.estimators.progressive.learned import Trust
-from chdstat.estimators.progressive.network import Network, NetworkInput, NetworkOutput
 from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.progressive.training import FLOOR
 
 __all__ = [
     "Move",
-    "ShrunkNetwork",
-    "group_weights",
     "keeping_mean",
     "own_shares",
     "reference_trust",
@@ -75,56 +69,12 @@ Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.floating[Any]]
 
 
-def group_weights(mean: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
-    """Return how far each pixel belongs to each group, shape (..., group), which sums to 1.
-
-    Groups are levels of the mean, first of pixels that are brightened, then of those that are
-    darkened.
-
-    Parameters
-    ----------
-    mean, move
-        Shape (..., channel), in units of the image's radiance.
-    """
-    octave = torch.log2(mean.mean(dim=-1).clamp(min=1e-12))
-    levels = torch.as_tensor(LEVELS, dtype=mean.dtype, device=mean.device)
-    place = octave.clamp(levels[0], levels[-1])
-    near = (1 - (place[..., None] - levels).abs() / 2).clamp(min=0)
-    up = (move.mean(dim=-1) > 0)[..., None]
-    return torch.cat([near * up, near * ~up], dim=-1)
-
-
-class ShrunkNetwork(nn.Module):
-    """A network whose estimates are followed as far as they pay; its certainty falls likewise.
-
-    Parameters
-    ----------
-    network
-        The network.
-    trust
-        How far.
-    """
-
-    def __init__(self, network: Network, trust: Trust) -> None:
-        super().__init__()
-        self.network, self.trust, self.architecture = network, trust, network.architecture
-
-    def forward(self, given: NetworkInput) -> NetworkOutput:
-        """Estimate under every aim."""
-        found = self.network(given)
-        mean = found.mean[:, None].expand_as(found.estimate)
-        shares = torch.from_numpy(self.trust.at(given.count.cpu().numpy())).to(mean)
-        share = (shares * group_weights(mean, found.estimate - mean)).sum(dim=-1)
-        estimate = torch.lerp(mean, found.estimate, share[..., None])
-        return NetworkOutput(estimate, found.mean, found.certainty * share.clamp(max=1))
-
-
 def reference_trust(batches: Sequence[ValidationBatch]) -> Trust:
     """Return the shares that pay where targets are as good as the truth.
 
     Parameters
     ----------
-    trials
+    batches
         Of pixels of the image, at several numbers of samples.
     """
     sizes = sorted({batch.size for batch in batches})
@@ -134,10 +84,14 @@ def reference_trust(batches: Sequence[ValidationBatch]) -> Trust:
 
 
 def _best_shares(batches: Sequence[ValidationBatch], loss: int) -> Floats:
-    """Return the share of each group under which the error of an aim is least.
+    """Return the share of each group under which one of the errors is least.
 
     Neither error exceeds the mean's, and the image keeps its mean.
     """
+    import torch
+
+    from chdstat.estimators.progressive.network import group_weights
+
     rows = np.concatenate([batch.rows for batch in batches])
     mean = np.concatenate([batch.mean for batch in batches])
     target = np.concatenate([batch.target for batch in batches])
@@ -167,7 +121,7 @@ def _best_shares(batches: Sequence[ValidationBatch], loss: int) -> Floats:
 
 
 def _least(gains: Sequence[tuple[Floats, Floats]], loss: int, radiance: Floats) -> Floats:
-    """Minimise ``a squares a - 2 along a`` of one aim, that of neither being above 0."""
+    """Minimise ``a squares a - 2 along a`` of one loss, that of neither being above 0."""
     ridge = _RIDGE * np.eye(GROUPS) * max(np.trace(gains[loss][1]), 1e-12) / GROUPS
 
     def excess(shares: Floats, k: int) -> float:
@@ -247,7 +201,7 @@ class Move:
 
     @classmethod
     def of(cls, batch: ValidationBatch) -> Self:
-        """Return that of a trial, whose estimates without a reference are nearly one."""
+        """Return that of a batch, whose estimates without a reference are nearly one."""
         return cls(batch.rows, batch.mean, batch.estimate.mean(axis=0), batch.target, batch.noise)
 
     @classmethod

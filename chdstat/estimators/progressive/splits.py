@@ -1,14 +1,11 @@
-"""Splits: the samples of a pixel cut in two at random, one part to learn from, one to learn.
+"""Splits of the samples of a pixel in two at random: one part to learn from, one for the target.
 
 The mean of the other samples of a pixel is an unbiased target, however noisy it is (Lehtinen et al.
 2018, "Noise2Noise: learning image restoration without clean data"); where there are many more of
 them, it is as good as a reference. So the same splits serve both ways of training.
 
-Buckets: samples of an image dealt in turn to a few profiles a pixel, to learn from.
-
-The memory does not grow with the samples, and yet they can be cut in two at random: some of the
-buckets to learn from, and the mean of the others, which is as unbiased a target as that of other
-samples (Lehtinen et al. 2018, "Noise2Noise: learning image restoration without clean data").
+`SampleSplits` keeps the samples. `BatchProfiles` deals those that stream in to a few profiles a
+pixel, in memory that does not grow, and `BatchSplits` cuts these in two at random.
 """
 
 from __future__ import annotations
@@ -57,8 +54,8 @@ class Minibatch:
     profile
         Of the samples to learn from.
     shared
-        What alike pixels around say from their samples at the same places, shape (row, channel), in
-        units of the profile's; 0 channels where nobody asked them.
+        Estimates from similar pixels around, of their samples at the same places, shape (row,
+        channel), in units of the profile's; 0 channels without neighbours.
     target
         Mean of the others, in units of the profile's, shape (row, channel).
     """
@@ -124,7 +121,7 @@ class HeldOutHalves:
 
         Examples
         --------
-        >>> Halves(np.array([[[1.0]], [[3.0]]]), (2, 2)).noise.item()
+        >>> HeldOutHalves(np.array([[[1.0]], [[3.0]]]), (2, 2)).noise.item()
         1.0
         """
         a, b = self.sizes
@@ -144,7 +141,7 @@ class SampleSplits:
         Splits to choose from in place of new ones, because much was computed for them: places, and
         what `Minibatch.shared` needs, shape (pixel, channel), radiance.
     shared
-        The same of all samples; None where nobody asks alike pixels.
+        The same of all samples; None without neighbours.
     direct
         The direct part of the samples, of their shape: then profiles hold it apart.
     """
@@ -280,7 +277,7 @@ class BatchProfiles:
 
     Examples
     --------
-    >>> kept = Buckets(1, 1, unit=1.0, buckets=2)
+    >>> kept = BatchProfiles(1, 1, unit=1.0, buckets=2)
     >>> kept.add(np.array([[[1.0, 5.0, 3.0]]]))
     >>> kept.sums[..., 0].tolist()
     [[4.0], [5.0]]

@@ -1,6 +1,7 @@
-"""Stream: samples as they are rendered, kept as profiles, with an estimate at any time.
+"""Streams: samples are kept as profiles while they are rendered, with an estimate at any time.
 
-Timetable: when a stream learns while its samples arrive, and for how long.
+A stream may also train its model on the samples that arrive; `schedule` says when, and for how many
+iterations.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from chdstat.estimators.progressive.auxiliary import Features, describe
 from chdstat.estimators.progressive.learned import Estimates
 from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.progressive.online import OnlineTrainer
-from chdstat.estimators.progressive.prediction import ConstantPixels, with_constants
-from chdstat.estimators.progressive.profile import Profile
+from chdstat.estimators.progressive.prediction import with_constants
+from chdstat.estimators.progressive.profile import ConstantPixels, Profile
 
 __all__ = ["Stream", "follow", "schedule"]
 
@@ -32,7 +33,7 @@ class Stream:
     """Estimates that get better with every batch, in memory that does not grow.
 
     A pixel takes 24 octaves of 4 numbers (of RGB), however many samples there are, twice as many
-    where the model looks at direct light; of 65,536 pixels eight times as many are kept where it
+    where direct light is an input; of 65,536 pixels eight times as many are kept where it
     learns, to cut them in two at random. A model of another scene takes three times as
     many: it is followed as far as one half of the samples says that the other half's estimate
     pays.
@@ -40,10 +41,10 @@ class Stream:
     Parameters
     ----------
     model
-        An estimator that looks at no neighbours: these need the samples. It was trained before, or
+        An estimator without neighbours: these need the samples. It was trained before, or
         learns here.
     features
-        First-hit features of the image, where it looks at these.
+        First-hit features of the image, where they are an input.
     unit
         Mean radiance of the image, as of `mean_radiance`; None measures it on the first batch with
         light. Given, the pixels may be a part of an image, which tells too little of how far a
@@ -60,7 +61,7 @@ class Stream:
     Raises
     ------
     InputError
-        If a model that learns looks at neighbours, or wants features and gets none.
+        If a model that learns has neighbours for an input, or wants features and gets none.
 
     References
     ----------
@@ -146,7 +147,7 @@ class Stream:
         x
             The samples.
         direct
-            Their direct part, of the same shape, where the model looks at it.
+            Their direct part, of the same shape, where it is an input.
 
         Raises
         ------
@@ -353,7 +354,7 @@ def schedule(spp: int, iterations: int | None = None) -> dict[int, int]:
 
     Examples
     --------
-    >>> timetable(64, 700)
+    >>> schedule(64, 700)
     {16: 100, 32: 200, 64: 400}
     """
     total = _ITERATIONS if iterations is None else iterations

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from chdstat.estimators.progressive.architecture import LOSSES
 from chdstat.estimators.progressive.error_model import (
     BALANCES,
     BRIGHTNESS,
@@ -15,6 +14,7 @@ from chdstat.estimators.progressive.error_model import (
     ratio,
     upper_bound,
 )
+from chdstat.estimators.progressive.inputs import LOSSES
 
 
 def batches(rng, scale, *, pixels=300, noise=2.0, tail=1.0, draws=4):

@@ -16,13 +16,12 @@ from chdstat.estimators import Profile, Progressive, Stream, lookup
 from chdstat.estimators.model_files import read_model, write_model
 from chdstat.estimators.models import train_model
 from chdstat.estimators.progressive import entries
-from chdstat.estimators.progressive.architecture import Architecture
 from chdstat.estimators.progressive.dataset import AuxiliaryFeatures
 from chdstat.estimators.progressive.error_model import error_terms_of
-from chdstat.estimators.progressive.network import Network
+from chdstat.estimators.progressive.inputs import Architecture
+from chdstat.estimators.progressive.network import Network, encode
 from chdstat.estimators.progressive.profile import OCTAVES
 from chdstat.estimators.progressive.splits import BatchProfiles, BatchSplits, SampleSplits
-from chdstat.estimators.progressive.training import encode
 from chdstat.estimators.validation import direct_of
 
 

@@ -5,11 +5,10 @@ import pytest
 import torch
 
 from chdstat.estimators import Profile
-from chdstat.estimators.progressive.architecture import LOSSES, Architecture
 from chdstat.estimators.progressive.auxiliary import BANDS, RADII
 from chdstat.estimators.progressive.dataset import AuxiliaryFeatures
-from chdstat.estimators.progressive.network import Network, device
-from chdstat.estimators.progressive.training import encode
+from chdstat.estimators.progressive.inputs import LOSSES, Architecture
+from chdstat.estimators.progressive.network import Network, device, encode
 
 SHAPES = [
     Architecture(3),

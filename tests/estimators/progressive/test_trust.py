@@ -7,7 +7,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.estimators import Progressive
-from chdstat.estimators.progressive.architecture import GROUPS
+from chdstat.estimators.progressive.inputs import GROUPS
 from chdstat.estimators.progressive.learned import Trust
 from chdstat.estimators.progressive.shrinkage import (
     Move,
