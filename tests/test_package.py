@@ -164,6 +164,14 @@ def test_statistics_need_no_renderer():
     assert not {"mitsuba", "drjit", "torch", "matplotlib", "zarr"} & set(loaded)
 
 
+def test_mitsuba_is_loaded_when_a_scene_is_read():
+    code = "import sys, chdstat.cli, chdstat.explorer, chdstat.rendering; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert not {"mitsuba", "drjit", "torch"} & set(loaded)
+
+
 # --- imports ------------------------------------------------------------------------------------
 
 

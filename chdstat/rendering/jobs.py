@@ -14,7 +14,7 @@ from chdstat.rendering.backend import Backend, resolve
 from chdstat.rendering.renderer import Job, Renderer, film_size, integrator_type
 from chdstat.rendering.seeds import SEEDS, max_spp
 from chdstat.scenes import Scene, load_scene
-from chdstat.scenes.loading import LONGEST
+from chdstat.scenes.settings import LONGEST
 
 __all__ = [
     "check_room",

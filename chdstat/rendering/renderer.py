@@ -22,7 +22,7 @@ from chdstat.rendering.seeds import Streams
 from chdstat.samples.layout import Chunk
 from chdstat.scenes import Scene
 from chdstat.scenes.files import code_of, plugins_made
-from chdstat.scenes.loading import Asked, asked_for
+from chdstat.scenes.settings import Asked, asked_for
 
 __all__ = ["Job", "Renderer", "film_size", "integrator_type"]
 
