@@ -18,7 +18,7 @@ import torch
 
 from chdstat._core.arrays import spans
 
-__all__ = ["TrainingSet", "descend", "evaluate", "initial_weights"]
+__all__ = ["TrainingRows", "descend", "evaluate", "initial_weights"]
 
 Weights = list[npt.NDArray[np.float32]]
 
@@ -30,7 +30,7 @@ _ROWS_AT_ONCE = 65_536
 
 
 @dataclass(frozen=True)
-class TrainingSet:
+class TrainingRows:
     """What a network learns from, in units of the scene's mean.
 
     Attributes
@@ -42,7 +42,7 @@ class TrainingSet:
     baseline
         Squared error of the sample mean, float32, shape (row,).
     train, validation
-        Indices of the rows that train and of those that only watch.
+        Indices of the rows of each.
     """
 
     inputs: npt.NDArray[np.float32]
@@ -64,7 +64,7 @@ def initial_weights(sizes: Sequence[int], rng: np.random.Generator) -> Weights:
 
 def descend(
     weights: Weights,
-    data: TrainingSet,
+    data: TrainingRows,
     *,
     iterations: int,
     minibatch: int,

@@ -212,13 +212,13 @@ def _fit(
     progress: bool | None,
 ) -> tuple[list[npt.NDArray[np.float32]], npt.NDArray[np.float64]]:
     """Run the descent on batches (batch, channel, sample) and references (batch, channel)."""
-    from chdstat.estimators.network import TrainingSet, descend, initial_weights
+    from chdstat.estimators.network import TrainingRows, descend, initial_weights
 
     count, channels, n = batches.shape
     order = rng.permutation(count)
     watching = max(1, round(count * preset.validation_share))
     inputs, targets = batches.reshape(-1, n), references.reshape(-1)
-    data = TrainingSet(
+    data = TrainingRows(
         inputs,
         targets,
         baseline=(inputs.mean(axis=1) - targets) ** 2,

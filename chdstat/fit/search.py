@@ -345,7 +345,7 @@ def _pieces(part: Part, usable: Mask, plan: _Plan) -> Iterator[tuple[Counts, Obj
         return
     n = part.n.reshape(-1)
     ascending = part.log_sorted.reshape(-1, part.x.shape[-1])
-    for rows in _alike(chosen, n[chosen], plan):
+    for rows in _similar_lengths(chosen, n[chosen], plan):
         log_sorted = ascending[rows, : n[rows[-1]]]
         cells = cells_of_samples(log_sorted, n[rows], plan.cells)
         yield rows, SampleRows(cells, log_sorted, n[rows], plan.loss, plan.sample_cycles)
@@ -358,11 +358,11 @@ def _binned_pieces(
     counts = part.counts.reshape(-1, bins)
     centers = np.broadcast_to(part.log_centers, part.counts.shape).reshape(-1, bins)
     width = np.broadcast_to(part.width, part.n.shape).reshape(-1)
-    for rows in _alike(chosen, np.count_nonzero(counts[chosen], axis=-1), plan):
+    for rows in _similar_lengths(chosen, np.count_nonzero(counts[chosen], axis=-1), plan):
         yield rows, Bins(*cells_of_bins(counts[rows], centers[rows], width[rows]))
 
 
-def _alike(rows: Counts, lengths: Counts, plan: _Plan) -> Iterator[Counts]:
+def _similar_lengths(rows: Counts, lengths: Counts, plan: _Plan) -> Iterator[Counts]:
     """Yield pieces of rows of about the same length: little padding, the longest row last."""
     ordered = rows[np.argsort(lengths, kind="stable")]
     for piece in spans(len(ordered), plan.rows):

@@ -41,7 +41,7 @@ def build() -> dict[str, Any]:
         "integrator": {"type": "volpath", "max_depth": 5},
         **_air(),
         "sensor": {**camera((0.55, -2.2, 1.55), (-0.1, 8.0, 2.0), fov=52.0), "medium": _HAZE},
-        **_ground(),
+        **_terrain(),
         **_lamps(),
         **_trees(),
         **_bench(),
@@ -70,7 +70,7 @@ def _air() -> Entry:
     }
 
 
-def _ground() -> Entry:
+def _terrain() -> Entry:
     """Return pale and dark pavers, wet, between lawns."""
     lawn = quad((-20.0, -6.0, -0.004), (40.0, 0, 0), (0, 40.0, 0))
     kerbs = [box((x - 0.05, -1.5, -0.02), (x + 0.05, 22.0, 0.07), bevel=0.015) for x in (-1.4, 1.4)]

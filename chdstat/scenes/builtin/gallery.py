@@ -48,7 +48,7 @@ def build() -> dict[str, Any]:
         **_portal(),
         **_panels(),
         **_lamps(),
-        **_exhibits(),
+        **_sculptures(),
     }
 
 
@@ -200,7 +200,7 @@ def _lamps() -> Entry:
     return entries
 
 
-def _exhibits() -> Entry:
+def _sculptures() -> Entry:
     """Return two plinths with polished pieces, and a bench on the axis."""
     entries: Entry = {}
     loop = np.linspace(0, 2 * np.pi, 25)

@@ -42,7 +42,7 @@ def build() -> dict[str, Any]:
         "sensor": camera((-1.5, -1.3, 1.65), (0.3, 6.0, 1.3), fov=54.0),
         # The last of dusk, so that what faces the sky alone is not black.
         "dusk": {"type": "constant", "radiance": rgb(0.008, 0.013, 0.032)},
-        **_ground(),
+        **_paving(),
         **_wall(),
         **_fence(),
         **_pergola(),
@@ -53,7 +53,7 @@ def build() -> dict[str, Any]:
     }
 
 
-def _ground() -> Entry:
+def _paving() -> Entry:
     """Return dark and pale tiles, wet, on mortar."""
     mortar = quad((-_HALF, -2.0, -0.001), (2 * _HALF, 0, 0), (0, 10.0, 0))
     lawn = quad((-30.0, -10.0, -0.02), (60.0, 0, 0), (0, 40.0, 0))
