@@ -1,6 +1,6 @@
-"""Analysis: everything that the library says about the pixels of an image, in one dataset.
+"""Analysis: everything that the library computes per pixel, in one dataset, and its overview.
 
-Overview: a scene in a few numbers, from the dataset that `chdstat.analyze` returns.
+`analyze` returns the dataset; `overview` summarises it as a scene in a few numbers.
 """
 
 from __future__ import annotations

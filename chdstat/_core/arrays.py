@@ -1,10 +1,8 @@
 """Sample arrays: what every statistic assumes of its input, checked in one place.
 
-Samples lie on the last axis; leading axes are a batch (pixels, channels).
-
-Rows: take some rows out of a result, whatever its type, as indexing an array takes them.
-
-Channels and luminance are analysed together, as rows of one batch; afterwards they part again.
+Samples lie on the last axis; leading axes are a batch (pixels, channels). Channels and luminance
+are analysed together, as rows of one batch, and `take_rows` separates their results again, whatever
+their type.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
-"""Interrupts: Ctrl-C ends a render in several threads, all of them, and is never lost.
+"""Threads, interrupts and progress of long work.
 
-Workers: the same function on many pieces at once, one thread for each core of the machine.
-
-NumPy lets go of Python's lock while it computes, so that threads, which share memory, are enough.
-
-Progress of long work: one bar, with rate and time left, on the terminal's error stream.
-
-Where no terminal is attached nothing is drawn, so logs stay clean.
+One function runs on many pieces at once, one thread for each core: NumPy releases Python's lock
+while it computes, so threads, which share memory, are enough. Ctrl-C ends the work in all threads
+and is never lost. One progress bar shows rate and time left on the terminal's error stream; where
+no terminal is attached nothing is drawn, so that logs stay clean.
 """
 
 from __future__ import annotations

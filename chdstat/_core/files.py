@@ -2,14 +2,14 @@
 
 A file or folder is written beside its place, under a name that ends in ``.partial`` but for its
 suffix, and moved there when it is complete. Its writer holds a lock on it (``flock``), which the
-system releases when a process ends in whatever way. So what is locked is alive, what is not is left
-over from a process that was killed, and the next one that writes to the same place removes it.
+system releases when a process ends in whatever way. So a locked file belongs to a living process;
+one that is not is left over from a process that was killed, and the next one that writes to the
+same place removes it.
 
 Records are results, dataclasses of numbers, words and arrays, in an ``.npz`` file: arrays by
-number, and a tree in JSON that says where they belong. Unlike in a pickle nothing in it runs when
-it is read: a folder of renders can be passed on.
-
-Code: what tells this code and its libraries from others, as what they found is kept.
+number, and a tree in JSON that says where they belong. Unlike a pickle, nothing in it runs when it
+is read: a folder of renders can be passed on. `code_digest` identifies the code and the libraries
+that computed a result, so that a cache is not read by other code.
 """
 
 from __future__ import annotations

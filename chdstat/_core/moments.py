@@ -1,10 +1,8 @@
-"""Moments: mean and central moments of samples, mergeable without loss.
+"""Mean and central moments of samples, and batch means, both in constant memory.
 
-Use `Moments.of` on the samples at hand and `Moments.merge` to join what was seen apart.
-
-Batch means: how the mean wanders over consecutive samples, in constant memory.
-
-Batches double in size whenever there would be too many of them.
+Use `Moments.of` on the samples at hand and `Moments.merge` to join parts without loss. Batch means
+show how the mean drifts over consecutive samples; batches double in size whenever there would be
+too many of them.
 """
 
 from __future__ import annotations

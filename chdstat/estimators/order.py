@@ -1,10 +1,8 @@
-"""Classical estimators: the sample mean, which every other one is measured against.
-
-Order statistics: estimators that look at the ranks of the samples.
+"""The sample mean, which every other estimator is measured against, and order statistics.
 
 `median` ignores all but the middle, `trimmed_mean` leaves the ends out, `winsorized_mean` pulls
-them in. All treat both ends alike, and radiance is skewed to the right: they come out too dark, and
-black where at least half of the samples are null (the median) or all but the trimmed ones.
+them in. All treat both ends equally, and radiance is skewed to the right: they come out too dark,
+and black where at least half of the samples are null (the median) or all but the trimmed ones.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
-"""Reweighting: the mean, less what the largest samples contribute too much.
+"""Estimators that give the largest samples less weight, or resample.
 
 `bayesian_median_of_means` corrects by the skewness, smoothly and by little; `lee_valiant` takes
 weight off the samples that are far from the median of means, and tends to the mean as fast as any
-estimator can.
-
-Resampling: a robust look at how the mean of these samples would scatter.
-
-`jung2015` draws bootstrap means of a pixel and takes a robust location of them.
+estimator can. `jung2015` draws bootstrap means of a pixel and takes a robust location of them.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
-"""Rows: the walk that estimators of one row of samples share.
+"""What estimators of one row of samples share: the walk over rows, and root finding.
 
 An estimator is written as a kernel on rows of good samples. `estimate_rows` hands them over in
 float64, with their mean size brought to about 1 by a power of two, which changes no digit: squares
 and cubes of a radiance of 1e30 or of subnormal radiance neither overflow nor vanish. Rows that miss
 samples are gathered by how many they have, so that a kernel never sees a mask.
 
-Roots: the location at which a decreasing sum over the samples of a row crosses zero.
-
-Newton's steps, kept inside a bracket that shrinks with every one of them; rows that have arrived
-drop out. Serves every M-estimator whose influence function is monotone.
+Roots are where a decreasing sum over the samples of a row crosses zero, found by Newton's steps
+inside a bracket that shrinks with every one of them; rows that have arrived drop out. They serve
+every M-estimator whose influence function is monotone.
 """
 
 from __future__ import annotations

@@ -1,19 +1,15 @@
 """Shrinkage: the mean, pulled towards a biased estimate as far as their difference may be noise.
 
-`james_stein` combines any two estimates; `gmon_shrinkage` pulls towards a robust estimate. What
-pulls towards the mean of a fitted family is in `chdstat.estimators.shrinkage`.
+`james_stein` combines any two estimates. `gmon_shrinkage` pulls towards a robust estimate, the
+others towards the mean of a fitted family: `gamma_shrinkage` shows that the family that most CHDs
+resemble has nothing to offer, `lognormal_shrinkage` and `mixture_shrinkage` what longer tails and
+several kinds of light paths do. Negative samples count as zeros in the fits, and what they
+contribute to the mean is added.
 
 The values that are shrunk together are the channels of a pixel: a pixel then needs no other, and
 all its channels move by one factor, which keeps its hue between those of the two estimates. With
-less than three channels nothing is shrunk. To share the factor between pixels too, call
+fewer than three channels nothing is shrunk. To share the factor between pixels too, call
 `james_stein` with their axes.
-
-Plug-in means: of fitted families, which the sample mean is pulled towards.
-
-`gamma_shrinkage` shows that the family that most CHDs look like has nothing to offer,
-`lognormal_shrinkage` and `mixture_shrinkage` what longer tails and several kinds of light paths do.
-All are combinations by `chdstat.estimators.james_stein`. Negative samples count as
-zeros in the fits, and what they contribute to the mean is added.
 """
 
 from __future__ import annotations

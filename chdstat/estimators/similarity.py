@@ -1,10 +1,9 @@
-"""Likeness: what tells whether the samples of two pixels come from one distribution.
+"""Similarity: statistics that tell whether the samples of two pixels come from one distribution.
 
 Means of transformed samples with their standard errors, as Welch's test compares them, and the
-histograms that a chi-square distance compares. Samples count that are good as a whole; where there
-are too few, errors are NaN and histograms empty.
-
-Topics: distributions that many histograms are mixtures of, found from the histograms alone.
+histograms that a chi-square distance compares. Only samples that are good in all channels count;
+where there are too few, errors are NaN and histograms empty. Topics are distributions that many
+histograms are mixtures of, found from the histograms alone.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Presets: published networks, each a frozen list of choices.
+"""Training of the paper's network: from an image's samples to weights, history and provenance.
 
-Training: from an image's samples to a trained network with its history and provenance.
+`PRESETS` are published networks, each a frozen list of choices.
 """
 
 from __future__ import annotations

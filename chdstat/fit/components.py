@@ -1,11 +1,9 @@
-"""Cells: groups of neighbouring samples, which mixtures are fitted to in place of the samples.
+"""Cells and components: what mixtures are fitted to, and the families that they are made of.
 
-What an exponential family needs of a group of samples is their number and the means of its
-sufficient statistics. With a bounded number of cells per pixel, the cost of a fit does not depend
-on spp; with cells as narrow as the samples are dense, hardly anything is lost. The bins of a log
-histogram are cells, too.
-
-Components: the exponential families that mixtures are made of.
+Cells are groups of neighbouring samples. What an exponential family needs of a group is its size
+and the means of its sufficient statistics. With a bounded number of cells per pixel, the cost of a
+fit does not depend on spp; with cells as narrow as the samples are dense, hardly anything is lost.
+The bins of a log histogram are cells, too.
 
 The density of y = log x of a component is ``exp(a0 + a1 y + a2 t(y))``, with t(y) = y^2 for a
 log-normal component and t(y) = exp(y) for a gamma one. Its state is (log weight, location, log

@@ -1,12 +1,11 @@
-"""Distances between samples and a fitted distribution, for rows of samples or of bins.
+"""Distances between samples and a fitted distribution, and their bootstrap distribution.
 
-Each is computed for all rows at once, from the distribution function at the samples or at the edges
-of the bins; `chdstat.fit.goodness` says what they mean and how likely they are.
+Each is computed for all rows of samples or bins at once, from the distribution function at the
+samples or at the edges of the bins; `chdstat.fit.goodness` explains them and computes p-values.
 
-Bootstrap: distances from a fitted family, and those of samples drawn from it and fitted again.
-
-The random numbers of a row are made of the seed and of the row's own samples, so that its p-value
-does not depend on which rows are tested with it. The replicates of several rows are fitted at once.
+The bootstrap draws samples from the fit and fits them again. The random numbers of a row are made
+of the seed and of the row's own samples, so that its p-value does not depend on which rows are
+tested with it. The replicates of several rows are fitted at once.
 """
 
 from __future__ import annotations

@@ -7,13 +7,11 @@ doi:10.1007/s10618-005-0033-3). Steps are extrapolated by SQUAREM (Varadhan and 
 globally convergent methods for accelerating the convergence of any EM algorithm", 2008,
 doi:10.1111/j.1467-9469.2007.00585.x, scheme S3), which is undone wherever the bound falls.
 
-Starts: where the fits of k components begin; none of them is random.
-
-Likelihoods of mixtures have many maxima. Three kinds of start find the best one of nearly all
-pixels: cutting the row into k segments; inserting a component into a fit of k - 1 (greedy EM:
-Verbeek, Vlassis and Kröse, "Efficient greedy learning of Gaussian mixture models", 2003,
-doi:10.1162/089976603762553004), from narrow windows, for the spikes of renders, to wide ones; and
-splitting the broadest component of that fit, for bodies beside spikes.
+Likelihoods of mixtures have many maxima. Three kinds of start, none of them random, find the best
+one of nearly all pixels: cutting the row into k segments; inserting a component into a fit of k - 1
+(greedy EM: Verbeek, Vlassis and Kröse, "Efficient greedy learning of Gaussian mixture models",
+2003, doi:10.1162/089976603762553004), from narrow windows, for the spikes of renders, to wide ones;
+and splitting the broadest component of that fit, for bodies beside spikes.
 """
 
 from __future__ import annotations

@@ -1,14 +1,12 @@
-"""Results of tests of fit: one frozen type for every family, and its variables over an image.
-
-Goodness of fit: whether a fitted family describes the samples, and by how much it does not.
+"""Goodness of fit: whether a fitted family describes the samples, and how large the misfit is.
 
 `goodness` gives, for each test, a p-value that knows the parameters were estimated, and an effect
 size: with thousands of samples every family is rejected, and the effect says whether it matters.
 Use `chdstat.fit.select` to compare families with each other.
 
-Which test? Anderson-Darling has the most power against tails that differ, which decide noise;
-Cramer-von Mises looks at the body, Kolmogorov-Smirnov at the largest gap, whose size is the easiest
-to read; chi-square at all cells alike, whatever their order, and is the weakest of the four.
+Anderson-Darling has the most power against tails that differ, which decide noise; Cramer-von Mises
+looks at the body, Kolmogorov-Smirnov at the largest gap, whose size is the easiest to read;
+chi-square at all cells equally, whatever their order, and is the weakest of the four.
 """
 
 from __future__ import annotations

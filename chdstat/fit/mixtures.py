@@ -1,8 +1,7 @@
-"""Chosen mixtures: of all that a search finds, those of the chosen numbers of components.
+"""Mixtures: several kinds of light paths in one pixel, each a log-normal or gamma component.
 
-`chdstat.fit.mixture` and `chdstat.modality` share it, so that one search serves both.
-
-Mixtures: several families of light paths in one pixel, each a log-normal or gamma component.
+One search finds the mixtures of all numbers of components; `chdstat.fit.mixture` and
+`chdstat.modality` share it, and choose among them.
 """
 
 from __future__ import annotations

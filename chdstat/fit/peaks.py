@@ -1,14 +1,11 @@
-"""Information: standard errors of the parameters of mixtures.
-
-Peaks: the modes of fitted mixtures in log radiance, and how far they stand apart.
+"""Peaks: the modes of fitted mixtures in log radiance, and how far they are separated.
 
 A component makes a mode of its own where its weight is at least `LEAST_WEIGHT` and, on the way to
 every higher mode, the density falls below `DEPTH` of its height; otherwise it belongs to the mode
-that it is least separated from.
+that it is least separated from. Standard errors of the parameters give those of the separation.
 
-Best peaks: the modes of the mixture that describes each row best, if a single family does not.
-
-The mixtures are those of 2 and more log-normal or gamma components; the smallest BIC decides.
+The peaks of a row are those of the mixture of 2 or more log-normal or gamma components that has the
+smallest BIC, unless a single family describes it better.
 """
 
 from __future__ import annotations

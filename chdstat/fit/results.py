@@ -1,7 +1,4 @@
-"""Results of a fit: one frozen type for every family, for one pixel or a whole batch.
-
-Results of mixture fits: one frozen type, for one pixel or a whole batch.
-"""
+"""Results of fits of families and of mixtures: frozen types for one pixel or a whole batch."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Selection: which family describes the samples best, and by how much.
 
-Use `select` on samples or log histograms; `chdstat.fit.selection` sums an image up.
-
-Shares: how many pixels of an image each family describes best.
+Use `select` on samples or log histograms, and `family_shares` for how many pixels of an image each
+family describes best.
 """
 
 from __future__ import annotations

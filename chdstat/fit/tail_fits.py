@@ -1,6 +1,4 @@
-"""Results of tail fits: one frozen type, and its variables over an image.
-
-Excesses: what the largest samples have above a threshold, and two fits to it.
+"""Fits to the excesses of the largest samples over a threshold, and their results over an image.
 
 The threshold is chosen for each row: the largest of a few shares of the samples whose fit the
 Anderson-Darling test does not reject. `pareto_tail` fits the generalised Pareto distribution,

@@ -1,6 +1,4 @@
-"""EXR files: named channels and a header, whatever they stand for.
-
-EXR: images of linear radiance for Nuke, tev and other programs, with what belongs to them.
+"""EXR files: images of linear radiance for Nuke, tev and other programs, with their layers.
 
 `write_exr` puts certainties, intervals and other layers beside the image in one file; `read_exr`
 reads such files, and those of other programs.

@@ -1,10 +1,8 @@
-"""Backends: which Mitsuba variants really render on this machine.
+"""Backends: which Mitsuba variants really render on this machine, and why others do not.
 
 `scalar` needs nothing but the Mitsuba wheel. `llvm` and `cuda` depend on libraries outside it, and
 some versions of LLVM abort the process instead of raising. So each candidate is tried in a child
-process that renders one small image; what it says is cached per library and Mitsuba version.
-
-Doctor: what runs on this machine, and why.
+process that renders one small image; its answer is cached per library and Mitsuba version.
 """
 
 from __future__ import annotations

@@ -1,15 +1,13 @@
-"""Files of a scene: what Mitsuba reads besides the description, found without Mitsuba.
+"""Files and plugin code of a scene: what its samples depend on beside the description.
 
 An XML scene is read as Mitsuba reads it, parameters and includes in the same order, to learn which
 files it names and in which folders they are looked for. A scene that would crash Mitsuba's own
 parser, which knows no limit, is refused here.
 
-Code of a scene: what tells a plugin written in Python from its next version.
-
-The samples depend on it as on the textures. Its digest covers the classes of the plugins that
-Mitsuba made while it built the scene: their bytecode and that of the functions, classes and values
-that they reach, the file of their module, and what their constructors set. It belongs to one
-version of Python. What a plugin imports from installed packages counts by name only.
+The samples depend on the code of Python plugins as on the textures. Its digest covers the classes
+of the plugins that Mitsuba made while it built the scene: their bytecode and that of the functions,
+classes and values that they reach, the file of their module, and what their constructors set. It
+belongs to one version of Python. What a plugin imports from installed packages counts by name only.
 """
 
 from __future__ import annotations
