@@ -28,7 +28,8 @@ from chdstat.errors import InputError
 from chdstat.estimators.denoising import check_denoiser
 from chdstat.estimators.validation import Totals, check_spp
 from chdstat.patterns import Label, classify
-from chdstat.samples.samples import Samples, checked
+from chdstat.samples.access import checked
+from chdstat.samples.samples import Samples
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -29,7 +29,8 @@ from chdstat.estimators.progressive.inputs import Input
 from chdstat.estimators.progressive.stream import follow
 from chdstat.estimators.validation import direct_of
 from chdstat.io import write_exr
-from chdstat.samples.samples import Samples, checked
+from chdstat.samples.access import checked
+from chdstat.samples.samples import Samples
 
 if TYPE_CHECKING:
     from chdstat.rendering.live import Rendering

@@ -29,8 +29,8 @@ from chdstat.explorer.estimators import Learner, learners, quick_names
 from chdstat.explorer.images import Overall, SceneSource, preview, stream
 from chdstat.explorer.maps import Map, map_kind, of_overall, walk, with_sizes
 from chdstat.explorer.sources import StoreSource
+from chdstat.samples.access import open as open_store
 from chdstat.samples.samples import Samples
-from chdstat.samples.samples import open as open_store
 from chdstat.scenes import Scene, load_scene
 
 __all__ = ["Explored", "Shared", "Stopped", "kept", "opened"]

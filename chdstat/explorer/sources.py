@@ -19,9 +19,9 @@ import numpy.typing as npt
 from chdstat._core.arrays import generator, spans
 from chdstat.errors import ChdstatError, StoreError
 from chdstat.explorer.view import check_pixel
+from chdstat.samples.access import open as open_store
 from chdstat.samples.layout import BLOCK
 from chdstat.samples.samples import Samples
-from chdstat.samples.samples import open as open_store
 
 __all__ = ["Source", "StoreSource", "mixed", "pooled"]
 

@@ -29,8 +29,8 @@ from chdstat.rendering.recipes import (
 from chdstat.reporting.content import ReportData, document
 from chdstat.reporting.scene_figures import SelfTraining
 from chdstat.reporting.typst import typeset
+from chdstat.samples.access import open as open_samples
 from chdstat.samples.samples import Samples
-from chdstat.samples.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import FINDINGS, SceneData
 

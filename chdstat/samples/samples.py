@@ -16,24 +16,23 @@ from typing import TYPE_CHECKING, Any, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LeftOut, as_samples, spans
+from chdstat._core.arrays import LeftOut, spans
 from chdstat._core.executor import check_memory, in_order, track
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import InputError
+from chdstat.samples.axes import as_image
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from chdstat.samples.store import Store
 
-__all__ = ["Samples", "checked", "inspect", "open"]
+__all__ = ["Mapped", "Samples"]
 
 _MAP_BYTES = 16 * 2**20
 """Size of the block that `Samples.map` hands out at most, unless 16 x 16 pixels are larger."""
 _MEMORY_TILE, _MEMORY_BATCH = 64, 64
 _ALWAYS_HELD = 2**26
 """Bytes that are read without a look at how much memory there is."""
-_MOST_CHANNELS = 4
-"""More than these are probably samples, unless the caller says that they are channels."""
 
 Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
 
@@ -116,7 +115,7 @@ class Samples:
         >>> Samples.from_array(radiance, axes="yxsc")
         <Samples 'samples' 6 x 4 pixels, 3 channels, 32 spp, in memory>
         """
-        data = _image(array, "samples", axes)
+        data = as_image(array, "samples", axes)
         for name, image in (features or {}).items():
             if np.ndim(image) not in (2, 3) or np.shape(image)[:2] != data.shape[:2]:
                 message = (
@@ -126,7 +125,7 @@ class Samples:
                 raise InputError(message)
         part = None
         if direct is not None:
-            part = cls(array=_image(direct, "direct", axes), attrs=attrs)
+            part = cls(array=as_image(direct, "direct", axes), attrs=attrs)
             if part.shape != data.shape:
                 message = (
                     f"direct must have the shape of the samples, {data.shape}, got {part.shape}"
@@ -399,173 +398,3 @@ class Samples:
             # Strings of variable length: zarr v3 has no stable type for those of fixed length.
             dataset = dataset.assign_coords(channel=np.array(self.channels, dtype=object))
         return dataset
-
-
-def checked(samples: object) -> Samples:
-    """Return samples; what is none is refused, the path of a store with advice.
-
-    Raises
-    ------
-    InputError
-        If it is something else.
-    """
-    if not isinstance(samples, Samples):
-        path = isinstance(samples, str | Path)
-        advice = "; chdstat.open opens a store" if path else ""
-        if isinstance(samples, np.ndarray) or hasattr(samples, "dims"):
-            advice = "; Samples.from_array makes them of an array"
-        got = repr(samples) if path else type(samples).__name__
-        message = f"expected Samples, got {got}{advice}"
-        raise InputError(message)
-    return samples
-
-
-def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open
-    """Open a store of samples.
-
-    A store that is still being rendered, or whose rendering was stopped, opens with the samples
-    that every pixel has; ``attrs["spp"]`` says how many were asked for.
-
-    Parameters
-    ----------
-    path
-        The store, as written by `chdstat.render` or ``chdstat render``.
-
-    Raises
-    ------
-    StoreError
-        If there is no store, it is damaged or of another schema, it holds no complete batch, or
-        what lies in its folder ``direct`` is not of the same samples.
-    """
-    from chdstat.samples.store import Store
-
-    store = Store.open(Path(path))
-    spp = store.complete_spp()
-    if spp == 0:
-        message = (
-            f"{path} holds no sample that every pixel has: its rendering was stopped early. "
-            "Run the same 'chdstat render' again to resume it"
-        )
-        raise StoreError(message)
-    return Samples(store=store, attrs=store.attrs, direct=_direct_of(store, spp), spp=spp)
-
-
-def _image(array: npt.ArrayLike, name: str, axes: str | None) -> npt.NDArray[np.float32]:
-    """Return samples (y, x, channel, sample) in single precision."""
-    named = hasattr(array, "dims")
-    data = as_samples(array, minimum=1 if axes is None else 0, name=name)
-    if axes is not None:
-        if named:
-            message = f"the dims of {name} have names, which decide: leave axes={axes!r} out"
-            raise InputError(message)
-        data = _ordered(data, name, axes)
-    if named and ("channel" in array.dims) != (data.ndim == 4):  # type: ignore[union-attr]
-        message = f"{name} must have the dims y, x, sample and perhaps channel, got {array.dims}"  # type: ignore[union-attr]
-        raise InputError(message)
-    if data.ndim not in (3, 4) or 0 in data.shape:
-        message = f"{name} must have shape (y, x, channel, sample), got {data.shape}"
-        raise InputError(message)
-    if axes is None and not named:
-        _check_plausible(name, data.shape)
-    if data.ndim == 3:
-        data = data[:, :, np.newaxis, :]
-    return _single(data, name)
-
-
-def _ordered(data: npt.NDArray[Any], name: str, axes: str) -> npt.NDArray[Any]:
-    """Return an array whose axes are named by letters as (y, x, channel, sample)."""
-    letters = "yxcs" if data.ndim == 4 else "yxs"
-    if not isinstance(axes, str) or sorted(axes) != sorted(letters) or data.ndim not in (3, 4):
-        message = (
-            "axes must name each axis of the samples once, by the letters y, x, s (sample) and, of "
-            f"four axes, c (channel), such as 'yxsc'; got {axes!r} for {name} of shape {data.shape}"
-        )
-        raise InputError(message)
-    return np.ascontiguousarray(data.transpose([axes.index(letter) for letter in letters]))
-
-
-def _check_plausible(name: str, shape: tuple[int, ...]) -> None:
-    """Refuse samples whose axes are probably in another order than (y, x, channel, sample)."""
-    *_, channels, spp = shape
-    if len(shape) == 3 and spp > _MOST_CHANNELS:
-        return
-    if len(shape) == 3:
-        message = (
-            f"{name} of shape {shape} would be {spp} samples of one channel in each pixel; it "
-            "looks like an image, of means of samples. If it holds samples, give axes='yxs'"
-        )
-        raise InputError(message)
-    if channels <= _MOST_CHANNELS and spp >= channels:
-        return
-    short = next((i for i in (3, 0, 1) if shape[i] <= _MOST_CHANNELS), None)
-    likely = {
-        3: "axes='yxsc' if it is (y, x, sample, channel), 'syxc' if (sample, y, x, channel)",
-        0: "axes='cyxs' if it is (channel, y, x, sample)",
-        1: "axes='scyx' if it is (sample, channel, y, x)",
-        None: "axes, such as 'yxsc' if it is (y, x, sample, channel)",
-    }[short]
-    message = (
-        f"{name} of shape {shape} would have {channels} channels of {spp} samples; say what the "
-        f"axes are: {likely}, or 'yxcs' if this is right"
-    )
-    raise InputError(message)
-
-
-def _single(data: npt.NDArray[np.floating[Any]], name: str) -> npt.NDArray[np.float32]:
-    """Return samples in single precision, unless that makes nulls or infinite ones of them."""
-    with np.errstate(over="ignore", under="ignore"):
-        single = data.astype(np.float32, copy=False)
-    changed = ((single == 0) != (data == 0)) | (np.isinf(single) != np.isinf(data))
-    if changed.any():
-        message = (
-            f"{name} holds {data[changed][0]:.6g}, but samples are kept in single precision, from "
-            "1.5e-45 to 3.4e38: scale the radiance, such as by 1e30, or give 0 for what is too "
-            "small to matter"
-        )
-        raise InputError(message)
-    return single
-
-
-def _direct_of(store: Store, spp: int) -> Samples | None:
-    """Return what is rendered of the direct part of a store, at most so many samples."""
-    direct = store.direct()
-    complete = 0 if direct is None else min(spp, direct.complete_spp())
-    return Samples(store=direct, attrs=direct.attrs, spp=complete) if direct and complete else None
-
-
-def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
-    """Return what a store holds, ready for JSON, whether it is finished or not.
-
-    Parameters
-    ----------
-    path
-        The store.
-    verify
-        Read everything and check its checksums; without it, that files are there and in their
-        places. ``damaged`` lists those that fail.
-
-    Raises
-    ------
-    StoreError
-        If there is no store.
-    """
-    from chdstat.samples.store import Store
-
-    store = Store.open(Path(path))
-    direct = store.direct()
-    height, width, channels, spp = store.shape
-    files = [f for f in store.path.rglob("*") if f.is_file()]
-    found = {
-        **store.attrs,
-        "path": str(store.path),
-        "shape": {"y": height, "x": width, "channel": channels, "sample": spp},
-        "complete_spp": store.complete_spp(),
-        "pending_chunks": len(store.pending()),
-        "direct_spp": 0 if direct is None else direct.complete_spp(),
-        "features": store.feature_names,
-        "bytes": sum(f.stat().st_size for f in files),
-    }
-    damaged = store.damaged(content=verify)
-    if verify or damaged:
-        found["damaged"] = [str(file) for file in damaged]
-    return found

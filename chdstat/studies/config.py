@@ -18,8 +18,8 @@ from chdstat.rendering.recipes import (
     own_recipe,
     regions_of,
 )
+from chdstat.samples.access import open as open_samples
 from chdstat.samples.samples import Samples
-from chdstat.samples.samples import open as open_samples
 from chdstat.scenes import BUILTIN, Scene, load_scene
 
 __all__ = ["Source", "Subject", "subjects_of"]

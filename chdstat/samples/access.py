@@ -1,0 +1,164 @@
+"""Access to samples: open and inspect a store, and reduce an image tile by tile.
+
+Use `Samples.map` where a function needs all samples of a pixel at once, `reduce_tiles` where it
+does not: it walks each tile batch by batch, in constant memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import groupby
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import LeftOut
+from chdstat.errors import InputError, StoreError
+from chdstat.samples.samples import Mapped, Samples
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from chdstat.samples.store import Store
+
+__all__ = ["checked", "inspect", "open", "reduce_tiles"]
+
+Blocks = Iterator[npt.NDArray[np.float32]]
+
+
+def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open
+    """Open a store of samples.
+
+    A store that is still being rendered, or whose rendering was stopped, opens with the samples
+    that every pixel has; ``attrs["spp"]`` says how many were asked for.
+
+    Parameters
+    ----------
+    path
+        The store, as written by `chdstat.render` or ``chdstat render``.
+
+    Raises
+    ------
+    StoreError
+        If there is no store, it is damaged or of another schema, it holds no complete batch, or
+        what lies in its folder ``direct`` is not of the same samples.
+    """
+    from chdstat.samples.store import Store
+
+    store = Store.open(Path(path))
+    spp = store.complete_spp()
+    if spp == 0:
+        message = (
+            f"{path} holds no sample that every pixel has: its rendering was stopped early. "
+            "Run the same 'chdstat render' again to resume it"
+        )
+        raise StoreError(message)
+    return Samples(store=store, attrs=store.attrs, direct=_direct_of(store, spp), spp=spp)
+
+
+def _direct_of(store: Store, spp: int) -> Samples | None:
+    """Return what is rendered of the direct part of a store, at most so many samples."""
+    direct = store.direct()
+    complete = 0 if direct is None else min(spp, direct.complete_spp())
+    return Samples(store=direct, attrs=direct.attrs, spp=complete) if direct and complete else None
+
+
+def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
+    """Return what a store holds, ready for JSON, whether it is finished or not.
+
+    Parameters
+    ----------
+    path
+        The store.
+    verify
+        Read everything and check its checksums; without it, that files are there and in their
+        places. ``damaged`` lists those that fail.
+
+    Raises
+    ------
+    StoreError
+        If there is no store.
+    """
+    from chdstat.samples.store import Store
+
+    store = Store.open(Path(path))
+    direct = store.direct()
+    height, width, channels, spp = store.shape
+    files = [f for f in store.path.rglob("*") if f.is_file()]
+    found = {
+        **store.attrs,
+        "path": str(store.path),
+        "shape": {"y": height, "x": width, "channel": channels, "sample": spp},
+        "complete_spp": store.complete_spp(),
+        "pending_chunks": len(store.pending()),
+        "direct_spp": 0 if direct is None else direct.complete_spp(),
+        "features": store.feature_names,
+        "bytes": sum(f.stat().st_size for f in files),
+    }
+    damaged = store.damaged(content=verify)
+    if verify or damaged:
+        found["damaged"] = [str(file) for file in damaged]
+    return found
+
+
+def checked(samples: object) -> Samples:
+    """Return samples; what is none is refused, the path of a store with advice.
+
+    Raises
+    ------
+    InputError
+        If it is something else.
+    """
+    if not isinstance(samples, Samples):
+        path = isinstance(samples, str | Path)
+        advice = "; chdstat.open opens a store" if path else ""
+        if isinstance(samples, np.ndarray) or hasattr(samples, "dims"):
+            advice = "; Samples.from_array makes them of an array"
+        got = repr(samples) if path else type(samples).__name__
+        message = f"expected Samples, got {got}{advice}"
+        raise InputError(message)
+    return samples
+
+
+def reduce_tiles(
+    samples: Samples,
+    function: Callable[[slice, slice, Blocks], Mapped],
+    *,
+    description: str,
+    progress: bool | None = None,
+) -> xr.Dataset:
+    """Reduce the sample blocks of every tile and assemble the image.
+
+    Parameters
+    ----------
+    samples
+        The image.
+    function
+        Takes the rows and columns of a tile and its blocks in stored order, each (y, x, channel,
+        sample); returns, by variable name, the dims that follow (y, x) and an array (y, x, ...).
+    description
+        What the progress bar says.
+    progress
+        Show a progress bar; None shows it on a terminal.
+
+    Returns
+    -------
+    xarray.Dataset
+        The variables over the whole image, with y, x and channel coordinates.
+    """
+    left_out = LeftOut()
+
+    def seen(walk: Iterable[tuple[slice, slice, slice, npt.NDArray[np.float32]]]) -> Blocks:
+        for *_, block in walk:
+            left_out.see(block, channel_axis=-2)
+            yield block
+
+    parts = (
+        (ys, xs, function(ys, xs, seen(walk)))
+        for (ys, xs), walk in groupby(samples.blocks(), key=lambda block: block[:2])
+    )
+    dataset = samples.assemble(parts, description=description, progress=progress)
+    left_out.warn()
+    return dataset
