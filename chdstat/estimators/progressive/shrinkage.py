@@ -323,13 +323,13 @@ def _likely(moves: Move) -> Floats:
     scale = np.sqrt(found**2 + FLOOR)
     # Two halves of equal size have this mean and this variance of it.
     halves = [(target + side * np.sqrt(np.maximum(noise, 0))) / scale for side in (-1, 1)]
+    cut = [np.minimum(half, _BRIGHTEST) for half in halves]
     likely = found.copy()
     for pixels in (moves.up, ~moves.up):
         weight = np.where(pixels, (moves.change / scale) ** 2, 0)
         below = np.bincount(rows, weight.sum(axis=-1))
         if not below.any():
             continue
-        cut = [np.minimum(half, _BRIGHTEST) for half in halves]
         middle = sum((weight * half).sum() for half in cut) / (2 * below.sum())
         one, other = (half - middle for half in cut)
         most = float((weight * (one**2 + other**2)).sum() / (2 * below.sum()))
@@ -344,9 +344,9 @@ def _likely(moves: Move) -> Floats:
 
 
 def _log_normal(width: float, like: Floats) -> Floats:
-    """Return log-normal numbers of mean 1, `width` the variance of the logarithm, in order.
+    """Return log-normal numbers of mean 1 with the ranks of `like`, ties broken at random.
 
-    Their order is that of other numbers, of which equal ones are put in order at random.
+    `width` is the variance of their logarithm.
     """
     order = np.random.default_rng(0).permutation(len(like))
     rank = np.empty(len(like))
@@ -401,11 +401,11 @@ def _share(
     move: Floats,
     wanted: Floats,
     weight: Floats,
-    standard_errors: float = 0.0,
+    standard_errors: float,
 ) -> float:
-    """Return the share of a move towards what is wanted that pays under weights, 0 to 1.
+    """Return the share of a move that reduces the weighted error, 0 to 1.
 
-    It may be more than what is measured by so many standard errors.
+    At most so many standard errors above the measured one are allowed.
     """
     along, squares = (
         np.bincount(rows, (weight * move * other).sum(axis=-1)) for other in (wanted, move)
