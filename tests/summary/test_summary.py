@@ -22,7 +22,7 @@ from chdstat.summary.statistics import Summary, summarize
 
 MOMENTS = ("mean", "variance", "skewness", "kurtosis", "minimum", "maximum", "standard_error")
 COUNTS = ("count", "null_count", "bad_count", "nan_count", "inf_count", "negative_count")
-NIST = json.loads((Path(__file__).parent / "reference" / "nist_univariate.json").read_text())
+NIST = json.loads((Path(__file__).parent / "nist_univariate.json").read_text())
 
 
 def radiance(shape=(4, 3, 300), *, seed=7, nulls=0.3):

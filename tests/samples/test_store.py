@@ -533,7 +533,7 @@ def run(monkeypatch):
 @pytest.fixture
 def ball(tmp_path, monkeypatch):
     """Return the folder of a store that chdstat rendered at commit 078eeb6, and of its scene."""
-    archive = Path(__file__).parent / "reference/store_of_schema_1.zip"
+    archive = Path(__file__).parent / "store_of_schema_1.zip"
     shutil.unpack_archive(archive, tmp_path)
     monkeypatch.chdir(tmp_path)
     return tmp_path
