@@ -22,7 +22,7 @@ WORLDS = int(os.environ.get("CHDSTAT_WORLDS", "50"))
 
 
 def _worlds():
-    path = Path(__file__).parents[1] / "findings" / "worlds.py"
+    path = Path(__file__).parents[1] / "studies" / "claims" / "worlds.py"
     spec = importlib.util.spec_from_file_location("worlds", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules["worlds"] = module
