@@ -324,12 +324,12 @@ def write_record(path: Path, value: Any) -> Path:
     Examples
     --------
     >>> import tempfile
-    >>> from chdstat.comparison.metrics import Interval
-    >>> found = Interval(*np.arange(8.0).reshape(4, 2))
+    >>> from chdstat._core.resampling import Interval
+    >>> found = Interval(*np.arange(6.0).reshape(3, 2))
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     path = write_record(Path(folder, "found.npz"), {"mse": found})
-    ...     read_record(path, dict[str, Interval])["mse"].high
-    array([6., 7.])
+    ...     read_record(path, dict[str, Interval[npt.NDArray[Any]]])["mse"].high
+    array([4., 5.])
     """
     arrays: list[npt.NDArray[Any]] = []
 

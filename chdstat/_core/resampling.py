@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 __all__ = [
     "LEVEL",
     "Blocks",
-    "Spread",
+    "Interval",
     "holm",
     "interval_of",
     "largest_of",
@@ -140,33 +140,49 @@ _ACROSS = 4
 """Blocks along each side of a region, at most: pixels of one share light."""
 
 
+Value = TypeVar("Value")
+
+
 @dataclass(frozen=True)
-class Spread:
-    """A number with its interval; NaN where there is none.
+class Interval(Generic[Value]):
+    """A number, or an array of numbers, with its interval; NaN where there is none.
 
     Attributes
     ----------
     value
-        The statistic of all pixels.
+        The statistic of all data, a float or an array.
     low, high
-        Ends of the interval.
+        Ends of the interval, of the shape of `value`.
     level
-        Its coverage.
+        Coverage of the interval.
+    standard_error
+        Standard deviation of the bootstrap replicates, of the shape of `value`; NaN where it was
+        not computed.
     """
 
-    value: float
-    low: float
-    high: float
-    level: float
+    value: Value
+    low: Value
+    high: Value
+    level: float = LEVEL
+    standard_error: Any = math.nan
 
-    @classmethod
-    def unknown(cls, value: float = math.nan, *, level: float = LEVEL) -> Spread:
+    @staticmethod
+    def unknown(value: float = math.nan, *, level: float = LEVEL) -> Interval[float]:
         """Return a number without an interval."""
-        return cls(value, math.nan, math.nan, level)
+        return Interval(value, math.nan, math.nan, level)
 
-    def root(self) -> Spread:
+    def root(self: Interval[float]) -> Interval[float]:
         """Return the same of the square root; noise may have made squares negative: they give 0."""
-        return Spread(_root(self.value), _root(self.low), _root(self.high), self.level)
+        return Interval(_root(self.value), _root(self.low), _root(self.high), self.level)
+
+    def map(self: Interval[Floats], change: Callable[[Floats], Floats]) -> Interval[Floats]:
+        """Return the interval with a function applied to each of its arrays."""
+        value, low, high = change(self.value), change(self.low), change(self.high)
+        return Interval(value, low, high, self.level, change(self.standard_error))
+
+    def __getitem__(self: Interval[Floats], index: Any) -> Interval[Floats]:
+        """Return the part that `index` selects of every array."""
+        return self.map(lambda part: part[index])
 
 
 @dataclass(frozen=True)
@@ -239,7 +255,7 @@ def interval_of(
     level: float = LEVEL,
     bounds: tuple[float, float] = (-math.inf, math.inf),
     seed: int = 0,
-) -> Spread:
+) -> Interval[float]:
     """Return a statistic of weighted blocks with its block-bootstrap interval.
 
     Percentile intervals of few blocks are too short, and a thousand replicates do not tell the
@@ -291,7 +307,7 @@ def least_of(
     level: float = LEVEL,
     bounds: tuple[float, float] = (-math.inf, math.inf),
     seed: int = 0,
-) -> Spread:
+) -> Interval[float]:
     """Return the least of several statistics of weighted blocks with its interval.
 
     The least of several noisy numbers is too small where they are nearly equal, and so are the
@@ -314,13 +330,13 @@ def least_of(
     doi:10.1111/j.1468-0262.2005.00615.x: the high end.
     """
     if not len(blocks):
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
     with np.errstate(all="ignore"):
         values = statistics(np.ones((1, len(blocks))))[0].astype(np.float64)
         value = float(values.min())
         degrees = len(blocks) - len(np.unique(blocks.region))
         if len(blocks) < LEAST_BLOCKS or degrees < 2 or not np.isfinite(values).all():
-            return Spread.unknown(value, level=level)
+            return Interval.unknown(value, level=level)
         rng = generator(seed)
         draws = np.concatenate(
             [
@@ -330,7 +346,7 @@ def least_of(
         )
     moves = draws[np.isfinite(draws).all(axis=1)] - values
     if len(moves) < REPLICATES / 2:
-        return Spread.unknown(value, level=level)
+        return Interval.unknown(value, level=level)
     # A statistic that resampling shifts as a whole must not lie outside of its own interval.
     below, above = (
         np.maximum(side, 0) for side in np.quantile(moves, _KNOWN, axis=0) * [[-1], [1]]
@@ -341,18 +357,20 @@ def least_of(
     reach = float(stats.t.ppf((1 + level) / 2, degrees)) * math.sqrt(len(blocks) / degrees)
     stretch = reach / float(stats.norm.ppf(_KNOWN[1]))
     low, high = values - stretch * below, values + stretch * together * above
-    return Spread(value, max(float(low.min()), bounds[0]), min(float(high.min()), bounds[1]), level)
+    return Interval(
+        value, max(float(low.min()), bounds[0]), min(float(high.min()), bounds[1]), level
+    )
 
 
 def largest_of(
     statistics: Callable[[Floats], Floats], blocks: Blocks, *, level: float = LEVEL
-) -> Spread:
+) -> Interval[float]:
     """Return the largest of several statistics of weighted blocks; see `least_of`."""
     least = least_of(lambda weights: -statistics(weights), blocks, level=level)
-    return Spread(-least.value, -least.high, -least.low, level)
+    return Interval(-least.value, -least.high, -least.low, level)
 
 
-def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Spread:
+def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Interval[float]:
     """Return the mean over pixels (pixel,) or (pixel, ...), without those that are NaN."""
     values = values.reshape(len(values), math.prod(values.shape[1:]))
     known = np.isfinite(values)
@@ -363,7 +381,7 @@ def mean_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -
     )
 
 
-def median_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Spread:
+def median_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL) -> Interval[float]:
     """Return the median over pixels, shape (pixel,) or (pixel, ...), without those that are NaN."""
     flat = np.asarray(values, dtype=np.float64).reshape(len(values), math.prod(values.shape[1:]))
     of_value = np.repeat(blocks.of_pixel, flat.shape[1])
@@ -371,7 +389,7 @@ def median_of(values: npt.NDArray[Any], blocks: Blocks, *, level: float = LEVEL)
     order = np.argsort(flat.ravel()[known], kind="stable")
     ordered, block = flat.ravel()[known][order], of_value[known][order]
     if not len(ordered):
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
 
     def median(weights: Floats) -> Floats:
         total = np.cumsum(weights[:, block], axis=1)

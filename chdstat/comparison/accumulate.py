@@ -21,7 +21,8 @@ from scipy import stats
 
 from chdstat._core.arrays import block_numbers
 from chdstat._core.executor import track
-from chdstat.comparison.metrics import Interval, bootstrap, relative_squared_error
+from chdstat._core.resampling import Interval
+from chdstat.comparison.metrics import bootstrap, relative_squared_error
 from chdstat.errors import InputError
 from chdstat.estimators import mean
 from chdstat.estimators.validation import Totals, batches, direct_of
@@ -110,7 +111,7 @@ class ErrorSums:
         np.add.at(found.count, group, self.count)
         return found
 
-    def measures(self, *, seed: int) -> dict[str, Interval]:
+    def measures(self, *, seed: int) -> dict[str, Interval[Array]]:
         """Return every measure with its interval over units, shape (estimator, channel + 1).
 
         The last place of the channel axis is the average over channels. The measures of a single
@@ -128,7 +129,7 @@ class ErrorSums:
         return {name: found[index] for index, name in enumerate(MEASURES)}
 
 
-def _stretched(found: Interval, units: int) -> Interval:
+def _stretched(found: Interval[Array], units: int) -> Interval[Array]:
     """Return an interval that is right for few units, too; of a single one there is none.
 
     Of k units, percentiles are too close by sqrt((k - 1) / k), and by the normal quantile in place
@@ -136,11 +137,11 @@ def _stretched(found: Interval, units: int) -> Interval:
     """
     if units == 1:
         unknown = np.full_like(found.value, np.nan)
-        return Interval(found.value, unknown, unknown, unknown)
+        return Interval(found.value, unknown, unknown, found.level, unknown)
     spread = float(np.sqrt(units / (units - 1)))
     reach = spread * float(stats.t.ppf(0.975, units - 1) / stats.norm.ppf(0.975))
     low, high = (found.value + reach * (end - found.value) for end in (found.low, found.high))
-    return Interval(found.value, spread * found.standard_error, low, high)
+    return Interval(found.value, low, high, found.level, spread * found.standard_error)
 
 
 def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Array) -> Array:
@@ -177,10 +178,13 @@ def is_mean(estimate: Array, mean: Array) -> npt.NDArray[np.bool_]:
     return np.asarray(np.abs(estimate - mean) <= _SAME * np.abs(mean))
 
 
-def stack_intervals(intervals: Sequence[Interval]) -> Interval:
+def stack_intervals(intervals: Sequence[Interval[Array]]) -> Interval[Array]:
     """Return several intervals as one, along a new first axis."""
-    fields = ("value", "standard_error", "low", "high")
-    return Interval(*(np.stack([getattr(i, field) for i in intervals]) for field in fields))
+    value, low, high, error = (
+        np.stack([getattr(interval, field) for interval in intervals])
+        for field in ("value", "low", "high", "standard_error")
+    )
+    return Interval(value, low, high, standard_error=error)
 
 
 def _measure(sums: Array, reference: Array, count: Array) -> Array:

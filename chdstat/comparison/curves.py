@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import whole
+from chdstat._core.resampling import Interval
 from chdstat.comparison.accumulate import MEASURES, ErrorAccumulator, Units, judge, stack_intervals
 from chdstat.comparison.candidates import (
     DEFAULT,
@@ -26,7 +27,6 @@ from chdstat.comparison.candidates import (
     takes,
     totals_of,
 )
-from chdstat.comparison.metrics import Interval
 from chdstat.comparison.tables import (
     dataset_of,
     interval_variables,
@@ -42,6 +42,8 @@ from chdstat.samples.samples import Samples
 
 if TYPE_CHECKING:
     import xarray as xr
+
+Array = npt.NDArray[np.float64]
 
 __all__ = ["ErrorCurve", "curve_sizes", "error_curve"]
 
@@ -80,7 +82,7 @@ class ErrorCurve:
     estimators: tuple[str, ...]
     uses_neighbours: npt.NDArray[np.bool_]
     sizes: tuple[int, ...]
-    measures: Mapping[str, Interval]
+    measures: Mapping[str, Interval[Array]]
     reference_noise: Mapping[str, npt.NDArray[np.float64]]
     batches: npt.NDArray[np.int64]
     test_pixels: int
@@ -268,7 +270,7 @@ def curve_sizes(
 
 def _measures(
     errors: ErrorAccumulator, candidates: Candidates, n: int, seed: int
-) -> dict[str, Interval]:
+) -> dict[str, Interval[Array]]:
     """Return measures averaged over channels, NaN for those who do not take n samples."""
     if errors.by_unit.count.sum() == 0:
         message = (
@@ -281,9 +283,9 @@ def _measures(
     return {measure: _placed(interval[:, -1], place) for measure, interval in found.items()}
 
 
-def _placed(interval: Interval, place: list[int]) -> Interval:
+def _placed(interval: Interval[Array], place: list[int]) -> Interval[Array]:
     """Put estimators in their place; beyond the last there is NaN."""
-    return Interval(*(np.append(part, np.nan)[place] for part in parts_of(interval).values()))
+    return interval.map(lambda part: np.append(part, np.nan)[place])
 
 
 def _reference_noise(

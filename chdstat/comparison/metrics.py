@@ -10,17 +10,16 @@ Arrays hold channels on the last axis; every leading axis (pixels, batches) is a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator, spans, whole
+from chdstat._core.resampling import Interval
 from chdstat.errors import InputError
 
 __all__ = [
-    "Interval",
     "bias",
     "bootstrap",
     "improved",
@@ -35,32 +34,6 @@ Array = npt.NDArray[Any]
 _EPSILON = 0.01
 """Share of the squared scene mean that keeps relMSE finite in the dark."""
 _REPLICATES_AT_ONCE = 64
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A number with its uncertainty; every field has the same shape.
-
-    Attributes
-    ----------
-    value
-        The statistic of the data.
-    standard_error
-        Standard deviation of its bootstrap replicates.
-    low, high
-        Percentile interval.
-    """
-
-    value: npt.NDArray[np.float64]
-    standard_error: npt.NDArray[np.float64]
-    low: npt.NDArray[np.float64]
-    high: npt.NDArray[np.float64]
-
-    def __getitem__(self, index: Any) -> Interval:
-        """Return the part that `index` selects of every field."""
-        return Interval(
-            self.value[index], self.standard_error[index], self.low[index], self.high[index]
-        )
 
 
 def squared_error(estimate: npt.ArrayLike, reference: npt.ArrayLike) -> Array:
@@ -218,7 +191,7 @@ def bootstrap(
     replicates: int = 1000,
     level: float = 0.95,
     seed: int | np.random.Generator | None = 0,
-) -> Interval:
+) -> Interval[Array]:
     r"""Bootstrap a statistic of pixel means: draw pixels with replacement, ask for its spread.
 
     Pixels are the unit that is drawn, so whatever varies within a pixel (batches, channels) stays
@@ -270,7 +243,7 @@ def bootstrap(
     with np.errstate(invalid="ignore"):
         spread = draws.std(axis=0, ddof=1)
         low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2], axis=0)
-    return Interval(*(np.asarray(part) for part in (value, spread, low, high)))
+    return Interval(np.asarray(value), np.asarray(low), np.asarray(high), level, np.asarray(spread))
 
 
 def _resampled_means(data: Array, replicates: int, rng: np.random.Generator) -> Iterator[Array]:

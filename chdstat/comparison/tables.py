@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator
+from chdstat._core.resampling import Interval
 from chdstat.comparison.accumulate import MEASURES
-from chdstat.comparison.metrics import Interval
 from chdstat.errors import InputError
 from chdstat.estimators.registry import Model
 
@@ -52,14 +52,14 @@ _SUFFIXES = {
 }
 
 
-def parts_of(interval: Interval) -> dict[str, Array]:
+def parts_of(interval: Interval[Array]) -> dict[str, Array]:
     """Return value, standard error and ends of an interval, by the suffix of their name."""
     values = interval.value, interval.standard_error, interval.low, interval.high
     return dict(zip(_SUFFIXES, values, strict=True))
 
 
 def interval_variables(
-    measures: Mapping[str, Interval],
+    measures: Mapping[str, Interval[Array]],
     dims: tuple[str, ...],
     *,
     prefix: str = "",
@@ -109,7 +109,7 @@ def ready_for_json(value: Any) -> Any:
 
 
 def row_of(
-    measures: Mapping[str, Interval], index: tuple[int, int], *, infix: str = ""
+    measures: Mapping[str, Interval[Array]], index: tuple[int, int], *, infix: str = ""
 ) -> dict[str, float]:
     """Return one place of all measures as a flat row; with an infix, without the values."""
     return {
@@ -193,7 +193,7 @@ class Breakdown:
     estimators: tuple[str, ...]
     uses_neighbours: npt.NDArray[np.bool_]
     pixels: npt.NDArray[np.int64]
-    measures: Mapping[str, Interval]
+    measures: Mapping[str, Interval[Array]]
 
     def best(self, measure: str = "relmse", *, neighbours: bool = False) -> tuple[str, ...]:
         """Return the estimator with the smallest error for each label; '' where none has one.
@@ -287,8 +287,8 @@ class Comparison:
     estimators: tuple[str, ...]
     uses_neighbours: npt.NDArray[np.bool_]
     channels: tuple[str, ...]
-    measures: Mapping[str, Interval]
-    over_batches: Mapping[str, Interval]
+    measures: Mapping[str, Interval[Array]]
+    over_batches: Mapping[str, Interval[Array]]
     estimates: npt.NDArray[np.float32]
     squared_error: npt.NDArray[np.float32]
     first_mean: npt.NDArray[np.float32]

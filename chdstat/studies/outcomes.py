@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.resampling import LEVEL, Spread
+from chdstat._core.resampling import LEVEL, Interval
 
 __all__ = [
     "ClaimTest",
@@ -209,7 +209,7 @@ class ClaimTest:
     def of(
         cls,
         name: str,
-        found: Spread,
+        found: Interval[float],
         *,
         least: float = -math.inf,
         most: float = math.inf,

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator, is_bad, luminance
-from chdstat._core.resampling import Blocks, Spread, interval_of
+from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat.analysis import analyze
 from chdstat.rendering.recipes import Region
 from chdstat.samples.samples import Samples
@@ -35,7 +35,7 @@ Floats = npt.NDArray[np.float64]
 
 def slope_of(
     x: Floats, y: Floats, blocks: Blocks, *, instrument: Floats | None = None, level: float
-) -> Spread:
+) -> Interval[float]:
     """Return the slope of y on x, ``cov(y, z) / cov(x, z)``.
 
     Least squares take x itself for the instrument z. Noise in x flattens that slope; an instrument
@@ -71,7 +71,7 @@ def slope_of(
     return interval_of(slope, blocks, level=level)
 
 
-def correlation_of(x: Floats, y: Floats, blocks: Blocks, *, level: float) -> Spread:
+def correlation_of(x: Floats, y: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
     """Return Pearson's correlation of x and y, shapes as for `slope_of`."""
     sums = _sums(x, y, x, blocks)
 

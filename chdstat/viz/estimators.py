@@ -18,8 +18,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from chdstat._core.arrays import luminance
+from chdstat._core.resampling import Interval
 from chdstat.comparison import Breakdown, Comparison, ErrorCurve, PixelEstimates
-from chdstat.comparison.metrics import Interval
 from chdstat.errors import InputError
 from chdstat.viz.styling import MISSING, PALETTE, WIDTH, qualitative, style, verbatim
 
@@ -107,7 +107,7 @@ def _shade(values: Array, measure: str) -> Array:
 
 
 def _number(
-    axes: Axes, value: Interval, place: tuple[int, int], measure: str, *, neutral: float
+    axes: Axes, value: Interval[Array], place: tuple[int, int], measure: str, *, neutral: float
 ) -> None:
     if not np.isfinite(value.value):
         return
@@ -289,7 +289,7 @@ def estimator_measures(found: Comparison, *, names: Names = None) -> Figure:
     return figure
 
 
-def _points(axes: Axes, rows: Array, values: Interval, measure: str) -> None:
+def _points(axes: Axes, rows: Array, values: Interval[Array], measure: str) -> None:
     axes.hlines(rows, values.low, values.high, color=PALETTE[4], linewidth=1.6)
     axes.plot(values.value, rows, "o", color=PALETTE[4], markersize=3)
     axes.axvline(0 if measure == "bias" else 1, color=GREY, linewidth=0.9, linestyle="--")

@@ -24,7 +24,7 @@ from scipy import stats
 
 from chdstat._core.arrays import generator, luminance
 from chdstat._core.moments import Moments
-from chdstat._core.resampling import Blocks, Spread, holm, interval_of, median_of
+from chdstat._core.resampling import Blocks, Interval, holm, interval_of, median_of
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
 from chdstat.studies.scene_data import SceneData, fold_of, logs, slope_of
 
@@ -67,7 +67,7 @@ class Explained:
         That share: correlation between two halves of the samples, stepped up to all of them.
     """
 
-    share: Spread
+    share: Interval[float]
     reliability: float
 
 
@@ -97,11 +97,11 @@ def explained_by_features(data: SceneData, batches: Floats, *, level: float) -> 
     target = (halves[0] + halves[1]) / 2
     known = np.isfinite(target) & np.isfinite(features).all(axis=1)
     if np.count_nonzero(known) < 100 or not np.ptp(target[known]):
-        return Explained(Spread.unknown(level=level), float("nan"))
+        return Explained(Interval.unknown(level=level), float("nan"))
     r = float(np.corrcoef(halves[0][known], halves[1][known])[0, 1])
     reliability = 2 * r / (1 + r)
     if not reliability > _RELIABLE:
-        return Explained(Spread.unknown(level=level), reliability)
+        return Explained(Interval.unknown(level=level), reliability)
     whole = data.whole(across=_ACROSS).blocks
     fold = fold_of(whole, across=_ACROSS, folds=_FOLDS)[known]
     y, blocks = target[known], whole[known]
@@ -175,7 +175,7 @@ def growing(
     return first, second, third
 
 
-def with_room(found: Spread, grown: Growing) -> Spread:
+def with_room(found: Interval[float], grown: Growing) -> Interval[float]:
     """Return a median over pixels with room above for the samples that are missing.
 
     Of a quarter, half and all of the samples, the median gains d1 and then d2. If each doubling
@@ -189,7 +189,7 @@ def with_room(found: Spread, grown: Growing) -> Spread:
     >>> rng = np.random.default_rng(0)
     >>> x = rng.lognormal(0, 0.75, size=(2000, 384))
     >>> grown = growing(x, x > 0, lambda moments: moments.skewness)
-    >>> found = with_room(Spread(np.median(grown[-1]), 2.6, 2.7, 0.95), grown)
+    >>> found = with_room(Interval(np.median(grown[-1]), 2.6, 2.7, 0.95), grown)
     >>> found.high > 3.26 > 2.7  # the skewness of that distribution
     True
     """
@@ -355,7 +355,7 @@ def _of_samples(
     )
 
 
-def _skewness(data: SceneData, blocks: Blocks, level: float) -> Spread:
+def _skewness(data: SceneData, blocks: Blocks, level: float) -> Interval[float]:
     """Return the median skewness of averages; how it grows is asked of some pixels."""
 
     def of_averages(moments: Moments) -> Floats:
@@ -377,7 +377,7 @@ def _told(summary: xr.Dataset) -> dict[int, float] | None:
     return dict(zip(shares["size"].to_numpy().tolist(), shares.to_numpy().tolist(), strict=True))
 
 
-def _slope(batches: _BatchMeans, blocks: Blocks, level: float) -> Spread:
+def _slope(batches: _BatchMeans, blocks: Blocks, level: float) -> Interval[float]:
     """Return the slope of log variance on log mean, with an instrument against noisy means.
 
     Variance, mean and instrument are of different samples, so that their noise has nothing in
@@ -388,7 +388,7 @@ def _slope(batches: _BatchMeans, blocks: Blocks, level: float) -> Spread:
     return slope_of(x, y, blocks, instrument=z, level=level)
 
 
-def _concentration(batches: _BatchMeans, blocks: Blocks, level: float) -> Spread:
+def _concentration(batches: _BatchMeans, blocks: Blocks, level: float) -> Interval[float]:
     """Return the share of squared steps to the right-hand neighbour in the largest steps.
 
     A third of the samples says which steps are large; the product of the steps of the two other
@@ -399,7 +399,7 @@ def _concentration(batches: _BatchMeans, blocks: Blocks, level: float) -> Spread
     chosen, one, two = (s.ravel() for s in steps)
     known = np.isfinite(chosen + one + two)
     if not known.any():
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
     kept, square = blocks[known], (one * two)[known]
     size = np.abs(chosen[known])
     # Of equal steps, chance decides which are the largest.

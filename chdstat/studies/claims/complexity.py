@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.resampling import Spread, mean_of
+from chdstat._core.resampling import Interval, mean_of
 from chdstat.inference import modality
 from chdstat.studies.claims.scene_shapes import common_count, drawn
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData
@@ -92,7 +92,7 @@ def scene_complexity(data: SceneData) -> float:
     return float(every.mean()) if every.size else math.nan
 
 
-def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Spread, float]:
+def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Interval[float], float]:
     """Return Spearman's correlation with its interval, and its one-sided p-value.
 
     The interval is that of Fisher's z, of variance (1 + r^2 / 2) / (n - 3); p is of 9999 random
@@ -111,7 +111,7 @@ def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Spre
     """
     a, b = (stats.rankdata(v) for v in (x, y))
     if not np.ptp(a) or not np.ptp(b):
-        return Spread.unknown(level=level), 1.0
+        return Interval.unknown(level=level), 1.0
     r = float(np.corrcoef(a, b)[0, 1])
     # Perfect order has an infinite z; a little less than one swap of ranks is its resolution.
     z = math.atanh(float(np.clip(r, -1 + 1e-3, 1 - 1e-3)))
@@ -120,10 +120,10 @@ def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Spre
     shuffled = rng.permuted(np.tile(b, (9999, 1)), axis=1)
     as_large = (shuffled - b.mean()) @ (a - a.mean()) >= (b - b.mean()) @ (a - a.mean()) - 1e-9
     p = (1 + np.count_nonzero(as_large)) / 10000
-    return Spread(round(r, 12), math.tanh(z - half), math.tanh(z + half), level), float(p)
+    return Interval(round(r, 12), math.tanh(z - half), math.tanh(z + half), level), float(p)
 
 
-def _modes(data: SceneData, n: int) -> Spread:
+def _modes(data: SceneData, n: int) -> Interval[float]:
     x, blocks = drawn(data, n, pixels=_PIXELS)
     modes = modality(x).modes.astype(np.float64)
     known = modes > 0

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage, special
 
-from chdstat._core.resampling import Blocks, Spread, interval_of, mean_of
+from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of
 from chdstat.fit._gamma import gamma_shape
 from chdstat.studies.log_chds import visible
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
@@ -146,7 +146,7 @@ def _to_gamma(counts: Floats, gaps: Floats) -> Floats:
     return np.asarray(np.abs(_below(counts) - special.gammainc(k, k * _RATIO[1:-1])).max(axis=1))
 
 
-def _mode(counts: Floats, blocks: Blocks, level: float) -> Spread:
+def _mode(counts: Floats, blocks: Blocks, level: float) -> Interval[float]:
     """Return the highest place of the smoothed histogram of radiance over the mean."""
     centers = (_RATIO[1:] + _RATIO[:-1]) / 2
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.resampling import Blocks, Spread, interval_of, least_of
+from chdstat._core.resampling import Blocks, Interval, interval_of, least_of
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData
 from chdstat.studies.scene_data import SceneData
 
@@ -79,7 +79,7 @@ def _names(analysis: xr.Dataset) -> dict[str, int]:
     return {name: code for name, code in names.items() if code >= 0}
 
 
-def _lead(counts: Floats, blocks: Blocks, gamma: int) -> Spread:
+def _lead(counts: Floats, blocks: Blocks, gamma: int) -> Interval[float]:
     """Return the least lead of gamma over another family."""
     sums = blocks.sums(counts)
 
@@ -91,6 +91,6 @@ def _lead(counts: Floats, blocks: Blocks, gamma: int) -> Spread:
     return least_of(lead, blocks, bounds=(-1.0, 1.0))
 
 
-def _share(some: Floats, counts: Floats, blocks: Blocks) -> Spread:
+def _share(some: Floats, counts: Floats, blocks: Blocks) -> Interval[float]:
     part, whole = blocks.sums(some.sum(axis=1)), blocks.sums(counts.sum(axis=1))
     return interval_of(lambda w: (w @ part) / (w @ whole), blocks, bounds=(0.0, 1.0))

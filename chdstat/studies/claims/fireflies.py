@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import luminance
-from chdstat._core.resampling import Blocks, Spread, interval_of, median_of
+from chdstat._core.resampling import Blocks, Interval, interval_of, median_of
 from chdstat.studies.log_chds import SAME_SHAPE, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
 from chdstat.studies.scene_data import SceneData
@@ -121,7 +121,7 @@ def _pairs(batches: Floats, partner: Ints) -> _Pairs:
 
 def _ratio_of_means(
     pairs: _Pairs, found: npt.NDArray[np.bool_], blocks: Blocks, level: float
-) -> Spread:
+) -> Interval[float]:
     """Return the mean radiance of fireflies over that of their neighbours.
 
     What did not happen again in the other samples may be too rare to be seen in as many: up to

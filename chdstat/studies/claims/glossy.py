@@ -7,7 +7,7 @@ from itertools import permutations
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.resampling import Blocks, Spread, interval_of, largest_of
+from chdstat._core.resampling import Blocks, Interval, interval_of, largest_of
 from chdstat.studies.log_chds import EDGES, SAME_SHAPE, LogChds, aligned, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
 from chdstat.studies.scene_data import PixelSet, SceneData
@@ -63,7 +63,7 @@ def measure(data: SceneData) -> Outcome:
 
 def pooled_distance(
     one: LogChds, two: LogChds, blocks: Blocks, others: Blocks, *, level: float
-) -> Spread:
+) -> Interval[float]:
     """Return the distance between the mean shapes of two patches, with halves against noise."""
     both = (
         Blocks.join([blocks[one.known], others[two.known]])
@@ -71,7 +71,7 @@ def pooled_distance(
         else None
     )
     if both is None:
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
     first = len(blocks[one.known])
     sums = both.sums(np.concatenate([one.halves[one.known], two.halves[two.known]]))
     count = both.sums(np.ones(len(both.of_pixel)))
@@ -91,7 +91,7 @@ def _root(one: LogChds, two: LogChds) -> Floats:
     return np.sqrt(np.maximum(squared_distance(one, two), 0))
 
 
-def channel_shift(x: Floats, blocks: Blocks, *, level: float) -> Spread:
+def channel_shift(x: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
     """Return the range of the channels' mean log10 radiance, over samples positive in all."""
     lit = np.asarray((x > 0).all(axis=1))
     logs = np.log10(np.where(lit[:, np.newaxis], x, 1)).sum(axis=-1)
@@ -105,7 +105,7 @@ def channel_shift(x: Floats, blocks: Blocks, *, level: float) -> Spread:
     return largest_of(shifts, blocks, level=level)
 
 
-def spread_slope(x: Floats, blocks: Blocks, *, level: float) -> Spread:
+def spread_slope(x: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
     """Return the slope of log deviation on log mean over the channels of each pixel.
 
     Means are noisy, and noise in what explains flattens a slope. The mean of the one half of the
@@ -125,7 +125,7 @@ def spread_slope(x: Floats, blocks: Blocks, *, level: float) -> Spread:
     known = np.isfinite(centered).all(axis=(0, 2))
     m1, m2, s1, s2 = (v[known] for v in centered)
     if not known.any():
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
     kept = blocks[known]
     above = kept.sums((s1 * m2 + s2 * m1).sum(axis=1))
     below = kept.sums((2 * m1 * m2).sum(axis=1))

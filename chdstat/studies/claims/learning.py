@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.resampling import Spread, interval_of
+from chdstat._core.resampling import Interval, interval_of
 from chdstat.comparison import Comparison
 from chdstat.comparison.metrics import relative_squared_error
 from chdstat.errors import ChdstatError
@@ -93,7 +93,7 @@ def _of_model(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     )
 
 
-def early_gain(history: Any, *, level: float) -> Spread:
+def early_gain(history: Any, *, level: float) -> Interval[float]:
     """Return the gain over the mean early in training, over that at its end.
 
     A gain is the validation baseline less the validation loss. What is early is the first record
@@ -104,7 +104,7 @@ def early_gain(history: Any, *, level: float) -> Spread:
     """
     gain = np.asarray(history.validation_baseline - history.validation_loss, dtype=np.float64)
     if len(gain) < _RECORDS or not np.isfinite(gain).all():
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
     iterations = np.asarray(history.iteration, dtype=np.float64)
     last = max(len(gain) // 10, 2)
     later = gain[len(gain) // 2 :]
@@ -113,19 +113,19 @@ def early_gain(history: Any, *, level: float) -> Spread:
     reach = float(stats.t.ppf((1 + level) / 2, len(later) - 1))
     noise = reach * deviation / math.sqrt(last)
     if end <= -noise:
-        return Spread(0.0, 0.0, 0.0, level)
+        return Interval(0.0, 0.0, 0.0, level)
     if end <= noise:
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
     share = float(gain[int((iterations >= EARLY * iterations[-1]).argmax())]) / end
     half = reach * deviation / end * math.sqrt(1 + share**2 / last)
-    return Spread(share, share - half, share + half, level)
+    return Interval(share, share - half, share + half, level)
 
 
 def _value(comparison: Comparison, measure: str, index: int) -> float:
     return float(comparison.measures[measure].value[index, -1])
 
 
-def _read(comparison: Comparison, measure: str, index: int, level: float) -> Spread:
+def _read(comparison: Comparison, measure: str, index: int, level: float) -> Interval[float]:
     """Return a measure with a normal interval over blocks and batches, of standard errors added.
 
     A single batch has no spread of its own: that of the blocks holds most of it. What has none over
@@ -137,13 +137,15 @@ def _read(comparison: Comparison, measure: str, index: int, level: float) -> Spr
         for intervals in (comparison.measures, comparison.over_batches)
     )
     if not math.isfinite(over_blocks):
-        return Spread.unknown(value, level=level)
+        return Interval.unknown(value, level=level)
     error = math.hypot(over_blocks, over_batches if math.isfinite(over_batches) else 0.0)
     half = float(stats.norm.ppf((1 + level) / 2)) * error
-    return Spread(value, value - half, value + half, level)
+    return Interval(value, value - half, value + half, level)
 
 
-def _better_start(data: SceneData, comparison: Comparison, index: int, level: float) -> Spread:
+def _better_start(
+    data: SceneData, comparison: Comparison, index: int, level: float
+) -> Interval[float]:
     """Return relMSE of the denoised learned estimates over that of the denoised means."""
     albedo = data.feature("albedo")
     normal = None if albedo is None else data.feature("normal")
@@ -159,7 +161,7 @@ def _better_start(data: SceneData, comparison: Comparison, index: int, level: fl
     )
     used = comparison.test_pixels.ravel() & np.isfinite(ours + theirs)
     if not used.any():
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
     blocks = data.whole().blocks[used]
     above, below = blocks.sums(ours[used]), blocks.sums(theirs[used])
     return interval_of(

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator
-from chdstat._core.resampling import Blocks, Spread, interval_of
+from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
 from chdstat.studies.scene_data import SceneData
@@ -76,10 +76,10 @@ def _far(chds: LogChds) -> Floats:
     return squared_distance(LogChds(flat), LogChds(flat[other]), width=_BIN)
 
 
-def _ratio(near: Floats, far: Floats, blocks: Blocks, level: float) -> Spread:
+def _ratio(near: Floats, far: Floats, blocks: Blocks, level: float) -> Interval[float]:
     known = np.isfinite(near + far)
     if not known.any():
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
     kept = blocks[known]
     above, below = kept.sums(near[known]), kept.sums(far[known])
     return interval_of(lambda w: (w @ above) / (w @ below), kept, level=level)
@@ -117,6 +117,6 @@ def _across(
     return left[mixed], np.minimum(*sides)[mixed], number[mixed].astype(np.float64)
 
 
-def _explained(left: Floats, nearest: Floats, blocks: Blocks, level: float) -> Spread:
+def _explained(left: Floats, nearest: Floats, blocks: Blocks, level: float) -> Interval[float]:
     rest, whole = blocks.sums(left), blocks.sums(nearest)
     return interval_of(lambda w: 1 - (w @ rest) / (w @ whole), blocks, level=level)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator, is_bad
-from chdstat._core.resampling import Spread
+from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison
 from chdstat.comparison.candidates import options_of
 from chdstat.estimators import Progressive, lookup, names
@@ -121,7 +121,7 @@ def _of_estimator(data: SceneData, comparison: Comparison, name: str) -> Outcome
 
 def _part(name: str, value: float) -> ClaimTest:
     """Return a part of a number that is known exactly: nothing is drawn in it."""
-    return ClaimTest.of(name, Spread(value, value, value, level_of(_PARTS)), most=ROUNDING)
+    return ClaimTest.of(name, Interval(value, value, value, level_of(_PARTS)), most=ROUNDING)
 
 
 def _middle(

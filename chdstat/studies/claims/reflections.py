@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.moments import Moments
-from chdstat._core.resampling import Blocks, Spread, interval_of, median_of
+from chdstat._core.resampling import Blocks, Interval, interval_of, median_of
 from chdstat.studies.log_chds import EDGES, SAME_SHAPE, WIDTH, LogChds, aligned
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
 from chdstat.studies.scene_data import SceneData
@@ -49,7 +49,7 @@ def measure(data: SceneData) -> Outcome:
     )
 
 
-def shape_spread(shapes: LogChds, blocks: Blocks, *, level: float) -> Spread:
+def shape_spread(shapes: LogChds, blocks: Blocks, *, level: float) -> Interval[float]:
     """Return the root mean square distance of shapes to the mean of their region, without noise.
 
     The mean of products of halves less the product of the means is the covariance of the halves
@@ -57,7 +57,7 @@ def shape_spread(shapes: LogChds, blocks: Blocks, *, level: float) -> Spread:
     """
     known = shapes.known
     if np.count_nonzero(known) < 2:
-        return Spread.unknown(level=level)
+        return Interval.unknown(level=level)
     kept, halves = blocks[known], shapes.halves[known]
     product = kept.sums((halves[:, 0] * halves[:, 1]).sum(axis=-1) * WIDTH)
     sums, count = kept.sums(halves), kept.sums(np.ones(len(halves)))

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator, spans
-from chdstat._core.resampling import Blocks, Spread, interval_of, mean_of
+from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of
 from chdstat.patterns.atlas_shapes import WIDTH, of_histograms
 from chdstat.samples.samples import Samples
 from chdstat.studies.log_chds import EDGES, LogChds, aligned, squared_distance
@@ -268,7 +268,7 @@ _PARTS = 2
 class _ShapeDistance:
     """Distance between the shapes of two integrators, and its p-value, by scene, too."""
 
-    spread: Spread
+    spread: Interval[float]
     p_value: float
     by_scene: Mapping[str, float]
 
@@ -310,7 +310,7 @@ def measure(scenes: Sequence[SceneData]) -> Outcome:
 
 def scene_accuracy(
     looks: Sequence[tuple[Floats, Blocks]], *, level: float
-) -> tuple[Spread, list[list[float]] | None]:
+) -> tuple[Interval[float], list[list[float]] | None]:
     """Return the accuracy of a classifier of shapes, and its table of shares by scene.
 
     Each scene comes with shapes, (pixel, edge), and the blocks that its pixels lie in.
@@ -327,7 +327,7 @@ def scene_accuracy(
 
     shapes, blocks = zip(*looks, strict=True)
     if min(len(s) for s in shapes) < _LEAST:
-        return Spread.unknown(level=level), None
+        return Interval.unknown(level=level), None
     x = np.concatenate(shapes)
     scene = np.repeat(np.arange(len(shapes)), [len(s) for s in shapes])
     fold = np.concatenate([fold_of(b, across=_ACROSS, folds=_FOLDS) for b in blocks])
@@ -374,7 +374,7 @@ def _between_integrators(scenes: Sequence[SceneData], level: float) -> _ShapeDis
         if distances is not None:
             found[data.name] = distances, data.whole().blocks
     if not found:
-        return _ShapeDistance(Spread.unknown(level=level), math.nan, {})
+        return _ShapeDistance(Interval.unknown(level=level), math.nan, {})
     each = {name: permuted([values]) for name, (values, _) in found.items()}
     values, blocks = zip(*found.values(), strict=True)
     spread = mean_of(np.concatenate(values), Blocks.join(list(blocks)), level=level)

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.resampling import Blocks, Spread, largest_of
+from chdstat._core.resampling import Blocks, Interval, largest_of
 from chdstat.studies.claims.glossy import SHIFT, channel_shift, pooled_distance
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, aligned, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
@@ -125,7 +125,7 @@ def _less_region(patch: PixelSet, values: Floats) -> Floats:
     return np.asarray(values - means[patch.region, np.newaxis])
 
 
-def _between_channels(shapes: LogChds, blocks: Blocks, level: float) -> Spread:
+def _between_channels(shapes: LogChds, blocks: Blocks, level: float) -> Interval[float]:
     """Return the largest distance between the mean shapes of two channels."""
     known = shapes.known.all(axis=1)
     kept = blocks[known]

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.comparison.metrics import Interval
+from chdstat._core.resampling import Interval
 from chdstat.rendering.recipes import PHENOMENA, Region
 from chdstat.studies.claims import FINDINGS, SceneData, find
 
@@ -175,11 +175,10 @@ def test_the_verdict_on_learning_is_that_of_the_papers_model():
 
 def joined(one, two, name):
     """Return the measure of two comparisons, the mean of the second left out."""
-    parts = [(vars(one.measures[name])[f], vars(two.measures[name])[f]) for f in FIELDS]
-    return Interval(*(np.concatenate([a, b[1:]]) for a, b in parts))
-
-
-FIELDS = ("value", "standard_error", "low", "high")
+    first, second = one.measures[name], two.measures[name][1:]
+    fields = ("value", "low", "high", "standard_error")
+    parts = {f: np.concatenate([getattr(first, f), getattr(second, f)]) for f in fields}
+    return Interval(**parts)
 
 
 def test_time_is_told_where_nothing_was_compiled():

@@ -16,7 +16,7 @@ from statsmodels.stats.multitest import multipletests
 import chdstat as chd
 from chdstat._core.resampling import (
     Blocks,
-    Spread,
+    Interval,
     holm,
     interval_of,
     largest_of,
@@ -424,7 +424,7 @@ def test_parts_of_the_samples_have_their_own_moments():
     ],
 )
 def test_the_whole_interval_has_to_be_on_one_side(low, high, verdict):
-    part = ClaimTest.of("x", Spread(0.3, low, high, 0.95), least=0.1, most=0.5)
+    part = ClaimTest.of("x", Interval(0.3, low, high, 0.95), least=0.1, most=0.5)
     assert part.verdict == verdict
 
 

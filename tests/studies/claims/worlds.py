@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 import chdstat as chd
-from chdstat.comparison.metrics import Interval
+from chdstat._core.resampling import Interval
 from chdstat.rendering.recipes import Region
 from chdstat.studies.claims import SceneData
 
@@ -300,7 +300,9 @@ def learned(good: bool, who: str = "elek2019") -> World:
         measures = dict(found.measures)
         for name, values in means.items():
             value = np.full((2, 4), values[0] if good else values[1])
-            measures[name] = Interval(value, np.full((2, 4), 0.02), value - 0.04, value + 0.04)
+            measures[name] = Interval(
+                value, value - 0.04, value + 0.04, 0.95, np.full((2, 4), 0.02)
+            )
         estimates = found.estimates.copy()
         estimates[1] = (2.6 if good else 8) * np.ones_like(estimates[1])
         model = SimpleNamespace(history=_history(rng, good))
