@@ -45,7 +45,7 @@ from chdstat.inference import (
 from chdstat.inference.normality import TESTS, TestName, Transform
 from chdstat.patterns import PATTERNS, Thresholds, finish_patterns, patterns_variables
 from chdstat.patterns.classification import PixelFits
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Mapped, Samples
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:

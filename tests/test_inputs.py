@@ -15,7 +15,7 @@ from chdstat.errors import InputError, LeftOutWarning
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive.profile import Profile
 from chdstat.inference.normality_of_means import gaussianity_of_means
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.samples.store import Store
 from chdstat.summary.histograms import StreamingHistogram
 from chdstat.summary.statistics import Summary

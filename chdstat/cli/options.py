@@ -135,6 +135,7 @@ def batches_of(
 ) -> Any:
     """Return a rendering of a scene, batch by batch, of which no sample is kept."""
     from chdstat.rendering.live import render_batches
+    from chdstat.samples import is_store
 
     if is_store(source) or store is not None:
         message = (
@@ -152,18 +153,12 @@ def batches_of(
 def source_of(source: str, define: list[str] | None) -> Any:
     """Return the path of a finished store, or a scene by name or file, with its parameters."""
     from chdstat.rendering.jobs import refuse_render
+    from chdstat.samples import is_store
 
     if not is_store(source):
         return scene_of(source, define)
     refuse_render(source, {"-D": define or None})
     return Path(source)
-
-
-def is_store(source: str) -> bool:
-    """Say whether a source is a finished store rather than a scene."""
-    from chdstat.scenes.files import is_file
-
-    return is_file(Path(source) / "zarr.json")
 
 
 def thresholds_of(given: list[str] | None) -> Any:

@@ -83,7 +83,7 @@ def info(
     as_json: Json = False,
 ) -> None:
     """Say what a store holds, and whether it is complete and sound."""
-    from chdstat.samples.access import inspect
+    from chdstat.samples import inspect
 
     found = inspect(store, verify=verify)
     if as_json:

@@ -26,7 +26,7 @@ from chdstat.comparison.metrics import bootstrap, relative_squared_error
 from chdstat.errors import InputError
 from chdstat.estimators import mean
 from chdstat.estimators.validation import Totals, batches, direct_of
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = [
     "MEASURES",

@@ -16,7 +16,7 @@ from chdstat.estimators.denoising import Denoised, variants
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup
 from chdstat.estimators.validation import Totals, direct_of, draw_pixels, judging_pixels
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = [
     "DEFAULT",

@@ -37,8 +37,7 @@ from chdstat.comparison.tables import (
 from chdstat.errors import InputError
 from chdstat.estimators.registry import Model
 from chdstat.estimators.validation import check_spp
-from chdstat.samples.access import checked
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples, checked
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -28,8 +28,7 @@ from chdstat.errors import InputError
 from chdstat.estimators.denoising import check_denoiser
 from chdstat.estimators.validation import Totals, check_spp
 from chdstat.patterns import Label, classify
-from chdstat.samples.access import checked
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples, checked
 
 if TYPE_CHECKING:
     import xarray as xr

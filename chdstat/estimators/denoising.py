@@ -16,7 +16,7 @@ import numpy.typing as npt
 from chdstat.errors import InputError
 from chdstat.estimators.registry import Estimator, LearnedEstimator, lookup
 from chdstat.io import denoise
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = ["Denoised", "check_denoiser", "denoised", "through_denoiser", "variants"]
 

@@ -29,8 +29,7 @@ from chdstat.estimators.progressive.inputs import Input
 from chdstat.estimators.progressive.stream import follow
 from chdstat.estimators.validation import direct_of
 from chdstat.io import write_exr
-from chdstat.samples.access import checked
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples, checked
 
 if TYPE_CHECKING:
     from chdstat.rendering.live import Rendering

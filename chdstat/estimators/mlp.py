@@ -25,7 +25,7 @@ from chdstat.estimators.model_files import read_model, write_model
 from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.registry import LearnedEstimator, register_learned
 from chdstat.estimators.training import PRESETS, History, Preset, Trained, train
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = ["MLP"]
 

@@ -14,8 +14,7 @@ from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, Estimator, LearnedEstimator, Progressive, lookup, names
 from chdstat.estimators.model_files import read_model
 from chdstat.estimators.progressive.inputs import Input
-from chdstat.samples.access import checked
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples, checked
 
 __all__ = ["AnyModel", "check_choice", "first_samples", "load_model", "train_model"]
 

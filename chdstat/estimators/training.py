@@ -23,7 +23,7 @@ from chdstat.estimators.validation import (
     draw_pixels,
     training_batches,
 )
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = ["PRESETS", "History", "Preset", "Trained", "train"]
 

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import LeftOut, generator, is_bad
 from chdstat.errors import InputError
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = [
     "PUBLISHED_PIXELS",

@@ -19,7 +19,7 @@ from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.models import AnyModel
 from chdstat.explorer.shared import Explored, Shared, opened
 from chdstat.explorer.sources import StoreSource
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 if TYPE_CHECKING:
     from bokeh.application.handlers.handler import Handler

@@ -29,8 +29,8 @@ from chdstat.explorer.estimators import Learner, learners, quick_names
 from chdstat.explorer.images import Overall, SceneSource, preview, stream
 from chdstat.explorer.maps import Map, map_kind, of_overall, walk, with_sizes
 from chdstat.explorer.sources import StoreSource
-from chdstat.samples.access import open as open_store
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples, is_store
+from chdstat.samples import open as open_store
 from chdstat.scenes import Scene, load_scene
 
 __all__ = ["Explored", "Shared", "Stopped", "kept", "opened"]
@@ -132,9 +132,7 @@ def _sized(source: StoreSource | SceneSource) -> str:
 
 
 def _source(source: Explored, **options: Any) -> StoreSource | SceneSource:
-    if isinstance(source, Samples) or (
-        isinstance(source, str | Path) and (Path(source) / "zarr.json").is_file()
-    ):
+    if isinstance(source, Samples) or is_store(source):
         return _store(source)
     return SceneSource(load_scene(source), **options)
 

@@ -10,7 +10,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator
 from concurrent.futures import Future
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -19,9 +18,9 @@ import numpy.typing as npt
 from chdstat._core.arrays import generator, spans
 from chdstat.errors import ChdstatError, StoreError
 from chdstat.explorer.view import check_pixel
-from chdstat.samples.access import open as open_store
+from chdstat.samples import Samples, is_store
+from chdstat.samples import open as open_store
 from chdstat.samples.layout import BLOCK
-from chdstat.samples.samples import Samples
 
 __all__ = ["Source", "StoreSource", "mixed", "pooled"]
 
@@ -220,7 +219,7 @@ class StoreSource:
 
     def _check(self) -> None:
         path = self.samples.path
-        if path is not None and not (Path(path) / "zarr.json").is_file():
+        if path is not None and not is_store(path):
             message = f"the store {path} is gone: it was deleted or moved; open it again"
             raise StoreError(message)
 

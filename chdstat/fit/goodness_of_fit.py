@@ -29,7 +29,7 @@ from chdstat.fit.mixture_family import mixture_family, mixture_parameters
 from chdstat.fit.mle import fit_part, zero_log_likelihood
 from chdstat.fit.results import Fit, Mixture
 from chdstat.fit.selection import Selection
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.summary.dispatch import Part, Source, run
 from chdstat.summary.histograms import Histogram
 from chdstat.summary.positive_histogram import BinnedPart
@@ -37,7 +37,7 @@ from chdstat.summary.positive_histogram import BinnedPart
 if TYPE_CHECKING:
     import xarray as xr
 
-    from chdstat.samples.samples import Mapped
+    from chdstat.samples import Mapped
 
 __all__ = [
     "FIT_TESTS",

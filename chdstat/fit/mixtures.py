@@ -22,7 +22,7 @@ from chdstat.fit.mle import zero_log_likelihood
 from chdstat.fit.peaks import standard_errors
 from chdstat.fit.results import Mixture, MixtureCriterion, finish_mixture, mixture_variables
 from chdstat.fit.search import EFFORTS, Effort, Found, Solution, log_likelihood, search
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.summary.dispatch import Part, Source, run
 from chdstat.summary.histograms import Histogram
 

@@ -19,7 +19,7 @@ from chdstat._core.reasons import Reason
 from chdstat._core.resampling import wilson
 from chdstat.fit.families import Estimate, Family, Parameters, get_family
 from chdstat.fit.results import Fit, fit_variables, label_fit
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.summary.dispatch import Part, Source, run
 from chdstat.summary.histograms import Histogram
 

@@ -18,7 +18,7 @@ from chdstat.fit.families import Parameters, get_family
 if TYPE_CHECKING:
     import xarray as xr
 
-    from chdstat.samples.samples import Mapped
+    from chdstat.samples import Mapped
 
 __all__ = [
     "SHARED",

@@ -21,7 +21,7 @@ from chdstat.fit.families import Family, get_family
 from chdstat.fit.held_out import HeldOut, held_out_of_part, ranked, vuong
 from chdstat.fit.mle import fit_part
 from chdstat.fit.results import Fit, fit_variables, label_fit
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Mapped, Samples
 from chdstat.summary.dispatch import Part, Source, run
 from chdstat.summary.histograms import Histogram
 

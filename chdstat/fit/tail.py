@@ -32,7 +32,7 @@ from chdstat.fit.tail_fits import (
     pareto_tail,
     tail_variables,
 )
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
     import xarray as xr

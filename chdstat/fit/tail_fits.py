@@ -22,7 +22,7 @@ from chdstat._core.resampling import q_values
 if TYPE_CHECKING:
     import xarray as xr
 
-    from chdstat.samples.samples import Mapped
+    from chdstat.samples import Mapped
 
 __all__ = [
     "MINIMUM_EXCESSES",

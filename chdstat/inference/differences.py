@@ -14,7 +14,7 @@ from scipy import special
 
 from chdstat._core.arrays import LeftOut, as_samples, generator, is_bad, spans, warn_left_out, whole
 from chdstat.errors import InputError
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = ["Difference", "difference"]
 

@@ -35,7 +35,7 @@ from chdstat.fit.results import Fit, Mixture
 from chdstat.fit.search import Found
 from chdstat.fit.unimodal import unimodal_scores
 from chdstat.inference.null_tables import DIP_QUANTILES, LEVELS, interpolated_p
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -27,7 +27,7 @@ from chdstat.errors import InputError
 from chdstat.inference import statistics
 from chdstat.inference import statistics as p_values
 from chdstat.inference.statistics import Rows, check_choice, check_level, finish, standardise
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -29,7 +29,7 @@ from chdstat.inference.averages import (
 )
 from chdstat.inference.normality import TESTS, NormalityTest, TestName
 from chdstat.inference.statistics import check_choice, check_level, finish
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -17,8 +17,7 @@ from chdstat._core.arrays import is_bad, luminance, spans
 from chdstat._core.moments import Moments
 from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
 from chdstat._core.reasons import Reason
-from chdstat.samples.access import Blocks, reduce_tiles
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Blocks, Mapped, Samples, reduce_tiles
 from chdstat.summary.bins import Support
 from chdstat.summary.histograms import StreamingHistogram
 from chdstat.summary.positive_histogram import BinnedPart

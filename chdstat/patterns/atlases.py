@@ -19,7 +19,7 @@ from chdstat._core.resampling import wilson
 from chdstat.errors import InputError
 from chdstat.patterns import atlas_shapes
 from chdstat.patterns.clusters import Groups, find_groups
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -29,7 +29,7 @@ from chdstat.inference import Modality, mixture_and_modes_of_part
 from chdstat.patterns.agreement import Agreement, agreement
 from chdstat.patterns.pixel_statistics import gather
 from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Mapped, Samples
 
 if TYPE_CHECKING:
     import xarray as xr

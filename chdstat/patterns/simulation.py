@@ -35,7 +35,7 @@ from chdstat.patterns.population import (
     random_chds,
     truth,
 )
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -30,8 +30,8 @@ from chdstat.rendering.writers import (
     existing_store,
     provenance,
 )
+from chdstat.samples import Samples
 from chdstat.samples.layout import DIRECT
-from chdstat.samples.samples import Samples
 from chdstat.scenes import Scene, load_scene
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ import numpy as np
 from chdstat._core.files import replacing, unused
 from chdstat.errors import StoreError
 from chdstat.rendering.capture import render
-from chdstat.samples.access import open as open_samples
+from chdstat.samples import Samples
+from chdstat.samples import open as open_samples
 from chdstat.samples.layout import DIRECT
 from chdstat.samples.manifest import FIRST_SCHEMA, SCHEMA_VERSION, WriteError
-from chdstat.samples.samples import Samples
 from chdstat.samples.store import Store
 from chdstat.scenes import Scene
 

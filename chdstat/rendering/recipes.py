@@ -20,7 +20,7 @@ from scipy import ndimage
 import chdstat
 from chdstat.errors import InputError
 from chdstat.rendering.jobs import scene_integrator
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, REMAKES, Scene
 from chdstat.scenes.files import is_file
 

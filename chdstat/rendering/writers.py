@@ -14,9 +14,9 @@ import numpy.typing as npt
 from chdstat.errors import StoreError
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import STREAMS
+from chdstat.samples import Samples
 from chdstat.samples.layout import Chunk, chunk_grid
 from chdstat.samples.manifest import check_schema, store_exists
-from chdstat.samples.samples import Samples
 from chdstat.samples.store import Store
 
 __all__ = ["MemoryWriter", "StoreWriter", "Writer", "existing_store", "provenance"]

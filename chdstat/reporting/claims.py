@@ -12,7 +12,7 @@ import numpy as np
 from chdstat import viz
 from chdstat.rendering.recipes import remake_of
 from chdstat.reporting.typst import NAMES, number
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.studies.claims import FINDINGS, Claim, ClaimTest, Finding
 from chdstat.viz.claims import VERDICTS
 

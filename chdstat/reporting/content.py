@@ -18,7 +18,7 @@ from chdstat.reporting.claims import chips, finding_content, plot_findings, rema
 from chdstat.reporting.findings import findings
 from chdstat.reporting.scene_figures import SelfTraining, panels_of, scene_figures
 from chdstat.reporting.typst import NAMES, Document, between, number, percent
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.studies.claims import FINDINGS, Finding, SceneData
 
 if TYPE_CHECKING:

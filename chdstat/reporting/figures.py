@@ -24,7 +24,7 @@ from chdstat.fit import select
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.rendering.recipes import Region
 from chdstat.reporting.typst import NAMES, percent
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.viz.styling import qualitative, spelt
 

@@ -26,7 +26,7 @@ from chdstat.patterns import Atlas
 from chdstat.rendering.recipes import Region
 from chdstat.reporting.figures import marks_of, panel_of
 from chdstat.reporting.typst import number, percent
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.studies.claims import SceneData
 from chdstat.studies.claims.fireflies import BRIGHTER
 from chdstat.summary.histograms import histogram

@@ -29,8 +29,8 @@ from chdstat.rendering.recipes import (
 from chdstat.reporting.content import ReportData, document
 from chdstat.reporting.scene_figures import SelfTraining
 from chdstat.reporting.typst import typeset
-from chdstat.samples.access import open as open_samples
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples, is_store
+from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import FINDINGS, SceneData
 
@@ -137,7 +137,7 @@ def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples 
     """Return samples that are already there: given, or in a store."""
     if isinstance(source, Samples):
         return source
-    if isinstance(source, (str, Path)) and (Path(source) / "zarr.json").is_file():
+    if is_store(source):
         return open_samples(source)
     return None
 

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from chdstat.samples.access import checked, inspect, open  # noqa: A004 - chdstat.open reads like open
-from chdstat.samples.samples import Samples
+from chdstat.samples.access import (
+    Blocks,
+    checked,
+    inspect,
+    is_store,
+    open,  # noqa: A004 - chdstat.open reads like open
+    reduce_tiles,
+)
+from chdstat.samples.samples import Mapped, Samples
 
-__all__ = ["Samples", "checked", "inspect", "open"]
+__all__ = ["Blocks", "Mapped", "Samples", "checked", "inspect", "is_store", "open", "reduce_tiles"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -17,15 +17,28 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut
 from chdstat.errors import InputError, StoreError
 from chdstat.samples.samples import Mapped, Samples
+from chdstat.scenes.files import is_file
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from chdstat.samples.store import Store
 
-__all__ = ["checked", "inspect", "open", "reduce_tiles"]
+__all__ = ["Blocks", "checked", "inspect", "is_store", "open", "reduce_tiles"]
 
 Blocks = Iterator[npt.NDArray[np.float32]]
+
+
+def is_store(source: object) -> TypeGuard[str | Path]:
+    """Return whether something is the path of a store, damaged or not.
+
+    Examples
+    --------
+    >>> is_store("cornell-box")
+    False
+    """
+    manifests = ("zarr.json", "radiance/zarr.json")
+    return isinstance(source, str | Path) and any(is_file(Path(source) / m) for m in manifests)
 
 
 def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open

@@ -18,8 +18,8 @@ from chdstat.rendering.recipes import (
     own_recipe,
     regions_of,
 )
-from chdstat.samples.access import open as open_samples
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples, is_store
+from chdstat.samples import open as open_samples
 from chdstat.scenes import BUILTIN, Scene, load_scene
 
 __all__ = ["Source", "Subject", "subjects_of"]
@@ -94,7 +94,7 @@ def _subject(source: Source, given: Mapping[str, Any]) -> Subject:
     if isinstance(source, Samples):
         return _of_samples(source)
     if isinstance(source, (str, Path)):
-        if (Path(source) / "zarr.json").is_file():
+        if is_store(source):
             return _of_samples(open_samples(source))
         if Path(source).suffix.lower() == ".toml":
             recipe = load_recipe(source)

@@ -14,7 +14,7 @@ from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
 from chdstat.patterns import Atlas
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.studies.claims import FINDINGS, Finding, SceneData
 from chdstat.studies.outcomes import plain
 

@@ -17,7 +17,7 @@ from chdstat.patterns import Atlas, atlas
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.jobs import refuse_render
 from chdstat.rendering.recipes import choose_regions
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.studies.claims import FINDINGS, Finding, SceneData
 from chdstat.studies.config import Source, Subject, subjects_of
 from chdstat.studies.results import SceneStudy, Study

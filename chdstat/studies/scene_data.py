@@ -19,7 +19,7 @@ from chdstat._core.arrays import generator, is_bad, luminance
 from chdstat._core.resampling import Blocks, Interval, interval_of
 from chdstat.analysis import analyze
 from chdstat.rendering.recipes import Region
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.studies.log_chds import LogChds, of_histograms
 from chdstat.summary.statistics import summarize
 

@@ -25,8 +25,8 @@ from chdstat.estimators.models import AnyModel, load_model
 from chdstat.estimators.registry import Model
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
-from chdstat.samples.access import open as open_samples
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
+from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene
 from chdstat.studies.config import Subject
 from chdstat.summary.statistics import summarize

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import all_good, as_samples, is_bad, is_null, spans
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = [
     "FIRST_DRAWS",

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Mapped, Samples
 from chdstat.summary.histograms import Histogram
 from chdstat.summary.positive_histogram import BinnedPart
 

@@ -18,8 +18,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_samples, warn_left_out
 from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
-from chdstat.samples.access import Blocks, reduce_tiles
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Blocks, Mapped, Samples, reduce_tiles
 from chdstat.summary.bins import (
     LOG_SUPPORT,
     SCALES,

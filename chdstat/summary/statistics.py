@@ -16,8 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_pixels
 from chdstat._core.moments import Batches, Moments
 from chdstat.errors import InputError
-from chdstat.samples.access import Blocks, checked, reduce_tiles
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples import Blocks, Mapped, Samples, checked, reduce_tiles
 from chdstat.summary.bins import (
     SCALES,
     Counts,

@@ -25,7 +25,7 @@ import numpy as np
 import chdstat as chd
 from chdstat.errors import ChdstatError
 from chdstat.estimators.models import load_model, train_model
-from chdstat.samples.access import inspect
+from chdstat.samples import inspect
 
 SIZE, SPP, LONGEST = (66, 3), 66, 10
 SCENE = {"scene": "cornell-box", "size": SIZE, "backend": "scalar", "progress": False}

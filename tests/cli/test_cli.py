@@ -301,12 +301,12 @@ def test_damage_is_found_and_named(run, tmp_path):
 
 
 def test_an_interrupt_says_how_to_go_on(run, monkeypatch):
-    import chdstat.samples.access
+    import chdstat.samples
 
     def stop(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(chdstat.samples.access, "inspect", stop)
+    monkeypatch.setattr(chdstat.samples, "inspect", stop)
     code, _, err = run("info", "x.zarr")
     assert code == 130
     assert "resume" in err

@@ -9,7 +9,7 @@ from sklearn.metrics import adjusted_rand_score
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 from chdstat.patterns import Atlas, atlas
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.summary.histograms import histogram
 
 EDGE, SPP = 32, 512

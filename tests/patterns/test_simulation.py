@@ -10,7 +10,7 @@ from chdstat import patterns
 from chdstat._core.arrays import luminance
 from chdstat.errors import InputError
 from chdstat.patterns import CHD, CHDS, Component, Label, flag_scores, random_chds, truth, truth_of
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 TWO = (Component("lognormal", 0.5, 0.02, 0.4), Component("lognormal", 0.4, 1.0, 0.6))
 CONTINUOUS = {

@@ -14,7 +14,7 @@ from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.estimators.models import first_samples
 from chdstat.rendering import capture
 from chdstat.rendering.backend import probe
-from chdstat.samples.access import inspect
+from chdstat.samples import inspect
 from chdstat.samples.layout import DIRECT
 from chdstat.samples.store import Store
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.samples.access import inspect
+from chdstat.samples import inspect
 
 BOX = {"scene": "cornell-box", "size": (66, 5), "backend": "scalar", "progress": False}
 

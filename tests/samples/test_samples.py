@@ -8,6 +8,7 @@ import pytest
 import chdstat as chd
 from chdstat import Samples
 from chdstat.errors import InputError, StoreError
+from chdstat.samples import is_store
 from chdstat.samples.store import Store
 
 SHAPE = (70, 66, 3, 70)
@@ -246,3 +247,14 @@ def test_a_read_that_memory_cannot_hold_is_refused_in_words(tmp_path, monkeypatc
         samples.read()
     assert samples.read(slice(0, 1)).shape == (1, 2, 3, 70)
     assert samples[1, 1].shape == (3, 70)
+
+
+def test_a_path_is_that_of_a_store_or_not(tmp_path):
+    path = tmp_path / "s.zarr"
+    Store.create(path, height=2, width=2, channels=3, spp=4, attrs={}).close()
+    assert is_store(path)
+    assert is_store(str(path))
+    (path / "zarr.json").unlink()
+    assert is_store(path)  # damaged, and repaired from its copy
+    for other in (tmp_path, "cornell-box", "\0", "x" * 10_000, {}, None):
+        assert not is_store(other)

@@ -19,8 +19,8 @@ from chdstat._core.files import Lock
 from chdstat.cli import main
 from chdstat.errors import StoreError
 from chdstat.rendering.conversion import convert
+from chdstat.samples import inspect
 from chdstat.samples import store as layout
-from chdstat.samples.access import inspect
 from chdstat.samples.layout import BATCH, TILE, chunk_grid
 from chdstat.samples.manifest import SCHEMA_VERSION, store_exists
 from chdstat.samples.store import Store

@@ -7,7 +7,7 @@ import pytest
 
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.summary.histograms import StreamingHistogram, Support, histogram, linear_support
 
 SCALES = ["linear", "log"]

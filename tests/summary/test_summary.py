@@ -16,7 +16,7 @@ from scipy import stats
 from chdstat._core.arrays import is_bad
 from chdstat._core.moments import Moments
 from chdstat.errors import InputError
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.summary.histograms import Histogram, linear_support
 from chdstat.summary.statistics import Summary, summarize
 

@@ -11,7 +11,7 @@ from scipy import stats
 from chdstat import viz
 from chdstat.errors import InputError
 from chdstat.patterns import atlas
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.summary.histograms import histogram
 
 

@@ -21,7 +21,7 @@ from chdstat.estimators.progressive.profile import Profile
 from chdstat.estimators.progressive.splits import MinibatchSource, SampleSplits
 from chdstat.estimators.similar_pixels import shared_patches
 from chdstat.estimators.validation import check_spp, checked_pixels, draw_pixels
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = [
     "AuxiliaryFeatures",

@@ -12,7 +12,7 @@ from chdstat.estimators.progressive.auxiliary import Features
 from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.registry import LearnedEstimator, register, register_learned
 from chdstat.estimators.rows import reordered
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = ["self_trained"]
 

@@ -19,7 +19,7 @@ from chdstat.errors import InputError
 from chdstat.estimators.progressive.auxiliary import BANDS, RADII
 from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, auxiliary_features
 from chdstat.estimators.progressive.profile import OCTAVES, Profile
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = [
     "FLOOR",

@@ -29,7 +29,7 @@ from chdstat.estimators.progressive.inputs import (
     InputConfig,
 )
 from chdstat.estimators.progressive.splits import SampleSplits
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network

@@ -41,7 +41,7 @@ from chdstat.estimators.progressive.prediction import (
 from chdstat.estimators.progressive.profile import Profile
 from chdstat.estimators.training import History
 from chdstat.estimators.validation import direct_of
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 
 __all__ = ["Progressive"]
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.resampling import mean_of
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
 from chdstat.studies.scene_data import SceneData
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import generator, spans
 from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of
 from chdstat.patterns.atlas_shapes import WIDTH, of_histograms
-from chdstat.samples.samples import Samples
+from chdstat.samples import Samples
 from chdstat.studies.log_chds import EDGES, LogChds, aligned, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
 from chdstat.studies.scene_data import SceneData, fold_of
