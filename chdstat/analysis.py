@@ -19,6 +19,7 @@ from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import wilson
 from chdstat.errors import StoreError
+from chdstat.fit.families import SELECTED
 from chdstat.fit.goodness_of_fit import (
     Goodness,
     finish_goodness,
@@ -26,7 +27,7 @@ from chdstat.fit.goodness_of_fit import (
     goodness_variables,
 )
 from chdstat.fit.results import finish_mixture, mixture_variables
-from chdstat.fit.selection import SELECTED, family_shares, finish_selection, selection_variables
+from chdstat.fit.selection import family_shares, finish_selection, selection_variables
 from chdstat.fit.tail_fits import finish_tail, tail_variables
 from chdstat.inference import (
     MORE_THAN_TESTED,

@@ -28,6 +28,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "commands",
     "docstrings",
+    "families",
     "figures",
     "mathml",
     "patterns",

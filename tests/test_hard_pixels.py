@@ -53,11 +53,7 @@ HOPELESS = {"all null", "one sample", "constant", "constant but for nulls", "nan
 HOPELESS_FOR_MEANS = {"all null", "constant", "nan"}
 """A null is a sample like any other where averages are looked at."""
 FUNCTIONS: dict[str, Callable[[np.ndarray], Any]] = {
-    "gamma": chd.fit.gamma,
-    "lognormal": chd.fit.lognormal,
-    "weibull": chd.fit.weibull,
-    "burr": chd.fit.burr,
-    "pareto": chd.fit.pareto,
+    **{name: getattr(chd.fit, name) for name in chd.fit.FAMILIES},
     "select": chd.fit.select,
     "mixture": chd.fit.mixture,
     "tail_index": chd.fit.tail_index,

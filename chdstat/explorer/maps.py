@@ -21,8 +21,8 @@ from chdstat.explorer.estimators import fixed_names
 from chdstat.explorer.images import Overall
 from chdstat.explorer.palette import label_colors
 from chdstat.explorer.sources import StoreSource
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.selection import SELECTED, select_part
+from chdstat.fit.families import FAMILIES, SELECTED
+from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part
 from chdstat.inference import MORE_THAN_TESTED, N_MEANS, means_of_block, sizes_of_means
 from chdstat.patterns import (

@@ -23,10 +23,10 @@ from bokeh.models import CustomJS, TextInput
 from jinja2 import Environment
 
 from chdstat.explorer.maps import Map, MapKind
-from chdstat.explorer.palette import ramp
+from chdstat.explorer.palette import DASHES, ramp
 from chdstat.explorer.panels import PanelData, Trace, extent
 from chdstat.explorer.plots import ImagePlot, Linked, PanelPlot
-from chdstat.explorer.view import BATCH_SIZES, FAMILIES
+from chdstat.explorer.view import BATCH_SIZES, FITS
 from chdstat.reporting.typst import NAMES
 
 __all__ = ["EXPORTS", "Page", "PageConnection", "colorbar", "encode_panels"]
@@ -245,7 +245,7 @@ def _variables(
         "exports": EXPORTS,
         "maps": [(kind.name, kind.title) for kind in maps],
         "errors": [(f"error:{name}", NAMES.get(name, name)) for name in errors],
-        "families": [(name, NAMES.get(name, name)) for name in FAMILIES],
+        "families": [(name, NAMES.get(name, name), DASHES.get(name)) for name in FITS],
         "channels": [*chosen, ("luminance", "luminance")] if chosen else [],
         "batches": BATCH_SIZES,
         "titles": list(titles),

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from functools import cache
+from itertools import cycle
+
+from chdstat.fit.families import FAMILIES
 
 __all__ = [
     "BLENDED",
@@ -39,13 +42,9 @@ _LABELS = (
 CHANNEL_COLORS = {"R": "#ff7b72", "G": "#56d18b", "B": "#79b8ff"}
 PIXEL_COLORS = ("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e")
 """After Okabe and Ito (2008), lightened: colour-blind readers tell them apart."""
-DASHES = {
-    "gamma": "solid",
-    "lognormal": "dashed",
-    "weibull": "dotdash",
-    "burr": "dotted",
-    "mixture": "dashdot",
-}
+_PATTERNS = ("solid", "6 6", "2 4 6 4", "2 4", "12 4", "6 4 2 4 2 4", "12 4 2 4")
+DASHES = {**dict(zip(FAMILIES, cycle(_PATTERNS), strict=False)), "mixture": "6 4 2 4"}
+"""Line dashes of fits by name: lengths of lines and gaps, as Bokeh and SVG read them."""
 
 
 def contrast(one: str, other: str) -> float:

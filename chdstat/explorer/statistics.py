@@ -20,10 +20,9 @@ from chdstat._core.arrays import generator, is_bad, is_null, luminance, spans, t
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
 from chdstat.fit import Fit, Mixture, Selection, Tail
-from chdstat.fit.families import FAMILIES, get_family
+from chdstat.fit.families import FAMILIES, SELECTED, get_family
 from chdstat.fit.goodness_of_fit import FitTest, goodness_of_part
 from chdstat.fit.mle import fit_part
-from chdstat.fit.selection import SELECTED
 from chdstat.inference import (
     N_MEANS,
     Gaussianity,
@@ -118,7 +117,7 @@ def goodness(
 MOST_FITTED = 2**15
 """Samples that fits, tests and modes look at; moments and histograms take all of them."""
 
-_OF_FIRST = {"fitted", "_positive", "patterns", "gaussianity", "means"}
+_OF_FIRST = {"fitted", "_positive", "_further_fits", "patterns", "gaussianity", "means"}
 """What is computed of the first `MOST_FITTED` samples alone."""
 
 
@@ -171,6 +170,7 @@ class PlaceStatistics:
     def __init__(self, x: npt.NDArray[np.float32], channels: tuple[str, ...]) -> None:
         self.channels = channels
         self._positive: dict[tuple[str, int], Positive | None] = {}
+        self._further_fits: dict[str, Fit] = {}
         self.bad = np.asarray(is_bad(x).any(axis=0))
         self.null = is_null(x) & ~self.bad
         self.names = channels
@@ -298,7 +298,10 @@ class PlaceStatistics:
             if index < 0:
                 return None
             family = self.selection.families[index]
-        return take_rows(self.selection.fits[family], row, axis=0)
+        fits = self.selection.fits if family in self.selection.fits else self._further_fits
+        if family not in fits:
+            self._further_fits[family] = fit_part(self.part, FAMILIES[family])
+        return take_rows(fits[family], row, axis=0)
 
     def positive(self, family: str, row: int) -> Positive | None:
         """Return the distribution of the positive part of a fit, None where there is none.

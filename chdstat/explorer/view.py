@@ -17,11 +17,12 @@ from typing import Any
 from urllib.parse import urlencode
 
 from chdstat.errors import InputError
+from chdstat.fit.families import FAMILIES
 
 __all__ = [
     "BATCH_SIZES",
     "CHANNELS",
-    "FAMILIES",
+    "FITS",
     "MOST_PIXELS",
     "OPTIONS",
     "TONES",
@@ -32,7 +33,8 @@ __all__ = [
 ]
 
 MOST_PIXELS = 6
-FAMILIES = ("best", "gamma", "lognormal", "weibull", "burr", "mixture")
+FITS = ("best", *FAMILIES, "mixture")
+"""What can be drawn over the histograms."""
 TONES = ("srgb", "reinhard", "filmic")
 CHANNELS = ("all", "luminance")
 """Further ones are the numbers of single channels, as text."""
@@ -63,7 +65,7 @@ class View:
     channel
         "all", "luminance", or the number of a channel. Several pixels show luminance for "all".
     families
-        Some of `FAMILIES`, drawn over the histograms.
+        Some of `FITS`, drawn over the histograms.
     batch
         N of the averages whose distribution is shown.
     exposure
@@ -221,8 +223,8 @@ OPTIONS = {
 
 def _checked(name: str, value: Any) -> Any:
     if name == "families":
-        chosen = tuple(f for f in FAMILIES if f in value)
-        _require(len(chosen) == len(set(value)), name, FAMILIES, value)
+        chosen = tuple(f for f in FITS if f in value)
+        _require(len(chosen) == len(set(value)), name, FITS, value)
         return chosen
     if name == "batch":
         _require(value in BATCH_SIZES, name, BATCH_SIZES, value)

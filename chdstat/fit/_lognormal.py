@@ -1,4 +1,19 @@
-"""Log-normal: Gaussian in the log domain."""
+"""Log-normal: Gaussian in the log domain.
+
+``mu = mean(log x)``, ``sigma^2 = mean((log x - mu)^2)``, natural logarithms; the likelihood is
+that of linear radiance, so that it compares with other families.
+
+References
+----------
+Johnson, Kotz and Balakrishnan, "Continuous univariate distributions", vol. 1, 1994, chap. 14.
+
+Examples
+--------
+>>> import chdstat as chd
+>>> result = chd.fit.lognormal([1.0, 10.0, 100.0])
+>>> round(float(np.exp(result.parameters["mu"])), 6)
+10.0
+"""
 
 from __future__ import annotations
 
@@ -45,11 +60,17 @@ def _log_density(points: Points, parameters: Parameters) -> Floats:
 
 LOGNORMAL = Family(
     name="lognormal",
+    label="log-normal",
+    documentation=__doc__,
     units={"mu": "1", "sigma": "1"},
     estimate=_estimate,
     log_likelihood=_log_likelihood,
     log_density=_log_density,
     distribution=lambda p: stats.lognorm(p["sigma"], scale=np.exp(p["mu"])),
     errors_from={"mu": 12, "sigma": 20},
+    selected=True,
+    density=r"e^{-(\log x - \mu)^2 / 2 \sigma^2} / (\sqrt{2\pi}\, \sigma x)",
+    tail_index="0, but only far out",
+    error_formula=r":math:`\sigma / \sqrt{n}` and :math:`\sigma / \sqrt{2n}`",
+    typical={"mu": (0.0, 0.0), "sigma": (0.1, 2.5)},
 )
-"""``log x`` is Gaussian with mean mu and standard deviation sigma; natural logarithms."""

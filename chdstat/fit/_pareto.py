@@ -1,4 +1,22 @@
-"""Generalised Pareto from 0: power laws that fall from the start, and excesses over a threshold."""
+"""Generalised Pareto: excesses over a threshold, or a CHD whose density falls from the start.
+
+``P(X > x) = (1 + xi x / scale)^(-1/xi)``. From xi = -1/2 down the standard errors are NaN, since
+the likelihood is not regular there; below -1 it has no maximum, and the reason is `AT_LIMIT`. That
+of xi is ``max(1 + xi, 0.9) / sqrt(n)``, and there is none below 128 samples: it would be too small.
+
+References
+----------
+Grimshaw, "Computing maximum likelihood estimates for the generalized Pareto distribution",
+1993, doi:10.1080/00401706.1993.10485040. Smith, "Maximum likelihood estimation in a class of
+nonregular cases", 1985, doi:10.1093/biomet/72.1.67.
+
+Examples
+--------
+>>> import chdstat as chd
+>>> x = np.random.default_rng(1).pareto(2.0, size=4096)
+>>> round(float(chd.fit.pareto(x).parameters["xi"]), 1)
+0.5
+"""
 
 from __future__ import annotations
 
@@ -138,11 +156,16 @@ def _log_density(points: Points, parameters: Parameters) -> Floats:
 
 PARETO = Family(
     name="pareto",
+    label="generalised Pareto",
+    documentation=__doc__,
     units={"xi": "1", "scale": RADIANCE},
     estimate=_estimate,
     log_likelihood=summed(_log_density),
     log_density=_log_density,
     distribution=lambda p: stats.genpareto(p["xi"], scale=p["scale"]),
     errors_from={"xi": 128, "scale": 128},
+    density=r"(1 + \xi x / s)^{-1/\xi - 1} / s",
+    tail_index=r":math:`\xi`",
+    error_formula=r":math:`\max(1 + \xi, 0.9) / \sqrt{n}` of :math:`\xi`, if :math:`\xi > -1/2`",
+    typical={"xi": (-0.4, 1.0), "scale": (1.0, 1.0)},
 )
-"""``P(X > x) = (1 + xi x / scale)^(-1/xi)``."""

@@ -1,4 +1,20 @@
-"""Weibull: a stretched exponential, the light-tailed end of the Burr distributions."""
+"""Weibull: an exponential, stretched or squeezed, the light-tailed end of the Burr distributions.
+
+``f(x) = (k/s) (x/s)^(k-1) exp(-(x/s)^k)`` with k the shape and s the scale: Newton's method on
+``mean(x^k log x) / mean(x^k) - 1/k = mean(log x)``, ``s = mean(x^k)^(1/k)``.
+
+References
+----------
+Johnson, Kotz and Balakrishnan, "Continuous univariate distributions", vol. 1, 1994, chap. 21.
+
+Examples
+--------
+>>> import chdstat as chd
+>>> x = 3 * np.random.default_rng(1).weibull(0.7, size=4096)
+>>> result = chd.fit.weibull(x)
+>>> {name: round(float(value), 1) for name, value in result.parameters.items()}
+{'shape': 0.7, 'scale': 3.0}
+"""
 
 from __future__ import annotations
 
@@ -81,11 +97,17 @@ def _log_density(points: Points, parameters: Parameters) -> Floats:
 
 WEIBULL = Family(
     name="weibull",
+    label="Weibull",
+    documentation=__doc__,
     units={"shape": "1", "scale": RADIANCE},
     estimate=_estimate,
     log_likelihood=summed(_log_density),
     log_density=_log_density,
     distribution=lambda p: stats.weibull_min(p["shape"], scale=p["scale"]),
     errors_from={"scale": 20},
+    selected=True,
+    density="(k/s) (x/s)^{k-1} e^{-(x/s)^k}",
+    tail_index="0",
+    error_formula="expected information",
+    typical={"shape": (0.3, 5.0), "scale": (1.0, 1.0)},
 )
-"""``f(x) = (k/s) (x/s)^(k-1) exp(-(x/s)^k)``."""

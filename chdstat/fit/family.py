@@ -45,6 +45,10 @@ class Family:
     ----------
     name
         What users call it.
+    label
+        Its name in running text.
+    documentation
+        ``__doc__`` of its module: "Name: what it is for.", the formula, references and an example.
     units
         Names of its parameters, with their units.
     estimate
@@ -62,9 +66,19 @@ class Family:
     errors_from
         Positive samples from which on 1.96 standard errors hold the truth in nine of ten cases, by
         the name of the parameter, where it is more than the fit needs. Simulated.
+    selected
+        Whether `select` compares it by default.
+    density, tail_index, error_formula
+        For the table of the documentation: the density as TeX; the tail index and where standard
+        errors come from as reStructuredText.
+    typical
+        Range of each parameter over the CHDs of rendered images at unit scale, from which to draw
+        parameters for simulations.
     """
 
     name: str
+    label: str
+    documentation: str | None
     units: Mapping[str, str]
     estimate: Callable[[Part, Parameters | None], Estimate]
     log_likelihood: Callable[[Part, Parameters], Floats]
@@ -72,6 +86,11 @@ class Family:
     distribution: Callable[[Parameters], Any]
     mean: Callable[[Parameters], Floats] | None = None
     errors_from: Mapping[str, int] = field(default_factory=dict)
+    selected: bool = False
+    density: str = ""
+    tail_index: str = ""
+    error_formula: str = ""
+    typical: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     @property
     def minimum(self) -> int:

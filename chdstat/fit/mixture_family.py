@@ -44,6 +44,8 @@ def mixture_family(component: MixtureFamily, k: int) -> Family:
 
     return Family(
         name=f"{component}_mixture",
+        label=f"mixture of {base.label}",
+        documentation=__doc__,
         units={
             f"{name}_{i + 1}": unit
             for i in range(k)

@@ -1,13 +1,13 @@
 """Maximum likelihood: fit a family to the samples of a pixel, a batch or an image.
 
-`fit` takes any row of `chdstat.fit.families.FAMILIES`; `gamma`, `lognormal`, `weibull`, `burr` and
-`pareto` name one each. All take samples, or a log histogram of them.
+`fit` takes any row of `chdstat.fit.families.FAMILIES`; `family_fit` makes functions that fit one of
+them, as `chdstat.fit.gamma` does. All take samples, or a log histogram of them.
 """
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
+from functools import cache
 from typing import TYPE_CHECKING, Protocol, cast, overload
 
 import numpy as np
@@ -27,14 +27,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "burr",
+    "FamilyFit",
     "estimate_part",
+    "family_fit",
     "fit",
     "fit_part",
-    "gamma",
-    "lognormal",
-    "pareto",
-    "weibull",
     "zero_log_likelihood",
 ]
 
@@ -87,7 +84,7 @@ def fit(
         that channel and counted as `n_zero`. Or a `Histogram` of log scale, or the dataset that
         `chdstat.histogram` makes of an image: see below what is lost.
     family
-        'gamma', 'lognormal', 'weibull', 'burr', 'pareto', or a `Family`.
+        A `Family`, or the name of one of `FAMILIES`, such as 'gamma'.
     null
         Which samples of an array are null, broadcastable to it, where the caller knows better.
     progress
@@ -134,7 +131,7 @@ def fit(
     return result if isinstance(result, Fit) else label_fit(result, chosen.name)
 
 
-class _FamilyFit(Protocol):
+class FamilyFit(Protocol):
     """Type of the function that fits one family: the overloads of `fit` without `family`."""
 
     @overload
@@ -145,9 +142,10 @@ class _FamilyFit(Protocol):
     ) -> Fit: ...
 
 
-def _of_family(described: Callable[[], None]) -> _FamilyFit:
-    """Return `fit` for the family that has the name of a function, documented by it."""
-    family = get_family(described.__name__)
+@cache
+def family_fit(name: str) -> FamilyFit:
+    """Return `fit` for the family of this name, with the documentation of its module."""
+    family = get_family(name)
 
     def function(
         x: Source, *, null: npt.ArrayLike | None = None, progress: bool | None = None
@@ -157,124 +155,12 @@ def _of_family(described: Callable[[], None]) -> _FamilyFit:
         return call(x, family, null=null, progress=progress)
 
     names = ", ".join(f"``{name}`` ({unit})" for name, unit in family.units.items())
-    document = inspect.cleandoc(described.__doc__ or "")
-    function.__doc__ = document.replace("References\n", _SECTIONS.format(parameters=names), 1)
-    function.__name__ = function.__qualname__ = family.name
-    return cast("_FamilyFit", function)
-
-
-@_of_family
-def gamma() -> None:
-    """Fit a zero-inflated gamma distribution: what the paper sees most often.
-
-    ``f(x) = x^(shape-1) exp(-x/scale) / (Gamma(shape) scale^shape)``: Newton's method on
-    ``log(shape) - digamma(shape) = log(mean) - mean(log x)``.
-
-    References
-    ----------
-    Minka, "Estimating a Gamma distribution", technical report, 2002.
-
-    Examples
-    --------
-    >>> result = gamma([0.0, 0.0, 1.0, 2.0, 3.0])
-    >>> float(result.null_share), round(float(result.parameters["shape"]), 3)
-    (0.4, 5.375)
-    """
-
-
-@_of_family
-def lognormal() -> None:
-    """Fit a zero-inflated log-normal distribution: Gaussian in the log domain.
-
-    ``mu = mean(log x)``, ``sigma^2 = mean((log x - mu)^2)``, natural logarithms; the likelihood is
-    that of linear radiance, so that it compares with other families.
-
-    References
-    ----------
-    Johnson, Kotz and Balakrishnan, "Continuous univariate distributions", vol. 1, 1994, chap. 14.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> result = lognormal([1.0, 10.0, 100.0])
-    >>> round(float(np.exp(result.parameters["mu"])), 6)
-    10.0
-    """
-
-
-@_of_family
-def weibull() -> None:
-    """Fit a zero-inflated Weibull distribution: an exponential, stretched or squeezed.
-
-    ``f(x) = (k/s) (x/s)^(k-1) exp(-(x/s)^k)`` with k the shape and s the scale: Newton's method on
-    ``mean(x^k log x) / mean(x^k) - 1/k = mean(log x)``, ``s = mean(x^k)^(1/k)``.
-
-    References
-    ----------
-    Johnson, Kotz and Balakrishnan, "Continuous univariate distributions", vol. 1, 1994, chap. 21.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x = 3 * np.random.default_rng(1).weibull(0.7, size=4096)
-    >>> result = weibull(x)
-    >>> {name: round(float(value), 1) for name, value in result.parameters.items()}
-    {'shape': 0.7, 'scale': 3.0}
-    """
-
-
-@_of_family
-def burr() -> None:
-    """Fit a zero-inflated Burr XII distribution: a body of any width, a power tail.
-
-    ``f(x) = (c d / s) (x/s)^(c-1) (1 + (x/s)^c)^(-d-1)``, known to economists as Singh-Maddala; its
-    tail index is ``1 / (c d)``. It has two limits, where rows are NaN with a reason of their own.
-    As d grows without bound, it becomes a Weibull distribution: where the likelihood rises towards
-    that, the reason is `AT_LIMIT`, and the Weibull fit is the answer. As c grows without bound and
-    c d does not, it becomes a power law that begins at the smallest sample: where that is likelier
-    than any, as it is above a floor of ambient light, the reason is `AT_PARETO_LIMIT`, and no
-    family of this library is the answer; `chdstat.fit.tail_index` has the index of the tail.
-    Standard errors are those of the observed information.
-
-    References
-    ----------
-    Burr, "Cumulative frequency functions", 1942, doi:10.1214/aoms/1177731607. Singh and Maddala, "A
-    function for size distribution of incomes", 1976, doi:10.2307/1911538. Shao, "Notes on maximum
-    likelihood estimation for the three-parameter Burr XII distribution", 2004,
-    doi:10.1016/S0167-9473(02)00367-5.
-
-    Examples
-    --------
-    >>> from scipy import stats
-    >>> x = stats.burr12(2.0, 0.5, scale=3.0).rvs(4096, random_state=1)
-    >>> result = burr(x)
-    >>> round(1 / float(result.parameters["c"] * result.parameters["d"]), 1)
-    1.0
-    """
-
-
-@_of_family
-def pareto() -> None:
-    """Fit a zero-inflated generalised Pareto distribution that begins at 0.
-
-    ``P(X > x) = (1 + xi x / scale)^(-1/xi)``: excesses over a threshold, or a CHD whose density
-    falls from the start. From xi = -1/2 down the standard errors are NaN, since the likelihood is
-    not regular there; below -1 it has no maximum, and the reason is `AT_LIMIT`. That of xi is
-    ``max(1 + xi, 0.9) / sqrt(n)``, and there is none below 128 samples: it would be too small.
-
-    References
-    ----------
-    Grimshaw, "Computing maximum likelihood estimates for the generalized Pareto distribution",
-    1993, doi:10.1080/00401706.1993.10485040. Smith, "Maximum likelihood estimation in a class of
-    nonregular cases", 1985, doi:10.1093/biomet/72.1.67.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x = np.random.default_rng(1).pareto(2.0, size=4096)
-    >>> round(float(pareto(x).parameters["xi"]), 1)
-    0.5
-    """
+    text = (family.documentation or "").partition(": ")[2]
+    text = text.replace("References\n", _SECTIONS.format(parameters=names), 1)
+    function.__doc__ = f"Fit a zero-inflated {family.label} distribution: {text}"
+    function.__name__ = function.__qualname__ = name
+    function.__module__ = "chdstat.fit"
+    return cast("FamilyFit", function)
 
 
 def fit_part(part: Part, family: Family) -> Fit:

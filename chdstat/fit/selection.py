@@ -17,7 +17,7 @@ from chdstat._core.positive import Floats
 from chdstat._core.reasons import Reason
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError
-from chdstat.fit.families import Family, get_family
+from chdstat.fit.families import SELECTED, Family, get_family
 from chdstat.fit.held_out import HeldOut, held_out_of_part, ranked, vuong
 from chdstat.fit.mle import fit_part
 from chdstat.fit.results import Fit, fit_variables, label_fit
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "SELECTED",
     "Criterion",
     "HeldOut",
     "Selection",
@@ -41,9 +40,6 @@ __all__ = [
 ]
 
 Criterion = Literal["aic", "bic", "held_out"]
-
-SELECTED = ("gamma", "lognormal", "weibull", "burr")
-"""Families that `select` compares by default."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from scipy import special
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit.components import COMPONENTS, SPREAD_FLOOR
-from chdstat.fit.families import get_family
+from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.mle import fit_part, zero_log_likelihood
 from chdstat.fit.results import Fit
 
@@ -262,7 +262,6 @@ def _solve(bands: Floats, right: Floats) -> Floats:
     return x
 
 
-_SINGLE = ("gamma", "lognormal", "weibull", "burr")
 _BOUNDED = 5
 """Of a distribution between two ends: the estimate of an end converges like 1/n, not 1/sqrt(n),
 so that it costs log n in the expansion that BIC is from: as much as two regular parameters."""
@@ -289,14 +288,14 @@ def unimodal_scores(
 ) -> Floats:
     """Return the largest score of distributions of one mode, shape (...); NaN where not usable.
 
-    They are `fits`, or else the fits of four families; Pareto distributions above a floor, and the
-    like below a ceiling; and, for the rows that may be `bounded`, the uniform and the log-uniform
-    distribution.
+    They are `fits`, or else those of the families that `select` compares by default; Pareto
+    distributions above a floor, and the like below a ceiling; and, for the rows that may be
+    `bounded`, the uniform and the log-uniform distribution.
     """
     # What likelihoods of radiance have beside those of log radiance of positive samples.
     rest = zero_log_likelihood(part) - part.n * part.log_statistics.log_mean
     log_n = log_samples(part.n)
-    fits = (fit_part(part, get_family(name)) for name in _SINGLE) if fits is None else fits
+    fits = (fit_part(part, FAMILIES[name]) for name in SELECTED) if fits is None else fits
     scores = [fit.log_likelihood - rest - 0.5 * (len(fit.parameters) + 1) * log_n for fit in fits]
     low, high = _ends(part, usable)
     scores += [

@@ -21,9 +21,9 @@ from chdstat._core.arrays import Result, as_pixels, take_rows, warn_left_out
 from chdstat._core.positive import Floats, Mask, PositivePart
 from chdstat._core.reasons import Reason, flag_attributes
 from chdstat._core.resampling import q_values
-from chdstat.fit.families import FAMILIES
+from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.results import Mixture
-from chdstat.fit.selection import SELECTED, Selection, select_part
+from chdstat.fit.selection import Selection, select_part
 from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference import Modality, mixture_and_modes_of_part
 from chdstat.patterns.agreement import Agreement, agreement
@@ -94,7 +94,7 @@ class Patterns:
     dip
         Hartigan's dip of log luminance.
     luminance_family
-        Index of the best family in `chdstat.fit.selection.SELECTED`, -1 for none.
+        Index of the best family in `chdstat.fit.families.SELECTED`, -1 for none.
     misfit
         Kolmogorov's distance between the samples and the better of gamma and log-normal.
     long_tail_se
@@ -227,7 +227,7 @@ def patterns_of_part(
         When a pattern counts; None for the defaults.
     tail, modes, families
         Results for the same part, if they are there; the families must be those of
-        `chdstat.fit.selection.SELECTED`.
+        `chdstat.fit.families.SELECTED`.
     """
     thresholds = thresholds or Thresholds()
     statistics = gather(

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.positive import Floats, Mask, PositivePart
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.selection import SELECTED, Selection, select_part
+from chdstat.fit.families import FAMILIES, SELECTED
+from chdstat.fit.selection import Selection, select_part
 from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference import Modality, modality_of_part
 
@@ -56,7 +56,7 @@ class PixelStatistics:
     vuong_z, vuong_p_value
         Gamma against log-normal, positive for gamma; and its two-sided p-value.
     family
-        Index of the best family in `chdstat.fit.selection.SELECTED`, -1 for none.
+        Index of the best family in `chdstat.fit.families.SELECTED`, -1 for none.
     misfit
         Kolmogorov's distance between the samples and the better of the two.
     body_index, body_index_se

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from chdstat._core.files import replacing
 from chdstat.errors import ChdstatError
+from chdstat.fit.families import FAMILIES
 from chdstat.viz import style
 from chdstat.viz.styling import spelt
 
@@ -57,10 +58,7 @@ NAMES = {
     "self_trained": "self-trained (ours)",
     "oidn": "OIDN, colour",
     "oidn_features": "OIDN, features",
-    "gamma": "gamma",
-    "lognormal": "log-normal",
-    "weibull": "Weibull",
-    "burr": "Burr",
+    **{name: family.label for name, family in FAMILIES.items()},
     "null_heavy": "null-heavy",
     "long_tail": "long tail",
     "firefly_dominated": "firefly-dominated",

@@ -7,12 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from chdstat.fit import FAMILIES
+
 HELPERS = Path(__file__).parents[1] / "fit" / "families_by_scipy.py"
 BY_SCIPY = SimpleNamespace(**runpy.run_path(HELPERS))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", list(BY_SCIPY.DISTRIBUTIONS))
+@pytest.mark.parametrize("family", FAMILIES)
 def test_ten_thousand_parameter_sets(benchmark, family):
     x = BY_SCIPY.draw(family, np.random.default_rng(33), 10_000, 200)
     compared = benchmark.pedantic(BY_SCIPY.compare, args=(family, x), rounds=1)

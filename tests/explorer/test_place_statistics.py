@@ -15,7 +15,7 @@ from chdstat.explorer.estimators import fixed_names, quick_names, scored, scored
 from chdstat.explorer.page import encode_panels
 from chdstat.explorer.panels import PanelData, Trace, extent, panels, series_of
 from chdstat.explorer.statistics import MOST_FITTED, PlaceStatistics, goodness
-from chdstat.explorer.view import FAMILIES, View
+from chdstat.explorer.view import FITS, View
 from chdstat.inference.differences import difference
 
 RGB = ("R", "G", "B")
@@ -56,7 +56,7 @@ def hard():
 @pytest.mark.parametrize("channel", ["all", "luminance", "1"])
 def test_no_sample_breaks_panels_or_tables(name, channel):
     place = PlaceStatistics(hard()[name], RGB)
-    view = View().changed(families=FAMILIES, batch=4, channel=channel)
+    view = View().changed(families=FITS, batch=4, channel=channel)
     drawn = panels(view, series_of(view, [place, place]))
     drawn |= panels(view, series_of(view, [place], [place]))
     for panel in drawn.values():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from chdstat.errors import InputError
 from chdstat.explorer.view import (
     BATCH_SIZES,
-    FAMILIES,
+    FITS,
     MOST_PIXELS,
     TONES,
     View,
@@ -30,7 +30,7 @@ def views(draw):
     for y, x in draw(st.lists(pixels, unique=True, max_size=MOST_PIXELS)):
         view = view.pick(y, x, add=True)
     return view.activate(draw(st.integers(0, 5))).changed(
-        families=tuple(f for f in FAMILIES if draw(st.booleans())) or ("best",),
+        families=tuple(f for f in FITS if draw(st.booleans())) or ("best",),
         batch=draw(st.sampled_from(BATCH_SIZES)),
         exposure=draw(st.none() | st.floats(-10, 10)),
         tone=draw(st.sampled_from(TONES)),

@@ -1,4 +1,4 @@
-"""The families as SciPy has them: its distributions, its fits, and parameters to draw from."""
+"""The families as SciPy has them: its fits, and parameters to draw from."""
 
 from __future__ import annotations
 
@@ -10,44 +10,46 @@ import numpy as np
 from scipy import optimize, stats
 
 import chdstat as chd
-
-DISTRIBUTIONS: Mapping[str, Callable[..., Any]] = {
-    "gamma": lambda p: stats.gamma(p["shape"], scale=p["scale"]),
-    "lognormal": lambda p: stats.lognorm(p["sigma"], scale=np.exp(p["mu"])),
-    "weibull": lambda p: stats.weibull_min(p["shape"], scale=p["scale"]),
-    "burr": lambda p: stats.burr12(p["c"], p["d"], scale=p["scale"]),
-    "pareto": lambda p: stats.genpareto(p["xi"], scale=p["scale"]),
-}
+from chdstat.fit import FAMILIES
 
 
 def random_parameters(family: str, rng: np.random.Generator, size: int) -> dict[str, np.ndarray]:
-    """Draw parameters of CHDs: scales over eight decades, shapes from spiky to peaked."""
-    column = (size, 1)
-    scale = 10 ** rng.uniform(-4, 4, column)
+    """Draw parameters of CHDs at unit scale: shapes from spiky to peaked."""
+    return parameters_at(family, rng.random((len(FAMILIES[family].units), size, 1)))
+
+
+def parameters_at(family: str, place: Any) -> dict[str, np.ndarray]:
+    """Return parameters at a place from 0 to 1 in the range of each that is typical of CHDs."""
+    ranges = FAMILIES[family].typical
+    place = np.broadcast_to(place, (len(ranges), *np.shape(place)[1:]))
     return {
-        "gamma": lambda: {"shape": 10 ** rng.uniform(-1, 1.5, column), "scale": scale},
-        "lognormal": lambda: {"mu": np.log(scale), "sigma": rng.uniform(0.1, 2.5, column)},
-        "weibull": lambda: {"shape": 10 ** rng.uniform(-0.5, 0.7, column), "scale": scale},
-        "burr": lambda: {
-            "c": 10 ** rng.uniform(-0.2, 0.7, column),
-            "d": 10 ** rng.uniform(-0.6, 0.6, column),
-            "scale": scale,
-        },
-        "pareto": lambda: {"xi": rng.uniform(-0.4, 1.0, column), "scale": scale},
-    }[family]()
+        name: low * (high / low) ** u if low > 0 else low + (high - low) * u
+        for (name, (low, high)), u in zip(ranges.items(), place, strict=True)
+    }
+
+
+def typical(family: str) -> Any:
+    """Return SciPy's distribution in the middle of the range that is typical of CHDs."""
+    return FAMILIES[family].distribution(parameters_at(family, 0.5))
 
 
 def draw(family: str, rng: np.random.Generator, rows: int, n: int) -> np.ndarray:
-    """Draw n samples for each of many random parameter sets, shape (rows, n)."""
-    parameters = random_parameters(family, rng, rows)
-    return np.asarray(DISTRIBUTIONS[family](parameters).rvs((rows, n), random_state=rng))
+    """Draw n samples for each of many random parameter sets and scales, shape (rows, n)."""
+    distribution = FAMILIES[family].distribution(random_parameters(family, rng, rows))
+    scale = 10 ** rng.uniform(-4, 4, (rows, 1))
+    return np.asarray(scale * distribution.rvs((rows, n), random_state=rng))
 
 
-def scipy_fit(family: str, x: np.ndarray) -> dict[str, float] | None:
+def scipy_fit(family: str, x: np.ndarray) -> tuple[float, ...] | None:
     """Fit by SciPy, as tightly as it can; None where it raises or its search does not end.
 
     Samples are given relative to their geometric mean, and the scale is put back: SciPy's searches
     start from scale 1 and stop at steps of an absolute size.
+
+    Returns
+    -------
+    tuple of float
+        SciPy's shapes, then its scale: see `in_scipys_words`.
     """
     center = np.exp(np.log(x).mean())
     searches: list[bool] = []
@@ -63,53 +65,30 @@ def scipy_fit(family: str, x: np.ndarray) -> dict[str, float] | None:
         searches.append(bool(simplex.success))
         return simplex.x
 
+    frozen = typical(family)
     try:
-        fitted = _FITS[family](x / center, search)
+        *shapes, _, scale = frozen.dist.fit(x / center, *frozen.args, floc=0, optimizer=search)
     except (ValueError, RuntimeError, FloatingPointError, stats.FitError):
         return None
-    if not all(searches):
-        return None
-    if family == "lognormal":
-        return {**fitted, "mu": fitted["mu"] + np.log(center)}
-    return {**fitted, "scale": fitted["scale"] * center}
+    return (*shapes, scale * center) if all(searches) else None
+
+
+def in_scipys_words(family: str, parameters: Mapping[str, Any]) -> tuple[float, ...]:
+    """Return the shapes, then the scale, of SciPy's distribution with a family's parameters."""
+    frozen = FAMILIES[family].distribution(parameters)
+    return tuple(float(value) for value in (*frozen.args, frozen.kwds["scale"]))
+
+
+def difference(family: str, one: tuple[float, ...], other: tuple[float, ...]) -> float:
+    """Return the largest relative difference; relative to 1, of a shape that may be negative."""
+    dist = typical(family).dist
+    signed = np.isfinite(dist.support(*(-abs(value) for value in other[:-1]))).any()
+    units = [*(1.0 if signed else abs(value) for value in other[:-1]), other[-1]]
+    return max(abs(a - b) / unit for a, b, unit in zip(one, other, units, strict=True))
 
 
 def log_density(family: str, x: np.ndarray, parameters: Mapping[str, Any]) -> np.ndarray:
-    return np.asarray(DISTRIBUTIONS[family](parameters).logpdf(x))
-
-
-def _gamma(x: np.ndarray, search: Callable[..., Any]) -> dict[str, float]:
-    shape, _, scale = stats.gamma.fit(x, floc=0)
-    return {"shape": shape, "scale": scale}
-
-
-def _lognormal(x: np.ndarray, search: Callable[..., Any]) -> dict[str, float]:
-    sigma, _, scale = stats.lognorm.fit(x, floc=0)
-    return {"mu": np.log(scale), "sigma": sigma}
-
-
-def _weibull(x: np.ndarray, search: Callable[..., Any]) -> dict[str, float]:
-    shape, _, scale = stats.weibull_min.fit(x, floc=0, optimizer=search)
-    return {"shape": shape, "scale": scale}
-
-
-def _burr(x: np.ndarray, search: Callable[..., Any]) -> dict[str, float]:
-    c, d, _, scale = stats.burr12.fit(x, 2.0, 1.0, floc=0, optimizer=search)
-    return {"c": c, "d": d, "scale": scale}
-
-
-def _pareto(x: np.ndarray, search: Callable[..., Any]) -> dict[str, float]:
-    xi, _, scale = stats.genpareto.fit(x, 0.1, floc=0, optimizer=search)
-    return {"xi": xi, "scale": scale}
-
-
-_FITS = {
-    "gamma": _gamma,
-    "lognormal": _lognormal,
-    "weibull": _weibull,
-    "burr": _burr,
-    "pareto": _pareto,
-}
+    return np.asarray(FAMILIES[family].distribution(parameters).logpdf(x))
 
 
 @dataclass(frozen=True)
@@ -160,22 +139,23 @@ def compare(family: str, x: np.ndarray) -> Comparison:
         key = ("both" if have else "scipy_only") if theirs else ("ours_only" if have else "neither")
         counts[key] += 1
         if theirs is not None and not have:
-            shapes = [theirs[name] for name in ("c", "d", "shape") if name in theirs]
-            at_limit += not all(1e-4 < shape < 1e4 for shape in shapes)
+            at_limit += not all(1e-4 < shape < 1e4 for shape in theirs[:-1])
         if theirs is None or not have:
             continue
         ours = {name: float(values[i]) for name, values in fit.parameters.items()}
-        per_sample = log_density(family, row, theirs) - log_density(family, row, ours)
+        *shapes, scale = theirs
+        per_sample = typical(family).dist.logpdf(row, *shapes, scale=scale)
+        per_sample = per_sample - log_density(family, row, ours)
         lost = max(lost, float(per_sample.mean()))
         if per_sample.mean() < -1e-9:
             less_likely += 1
             continue
-        difference = max(abs(theirs[n] - ours[n]) / _unit(n, ours[n]) for n in ours)
-        largest = max(largest, difference)
-        if difference > 1e-6:
-            exact = exact_fit(family, row, ours)
-            wrong = max(abs(exact[n] - ours[n]) / _unit(n, ours[n]) for n in ours) > 1e-6
-            off, scipy_off = off + wrong, scipy_off + (not wrong)
+        by_name = in_scipys_words(family, ours)
+        largest = max(largest, difference(family, theirs, by_name))
+        if difference(family, theirs, by_name) > 1e-6:
+            exact = family in EQUATIONS and in_scipys_words(family, exact_fit(family, row, ours))
+            right = exact and difference(family, exact, by_name) <= 1e-6
+            off, scipy_off = off + (not right), scipy_off + bool(right)
     return Comparison(
         **counts,
         off=off,
@@ -193,7 +173,7 @@ def exact_fit(family: str, x: np.ndarray, near: Mapping[str, float]) -> dict[str
 
     with mp.workdps(40):
         samples = [mp.mpf(float(value)) for value in x]
-        equations = {"burr": _burr_equations, "pareto": _pareto_equations}[family](samples)
+        equations = EQUATIONS[family](samples)
         start = [mp.mpf(value) for value in near.values()]
         # Relative to where it starts, every parameter is about 1, however large its scale.
         root = mp.findroot(
@@ -236,5 +216,5 @@ def _pareto_equations(x: list[Any]) -> Callable[..., list[Any]]:
     return equations
 
 
-def _unit(name: str, value: float) -> float:
-    return 1.0 if name in ("xi", "mu") else abs(value)
+EQUATIONS = {"burr": _burr_equations, "pareto": _pareto_equations}
+"""Likelihood equations of families whose SciPy search is not always tight."""

@@ -9,11 +9,12 @@ import pytest
 
 import chdstat as chd
 from chdstat._core.reasons import Reason
+from chdstat.fit import FAMILIES
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
 
 
-@pytest.mark.parametrize("family", list(BY_SCIPY.DISTRIBUTIONS))
+@pytest.mark.parametrize("family", FAMILIES)
 def test_maximum_likelihood_equals_scipy(family):
     """The whole comparison, 10,000 sets of each, is tests/benchmarks/test_scipy.py."""
     x = BY_SCIPY.draw(family, np.random.default_rng(31), 60, 200)
@@ -30,14 +31,14 @@ def test_the_comparison_can_fail():
     assert (np.abs(other / one - 1) > 1e-6).all()
 
 
-@pytest.mark.parametrize("family", list(BY_SCIPY.DISTRIBUTIONS))
+@pytest.mark.parametrize("family", FAMILIES)
 def test_where_scipy_has_no_answer_there_is_a_reason(family):
     x = np.stack([np.zeros(50), np.full(50, 3.0), 3 + 1e-9 * np.arange(50.0)])
     reasons = [Reason.ALL_NULL, Reason.CONSTANT, Reason.CONSTANT]
     np.testing.assert_array_equal(chd.fit.fit(x, family).reason, reasons)
 
 
-@pytest.mark.parametrize("family", ["burr", "pareto"])
+@pytest.mark.parametrize("family", BY_SCIPY.EQUATIONS)
 def test_likelihood_equations_are_solved(family):
     """SciPy's search feels the likelihood, not its slope: the equations in 40 digits are exact."""
     x = BY_SCIPY.draw(family, np.random.default_rng(34), 8, 200)

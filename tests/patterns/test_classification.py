@@ -7,8 +7,8 @@ import chdstat as chd
 from chdstat import patterns
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.selection import SELECTED, select_part
+from chdstat.fit.families import FAMILIES, SELECTED
+from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part
 from chdstat.inference import modality_of_part
 from chdstat.patterns import (

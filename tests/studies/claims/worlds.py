@@ -272,7 +272,7 @@ def families(draw: str, *parameters: float) -> World:
 
 def family_shares(*shares: float) -> World:
     """Return an analysis whose best families are drawn with these shares, gamma the first."""
-    names = ("gamma", "lognormal", "weibull", "burr", "pareto")
+    names = list(chd.fit.FAMILIES)
     flags = {"flag_values": np.arange(len(names)), "flag_meanings": " ".join(names)}
 
     def world(rng, spp):
