@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from chdstat.errors import InputError
 from chdstat.fit._burr import BURR
 from chdstat.fit._gamma import GAMMA
+from chdstat.fit._inverse_gaussian import INVERSE_GAUSSIAN
 from chdstat.fit._lognormal import LOGNORMAL
 from chdstat.fit._pareto import PARETO
 from chdstat.fit._weibull import WEIBULL
@@ -21,7 +22,7 @@ from chdstat.fit.family import Estimate, Family, Parameters
 __all__ = ["FAMILIES", "SELECTED", "Estimate", "Family", "Parameters", "get_family"]
 
 FAMILIES: Mapping[str, Family] = {
-    family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR, PARETO)
+    family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR, PARETO, INVERSE_GAUSSIAN)
 }
 """Families by name. A new one is a new row."""
 SELECTED = tuple(family.name for family in FAMILIES.values() if family.selected)
