@@ -40,7 +40,7 @@ ORDER = (
 )
 """Folders and modules of chdstat, upstream first: each imports only from earlier ones."""
 
-DOWNSTREAM = {("studies.results", "reporting.study_report")}
+DOWNSTREAM = {("studies.run", "reporting.study_report")}
 """Imports against that order, inside methods that show or write a result."""
 
 HEAVY = (

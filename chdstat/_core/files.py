@@ -8,14 +8,15 @@ same place removes it.
 
 Records are results, dataclasses of numbers, words and arrays, in an ``.npz`` file: arrays by
 number, and a tree in JSON that says where they belong. Unlike a pickle, nothing in it runs when it
-is read: a folder of renders can be passed on. `code_digest` identifies the code and the libraries
-that computed a result, so that a cache is not read by other code.
+is read: a folder of renders can be passed on. `Cache` keeps records, and results in other formats,
+until the samples or the code change, which `code_digest` identifies together with the libraries.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import glob
 import hashlib
 import importlib
 import importlib.metadata
@@ -26,8 +27,8 @@ import socket
 import tempfile
 import uuid
 import zipfile
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, TypeVar, get_origin
 
 import numpy as np
@@ -40,16 +41,17 @@ if TYPE_CHECKING:
     from cattrs import Converter
 
 __all__ = [
+    "Cache",
     "Lock",
     "checked_target",
     "checksum",
-    "code_digest",
     "free_disk",
     "read_record",
     "replacing",
     "scratch",
     "sweep",
     "unused",
+    "user_cache",
     "write_record",
 ]
 
@@ -352,6 +354,10 @@ def write_record(path: Path, value: Any) -> Path:
     return path
 
 
+_DAMAGED = (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile)
+"""What reading arrays raises where a file is damaged."""
+
+
 def read_record(path: Path, kind: type[T]) -> T:
     """Read results of a kind, such as ``tuple[Finding, ...]``.
 
@@ -370,7 +376,7 @@ def read_record(path: Path, kind: type[T]) -> T:
 
             tree = json.loads(str(file["tree"]), object_hook=found)
         return _converter().structure(tree, kind)
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile, BaseValidationError) as error:
+    except (*_DAMAGED, BaseValidationError) as error:
         message = f"{path} is no record of {kind}: {error}"
         raise StoreError(message) from error
 
@@ -419,3 +425,101 @@ def _version(library: str) -> str:
         return importlib.metadata.version(library)
     except importlib.metadata.PackageNotFoundError:
         return ""
+
+
+# --- the cache ----------------------------------------------------------------------------------
+
+
+def user_cache() -> Path:
+    """Return the folder of the user's cache, which holds what may be computed again."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "chdstat")
+
+
+class Cache:
+    """Results computed from one store, kept in a folder until the samples or the code change.
+
+    A result that is damaged is computed again. A cache that cannot be written costs time and is no
+    error.
+
+    Parameters
+    ----------
+    folder
+        Where results are kept; None keeps nothing.
+    key
+        What identifies the samples; "", as of samples in memory, keeps nothing.
+    most
+        Files in the folder, at most: the oldest are deleted. None for any number.
+
+    Examples
+    --------
+    >>> with scratch() as folder:
+    ...     cache = Cache(folder, "box-32")
+    ...     cache.record("sum", int, lambda: 1 + 1), cache.record("sum", int, lambda: 1 / 0)
+    (2, 2)
+    """
+
+    def __init__(self, folder: Path | None, key: str, *, most: int | None = None) -> None:
+        self._folder, self._key, self._most = folder if key else None, key, most
+
+    def record(
+        self,
+        name: str,
+        kind: type[T],
+        compute: Callable[[], T],
+        *,
+        inputs: object = (),
+        again: bool = False,
+    ) -> T:
+        """Return a result of a kind that `write_record` takes, computed where it is not there.
+
+        Parameters
+        ----------
+        name, inputs
+            What it is, and what else it depends on, with a `repr` that identifies it.
+        kind
+            Its type, such as ``tuple[Finding, ...]``.
+        compute
+            Returns it.
+        again
+            Compute it though it is there.
+        """
+        name = f"{name}-{hashlib.sha256(repr(inputs).encode()).hexdigest()[:12]}.npz"
+        found = None if again else self.read(name, lambda path: read_record(path, kind))
+        if found is not None:
+            return found
+        value = compute()
+        self.write(name, lambda path: write_record(path, value))
+        # As it will be read, so that it does not matter where it comes from.
+        back = self.read(name, lambda path: read_record(path, kind))
+        return value if back is None else back
+
+    def read(self, name: str, read: Callable[[Path], T]) -> T | None:
+        """Read a result by its name with a suffix; None where it is not there, or damaged."""
+        path = self._path(name)
+        if path is None:
+            return None
+        try:
+            return read(path)
+        except (OSError, KeyError, ValueError, RuntimeError, StoreError):
+            return None
+
+    def write(self, name: str, write: Callable[[Path], object]) -> None:
+        """Write a result in place of what is there, and of what other code kept."""
+        path = self._path(name)
+        if path is None:
+            return
+        any_code = glob.escape(path.stem.removesuffix(code_digest()))
+        for old in path.parent.glob(f"{any_code}*{path.suffix}"):
+            _remove(old)
+        with contextlib.suppress(OSError, StoreError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write(path)
+            files = sorted(path.parent.glob(f"*{path.suffix}"), key=lambda f: -f.stat().st_mtime)
+            for old in files[self._most :] if self._most else ():
+                _remove(old)
+
+    def _path(self, name: str) -> Path | None:
+        if self._folder is None:
+            return None
+        file = PurePath(name)
+        return self._folder / f"{self._key}-{file.stem}-{code_digest()}{file.suffix}"

@@ -7,13 +7,9 @@ Images and maps of a store are kept in the user's cache folder, never beside the
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-import os
 import threading
 import time
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import fields
 from pathlib import Path
@@ -22,14 +18,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.files import code_digest, replacing
+from chdstat._core.files import Cache, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.models import AnyModel
 from chdstat.explorer.estimators import Learner, learners, quick_names
 from chdstat.explorer.images import Overall, SceneSource, preview, stream
 from chdstat.explorer.maps import Map, map_kind, of_overall, walk, with_sizes
 from chdstat.explorer.sources import StoreSource
-from chdstat.samples import Samples, is_store
+from chdstat.samples import Samples, cache_key, is_store
 from chdstat.samples import open as open_store
 from chdstat.scenes import Scene, load_scene
 
@@ -37,60 +33,23 @@ __all__ = ["Explored", "Shared", "Stopped", "kept", "opened"]
 
 _MOST_FILES = 64
 
-Arrays = Mapping[str, npt.NDArray[Any]]
+Arrays = dict[str, npt.NDArray[Any]]
 
 
 def kept(samples: Samples, name: str, compute: Callable[[], Arrays]) -> Arrays:
-    """Return arrays from the cache, or compute and keep them.
-
-    A store is known by its path, its spp and when it was last written to; samples in memory are not
-    kept, and what other code computed is not read. A cache that cannot be read or written costs
-    time and is no error.
+    """Return arrays of a store from the user's cache, or compute and keep them.
 
     Parameters
     ----------
     samples
-        What the arrays were computed from.
+        What the arrays are computed from.
     name
         What they are.
     compute
         Returns them, where they are not there.
     """
-    file = _file(samples, name)
-    if file is None:
-        return compute()
-    try:
-        with np.load(file, allow_pickle=False) as stored:
-            return {key: stored[key] for key in stored.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        arrays = compute()
-    with contextlib.suppress(OSError):
-        _write(file, arrays)
-    return arrays
-
-
-def _file(samples: Samples, name: str) -> Path | None:
-    if samples.path is None:
-        return None
-    path = Path(samples.path).resolve()
-    parts = [path / "zarr.json", path / "radiance" / "zarr.json", *path.glob("ledger/c/**/*")]
-    try:
-        written = max(part.stat().st_mtime_ns for part in parts)
-    except OSError:
-        return None
-    identity = f"{path}|{samples.spp}|{written}|{name}|{code_digest()}"
-    key = hashlib.sha256(identity.encode()).hexdigest()[:32]
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(root) / "chdstat" / "explorer" / f"{key}.npz"
-
-
-def _write(file: Path, arrays: Arrays) -> None:
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(file) as partial, partial.open("wb") as stream:
-        np.savez(stream, **arrays)  # type: ignore[arg-type]
-    newest = sorted(file.parent.glob("*.npz"), key=lambda f: f.stat().st_mtime, reverse=True)
-    for old in newest[_MOST_FILES:]:
-        old.unlink(missing_ok=True)
+    cache = Cache(user_cache() / "explorer", cache_key(samples), most=_MOST_FILES)
+    return cache.record("arrays", Arrays, compute, inputs=name)
 
 
 Explored = str | Path | dict[str, Any] | Scene | Samples

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from chdstat._core.executor import cores, memory
-from chdstat._core.files import replacing
+from chdstat._core.files import replacing, user_cache
 from chdstat.errors import InputError, RenderError
 
 __all__ = ["BACKENDS", "Backend", "Verdict", "activate", "examine", "probe", "resolve"]
@@ -217,8 +217,7 @@ def _failure(done: subprocess.CompletedProcess[str]) -> str:
 
 
 def _cache_file() -> Path:
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(root) / "chdstat" / "backends.json"
+    return user_cache() / "backends.json"
 
 
 @functools.cache

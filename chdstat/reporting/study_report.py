@@ -14,7 +14,7 @@ from chdstat.reporting.scene_figures import panels_of, scene_figures
 from chdstat.reporting.typst import Document, number, percent, typeset
 from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import FINDINGS, Claim, Finding
-from chdstat.studies.results import ACROSS, SceneStudy, Study
+from chdstat.studies.run import ACROSS, SceneStudy, Study
 from chdstat.studies.stores import ROULETTE
 from chdstat.viz.styling import qualitative, verbatim
 
@@ -42,7 +42,7 @@ def overview(study: Study) -> Figure:
     """Draw all images, each under an exposure of its own."""
     from matplotlib.figure import Figure
 
-    shown = [(s.name, viz.tonemap(s.evidence.summary["mean"].values)) for s in study.scenes]
+    shown = [(s.name, viz.tonemap(s.data.summary["mean"].values)) for s in study.scenes]
     columns = min(4, len(shown))
     rows = -(-len(shown) // columns)
     with viz.style():
@@ -74,7 +74,7 @@ def document(study: Study) -> Document:
     for claim, found in claims.items():
         drawn |= claim_figures(claim.number, found)
     for i, scene in enumerate(study.scenes):
-        shown = scene_figures(scene.evidence, panels_of(scene.evidence), atlas=scene.atlas)
+        shown = scene_figures(scene.data, panels_of(scene.data), atlas=scene.atlas)
         drawn |= {f"scene{i}-{name}": figure for name, figure in shown.items()}
     content = {
         "scenes": [_scene(scene, i) for i, scene in enumerate(study.scenes)],
@@ -83,7 +83,7 @@ def document(study: Study) -> Document:
         "counts": _counts(study),
         "provenance": {k: str(v) for k, v in study.provenance.items()},
         "repeated": any(scene.repeated for scene in study.scenes),
-        "remakes": remake_note(scene.evidence.samples for scene in study.scenes),
+        "remakes": remake_note(scene.data.samples for scene in study.scenes),
     }
     return Document("study.typ", content, drawn)
 
@@ -104,11 +104,11 @@ def _found(study: Study, claim: Claim) -> dict[str, Finding]:
 
 
 def _scene(scene: SceneStudy, index: int) -> dict[str, Any]:
-    samples, seen = scene.evidence.samples, scene.overview
+    samples, seen = scene.data.samples, scene.overview
     seconds = samples.attrs.get("render_seconds")
     integrator = dict(samples.attrs.get("integrator") or {})
     height, width, _, spp = samples.shape
-    regions = scene.evidence.regions
+    regions = scene.data.regions
     return {
         "name": scene.name,
         "about": BUILTIN.get(scene.name, ""),
@@ -156,7 +156,7 @@ def _leading(families: Mapping[str, float]) -> str:
 
 def _renders(scene: SceneStudy) -> Iterator[str]:
     """Say what else was rendered of the view."""
-    shorter, other, again = scene.evidence.shorter, scene.evidence.integrator, scene.again
+    shorter, other, again = scene.data.shorter, scene.data.integrator, scene.again
     if shorter is not None:
         depth = _depth(dict(shorter.attrs["integrator"]))
         yield f"paths of up to {depth} segments, {shorter.spp} spp"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from chdstat.samples.access import (
     Blocks,
+    cache_key,
     checked,
     inspect,
     is_store,
@@ -12,4 +13,14 @@ from chdstat.samples.access import (
 )
 from chdstat.samples.samples import Mapped, Samples
 
-__all__ = ["Blocks", "Mapped", "Samples", "checked", "inspect", "is_store", "open", "reduce_tiles"]
+__all__ = [
+    "Blocks",
+    "Mapped",
+    "Samples",
+    "cache_key",
+    "checked",
+    "inspect",
+    "is_store",
+    "open",
+    "reduce_tiles",
+]

@@ -6,6 +6,8 @@ does not: it walks each tile batch by batch, in constant memory.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
 
     from chdstat.samples.store import Store
 
-__all__ = ["Blocks", "checked", "inspect", "is_store", "open", "reduce_tiles"]
+__all__ = ["Blocks", "cache_key", "checked", "inspect", "is_store", "open", "reduce_tiles"]
 
 Blocks = Iterator[npt.NDArray[np.float32]]
 
@@ -69,6 +71,18 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
         )
         raise StoreError(message)
     return Samples(store=store, attrs=store.attrs, direct=_direct_of(store, spp), spp=spp)
+
+
+def cache_key(samples: Samples) -> str:
+    """Return what identifies samples of a store, for a `Cache`; "" for samples in memory.
+
+    All attributes of the store are in it: another render may take its place and name. The time that
+    the render took is one of them.
+    """
+    if samples.path is None:
+        return ""
+    attrs = json.dumps(samples.attrs, sort_keys=True).encode()
+    return f"{samples.path.stem}-{hashlib.sha256(attrs).hexdigest()[:12]}-{samples.spp}"
 
 
 def _direct_of(store: Store, spp: int) -> Samples | None:

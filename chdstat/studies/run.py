@@ -1,15 +1,23 @@
-"""A study from scenes to findings: renders, analyses, comparisons and claims."""
+"""Studies: several scenes rendered, compared and tested for all claims, and what was found.
+
+`study` runs the whole of it. Its result, a `Study`, has a `SceneStudy` for each scene, a table of
+verdicts, JSON and a PDF.
+"""
 
 from __future__ import annotations
 
 import importlib.metadata
+import json
 import logging
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
+from chdstat._core.files import checked_target, replacing
+from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import lookup
@@ -17,30 +25,195 @@ from chdstat.patterns import Atlas, atlas
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.jobs import refuse_render
 from chdstat.rendering.recipes import choose_regions
-from chdstat.samples import Samples
+from chdstat.samples import Samples, cache_key
 from chdstat.studies.claims import FINDINGS, Finding, SceneData
-from chdstat.studies.config import Source, Subject, subjects_of
-from chdstat.studies.results import SceneStudy, Study
-from chdstat.studies.stores import Stores, analysis_of, comparison_of, record_of, summary_of
+from chdstat.studies.outcomes import plain
+from chdstat.studies.stores import Source, Stores, StudyScene, scenes_of
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-__all__ = ["study"]
+__all__ = ["ACROSS", "SceneStudy", "Study", "study"]
 
 _log = logging.getLogger("chdstat")
 
 T = TypeVar("T")
+Findings = tuple[Finding, ...]
 
+ACROSS = "all scenes"
+"""Name of the column of claims that compare scenes."""
 _ONCE = frozenset({14, 15, 16})
-"""Claims that need the whole analysis or a training: no other seed repeats them."""
-_OPPOSITE = {"supported", "not supported"}
+"""Claims that need the whole analysis or a training: they are not repeated with another seed."""
+
+
+@dataclass(frozen=True)
+class SceneStudy:
+    """What a study found in one scene.
+
+    Attributes
+    ----------
+    data
+        Samples, regions, analysis and what they were compared with.
+    findings
+        On every claim about a single scene, in their order.
+    repeated
+        Verdict of another seed by number of the claim, where there is one.
+    chosen
+        Whether the library chose the regions.
+    atlas
+        Shapes that recur; None where no pixel has one.
+    again
+        Samples of the other seed; None without.
+    seconds
+        Time of each part of the work, in s.
+    notes
+        What could not be done, and why.
+    """
+
+    data: SceneData
+    findings: Findings
+    repeated: Mapping[int, str] = field(default_factory=dict)
+    chosen: bool = False
+    atlas: Atlas | None = None
+    again: Samples | None = None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self.data.name
+
+    @property
+    def comparison(self) -> Comparison | None:
+        """Estimators side by side; None where the samples cannot judge them."""
+        return self.data.comparison
+
+    @cached_property
+    def overview(self) -> Overview:
+        """The scene in a few numbers."""
+        return overview(self.data.analysis)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but arrays, ready for JSON."""
+        renders = {
+            "image": self.data.samples,
+            "shorter_paths": self.data.shorter,
+            "another_integrator": self.data.integrator,
+            "another_seed": self.again,
+        }
+        return {
+            "scene": self.name,
+            "regions": [plain(vars(region)) for region in self.data.regions],
+            "regions_chosen_by_library": self.chosen,
+            "overview": self.overview.to_dict(),
+            "findings": [
+                {**f.to_dict(), "verdict_of_another_seed": self.repeated.get(f.number)}
+                for f in self.findings
+            ],
+            "renders": {name: _provenance(s) for name, s in renders.items() if s is not None},
+            "seconds": plain(self.seconds),
+            "notes": list(self.notes),
+        }
+
+
+def _provenance(samples: Samples) -> dict[str, Any]:
+    """Return where samples come from, ready for JSON."""
+    known = (str, bool, int, float, list, tuple, Mapping)
+    attrs = {k: plain(v) for k, v in samples.attrs.items() if isinstance(v, known)}
+    return {**attrs, "shape": list(samples.shape), "store": samples.path and str(samples.path)}
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a study found.
+
+    Attributes
+    ----------
+    scenes
+        One by one, in the order given.
+    across
+        Findings on claims that compare scenes.
+    provenance
+        Versions of what was used, and the time of the whole, in s.
+    """
+
+    scenes: tuple[SceneStudy, ...]
+    across: Findings
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the scenes."""
+        return tuple(scene.name for scene in self.scenes)
+
+    def finding(self, number: int, scene: str | None = None) -> Finding | None:
+        """Return what was found on a claim, in a scene or, without one, in all of them."""
+        findings = self.across
+        if scene is not None:
+            findings = next((s.findings for s in self.scenes if s.name == scene), ())
+        return next((f for f in findings if f.number == number), None)
+
+    def table(self) -> list[dict[str, str]]:
+        """Return verdicts, a row for each claim: its number and name, and a column for each scene.
+
+        A claim that compares scenes has its verdict in the column "all scenes"; where a claim was
+        not tested, there is an empty string.
+        """
+        rows = []
+        for claim in FINDINGS:
+            row = {"number": str(claim.number), "claim": claim.name}
+            for column in (*self.names, None):
+                finding = self.finding(claim.number, column)
+                row[column or ACROSS] = "" if finding is None else finding.verdict
+            rows.append(row)
+        return rows
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but arrays, ready for JSON; what is not finite is None."""
+        return {
+            "provenance": plain(self.provenance),
+            "table": self.table(),
+            "across": [f.to_dict() for f in self.across],
+            "scenes": [scene.to_dict() for scene in self.scenes],
+        }
+
+    def save_json(self, path: str | Path) -> Path:
+        """Write `to_dict` to a file; an earlier one is replaced when the new one is complete.
+
+        Raises
+        ------
+        InputError
+            If the path does not end in .json, or nothing can be written there.
+        StoreError
+            If it cannot be written.
+        """
+        target = checked_target(path, ".json")
+        text = json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
+        try:
+            with replacing(target) as partial:
+                partial.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            message = f"cannot write {target}: {error.strerror or error}"
+            raise StoreError(message) from error
+        return target
+
+    def save_pdf(self, path: str | Path) -> Path:
+        """Typeset the study.
+
+        Raises
+        ------
+        InputError
+            If the path does not end in .pdf, or nothing can be written there.
+        ChdstatError
+            If it cannot be typeset or written.
+        """
+        from chdstat.reporting.study_report import save_pdf
+
+        return save_pdf(self, checked_target(path, ".pdf"))
 
 
 def study(
     scenes: Source | Sequence[Source] | None = None,
     *,
-    folder: str | Path | None = "renders/out",
+    folder: str | Path | None = None,
     spp: int | None = None,
     size: tuple[int, int] | None = None,
     seed: int | None = None,
@@ -49,7 +222,7 @@ def study(
     backend: Backend = "auto",
     progress: bool | None = None,
 ) -> Study:
-    """Render scenes, or take up earlier renders, and look for all claims of the paper in them.
+    """Render scenes, or take up earlier renders, and test all claims of the paper in them.
 
     For each scene there are up to four renders: the image; the same with paths of at most three
     segments, and with another seed, each at half the samples; and by another integrator, which
@@ -65,13 +238,14 @@ def study(
     folder
         Where renders, trained networks and all that was found are kept. What is there is taken up,
         whole or half done, so that the same study once more takes seconds; a store with more
-        samples than asked for is used whole. None keeps all in memory.
+        samples than asked for is used whole. None writes nothing, and keeps all in memory: all
+        built-in scenes at full size take several GB.
     spp, size, seed, max_depth, backend
         As for `chdstat.render`; None takes the recipe's, or 1024 spp, 128 pixels along the longer
         edge, and seed 1. Stores and samples are taken as they are.
     estimators
-        Names of the estimators to compare; those that learn are trained on each scene. "elek2019"
-        is the model that the claim on learning is about; what else learns is judged beside it.
+        Names of the estimators to compare; those that learn are trained on each scene. The claim on
+        learning is about "elek2019"; other learned estimators are tested separately.
         "progressive" trains for about a minute on each scene.
     progress
         Show progress bars; None shows them on a terminal.
@@ -99,170 +273,132 @@ def study(
     --------
     >>> import chdstat as chd
     >>> samples = chd.simulate("gamma", size=(8, 8), spp=128)
-    >>> found = study(samples, folder=None, estimators=["mean"])
+    >>> found = study(samples, estimators=["mean"])
     >>> found.table()[0]["claim"], len(found.scenes[0].findings)
     ('nulls', 14)
     """
-    asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
-    given = {name: value for name, value in asked.items() if value is not None}
+    options = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     for name in estimators:
         lookup(name)  # an unknown one is refused before the work
-    subjects = subjects_of(scenes, given=given)
-    if all(subject.scene is None for subject in subjects):
-        refuse_render("what is studied", asked | {"backend": backend})
-    stores = Stores(_made(folder), backend, progress)
-    start = time.monotonic()
-    found = []
-    for i, subject in enumerate(subjects):
-        _log.info("studying %s (%d of %d)", subject.name, i + 1, len(subjects))
-        found.append(_scene(subject, stores, estimators, progress))
-    across = _across([scene.evidence for scene in found], stores)
-    return Study(tuple(found), across, _provenance(time.monotonic() - start))
+    settings = {name: value for name, value in options.items() if value is not None}
+    chosen = scenes_of(scenes, settings)
+    if all(isinstance(scene.source, Samples) for scene in chosen):
+        refuse_render("what is studied", options | {"backend": backend})
+    stores = Stores(None if folder is None else Path(folder), backend, progress)
+    if stores.folder is not None:
+        try:
+            stores.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            message = f"cannot keep renders in {folder}: {error.strerror or error}"
+            raise StoreError(message) from error
+    start, studied = time.monotonic(), []
+    for i, scene in enumerate(chosen):
+        _log.info("studying %s (%d of %d)", scene.name, i + 1, len(chosen))
+        studied.append(_scene(scene, stores, estimators))
+    across = _across([scene.data for scene in studied], stores)
+    packages = ("chdstat", "mitsuba", "numpy", "scipy")
+    versions = {package: importlib.metadata.version(package) for package in packages}
+    seconds = round(time.monotonic() - start, 1)
+    return Study(tuple(studied), across, {**versions, "seconds": seconds})
 
 
-def _made(folder: str | Path | None) -> Path | None:
-    if folder is None:
-        return None
-    path = Path(folder)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        message = f"cannot keep renders in {path}: {error.strerror or error}"
-        raise StoreError(message) from error
-    return path
-
-
-def _scene(
-    subject: Subject, stores: Stores, estimators: Sequence[str], progress: bool | None
-) -> SceneStudy:
+def _scene(scene: StudyScene, stores: Stores, estimators: Sequence[str]) -> SceneStudy:
     """Study one scene."""
-    clock = _Clock()
-    renders = clock("rendering", lambda: stores.renders(subject))
-    samples = renders.samples
-    dataset = clock("analysis", lambda: analysis_of(samples, stores, progress=progress))
-    comparison, notes = clock("estimators", lambda: _compared(samples, estimators, dataset, stores))
-    shorter = renders.shorter
-    summary = clock(
-        "shorter paths",
-        lambda: None if shorter is None else summary_of(shorter, stores, progress=progress),
-    )
-    evidence = SceneData(
-        subject.name,
+    seconds: dict[str, float] = {}
+
+    def timed(name: str, work: Callable[[], T]) -> T:
+        start = time.monotonic()
+        result = work()
+        seconds[name] = round(time.monotonic() - start, 3)
+        return result
+
+    notes: list[str] = []
+
+    def compared() -> Comparison | None:
+        try:
+            return stores.comparison(samples, estimators, dataset["label"])
+        except InputError as error:
+            notes.append(f"estimators were not compared: {error}")
+            return None
+
+    def atlas_of_samples() -> Atlas:
+        return atlas(samples, progress=stores.progress)
+
+    renders = timed("rendering", lambda: stores.renders(scene))
+    samples, shorter = renders.samples, renders.shorter
+    dataset = timed("analysis", lambda: stores.analysis(samples))
+    comparison = timed("estimators", compared)
+    data = SceneData(
+        scene.name,
         samples,
-        subject.regions or choose_regions(dataset),
+        scene.regions or choose_regions(dataset),
         given=dataset,
         shorter=shorter,
-        given_shorter=summary,
+        given_shorter=timed(
+            "shorter paths", lambda: None if shorter is None else stores.summary(shorter)
+        ),
         integrator=renders.integrator,
         comparison=comparison,
     )
-    findings = clock("findings", lambda: _findings(evidence, stores, needs=[estimators]))
-    repeated = clock("another seed", lambda: _repeated(evidence, renders.again, stores))
+    findings = timed("findings", lambda: _findings(data, stores, inputs=tuple(estimators)))
+    repeated = timed("another seed", lambda: _repeated(data, renders.again, stores))
+    shapes = timed("atlas", lambda: stores.cache(samples).record("atlas", Atlas, atlas_of_samples))
     return SceneStudy(
-        evidence=evidence,
-        findings=tuple(_confirmed(f, repeated.get(f.number)) for f in findings),
-        repeated={number: f.verdict for number, f in repeated.items()},
-        chosen=not subject.regions,
-        atlas=clock("atlas", lambda: _shapes(samples, stores)),
+        data,
+        tuple(_confirmed(f, repeated.get(f.number)) for f in findings),
+        {number: f.verdict for number, f in repeated.items()},
+        chosen=not scene.regions,
+        atlas=shapes if len(shapes.share) else None,
         again=renders.again,
-        seconds=clock.seconds,
-        notes=notes,
+        seconds=seconds,
+        notes=tuple(notes),
     )
-
-
-class _Clock:
-    """Times parts of the work."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    def __call__(self, name: str, work: Callable[[], T]) -> T:
-        start = time.monotonic()
-        try:
-            return work()
-        finally:
-            self.seconds[name] = round(time.monotonic() - start, 3)
-
-
-def _compared(
-    samples: Samples, estimators: Sequence[str], dataset: xr.Dataset, stores: Stores
-) -> tuple[Comparison | None, tuple[str, ...]]:
-    """Compare the estimators, or say why these samples cannot judge them."""
-    try:
-        return (
-            comparison_of(samples, estimators, dataset["label"], stores, progress=stores.progress),
-            (),
-        )
-    except InputError as error:
-        return None, (f"estimators were not compared: {error}",)
 
 
 def _findings(
-    evidence: SceneData,
+    data: SceneData,
     stores: Stores,
     *,
-    but: frozenset[int] = frozenset(),
-    needs: Sequence[object] = (),
-) -> tuple[Finding, ...]:
-    """Ask a scene for every claim about one scene but some."""
+    left_out: frozenset[int] = frozenset(),
+    inputs: tuple[str, ...] = (),
+) -> Findings:
+    """Test the claims about one scene, but for some."""
+    claims = [c for c in FINDINGS if not c.across and c.number not in left_out]
+    shorter = "" if data.shorter is None else cache_key(data.shorter)
+    return stores.cache(data.samples).record(
+        "findings",
+        Findings,
+        lambda: tuple(claim.find(data) for claim in claims),
+        inputs=(data.name, data.regions, shorter, [c.number for c in claims], *inputs),
+    )
 
-    def asked() -> tuple[Finding, ...]:
-        return tuple(c.find(evidence) for c in FINDINGS if not c.across and c.number not in but)
 
-    told = [evidence.name, evidence.regions, stores.told(evidence.shorter), sorted(but), *needs]
-    kind = tuple[Finding, ...]
-    return record_of(evidence.samples, stores, "findings", kind, asked, needs=told)
-
-
-def _repeated(evidence: SceneData, again: Samples | None, stores: Stores) -> dict[int, Finding]:
+def _repeated(data: SceneData, again: Samples | None, stores: Stores) -> dict[int, Finding]:
     """Return what another seed says, by number of the claim."""
     if again is None:
         return {}
-    repeat = SceneData(
-        evidence.name,
-        again,
-        evidence.regions,
-        shorter=evidence.shorter,
-        given_shorter=evidence.given_shorter,
-    )
-    return {f.number: f for f in _findings(repeat, stores, but=_ONCE)}
-
-
-def _across(evidences: Sequence[SceneData], stores: Stores) -> tuple[Finding, ...]:
-    """Ask all scenes for the claims that compare scenes."""
-    first, *others = evidences
-
-    def asked() -> tuple[Finding, ...]:
-        return tuple(claim.find(first, others) for claim in FINDINGS if claim.across)
-
-    told = [
-        stores.told(samples)
-        for evidence in evidences
-        for samples in (evidence.samples, evidence.shorter, evidence.integrator)
-    ]
-    names = tuple(evidence.name for evidence in evidences)
-    kind = tuple[Finding, ...]
-    return record_of(first.samples, stores, "across", kind, asked, needs=[names, *told])
+    other = replace(data, samples=again, given=None, integrator=None, comparison=None)
+    return {f.number: f for f in _findings(other, stores, left_out=_ONCE)}
 
 
 def _confirmed(finding: Finding, again: Finding | None) -> Finding:
     """Return a finding, without a verdict if another seed has the opposite one."""
-    if again is None or {finding.verdict, again.verdict} != _OPPOSITE:
+    if again is None or {finding.verdict, again.verdict} != {"supported", "not supported"}:
         return finding
     reason = f"Seeds disagree. The first: {finding.reason} Another: {again.reason}"
     return replace(finding, verdict="cannot tell", reason=reason)
 
 
-def _shapes(samples: Samples, stores: Stores) -> Atlas | None:
-    def drawn() -> Atlas:
-        return atlas(samples, progress=stores.progress)
+def _across(scenes: Sequence[SceneData], stores: Stores) -> Findings:
+    """Test the claims that compare scenes."""
+    first, *others = scenes
+    names = tuple(data.name for data in scenes)
+    renders = [(data.samples, data.shorter, data.integrator) for data in scenes]
+    keys = [[s and cache_key(s) for s in of_scene] for of_scene in renders]
 
-    found = record_of(samples, stores, "atlas", Atlas, drawn)
-    return found if len(found.share) else None
+    def find() -> Findings:
+        return tuple(claim.find(first, others) for claim in FINDINGS if claim.across)
 
-
-def _provenance(seconds: float) -> dict[str, str | float]:
-    versions = {
-        name: importlib.metadata.version(name) for name in ("chdstat", "mitsuba", "numpy", "scipy")
-    }
-    return {**versions, "seconds": round(seconds, 1)}
+    if any(key == "" for of_scene in keys for key in of_scene):  # of samples in memory
+        return find()
+    return stores.cache(first.samples).record("across", Findings, find, inputs=(names, keys))

@@ -1,220 +1,44 @@
-"""Stores of a study: its renders in one folder, and what was computed of them, each made once.
+"""Stores of a study: its scenes, their renders in one folder, and what was computed from them.
 
-The name of a store tells its scene and, as a digest, everything else that its samples depend on but
+The name of a store holds its scene and a digest of everything else that its samples depend on but
 for their number: a render that was stopped resumes, and more samples append. Analyses, summaries
 and comparisons are kept beside the store until the samples or the code change.
 """
 
 from __future__ import annotations
 
-import glob
 import hashlib
-import json
-import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from chdstat._core.files import code_digest, read_record, write_record
+from chdstat._core.files import Cache
 from chdstat.analysis import analyze, save
 from chdstat.comparison import Comparison, compare
-from chdstat.errors import StoreError
+from chdstat.errors import InputError, StoreError
 from chdstat.estimators import LearnedEstimator, lookup
 from chdstat.estimators.models import AnyModel, load_model
 from chdstat.estimators.registry import Model
+from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
-from chdstat.samples import Samples
+from chdstat.rendering.jobs import scene_size
+from chdstat.samples import Samples, cache_key, is_store
 from chdstat.samples import open as open_samples
-from chdstat.scenes import Scene
-from chdstat.studies.config import Subject
+from chdstat.scenes import BUILTIN, Scene, load_scene
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "ROULETTE",
-    "SHORT",
-    "Renders",
-    "Stores",
-    "analysis_of",
-    "comparison_of",
-    "record_of",
-    "summary_of",
-]
+__all__ = ["ROULETTE", "SHORT", "Renders", "Source", "Stores", "StudyScene", "scenes_of"]
 
-T = TypeVar("T")
-
-_MODEL, _RECORD = ".safetensors", ".npz"
+_EDGE = 128
+"""Longest edge of the image where no recipe says otherwise."""
+_SPP = 1024
 _N = 32
 """Samples of one estimate, as in Elek et al. 2019."""
-
-
-def analysis_of(samples: Samples, stores: Stores, *, progress: bool | None) -> xr.Dataset:
-    """Return what `chdstat.analyze` says of samples, from the cache where it is there."""
-
-    def analysed() -> xr.Dataset:
-        return analyze(_at_hand(samples), progress=progress)
-
-    return _dataset(samples, stores, ".analysis", analysed)
-
-
-def summary_of(samples: Samples, stores: Stores, *, progress: bool | None) -> xr.Dataset:
-    """Return what `chdstat.summarize` says of samples, from the cache where it is there."""
-    return _dataset(samples, stores, ".summary", lambda: summarize(samples, progress=progress))
-
-
-def comparison_of(
-    samples: Samples,
-    estimators: Sequence[str],
-    labels: xr.DataArray,
-    stores: Stores,
-    *,
-    progress: bool | None,
-) -> Comparison:
-    """Return what `chdstat.compare` says; what was trained on these samples serves again.
-
-    Raises
-    ------
-    InputError
-        If the samples cannot judge the estimators.
-    """
-    places = {name: _place(samples, stores, f"{name}-", _MODEL) for name in estimators}
-    kept = {name: place for name, place in places.items() if place is not None}
-    read = {name: _read_model(place) for name, place in kept.items()}
-    known = {name: model for name, model in read.items() if model is not None}
-    models: dict[str, Model] = {**known}
-
-    def compared() -> Comparison:
-        found = compare(
-            _at_hand(samples), estimators, n=_N, model=known, labels=labels, progress=progress
-        )
-        models.update(found.models)
-        for name in found.models.keys() & kept.keys() - known.keys():
-            model = found.models[name]
-            if isinstance(model, AnyModel):
-                _forget_others(kept[name])
-                model.save(kept[name])
-        return replace(found, models={})  # a record holds no network
-
-    learned = {name for name in estimators if isinstance(lookup(name), LearnedEstimator)}
-    found = record_of(
-        samples,
-        stores,
-        "comparison",
-        Comparison,
-        compared,
-        needs=[estimators],
-        afresh=not learned <= known.keys(),
-    )
-    return replace(found, models=models)
-
-
-def record_of(
-    samples: Samples,
-    stores: Stores,
-    name: str,
-    kind: type[T],
-    work: Callable[[], T],
-    *,
-    needs: Sequence[object] = (),
-    afresh: bool = False,
-) -> T:
-    """Return what was found in samples, from the cache where it is there.
-
-    Parameters
-    ----------
-    samples, stores
-        Where it was found, and the folder that holds it.
-    name
-        What it is.
-    kind
-        Its type, such as ``tuple[Finding, ...]``.
-    work
-        Finds it.
-    needs
-        What else it depends on, each with a `repr` that tells it from others; None if one of these
-        has nothing that would tell it, so that nothing is kept.
-    afresh
-        Find it again, though it may be there: something that goes with it is not.
-    """
-    told = hashlib.sha256(repr(needs).encode()).hexdigest()[:12]
-    place = None if None in needs else _place(samples, stores, f"{name}-{told}-", _RECORD)
-    if place is None:
-        return work()
-    if place.is_file() and not afresh:
-        try:
-            return read_record(place, kind)
-        except StoreError:  # damaged: find it again
-            place.unlink()
-    found = work()
-    _forget_others(place)
-    # Read as it will be, so that no study differs from the one before.
-    return read_record(write_record(place, found), kind)
-
-
-def _at_hand(samples: Samples) -> Samples:
-    """Read samples once that are walked several times, if they fit in memory with ease."""
-    return samples.load() if samples.nbytes <= 2**29 else samples
-
-
-def _place(samples: Samples, stores: Stores, name: str, suffix: str) -> Path | None:
-    return stores.beside(samples, f"-{name}{code_digest()}{suffix}")
-
-
-def _dataset(
-    samples: Samples, stores: Stores, suffix: str, work: Callable[[], xr.Dataset]
-) -> xr.Dataset:
-    place = _place(samples, stores, "", suffix)
-    found = None if place is None else _read_dataset(place)
-    if found is not None:
-        return found
-    found = work()
-    if place is not None:
-        _forget_others(place)
-        try:
-            save(found, place)
-        except StoreError:
-            if not place.exists():  # else another study has kept the same
-                raise
-    return found
-
-
-def _read_dataset(place: Path) -> xr.Dataset | None:
-    import xarray as xr
-
-    if not place.is_dir():
-        return None
-    try:
-        # Without chunks: all of it is read at once, for which Dask would take three times as long.
-        found: xr.Dataset = xr.open_zarr(place, consolidated=False, chunks=None).load()
-    except (OSError, ValueError, KeyError, RuntimeError):  # damaged: compute it again
-        shutil.rmtree(place, ignore_errors=True)
-        return None
-    return found
-
-
-def _read_model(place: Path) -> AnyModel | None:
-    if not place.is_file():
-        return None
-    try:
-        return load_model(place)
-    except StoreError:  # damaged: train it again
-        return None
-
-
-def _forget_others(place: Path) -> None:
-    """Delete what earlier code kept of the same samples."""
-    prefix = glob.escape(place.stem.removesuffix(code_digest()))
-    for old in place.parent.glob(f"{prefix}*{place.suffix}"):
-        if old.is_dir():
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            old.unlink(missing_ok=True)
-
-
 SHORT = 3
 """Longest path, in segments, of the shorter ones: two bounces, as in the case study of Elek et al.
 2019, which compares two with five."""
@@ -223,10 +47,107 @@ ROULETTE = 1
 with other samples. `volpath` in place of `path` would not do: without media, its shapes of CHDs are
 those of `path`.
 """
-_PLAYED = ("path", "volpath")
-_FEWER, _FEWEST = 2, 4
-"""Samples of renders to compare with are this much fewer, but at least these:"""
 _LEAST = 128
+"""Samples of the renders to compare with, at least; else a half or a quarter of those of the image.
+"""
+_IN_MEMORY = 2**29
+"""Bytes of samples that are read once, as they are walked several times."""
+
+Source = str | Path | Mapping[str, Any] | Scene | Samples
+
+
+@dataclass(frozen=True)
+class StudyScene:
+    """One scene of a study.
+
+    Attributes
+    ----------
+    name
+        Of the scene; no two of a study have the same.
+    source
+        The scene to render, or samples that are rendered already.
+    recipe
+        How to render it; None for samples.
+    regions
+        Where to look; none for those that the library chooses.
+    """
+
+    name: str
+    source: Scene | Samples
+    recipe: recipes.Recipe | None
+    regions: tuple[recipes.Region, ...]
+
+
+def scenes_of(
+    sources: Source | Sequence[Source] | None, settings: Mapping[str, Any]
+) -> tuple[StudyScene, ...]:
+    """Return the scenes of a study.
+
+    Parameters
+    ----------
+    sources
+        Built-in names, Mitsuba XML files, recipes (``*.toml``), finished stores, scenes or samples,
+        one or several; None takes every built-in scene that has a recipe.
+    settings
+        Size, spp, seed and max_depth in place of those of recipes.
+
+    Raises
+    ------
+    InputError
+        If there is none, one comes twice, or a recipe is wrong; the message names file and key.
+    SceneError, StoreError
+        If a scene or a store cannot be read.
+    """
+    if sources is None:
+        sources = [name for name in BUILTIN if recipes.find_recipe(name)]
+    elif isinstance(sources, (str, Path, Mapping, Scene, Samples)):
+        sources = [sources]
+    scenes = [_scene(source, settings) for source in sources]
+    if not scenes:
+        message = "a study needs at least one scene, got none"
+        raise InputError(message)
+    return tuple(_distinct(scenes))
+
+
+def _scene(source: Source, settings: Mapping[str, Any]) -> StudyScene:
+    if is_store(source):
+        source = open_samples(source)
+    if isinstance(source, Samples):
+        return StudyScene(source.name, source, None, recipes.regions_of(source))
+    if isinstance(source, (str, Path)) and Path(source).suffix.lower() == ".toml":
+        recipe = recipes.load_recipe(source)
+        scene = load_scene(recipe.scene)
+        recipes.check_integrator(recipe, scene)
+    else:
+        scene = load_scene(source)
+        recipe = recipes.own_recipe(scene.name, scene.origin) or _default(scene)
+    used = replace(recipe, **settings)
+    # What is no size, rendering refuses with a message of its own.
+    seen = len(used.size) == 2 and recipe.shows(used.size[1], used.size[0])
+    return StudyScene(scene.name, scene, used, recipe.regions if seen else ())
+
+
+def _default(scene: Scene) -> recipes.Recipe:
+    """Return a recipe for a scene that has none: a small image of its own proportions."""
+    width, height = scene_size(scene)
+    scale = _EDGE / max(width, height)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return recipes.Recipe(scene.name, size, _SPP, seed=1, max_depth=None, regions=())
+
+
+def _distinct(scenes: Sequence[StudyScene]) -> Iterator[StudyScene]:
+    """Yield scenes, a further one of the same name with its number; the same scene is refused."""
+    names, known = list[str](), list[object]()
+    for scene in scenes:
+        source = scene.source
+        own = source.hash if isinstance(source, Scene) else source.attrs.get("scene_hash", source)
+        if own in known:
+            message = f"expected different scenes, got {scene.name!r} twice"
+            raise InputError(message)
+        known.append(own)
+        names.append(scene.name)
+        count = names.count(scene.name)
+        yield scene if count == 1 else replace(scene, name=f"{scene.name} ({count})")
 
 
 @dataclass(frozen=True)
@@ -250,7 +171,7 @@ class Renders:
 
 @dataclass(frozen=True)
 class Stores:
-    """The folder that holds the renders of a study.
+    """The folder that holds the renders of a study, and what was computed from them.
 
     Attributes
     ----------
@@ -264,63 +185,118 @@ class Stores:
     backend: Backend = "auto"
     progress: bool | None = None
 
-    def renders(self, subject: Subject) -> Renders:
+    def renders(self, scene: StudyScene) -> Renders:
         """Render what is not there yet; samples that were given stand alone."""
-        if subject.samples is not None or subject.scene is None:
-            return Renders(subject.samples)  # type: ignore[arg-type]
-        scene, settings = subject.scene, dict(subject.settings)
-        spp = int(settings["spp"])
-        fewer, fewest = (max(min(spp, _LEAST), spp // by) for by in (_FEWER, _FEWEST))
-        samples = self._rendered(scene, settings)
-
-        def seed(further: int) -> dict[str, int]:
-            # Tests of a difference take the samples of all renders for independent.
-            return {"seed": int(settings["seed"]) + further}
-
-        other = _by_another(scene, samples)
+        source, recipe = scene.source, scene.recipe
+        if isinstance(source, Samples) or recipe is None:
+            return Renders(source)  # type: ignore[arg-type]
+        samples = self._rendered(source, recipe)
+        depth = dict(samples.attrs["integrator"]).get("max_depth", -1)
+        other = _with_roulette(source, samples)
+        spp, seed = int(recipe.spp), int(recipe.seed)
+        half, quarter = (max(min(spp, _LEAST), spp // part) for part in (2, 4))
+        short = replace(recipe, spp=half, seed=seed + 3, max_depth=SHORT)
+        # Each has a seed of its own: tests of a difference take all samples for independent.
         return Renders(
             samples,
-            shorter=self._rendered(scene, settings | {"max_depth": SHORT, "spp": fewer, **seed(3)})
-            if _is_longer(samples)
-            else None,
-            integrator=self._rendered(other, settings | {"spp": fewest, **seed(2)})
-            if other
-            else None,
-            again=self._rendered(scene, settings | {"spp": fewer, **seed(1)}),
+            self._rendered(source, short) if depth < 0 or depth > SHORT else None,
+            self._rendered(other, replace(recipe, spp=quarter, seed=seed + 2)) if other else None,
+            self._rendered(source, replace(recipe, spp=half, seed=seed + 1)),
         )
 
-    def beside(self, samples: Samples, suffix: str) -> Path | None:
-        """Return where to keep what was computed of samples; None without a place."""
-        told = self.told(samples)
-        return None if self.folder is None or told is None else self.folder / f"{told}{suffix}"
+    def _rendered(self, scene: Scene, recipe: recipes.Recipe) -> Samples:
+        out = None
+        if self.folder is not None:
+            settings = {n: getattr(recipe, n) for n in ("max_depth", "seed", "size")}
+            digest = hashlib.sha256(repr((scene.hash, list(settings.items()))).encode()).hexdigest()
+            out = self.folder / f"{scene.name}-{digest[:12]}.zarr"
+            done = _finished(out, scene, recipe.spp)
+            if done is not None:
+                return done
+        return render(
+            scene,
+            spp=recipe.spp,
+            size=recipe.size,
+            seed=recipe.seed,
+            max_depth=recipe.max_depth,
+            out=out,
+            backend=self.backend,
+            progress=self.progress,
+        )
 
-    def told(self, samples: Samples | None) -> str | None:
-        """Return what tells samples from all others; "" of no samples, None without a place.
+    def cache(self, samples: Samples) -> Cache:
+        """Return the cache of what was computed from samples; of samples in memory, none is."""
+        return Cache(self.folder, cache_key(samples))
 
-        All that a store says of itself is in it: another render may take its place and name.
+    def analysis(self, samples: Samples) -> xr.Dataset:
+        """Return what `chdstat.analyze` does, from the cache where it is there."""
+        return self._dataset(
+            samples, "analysis", lambda: analyze(_at_hand(samples), progress=self.progress)
+        )
+
+    def summary(self, samples: Samples) -> xr.Dataset:
+        """Return what `chdstat.summarize` does, from the cache where it is there."""
+        return self._dataset(samples, "summary", lambda: summarize(samples, progress=self.progress))
+
+    def _dataset(
+        self, samples: Samples, name: str, compute: Callable[[], xr.Dataset]
+    ) -> xr.Dataset:
+        import xarray as xr
+
+        def read(path: Path) -> xr.Dataset:
+            # Without chunks: all of it is read at once; with Dask it would take three times as long
+            dataset: xr.Dataset = xr.open_zarr(path, consolidated=False, chunks=None)
+            return dataset.load()
+
+        found = self.cache(samples).read(f"dataset.{name}", read)
+        if found is None:
+            found = computed = compute()
+            self.cache(samples).write(f"dataset.{name}", lambda path: save(computed, path))
+        return found
+
+    def comparison(
+        self, samples: Samples, estimators: Sequence[str], labels: xr.DataArray
+    ) -> Comparison:
+        """Return what `chdstat.compare` does; what was trained on these samples serves again.
+
+        Raises
+        ------
+        InputError
+            If the samples cannot judge the estimators.
         """
-        if samples is None:
-            return ""
-        if self.folder is None or samples.path is None:
-            return None
-        attrs = json.dumps(samples.attrs, sort_keys=True)
-        return f"{samples.path.stem}-{_digest(attrs)}-{samples.spp}"
+        cache = self.cache(samples)
+        there = {name: cache.read(f"{name}.safetensors", load_model) for name in estimators}
+        trained = {name: model for name, model in there.items() if model is not None}
+        models: dict[str, Model] = {**trained}
 
-    def _rendered(self, scene: Scene, settings: Mapping[str, Any]) -> Samples:
-        out = None if self.folder is None else self.folder / f"{_name(scene, settings)}.zarr"
-        done = None if out is None else _finished(out, scene, int(settings["spp"]))
-        if done is not None:
-            return done
-        return render(scene, **settings, out=out, backend=self.backend, progress=self.progress)
+        def compared() -> Comparison:
+            found = compare(
+                _at_hand(samples),
+                estimators,
+                n=_N,
+                model=trained,
+                labels=labels,
+                progress=self.progress,
+            )
+            models.update(found.models)
+            for name, model in found.models.items():
+                if name not in trained and isinstance(model, AnyModel):
+                    cache.write(f"{name}.safetensors", model.save)
+            return replace(found, models={})  # a record holds no network
+
+        learned = {name for name in estimators if isinstance(lookup(name), LearnedEstimator)}
+        found = cache.record(
+            "comparison",
+            Comparison,
+            compared,
+            inputs=tuple(estimators),
+            again=not learned <= trained.keys(),
+        )
+        return replace(found, models=models)
 
 
-def _name(scene: Scene, settings: Mapping[str, Any]) -> str:
-    told = {name: settings.get(name) for name in ("size", "seed", "max_depth")}
-    return f"{scene.name}-{_digest(repr((scene.hash, sorted(told.items()))))}"
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
+def _at_hand(samples: Samples) -> Samples:
+    return samples.load() if samples.nbytes <= _IN_MEMORY else samples
 
 
 def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:
@@ -337,16 +313,11 @@ def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:
     return samples if same and samples.spp >= spp else None
 
 
-def _is_longer(samples: Samples) -> bool:
-    depth = dict(samples.attrs["integrator"]).get("max_depth", -1)
-    return int(depth) < 0 or int(depth) > SHORT
-
-
-def _by_another(scene: Scene, samples: Samples) -> Scene | None:
+def _with_roulette(scene: Scene, samples: Samples) -> Scene | None:
     """Return the scene with another integrator: of a scene in Python only, as files are fixed."""
     used: dict[str, Any] = dict(samples.attrs["integrator"])
     kind = used.get("type")
-    if kind not in _PLAYED or not isinstance(scene.source, Mapping):
+    if kind not in ("path", "volpath") or not isinstance(scene.source, Mapping):
         return None
     if used.get("rr_depth") == ROULETTE:
         return None

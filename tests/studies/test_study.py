@@ -11,6 +11,7 @@ import pypdfium2
 import pytest
 
 import chdstat as chd
+from chdstat._core import files
 from chdstat.errors import InputError, LeftOutWarning, SceneError, StoreError
 from chdstat.estimators.models import train_model
 from chdstat.patterns import atlas
@@ -18,8 +19,8 @@ from chdstat.rendering.recipes import PHENOMENA
 from chdstat.reporting.study_report import document
 from chdstat.studies import run, stores, study
 from chdstat.studies.claims import FINDINGS, SceneData
-from chdstat.studies.config import subjects_of
 from chdstat.studies.run import _confirmed
+from chdstat.studies.stores import scenes_of
 
 TINY = {"spp": 64, "size": (16, 16), "backend": "scalar", "estimators": ("mean",)}
 
@@ -97,14 +98,14 @@ def test_the_table_has_a_row_for_each_claim_and_a_verdict_where_one_was_asked(fo
 
 def test_a_scene_is_rendered_in_four_ways_and_given_samples_in_none(found):
     cornell, given = found.scenes
-    evidence = cornell.evidence
-    depth = [s.attrs["integrator"]["max_depth"] for s in (evidence.shorter, evidence.samples)]
+    data = cornell.data
+    depth = [s.attrs["integrator"]["max_depth"] for s in (data.shorter, data.samples)]
     assert depth == [stores.SHORT, 8]
-    assert evidence.integrator.attrs["integrator"]["rr_depth"] == stores.ROULETTE
-    assert cornell.again.attrs["seed"] == evidence.samples.attrs["seed"] + 1
-    renders = (evidence.samples, cornell.again, evidence.shorter, evidence.integrator)
+    assert data.integrator.attrs["integrator"]["rr_depth"] == stores.ROULETTE
+    assert cornell.again.attrs["seed"] == data.samples.attrs["seed"] + 1
+    renders = (data.samples, cornell.again, data.shorter, data.integrator)
     assert len({samples.attrs["seed"] for samples in renders if samples is not None}) == 4
-    assert given.evidence.shorter is given.evidence.integrator is given.again is None
+    assert given.data.shorter is given.data.integrator is given.again is None
 
 
 def test_what_is_rendered_and_analysed_is_not_done_again(found, folder, monkeypatch):
@@ -124,7 +125,7 @@ def test_an_interrupted_study_is_taken_up(tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(run, "analysis_of", interrupt)
+        patch.setattr(stores, "analyze", interrupt)
         with pytest.raises(KeyboardInterrupt):
             study("cornell-box", folder=tmp_path, **TINY)
     left = set(tmp_path.glob("*.zarr"))
@@ -141,7 +142,7 @@ def test_more_samples_append_and_a_damaged_analysis_is_made_again(found, folder,
     again = study("cornell-box", folder=copy, **TINY)
     assert again.scenes[0].findings[0].to_dict() == found.scenes[0].findings[0].to_dict()
     more = study("cornell-box", folder=copy, **(TINY | {"spp": 128}))
-    assert more.scenes[0].evidence.samples.spp == 128
+    assert more.scenes[0].data.samples.spp == 128
     assert len(list(copy.glob("*.zarr"))) == 4
 
 
@@ -202,12 +203,19 @@ def test_hopeless_samples_give_a_study_that_cannot_tell():
         figure.draw_without_rendering()
 
 
+def test_nothing_is_written_without_a_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    study(noise("noise", (4, 4, 3, 64)), estimators=["mean"])
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_recipe_names_scene_settings_and_regions(tmp_path):
     path = tmp_path / "box.toml"
     path.write_text(RECIPE)
-    (subject,) = subjects_of(path, given={"spp": 32})
-    assert subject.settings == {"size": (16, 16), "spp": 32, "seed": 1, "max_depth": 6}
-    assert [r.name for r in subject.regions] == ["back"]
+    (scene,) = scenes_of(path, {"spp": 32})
+    recipe = scene.recipe
+    assert (recipe.size, recipe.spp, recipe.seed, recipe.max_depth) == ((16, 16), 32, 1, 6)
+    assert [r.name for r in scene.regions] == ["back"]
 
 
 def test_seeds_that_contradict_each_other_cannot_tell():
@@ -256,14 +264,14 @@ def test_wrong_input_is_refused_before_any_work(found, tmp_path):
 
 
 def test_scenes_of_one_name_are_told_apart():
-    names = [s.name for s in subjects_of([noise("a"), noise("a", seed=1), noise("b")], given={})]
+    names = [s.name for s in scenes_of([noise("a"), noise("a", seed=1), noise("b")], {})]
     assert names == ["a", "a (2)", "b"]
 
 
 def test_regions_of_a_recipe_are_for_its_proportions(tmp_path):
     path = tmp_path / "box.toml"
     path.write_text(RECIPE)
-    (other,) = subjects_of(path, given={"size": (16, 24)})
+    (other,) = scenes_of(path, {"size": (16, 24)})
     assert other.regions == ()
 
 
@@ -280,20 +288,20 @@ def test_what_learned_is_kept_beside_its_samples(found, folder, tmp_path, monkey
         return chd.compare(samples, estimators, **options, model={"elek2019": trained})
 
     monkeypatch.setattr(stores, "compare", compared)
-    trained, where = model, stores.Stores(copy)
+    trained, where = model, stores.Stores(copy, progress=False)
     names = ["mean", "elek2019"]
-    first = stores.comparison_of(samples, names, labels, where, progress=False)
-    again = stores.comparison_of(samples, names, labels, where, progress=False)
+    first = where.comparison(samples, names, labels)
+    again = where.comparison(samples, names, labels)
     assert asked == [{}]
     np.testing.assert_equal(again.table(), first.table())
     assert list(again.models) == names[1:]
     for record in copy.glob("*comparison*.npz"):
         record.write_bytes(b"damaged")
-    stores.comparison_of(samples, names, labels, where, progress=False)
+    where.comparison(samples, names, labels)
     assert list(asked[1]) == ["elek2019"]
     (network,) = copy.glob("*.safetensors")
     network.write_bytes(b"damaged")  # a comparison without its network is none
-    last = stores.comparison_of(samples, names, labels, where, progress=False)
+    last = where.comparison(samples, names, labels)
     assert asked[2] == {}
     assert list(last.models) == names[1:]
     assert len(list(copy.glob("*.safetensors"))) == 1
@@ -316,7 +324,7 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
         del content["provenance"], content["scenes"][0]["seconds"]
     assert told == as_before
     with monkeypatch.context() as patch:
-        patch.setattr(stores, "code_digest", lambda: "another")
+        patch.setattr(files, "code_digest", lambda: "another")
         patch.setattr(run, "atlas", refuse)
         with pytest.raises(pytest.fail.Exception, match="done again"):
             study("cornell-box", folder=copy, **TINY)
@@ -336,5 +344,5 @@ def test_a_store_from_elsewhere_is_analysed_once_and_one_in_its_place_anew(tmp_p
     chd.render("cornell-box", **options, seed=1, out=path)
     other = study(path, **asked)
     assert not np.array_equal(
-        other.scenes[0].evidence.summary["mean"], once.scenes[0].evidence.summary["mean"]
+        other.scenes[0].data.summary["mean"], once.scenes[0].data.summary["mean"]
     )
