@@ -99,12 +99,10 @@ def test_brightened_and_darkened_pixels_are_in_balance():
 
 
 def test_an_estimate_from_the_samples_that_trained_it_keeps_the_mean_of_the_image():
-    for seed in range(3):
-        samples = world("nulls", np.random.default_rng(seed), (32, 32, 1, 64))
-        for n in (4, 16, 64):
-            few = samples.first(n)
-            found = chd.estimate(few, iterations=60, progress=False).radiance
-            assert found.mean() == pytest.approx(few.read().mean(), rel=1e-4)
+    for seed, n in enumerate((4, 16, 64)):
+        samples = world("nulls", np.random.default_rng(seed), (32, 32, 1, n))
+        found = chd.estimate(samples, iterations=60, progress=False).radiance
+        assert found.mean() == pytest.approx(samples.read().mean(), rel=1e-4)
 
 
 def world(name, rng, shape=(48, 48, 1, 512)):

@@ -171,18 +171,23 @@ ITERATIONS = {"neighbours": 300, "neighbours and features": 100}
 
 
 @pytest.fixture(scope="module", params=INPUTS)
-def ours(request, samples):
-    """Return each configuration of our estimator as a function of samples, trained a little."""
-    inputs = INPUTS[request.param]
-    model = Progressive(inputs=inputs)
-    model.train(samples, iterations=ITERATIONS.get(request.param, 30), progress=False)
+def model(request, samples):
+    """Return each configuration of our estimator, trained a little."""
+    model = Progressive(inputs=INPUTS[request.param])
+    iterations = ITERATIONS.get(request.param, 30)
+    return model.train(samples, iterations=iterations, progress=False)
 
-    def estimate(x, **more):
-        options = {"features": features()} if "features" in inputs else {}
-        options |= {"direct": x / 2} if "direct" in inputs else {}
-        return model.estimate(x, **{"trust": 1.0, **options, **more})
 
-    return estimate
+@pytest.fixture
+def ours(model):
+    """Return each of them as a function of samples."""
+    return lambda x, **more: model.estimate(x, **{"trust": 1.0, **inputs_of(model, x), **more})
+
+
+def inputs_of(model, x):
+    """Return what a model wants beside the samples."""
+    features_too = {"features": features()} if model.inputs.features else {}
+    return features_too | ({"direct": x / 2} if model.inputs.direct else {})
 
 
 def assert_close(found, first, *, factor=1.0, tolerance=2e-5):
@@ -225,23 +230,15 @@ def test_the_order_of_the_samples_does_not_matter(ours):
         assert_close(found, first)
 
 
-@pytest.mark.parametrize("name", ["neighbours", "neighbours and features", "direct"])
-def test_trust_in_a_network_reads_no_order_and_no_unit(samples, name):
+def test_trust_in_a_network_reads_no_order_and_no_unit(model, samples):
     """Measured between halves of the samples, which are the same halves in any order."""
-    inputs = INPUTS[name]
-    model = Progressive(inputs=inputs)
-    model.train(samples, iterations=ITERATIONS.get(name, 100), progress=False)
     x = samples.read()[..., :N]
-
-    def trust(x):
-        options = {"features": features()} if "features" in inputs else {}
-        return model.trust(x, **options, **({"direct": x / 2} if "direct" in inputs else {}))
-
-    first = trust(x)
-    assert 0 < first <= 1 or name == "direct"  # which learns too little here to pay
-    assert trust(x[..., ::-1]) == first
+    first, turned = (model.trust(y, **inputs_of(model, y)) for y in (x, x[..., ::-1]))
+    assert 0 < first <= 1 or not model.inputs.neighbours  # which learn too little here to pay
+    assert turned == first
     for factor in FACTORS:
-        assert trust(x * np.float32(factor)) == first
+        scaled = x * np.float32(factor)
+        assert model.trust(scaled, **inputs_of(model, scaled)) == first
 
 
 @pytest.mark.parametrize("factor", [*FACTORS, 1e-3, 1e3, np.pi])
@@ -251,11 +248,9 @@ def test_estimates_scale_with_the_unit(ours, factor):
     assert_close(found, first, factor=factor, tolerance=0 if factor in FACTORS else 2e-5)
 
 
-def test_a_stream_keeps_constants_and_reads_no_order(samples):
-    model = Progressive().train(samples, iterations=30, progress=False)
-
+def test_a_stream_keeps_constants_and_reads_no_order(trained):
     def streamed(x):
-        stream = Stream(model, unit=1.0)
+        stream = Stream(trained["progressive"], unit=1.0)
         for part in np.split(x, 4, axis=-1):
             stream.update(part)
         return stream.estimate().radiance
