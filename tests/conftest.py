@@ -9,12 +9,23 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
+# One thread for each of several test processes, before a library that would start more is loaded.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    for _library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
+
 import pytest
 
 import chdstat as chd
 from chdstat.rendering.backend import probe
 
 _SCENES = "CHDSTAT_SCENES"
+
+
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int | None:
+    """Use all cores for all tests, and one process for benchmarks and for files that are named."""
+    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
+    return None if whole and not config.getoption("benchmark_only") else 0
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
