@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from chdstat import viz
+from chdstat._core.arrays import take_rows
 from chdstat._core.files import scratch
 from chdstat.explorer import tables
 from chdstat.explorer.images import Overall
@@ -143,42 +144,19 @@ def _figure(shown: Shown, view: View) -> Figure:
 
 
 def _panel(key: tuple[int, ...], place: PlaceStatistics, view: View) -> viz.Panel:
-    family = view.families[0] if view.families else ""
-    names = dict.fromkeys(_family_name(place, family, row) for row in range(len(place.channels)))
-    mean = place.moments.mean[: len(place.channels)].tolist()
+    family, count = view.families[0] if view.families else "", len(place.channels)
+    fits = [place.fit(family, row) if family else None for row in range(count)]
+    names = [fit.family if isinstance(fit, Fit) else "mixture" for fit in fits if fit is not None]
+    named = dict.fromkeys(NAMES.get(name, name) for name in names)
     return viz.Panel(
         name=_named(key),
-        linear=_curves(place, family, "linear"),
-        log=_curves(place, family, "log"),
-        mean=dict(zip(place.channels, mean, strict=True)),
-        note=f"{percent(place.null_share)} null, {' / '.join(filter(None, names)) or 'no fit'}",
+        linear=take_rows(place.linear, slice(count), axis=0),
+        log=take_rows(place.log, slice(count), axis=0),
+        channels=place.channels,
+        fits=[None if fit is None else fit.pdf for fit in fits],
+        mean=place.moments.mean[:count].tolist(),
+        note=f"{percent(place.null_share)} null, {' / '.join(named) or 'no fit'}",
     )
-
-
-def _family_name(place: PlaceStatistics, family: str, row: int) -> str:
-    found = place.fit(family, row) if family else None
-    if found is None:
-        return ""
-    name = found.family if isinstance(found, Fit) else "mixture"
-    return NAMES.get(name, name)
-
-
-def _curves(place: PlaceStatistics, family: str, scale: str) -> dict[str, viz.Curve]:
-    counted = place.log if scale == "log" else place.linear
-    shape = (len(place.names), counted.counts.shape[-1])
-    edges = np.broadcast_to(counted.edges, (shape[0], shape[1] + 1))
-    centers = np.broadcast_to(counted.centers, shape)
-    curves = {}
-    for row, channel in enumerate(place.channels):
-        found = place.fit(family, row) if family else None
-        density = None
-        if found is not None:
-            factor = centers[row] * np.log(10) if scale == "log" else 1.0
-            with np.errstate(all="ignore"):
-                density = found.pdf(centers[row]) * factor
-            density = np.where(np.isfinite(density), density, np.nan)
-        curves[channel] = viz.Curve(edges[row], counted.density[row], density)
-    return curves
 
 
 def _named(key: tuple[int, ...]) -> str:

@@ -1,6 +1,8 @@
-"""Figures of a scene's analysis and of a comparison: results handed to `chdstat.viz`.
+"""Figures of a scene and of a comparison: results laid out for `chdstat.viz`.
 
-`save_comparison` writes a comparison to a folder, as numbers, maps and figures.
+`scene_figures` follows the case study of Elek et al. 2019: regions with their CHDs, batches and
+their means, the brightest firefly, shorter paths, shapes. `save_comparison` writes a comparison to
+a folder, as numbers, maps and figures.
 """
 
 from __future__ import annotations
@@ -14,39 +16,38 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import viz
-from chdstat._core.arrays import is_bad, is_null
+from chdstat._core.arrays import is_bad, is_null, luminance, take_rows
 from chdstat._core.files import replacing, unused
+from chdstat._core.image_scales import display_stops
 from chdstat.analysis import Overview, save
 from chdstat.comparison import Comparison, ErrorCurve
+from chdstat.comparison.self_training import LEVELS, SelfTraining
 from chdstat.errors import StoreError
 from chdstat.estimators import MLP, Progressive
 from chdstat.fit import select
 from chdstat.inference import MORE_THAN_TESTED
+from chdstat.patterns import Atlas
 from chdstat.rendering.recipes import Region
-from chdstat.reporting.typst import NAMES, percent
+from chdstat.reporting.typst import NAMES, number, percent
 from chdstat.samples import Samples
+from chdstat.studies.claims import SceneData
+from chdstat.studies.claims.fireflies import brightest_firefly
 from chdstat.summary.histograms import Histogram, histogram
-from chdstat.viz.styling import qualitative, spelt
+from chdstat.viz.styling import spelt
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
-    from chdstat.estimators.training import History
-    from chdstat.fit import Fit
-
 __all__ = [
     "averages",
-    "chds",
-    "color_of",
-    "estimates",
     "maps",
-    "marks_of",
     "names_of",
     "of_comparison",
-    "panel_of",
+    "panels_of",
     "save_comparison",
-    "training",
+    "scene_figures",
+    "self_training",
 ]
 
 _LABEL_COLORS = {
@@ -63,11 +64,148 @@ _LABEL_COLORS = {
     "firefly dominated": "#F0E442",
     "other": "#BBBBBB",
 }
+_BATCH, _BATCHES = 32, 64
+"""Samples of a batch, and batches of a pixel, as in the first figure of Elek et al. 2019."""
+_PIXELS = 5
+"""Pixels whose batches are shown."""
 
 
-def color_of(index: int) -> str:
-    """Return the colour of a region by its place."""
-    return qualitative(index + 1)[index]
+# --- one scene ----------------------------------------------------------------------------------
+
+
+def panels_of(data: SceneData) -> list[viz.Panel]:
+    """Return the CHD of the pixel in the middle of each region: histograms and best fits."""
+    return [_panel(data, mark) for mark in _marks(data)]
+
+
+def _panel(data: SceneData, mark: viz.Mark) -> viz.Panel:
+    x = data.samples[mark.pixel]
+    null = np.broadcast_to(is_null(x), x.shape)
+    bad = np.broadcast_to(is_bad(x).any(axis=0), x.shape)
+    selection = select(x, null=null)
+    best = [str(name) for name in np.atleast_1d(selection.names)]
+    fits = [
+        take_rows(selection.fits[name], i, axis=0).pdf if name else None
+        for i, name in enumerate(best)
+    ]
+    named = dict.fromkeys(NAMES.get(name, name) for name in best if name)
+    mean, null_share = (data.summary[name].values[mark.pixel] for name in ("mean", "null_share"))
+    return viz.Panel(
+        mark.name,
+        linear=histogram(x, scale="linear", null=null, bad=bad),
+        log=histogram(x, scale="log", null=null, bad=bad),
+        channels=data.samples.channels,
+        fits=fits,
+        mean=mean.tolist(),
+        note=f"{percent(float(null_share))} null, {' / '.join(named) or 'no fit'}",
+    )
+
+
+def _marks(data: SceneData) -> list[viz.Mark]:
+    shape = data.samples.shape[:2]
+    return [viz.Mark(r.name, *r.pixels(*shape), r.center(*shape)) for r in data.regions]
+
+
+def scene_figures(
+    data: SceneData, panels: Sequence[viz.Panel], *, atlas: Atlas | None = None
+) -> dict[str, Figure]:
+    """Draw the figures of a scene, by name, as far as it has what they show.
+
+    Parameters
+    ----------
+    data
+        The scene.
+    panels
+        `panels_of` it.
+    atlas
+        Shapes that recur.
+    """
+    marks = _marks(data)
+    drawn: dict[str, Figure] = {}
+    if marks:
+        drawn["regions"] = viz.region_study(
+            data.summary["mean"].values,
+            marks,
+            panels,
+            notes=[_note(region, data.summary) for region in data.regions],
+        )
+    height, width = data.samples.shape[:2]
+    pixels = {mark.name: mark.pixel for mark in marks[:_PIXELS]} or {
+        "middle of the image": (height // 2, width // 2)
+    }
+    drawn["batches"] = viz.batch_histograms(
+        {name: _batches(data.samples[pixel]) for name, pixel in pixels.items()}
+    )
+    firefly = _firefly(data)
+    if firefly is not None:
+        drawn["firefly"] = firefly
+    if data.shorter is not None and data.shorter_summary is not None:
+        drawn["paths"] = _paths(data, data.shorter, data.shorter_summary)
+    if atlas is not None:
+        drawn["atlas"] = viz.atlas(atlas)
+    return drawn
+
+
+def _note(region: Region, summary: xr.Dataset) -> str:
+    null = summary["null_share"].values
+    here = f"{percent(float(null[region.pixels(*null.shape)].mean()))} null"
+    kind = region.phenomenon.replace("-", " ")
+    return f"{kind}, {here}" if kind != region.name else here
+
+
+def _batches(x: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
+    """Return the luminance of the first batches of a pixel (channel, sample); 0 for bad ones."""
+    light = np.asarray(luminance(np.where(is_bad(x).any(axis=0), 0.0, x.astype(np.float64))))
+    size = min(_BATCH, len(light))
+    count = min(_BATCHES, len(light) // size)
+    return light[: size * count].reshape(count, size)
+
+
+def _firefly(data: SceneData) -> Figure | None:
+    """Draw the brightest firefly and the pixel above it, which sees about the same."""
+    means = data.summary["batch_means"].values
+    batches = np.asarray(luminance(means.astype(np.float64)))
+    found = brightest_firefly(batches)
+    if found is None:
+        return None
+    y, x, batch = found
+    pixels = {
+        f"{name}: {number(float(batches[pixel][batch]))}": pixel
+        for name, pixel in (("firefly", (y, x)), ("neighbour", (y - 1, x)))
+    }
+    middle = data.samples.shape[2] // 2
+    samples = {name: data.samples[pixel][middle] for name, pixel in pixels.items()}
+    linear, log = (
+        {name: _histogram(values, scale) for name, values in samples.items()}
+        for scale in ("linear", "log")
+    )
+    return viz.firefly_pair(means[..., batch], pixels, linear, log)
+
+
+def _histogram(x: npt.NDArray[np.float32], scale: Any = "log") -> Histogram:
+    return histogram(x, scale=scale, bad=is_bad(x))
+
+
+def _paths(data: SceneData, shorter: Samples, summary: xr.Dataset) -> Figure:
+    """Draw the view with shorter and with all paths; regions with all their samples together."""
+    renders = {f"up to {_depth(s)} segments": s for s in (shorter, data.samples)}
+    means = (summary["mean"].values, data.summary["mean"].values)
+    log = {
+        region.name: {
+            name: _histogram(samples.read(*region.pixels(*samples.shape[:2])).ravel())
+            for name, samples in renders.items()
+        }
+        for region in data.regions
+    }
+    return viz.view_pair(dict(zip(renders, means, strict=True)), log)
+
+
+def _depth(samples: Samples) -> str:
+    depth = int(dict(samples.attrs["integrator"]).get("max_depth", -1))
+    return "∞" if depth < 0 else str(depth)
+
+
+# --- the analysis of an image -------------------------------------------------------------------
 
 
 def names_of(variable: xr.DataArray) -> dict[int, str]:
@@ -79,145 +217,103 @@ def names_of(variable: xr.DataArray) -> dict[int, str]:
     }
 
 
-def marks_of(regions: Sequence[Region], samples: Samples) -> list[viz.Mark]:
-    """Return the marks of regions in the image."""
-    height, width = samples.shape[:2]
-    return [viz.Mark(r.name, *r.pixels(height, width), r.center(height, width)) for r in regions]
-
-
-def panel_of(samples: Samples, mark: viz.Mark) -> viz.Panel:
-    """Return the CHD of a mark's pixel: histograms, best fits, share of nulls."""
-    x = samples[mark.pixel]
-    null = np.broadcast_to(is_null(x), x.shape)
-    bad = np.broadcast_to(is_bad(x).any(axis=0), x.shape)
-    selection = select(x, null=null)
-    fits = [selection.fits[name] if name else None for name in np.atleast_1d(selection.names)]
-    linear = histogram(x, scale="linear", null=null, bad=bad)
-    log = histogram(x, scale="log", null=null, bad=bad)
-    named = dict.fromkeys(NAMES.get(n, n) for n in np.atleast_1d(selection.names) if n)
-    with np.errstate(invalid="ignore"):
-        mean = np.where(bad, 0, x).sum(axis=-1) / np.maximum((~bad).sum(axis=-1), 1)
-    return viz.Panel(
-        name=mark.name,
-        linear=_curves(linear, fits, samples.channels),
-        log=_curves(log, fits, samples.channels),
-        mean=dict(zip(samples.channels, mean.tolist(), strict=True)),
-        note=f"{percent(float(null[0].mean()))} null, {' / '.join(named) or 'no fit'}",
-    )
-
-
-def _curves(
-    counted: Histogram, fits: Sequence[Fit | None], channels: Sequence[str]
-) -> dict[str, viz.Curve]:
-    curves = {}
-    bins = counted.counts.shape[-1]
-    edges = np.broadcast_to(counted.edges, (len(channels), bins + 1))
-    centers = np.broadcast_to(counted.centers, (len(channels), bins))
-    for i, (channel, fit) in enumerate(zip(channels, fits, strict=True)):
-        density = None if fit is None else _density(fit, i, centers[i], counted.scale)
-        curves[channel] = viz.Curve(edges[i], counted.density[i], density)
-    return curves
-
-
-def _density(fit: Fit, channel: int, x: npt.NDArray[Any], scale: str) -> npt.NDArray[Any]:
-    """Return a fit's density per unit of radiance, or per decade."""
-    with np.errstate(all="ignore"):
-        density = np.where(x > 0, fit.pdf(np.where(x > 0, x, 1))[channel], 0)
-    return density * x * np.log(10) if scale == "log" else density
-
-
-def chds(panels: Sequence[viz.Panel]) -> Figure:
-    """Draw the CHDs of all regions."""
-    return viz.chd_grid(panels)
-
-
 def maps(found: xr.Dataset) -> Figure:
     """Draw the maps of the image."""
-    height, width = found.sizes["y"], found.sizes["x"]
     skewness = found["normality_skewness"].sel(transform="log").mean("channel")
     misfit = found["best_goodness_effect"].sel(fit_test="kolmogorov-smirnov").mean("channel")
-    draw = [
-        viz.value_map(found["null_share"], title="Share of null samples", limits=(0, 1)),
-        viz.value_map(found["coefficient_of_variation"], title="Coefficient of variation"),
-        viz.value_map(found["long_tail_statistic"], title="Tail index ξ", limits=(-0.5, 1.0)),
-        _categories(found["luminance_family"], "Best family"),
-        viz.value_map(misfit, title="Misfit of the best family", limits=(0, 0.2)),
-        viz.value_map(skewness, title="Skewness of log samples"),
-        _categories(found["label"], "Primary pattern"),
-        viz.value_map(found["label_agreement"], title="Agreement with neighbours", limits=(0, 1)),
-    ]
-    if "averages_n_needed" in found:
-        draw.append(viz.n_needed(_slowest(found["averages_n_needed"]), found["size"]))
-    return viz.map_grid(draw, columns=3, aspect=height / width)
-
-
-def _slowest(needed: xr.DataArray) -> npt.NDArray[np.int64]:
-    """Return the N of the channel that needs most, -1 for more than tested in any channel."""
-    n = needed.transpose("y", "x", "channel").values
-    return np.where((n == MORE_THAN_TESTED).any(axis=-1), MORE_THAN_TESTED, n.max(axis=-1))
-
-
-def _categories(variable: xr.DataArray, title: str) -> Any:
-    names = names_of(variable)
-    shown = {code: NAMES.get(name, name) for code, name in names.items()}
-    palette = [_LABEL_COLORS.get(name, viz.PALETTE[i % 8]) for i, name in enumerate(names.values())]
-    return viz.categorical_map(variable.values, shown, title=title, colors=palette)
+    shown: dict[str, tuple[xr.DataArray, tuple[float, float] | None]] = {
+        "Share of null samples": (found["null_share"], (0, 1)),
+        "Coefficient of variation": (found["coefficient_of_variation"], None),
+        "Tail index ξ": (found["long_tail_statistic"], (-0.5, 1.0)),
+        "Best family": (found["luminance_family"], None),
+        "Misfit of the best family": (misfit, (0, 0.2)),
+        "Skewness of log samples": (skewness, None),
+        "Primary pattern": (found["label"], None),
+        "Agreement with neighbours": (found["label_agreement"], (0, 1)),
+    }
+    averaged = "averages_n_needed" in found
+    aspect = found.sizes["y"] / found.sizes["x"]
+    figure = viz.map_grid(len(shown) + averaged, aspect=aspect)
+    axes = figure.axes
+    for ax, (title, (values, limits)) in zip(axes, shown.items(), strict=False):
+        if "flag_meanings" in values.attrs:
+            names = names_of(values)
+            labels = {code: NAMES.get(name, name) for code, name in names.items()}
+            colors = [
+                _LABEL_COLORS.get(name, viz.PALETTE[i % 8]) for i, name in enumerate(names.values())
+            ]
+            viz.categorical_map(values.values, labels, title=title, colors=colors, ax=ax)
+        else:
+            viz.value_map(values.values, title=title, limits=limits, ax=ax)
+    if averaged:
+        # Of the channel that needs most: -1 where that is more than was tested.
+        n = found["averages_n_needed"].transpose("y", "x", "channel").values
+        more = (n == MORE_THAN_TESTED).any(axis=-1)
+        slowest = np.where(more, MORE_THAN_TESTED, n.max(axis=-1))
+        viz.n_needed(slowest, found["size"], ax=axes[-1])
+    return figure
 
 
 def averages(found: xr.Dataset, scene: Overview) -> Figure:
     """Draw how averages become Gaussian."""
     shares = found["averages_rejected_share"]
-    by_channel = {str(c): shares.sel(channel=c).values for c in found["channel"].values}
     return viz.averages(
         list(scene.averages),
-        by_channel,
+        {str(channel): shares.sel(channel=channel).values for channel in found["channel"].values},
         scene.skewness,
         scene.predicted_skewness,
         alpha=float(found.attrs["false_discovery_rate"]),
-        scale="log",
     )
 
 
-def estimates(comparison: Comparison) -> Figure:
-    """Draw every estimate of the image, and its error, beside the reference."""
-    names = [NAMES.get(name, name) for name in comparison.estimators]
-    images: dict[str, npt.ArrayLike] = dict(zip(names, comparison.estimates, strict=True))
-    errors: dict[str, npt.ArrayLike] = {
-        name: error.mean(axis=-1)
-        for name, error in zip(names, comparison.squared_error, strict=True)
-    }
-    return viz.side_by_side(images | {"reference": comparison.reference}, errors=errors)
+# --- a comparison -------------------------------------------------------------------------------
 
 
 def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[str, Figure]:
-    """Draw everything that a comparison found, by name; what it has not is left out."""
-    drawn = {
-        "estimates": estimates(found),
+    """Draw everything that a comparison found, by name, as far as it has been measured."""
+    names = [NAMES.get(name, name) for name in found.estimators]
+    images: dict[str, npt.ArrayLike] = dict(zip(names, found.estimates, strict=True))
+    squares = [error.mean(axis=-1) for error in found.squared_error]
+    drawn: dict[str, Any] = {
+        "estimates": viz.side_by_side(
+            images | {"reference": found.reference}, errors=dict(zip(names, squares, strict=True))
+        ),
         "measures": viz.estimator_measures(found, names=NAMES),
-        "pixels": viz.pixel_estimates(found.draw_pixels(), names=NAMES),
+        "pixels": viz.pixel_estimates(found.draw_pixels(), names=NAMES).figure,
     }
     if found.breakdown is not None:
-        drawn["breakdown"] = viz.pattern_breakdown(found.breakdown, names=NAMES)
+        drawn["breakdown"] = viz.pattern_breakdown(found.breakdown, names=NAMES).figure
     if curve is not None:
         drawn["curve"] = viz.error_curves(curve, names=NAMES)
     for model in found.models.values():
         if isinstance(model, MLP):
-            drawn["training"] = training(model.history)
+            drawn["training"] = viz.training(model.history).figure
         if isinstance(model, Progressive):
-            drawn["training_progressive"] = training(model.history)
+            drawn["training_progressive"] = viz.training(model.history).figure
     return drawn
 
 
-def training(history: History) -> Figure:
-    """Draw a training curve against the error of the sample mean."""
-    return viz.training(
-        history.iteration,
-        {"training": history.train_loss, "validation": history.validation_loss},
-        {
-            "training": float(history.train_baseline[-1]),
-            "validation": float(history.validation_baseline[-1]),
-        },
-    )
+def self_training(found: SelfTraining) -> Figure:
+    """Draw mean, estimate and reference; certainty, width and coverage of the intervals."""
+    mean, ours = found.comparison.estimates
+    reference = found.comparison.reference
+    exposure = display_stops(reference)
+    estimates = found.estimates
+    with np.errstate(divide="ignore", invalid="ignore"):
+        width = np.abs(estimates.high - estimates.low).mean(axis=-1)
+        width = width / estimates.radiance.mean(axis=-1)
+    width[~np.isfinite(width)] = np.nan
+    height, size = estimates.certainty.shape
+    figure = viz.map_grid(6, aspect=height / size)
+    axes = figure.axes
+    titles = f"Mean of {found.comparison.n} samples", "Self-trained", "Reference"
+    for ax, title, image in zip(axes, titles, (mean, ours, reference), strict=False):
+        viz.image_map(image, title=title, exposure=exposure, ax=ax)
+    viz.value_map(estimates.certainty, title="Certainty", limits=(0, 1), ax=axes[3])
+    viz.value_map(width, title="Width of the interval ÷ estimate", limits=(0, 3), ax=axes[4])
+    title = "Intervals that contain the reference"
+    viz.coverage(LEVELS, found.coverage, title=title, ax=axes[5])
+    return figure
 
 
 def save_comparison(
@@ -255,7 +351,7 @@ def save_comparison(
             text = json.dumps(content, indent=2, allow_nan=False)
             (partial / "comparison.json").write_text(text, encoding="utf-8")
             save(found.to_dataset(), partial / "comparison.zarr")
-            with spelt():
+            with viz.style(), spelt():
                 for name, figure in of_comparison(found, curve).items():
                     figure.savefig(partial / f"{name}.pdf", metadata={"CreationDate": None})
             for name, model in found.models.items():

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from chdstat import viz
 from chdstat._core.files import checked_target, scratch
-from chdstat.analysis import analyze, overview
+from chdstat.analysis import Overview, analyze, overview
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.candidates import DEFAULT
+from chdstat.comparison.self_training import SelfTraining
 from chdstat.errors import InputError
 from chdstat.estimators import LearnedEstimator, Progressive, lookup
 from chdstat.estimators.models import first_samples
@@ -26,16 +29,18 @@ from chdstat.rendering.recipes import (
     own_recipe,
     regions_of,
 )
-from chdstat.reporting.content import ReportData, document
-from chdstat.reporting.scene_figures import SelfTraining
-from chdstat.reporting.typst import typeset
+from chdstat.reporting import content, figures
+from chdstat.reporting.claims import finding_content, plot_findings, remake_note
+from chdstat.reporting.typst import Document, percent, typeset
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import FINDINGS, SceneData
+from chdstat.viz import VERDICTS
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
 
 __all__ = ["report"]
 
@@ -122,15 +127,15 @@ def report(
         scene = load_scene(source)  # type: ignore[arg-type]
         if named is not None:
             check_integrator(named, scene)
-        found = named or own_recipe(scene.name, scene.origin)
-        settings = (found.settings() if found else _defaults(scene)) | given
+        own = named or own_recipe(scene.name, scene.origin)
+        settings = (own.settings() if own else _defaults(scene)) | given
         samples = render(scene, **settings, out=store, backend=backend, progress=progress)
     if samples.nbytes <= _IN_MEMORY:
         samples = samples.load()
     regions = named.regions if named else regions_of(samples)
-    data = _collect(samples, regions, estimators, iterations, progress)
+    found = _results(samples, regions, estimators, iterations, progress)
     with scratch() as folder:
-        return typeset(document(data), folder, target)
+        return typeset(_document(found), folder, target)
 
 
 def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples | None:
@@ -142,35 +147,113 @@ def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples 
     return None
 
 
-def _collect(
+@dataclass(frozen=True)
+class _Results:
+    """Everything that the report on a scene shows; None is what its samples do not allow.
+
+    Attributes
+    ----------
+    data
+        The samples with their regions, their analysis and the comparison of estimators.
+    overview
+        The analysis in a few numbers.
+    chosen
+        Whether the library chose the regions.
+    atlas
+        Shapes that recur.
+    curve
+        Errors against the number of samples.
+    self_training
+        An estimate without a reference.
+    why_not
+        Why no estimators were compared.
+    """
+
+    data: SceneData
+    overview: Overview
+    chosen: bool
+    atlas: Atlas | None
+    curve: ErrorCurve | None
+    self_training: SelfTraining | None
+    why_not: str
+
+
+def _results(
     samples: Samples,
     regions: tuple[Region, ...],
     estimators: Sequence[str],
     iterations: int | None,
     progress: bool | None,
-) -> ReportData:
-    """Compute everything that the report shows."""
+) -> _Results:
     dataset = analyze(samples, progress=progress)
     comparison, why_not = _compare(samples, estimators, dataset["label"], iterations, progress)
-    evidence = SceneData(
-        samples.name,
-        samples,
-        regions or choose_regions(dataset),
-        given=dataset,
-        comparison=comparison,
-    )
-    return ReportData(
-        evidence=evidence,
-        overview=overview(dataset),
-        claims=tuple(claim.find(evidence) for claim in FINDINGS if claim.alone),
+    shapes = atlas(samples, progress=progress)
+    return _Results(
+        SceneData(
+            samples.name,
+            samples,
+            regions or choose_regions(dataset),
+            given=dataset,
+            comparison=comparison,
+        ),
+        overview(dataset),
         chosen=not regions,
-        atlas=_atlas(samples, progress),
+        atlas=shapes if len(shapes.share) else None,
         curve=_curve(samples, comparison, progress),
         self_training=None
         if comparison is None
         else SelfTraining.of(samples, comparison, iterations=iterations, progress=progress),
         why_not=why_not,
     )
+
+
+def _document(found: _Results) -> Document:
+    """Return the report on a scene, ready to typeset."""
+    data, samples, dataset = found.data, found.data.samples, found.data.analysis
+    comparison = data.comparison
+    claims = [claim.find(data) for claim in FINDINGS if claim.alone]
+    rows = content.findings(found.overview, found.atlas, comparison, found.self_training)
+    told: dict[str, Any] = {
+        "title": samples.name,
+        "regions_chosen": found.chosen,
+        "regions": content.region_table(data),
+        "provenance": content.provenance_table(samples),
+        "findings": [row._asdict() for row in rows],
+        "alpha": percent(float(dataset.attrs["false_discovery_rate"])),
+        "thresholds": content.thresholds(dataset),
+        "families": content.family_table(dataset),
+        "patterns": content.pattern_table(found.overview),
+        "n_means": int(dataset.attrs.get("n_means", 0)),
+        "spp": samples.spp,
+        "no_estimators": found.why_not,
+        "verdicts": VERDICTS,
+        "claims": [finding_content(finding) for finding in claims],
+        "unasked": [f"{claim.number} ({claim.name})" for claim in FINDINGS if not claim.alone],
+        "remake": remake_note([samples]),
+    }
+    panels = figures.panels_of(data)
+    drawn: dict[str, Figure] = {
+        "maps": figures.maps(dataset),
+        **figures.scene_figures(data, panels, atlas=found.atlas),
+    }
+    if panels:
+        drawn["chds"] = viz.chd_grid(panels)
+    else:
+        drawn["image"] = viz.with_marks(dataset["mean"].values)
+    shown = plot_findings({f"{f.number} {f.name}": f for f in claims})
+    if shown is not None:
+        drawn["plots"] = shown
+    if found.atlas is not None:
+        told["atlas"] = content.atlas_content(found.atlas)
+    if found.overview.averages:
+        drawn["averages"] = figures.averages(dataset, found.overview)
+    if comparison is not None:
+        told["estimators"] = content.estimator_table(comparison)
+        drawn |= figures.of_comparison(comparison, found.curve)
+    if found.self_training is not None:
+        told["self_training"] = content.self_training_content(found.self_training)
+        drawn["self_training"] = figures.self_training(found.self_training)
+    return Document("report.typ", told, drawn)
 
 
 def _defaults(scene: Scene) -> dict[str, Any]:
@@ -181,12 +264,6 @@ def _defaults(scene: Scene) -> dict[str, Any]:
     return {"spp": _SPP, "size": size}
 
 
-def _atlas(samples: Samples, progress: bool | None) -> Atlas | None:
-    """Return the shapes that recur; None where no pixel has one."""
-    found = atlas(samples, progress=progress)
-    return found if len(found.share) else None
-
-
 def _compare(
     samples: Samples,
     estimators: Sequence[str],
@@ -194,23 +271,25 @@ def _compare(
     iterations: int | None,
     progress: bool | None,
 ) -> tuple[Comparison | None, str]:
-    """Compare the estimators, or say why these samples cannot judge them."""
+    """Compare the estimators, or say why these samples cannot judge them.
+
+    Ours is trained for many numbers of samples, on the pixels that a comparison draws.
+    """
+    model = None
     try:
-        model = _train(samples, iterations, progress) if "progressive" in estimators else None
+        if "progressive" in estimators:
+            entry = lookup("progressive")
+            wanted = entry.pixels if isinstance(entry, LearnedEstimator) else None
+            pixels = None if wanted is None else draw_pixels(samples.shape[:2], wanted, seed=0)
+            model = Progressive().train(
+                samples, iterations=iterations, pixels=pixels, progress=progress
+            )
         found = compare(
             samples, estimators, n=_BATCH, labels=labels, model=model, progress=progress
         )
     except InputError as error:
         return None, str(error)
     return found, ""
-
-
-def _train(samples: Samples, iterations: int | None, progress: bool | None) -> Progressive:
-    """Train our estimator for many numbers of samples, on the pixels that a comparison draws."""
-    entry = lookup("progressive")
-    wanted = entry.pixels if isinstance(entry, LearnedEstimator) else None
-    pixels = None if wanted is None else draw_pixels(samples.shape[:2], wanted, seed=0)
-    return Progressive().train(samples, iterations=iterations, pixels=pixels, progress=progress)
 
 
 def _curve(

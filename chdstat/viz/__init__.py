@@ -1,49 +1,40 @@
-"""Drawing: arrays and results in, Matplotlib figures out.
+"""Drawing: arrays and results in, Matplotlib axes and figures out.
 
-Nothing here computes statistics, and nothing is saved or shown: every function returns a `Figure`
-to save, or draws into given `Axes`. One style holds for all (`style`); colours stay apart for
-colour-blind readers.
+Nothing here computes statistics, and nothing is saved or shown. A function that draws one panel
+takes ``ax=``, the axes to draw into, and returns them; one that draws several takes ``fig=`` and
+returns the figure. Without them it makes a figure of its own (``ax.figure``), which a notebook
+shows. One style holds for all (`style`); colours are distinct for colour-blind readers.
 """
 
 from __future__ import annotations
 
-from chdstat.viz.chd import BatchPanel, Curve, Panel, batch_histograms, chd_axes, chd_grid, fits
-from chdstat.viz.claims import (
-    VERDICTS,
-    Display,
-    Measured,
-    claim_intervals,
-    displays,
-    verdict_matrix,
-)
+from chdstat.viz.chd import Panel, averages, batch_histograms, chd_axes, chd_grid, fits
+from chdstat.viz.claims import VERDICTS, claim_intervals, finding_plots, verdict_matrix
 from chdstat.viz.estimators import (
+    coverage,
     error_curves,
     estimator_measures,
     pattern_breakdown,
     pixel_estimates,
+    training,
 )
-from chdstat.viz.image import Mark, firefly_pair, side_by_side, tonemap, view_pair, with_marks
-from chdstat.viz.maps import (
-    atlas,
-    categorical_map,
-    coverage,
-    image_map,
-    map_grid,
-    n_needed,
-    value_map,
+from chdstat.viz.image import (
+    Mark,
+    firefly_pair,
+    region_study,
+    side_by_side,
+    tonemap,
+    view_pair,
+    with_marks,
 )
-from chdstat.viz.regions import averages, region_study, training
+from chdstat.viz.maps import atlas, categorical_map, image_map, map_grid, n_needed, value_map
 from chdstat.viz.styling import CHANNELS, PALETTE, style
 
 __all__ = [
     "CHANNELS",
     "PALETTE",
     "VERDICTS",
-    "BatchPanel",
-    "Curve",
-    "Display",
     "Mark",
-    "Measured",
     "Panel",
     "atlas",
     "averages",
@@ -53,9 +44,9 @@ __all__ = [
     "chd_grid",
     "claim_intervals",
     "coverage",
-    "displays",
     "error_curves",
     "estimator_measures",
+    "finding_plots",
     "firefly_pair",
     "fits",
     "image_map",
@@ -73,3 +64,7 @@ __all__ = [
     "view_pair",
     "with_marks",
 ]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

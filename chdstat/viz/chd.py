@@ -1,15 +1,16 @@
-"""CHDs of pixels: histograms with their fits, and histograms of batches and their means.
+"""CHDs of pixels: histograms with their fits, and how batches of samples and their means scatter.
 
-`chd_grid` and `chd_axes` draw linear and log10 histograms per channel. `batch_histograms` follows
-the first figure of Elek et al. 2019: many batches of samples superimposed, and below them the
-histogram of their means.
+`chd_axes` and `chd_grid` draw linear or log10 histograms per channel, `fits` several fits of one
+channel. `batch_histograms` follows the first figure of Elek et al. 2019: many batches of samples
+superimposed, and below them the histogram of their means; `averages` shows how such means become
+Gaussian.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,131 +18,46 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator
 
+from chdstat._core.arrays import take_rows
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram
-from chdstat.viz.styling import CHANNELS, PALETTE, WIDTH, qualitative, style, verbatim
+from chdstat.viz.styling import (
+    CHANNELS,
+    PALETTE,
+    UNIT,
+    WIDTH,
+    axes_in,
+    grid,
+    page,
+    per_cent,
+    qualitative,
+    style,
+    verbatim,
+)
 
-__all__ = ["BatchPanel", "Curve", "Panel", "batch_histograms", "chd_axes", "chd_grid", "fits"]
+__all__ = [
+    "Panel",
+    "averages",
+    "batch_histograms",
+    "by_channel",
+    "chd_axes",
+    "chd_grid",
+    "draw_histograms",
+    "fits",
+]
 
 Array = npt.NDArray[Any]
-
-
-@dataclass(frozen=True)
-class BatchPanel:
-    """Batches of samples of one pixel and channel.
-
-    Parameters
-    ----------
-    name
-        Title.
-    edges
-        Edges of the bins of radiance, shape (bin + 1,).
-    counts
-        Samples of each batch in each bin, shape (batch, bin).
-    mean_edges, mean_counts
-        The same of the means of the batches, shapes (bin + 1,) and (bin,).
-    expected
-        Mean of all samples, drawn as a dashed line.
-    """
-
-    name: str
-    edges: Array
-    counts: Array
-    mean_edges: Array
-    mean_counts: Array
-    expected: float
-
-
-def batch_histograms(panels: Sequence[BatchPanel], *, number: int, size: int) -> Figure:
-    """Draw superimposed histograms of batches and, below, those of their means.
-
-    Parameters
-    ----------
-    panels
-        Pixels, side by side.
-    number, size
-        How many batches there are, and samples in each.
-
-    Raises
-    ------
-    InputError
-        If there is no panel.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x = np.random.default_rng(0).gamma(0.5, size=(64, 32))
-    >>> edges = np.linspace(0, 5, 41)
-    >>> counts = np.stack([np.histogram(batch, edges)[0] for batch in x])
-    >>> means = np.histogram(x.mean(axis=1), 20)
-    >>> panel = BatchPanel("wall", edges, counts, means[1], means[0], 0.5)
-    >>> len(batch_histograms([panel], number=64, size=32).axes)
-    2
-    """
-    if not panels:
-        message = "batch_histograms needs at least one pixel, got none"
-        raise InputError(message)
-    colors = qualitative(len(panels))
-    with style():
-        width = WIDTH * min(1.0, 0.26 * len(panels))
-        figure = Figure(figsize=(width, 2.1), layout="constrained")
-        axes = figure.subplots(2, len(panels), squeeze=False)
-        for (upper, lower), panel, color in zip(axes.T, panels, colors, strict=True):
-            alpha = min(0.5, max(0.03, 2.5 / len(panel.counts)))
-            outlines = [*_outlines(panel)]
-            upper.add_collection(PolyCollection(outlines, facecolor=color, lw=0, alpha=alpha))
-            upper.stairs(panel.counts.mean(axis=0), panel.edges, color="#222222", linewidth=0.6)
-            lower.stairs(panel.mean_counts, panel.mean_edges, fill=True, color=color)
-            for cell in (upper, lower):
-                cell.axvline(panel.expected, color="black", linewidth=0.9, linestyle="--")
-                cell.set(yticks=[])
-                cell.set_xlim(left=min(0.0, float(np.min(panel.edges))))
-                cell.locator_params(axis="x", nbins=3)
-                cell.spines["left"].set_visible(False)
-            top = float(np.max(panel.counts[:, 1:], initial=0))
-            upper.set_ylim(0, 1.15 * top or 1.0)
-            upper.set_title(verbatim(panel.name), fontsize=8)
-        axes[0, 0].set_ylabel(f"{number} batches\nof {size} samples")
-        axes[1, 0].set_ylabel(f"their {number}\nmeans")
-        figure.supxlabel("radiance in W sr$^{-1}$ m$^{-2}$", fontsize=8)
-    return figure
-
-
-def _outlines(panel: BatchPanel) -> npt.NDArray[np.float64]:
-    """Return the outline of each batch's histogram, shape (batch, corner, 2): drawn as one."""
-    counts = np.asarray(panel.counts, dtype=np.float64)
-    x = np.repeat(panel.edges, 2)
-    y = np.pad(np.repeat(counts, 2, axis=1), ((0, 0), (1, 1)))
-    return np.stack([np.broadcast_to(x, y.shape), y], axis=-1)
-
-
-_UNIT = r"W$\,$sr$^{-1}\,$m$^{-2}$"
-
-_POINTS = 400
-_LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
-_DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
-Scale = Literal["linear", "log"]
 Density = Callable[[Array], Array]
 
-
-@dataclass(frozen=True)
-class Curve:
-    """A histogram as densities, with the fit that goes over it.
-
-    Parameters
-    ----------
-    edges
-        Edges of the bins in radiance, shape (bin + 1,).
-    density
-        Share of the samples per unit of radiance (linear) or per decade (log), shape (bin,).
-    fit
-        Density of the fitted family in the same unit, shape (bin,); None draws none.
-    """
-
-    edges: Array
-    density: Array
-    fit: Array | None = None
+_POINTS = 400
+"""Of the curve of a fit."""
+_LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
+_DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
+_ROOM = 1.35
+"""Height of a panel with fits over that of its histogram: a density may be infinite at 0."""
+_BINS = 40
 
 
 @dataclass(frozen=True)
@@ -153,107 +69,167 @@ class Panel:
     name
         Title.
     linear, log
-        Histograms by channel name.
+        What `chdstat.histogram` returns for the pixel on either scale, of shape (channel, bin).
+    channels
+        Names of the channels; None for R, G and B, or for numbers where there are not three.
+    fits
+        Density of the positive part of each channel, as for `chd_axes`.
     mean
-        Mean radiance by channel name, drawn as a tick.
+        Mean radiance of each channel, drawn as a dashed line.
     note
         A line of text in the log panel, such as the share of nulls and the fitted family.
     """
 
     name: str
-    linear: Mapping[str, Curve]
-    log: Mapping[str, Curve]
-    mean: Mapping[str, float] = field(default_factory=dict)
+    linear: Histogram
+    log: Histogram
+    channels: Sequence[str] | None = None
+    fits: Sequence[Density | None] = ()
+    mean: Sequence[float] = ()
     note: str = ""
 
 
-def chd_axes(axes: Axes, curves: Histogram | Mapping[str, Curve], *, scale: Scale) -> None:
-    """Draw the histograms of all channels into one panel.
+@style()
+def chd_axes(
+    found: Histogram,
+    *,
+    channels: Sequence[str] | None = None,
+    fits: Sequence[Density | None] = (),
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the histograms of all channels of a pixel over each other.
 
     Parameters
     ----------
-    axes
-        Where to draw.
-    curves
-        What `chdstat.histogram` returns for one pixel, of shape (channel, bin) or (bin,); or curves
-        by channel name. R, G and B, which three channels are, have their colours.
-    scale
-        "linear", or "log" for a log10 axis of radiance.
+    found
+        What `chdstat.histogram` returns for one pixel, of shape (channel, bin) or (bin,). A log
+        histogram has a log axis of radiance.
+    channels
+        Their names; those called R, G and B, as three channels are by default, have these colours.
+    fits
+        For each channel the density of its positive samples per unit of radiance, such as
+        ``fit.pdf`` of a `chdstat.fit.Fit` of the channel; None draws none.
+    ax
+        Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
-        If a histogram has another scale, or is not one of a single pixel.
+        If the histogram is not one of a single pixel, or has another number of channels.
 
     Examples
     --------
-    >>> from chdstat import histogram
+    >>> import chdstat as chd
     >>> samples = np.random.default_rng(0).gamma(1.0, size=(3, 256))
-    >>> axes = Figure().subplots()
-    >>> chd_axes(axes, histogram(samples, scale="log"), scale="log")
+    >>> ax = chd_axes(chd.histogram(samples, scale="log"))
+    >>> ax.get_xscale()
+    'log'
     """
-    if isinstance(curves, Histogram):
-        curves = _curves(curves, scale)
-    for i, (channel, curve) in enumerate(curves.items()):
-        color = _color(channel, i)
-        if np.isfinite(curve.edges).all() and np.isfinite(curve.density).all():
-            axes.stairs(curve.density, curve.edges, color=color, fill=True, alpha=0.22)
-            axes.stairs(
-                curve.density, curve.edges, color=color, linewidth=0.7, label=verbatim(channel)
-            )
-            if curve.fit is not None:
-                axes.plot(_centers(curve.edges, scale), curve.fit, color=color, linewidth=1.3)
-    if not axes.patches:
-        center = (0.5, 0.5)
-        axes.annotate(
-            "no positive samples", center, xycoords="axes fraction", ha="center", fontsize=7
-        )
-    if scale == "log":
-        axes.set_xscale("log")
-    axes.set_xlim(*_limits(curves, scale))
-    axes.set_ylim(bottom=0)
-    axes.set_yticks([])
-    axes.spines["left"].set_visible(False)
+    rows = by_channel(found, channels)
+    colors = _colors(rows)
+    ax = axes_in(ax, 1.8)
+    draw_histograms(ax, rows, colors=colors)
+    for counted, density, color in zip(rows.values(), fits, colors, strict=False):
+        if density is not None:
+            _draw_fit(ax, counted, density, color=color, linewidth=1.3)
+    return ax
 
 
-def _curves(histogram: Histogram, scale: Scale) -> dict[str, Curve]:
-    """Return the curves of the channels of a pixel."""
-    if histogram.scale != scale or histogram.counts.ndim > 2:
+def by_channel(found: Histogram, channels: Sequence[str] | None = None) -> dict[str, Histogram]:
+    """Return the histogram of each channel of one pixel, by the name of the channel.
+
+    Raises
+    ------
+    InputError
+        If the histogram is not one of a single pixel, or there are not as many names.
+    """
+    shape = found.counts.shape
+    count = 1 if len(shape) == 1 else shape[0]
+    names = channels or ("RGB" if count == 3 else [f"channel{i}" for i in range(count)])
+    if len(shape) > 2 or len(names) != count:
         message = (
-            f"expected a {scale} histogram of one pixel, shape (channel, bin), got a "
-            f"{histogram.scale} one of shape {histogram.counts.shape}"
+            f"expected the histogram of one pixel, of shape (channel, bin), and {len(names)} "
+            f"channels, got one of shape {shape}"
         )
         raise InputError(message)
-    parts = list(zip(np.atleast_2d(histogram.edges), np.atleast_2d(histogram.density), strict=True))
-    names = "RGB" if len(parts) == 3 else [f"channel{i}" for i in range(len(parts))]
-    return {name: Curve(*part) for name, part in zip(names, parts, strict=True)}
+    if len(shape) == 1:
+        return {names[0]: found}
+    return {name: take_rows(found, i, axis=0) for i, name in enumerate(names)}
 
 
-def _color(channel: str, place: int) -> str:
-    return CHANNELS.get(channel, PALETTE[place % len(PALETTE)])
+def draw_histograms(
+    ax: Axes,
+    found: Mapping[str, Histogram],
+    *,
+    colors: Sequence[Any],
+    outlines: Sequence[Any] | None = None,
+    dashes: Sequence[Any] = ("-",),
+) -> None:
+    """Draw histograms of one scale over each other, over the radiance that holds samples.
+
+    Parameters
+    ----------
+    ax
+        Where to draw.
+    found
+        Histograms of shape (bin,), by what the legend says of each.
+    colors, outlines
+        Colours of their areas and, where these are not the same, of their outlines.
+    dashes
+        Line styles of their outlines, in turn.
+    """
+    scale = next(iter(found.values())).scale
+    ends: list[float] = []
+    for i, (name, counted) in enumerate(found.items()):
+        density, edges = counted.density, counted.edges
+        filled = np.flatnonzero(np.nan_to_num(density) > 0)
+        if not filled.size:
+            continue
+        ends += [edges[filled[0]], edges[filled[-1] + 1]]
+        ax.stairs(density, edges, fill=True, color=colors[i], alpha=0.22)
+        ax.stairs(
+            density,
+            edges,
+            color=(outlines or colors)[i],
+            linewidth=0.7,
+            linestyle=dashes[i % len(dashes)],
+            label=verbatim(name),
+        )
+    if not ends:
+        where = (0.5, 0.5)
+        ax.annotate("no positive samples", where, xycoords="axes fraction", ha="center", fontsize=7)
+    if scale == "log":
+        ax.set_xscale("log")
+        low, high = np.log10([min(ends, default=1e-5), max(ends, default=1e5)])
+        ax.set_xlim(10 ** np.floor(low), 10 ** np.ceil(high))
+    else:
+        ax.set_xlim(min([0.0, *ends]), max(ends, default=1.0))
+    ax.set_ylim(bottom=0)
+    ax.set_yticks([])
+    ax.spines["left"].set_visible(False)
 
 
-def _centers(edges: Array, scale: Scale) -> Array:
-    low, high = edges[:-1], edges[1:]
-    return np.asarray(np.sqrt(low * high) if scale == "log" else (low + high) / 2)
+def _draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> None:
+    """Draw a density over a histogram, per unit of radiance or per decade as its bins are."""
+    space = np.geomspace if counted.scale == "log" else np.linspace
+    x = space(*ax.get_xlim(), _POINTS)
+    y = np.full(x.shape, np.nan)
+    with np.errstate(all="ignore"):
+        y[x > 0] = density(x[x > 0])
+    y = y * x * np.log(10) if counted.scale == "log" else y
+    if not np.isfinite(y).any():
+        return
+    top = max(ax.get_ylim()[1], _ROOM * float(np.nanmax(counted.density, initial=0)))
+    ax.plot(x, y, **look)
+    ax.set_ylim(0, top)
 
 
-def _limits(curves: Mapping[str, Curve], scale: Scale) -> tuple[float, float]:
-    """Return the span of radiance that holds samples, in whole decades on a log axis."""
-    spans = []
-    for curve in curves.values():
-        filled = np.flatnonzero(np.nan_to_num(curve.density) > 0)
-        if filled.size and np.isfinite(curve.edges).all():
-            spans.append((curve.edges[filled[0]], curve.edges[filled[-1] + 1]))
-    if not spans:
-        return (1e-5, 1e5) if scale == "log" else (0.0, 1.0)
-    low, high = min(s[0] for s in spans), max(s[1] for s in spans)
-    if scale == "linear":
-        return min(0.0, float(low)), float(high)
-    return 10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high))
+def _colors(channels: Sequence[str] | Mapping[str, Any]) -> list[str]:
+    return [CHANNELS.get(name, PALETTE[i % len(PALETTE)]) for i, name in enumerate(channels)]
 
 
-def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
+@style()
+def chd_grid(panels: Sequence[Panel], *, columns: int = 2, fig: Figure | None = None) -> Figure:
     """Draw linear and log10 CHDs of several pixels, each framed in the colour of its region.
 
     Parameters
@@ -262,40 +238,50 @@ def chd_grid(panels: Sequence[Panel], *, columns: int = 2) -> Figure:
         In the order of the marks in the image, so that colours agree.
     columns
         Pixels side by side; each takes two panels.
+    fig
+        Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
         If there is no panel.
     """
-    if not panels:
-        message = "chd_grid needs at least one panel, got none"
-        raise InputError(message)
     rows = -(-len(panels) // columns)
-    with style():
-        figure = Figure(figsize=(WIDTH, 1.27 * rows + 0.3), layout="constrained")
-        figure.get_layout_engine().set(wspace=0.02, hspace=0.04)  # type: ignore[union-attr,call-arg]
-        axes = figure.subplots(rows, 2 * columns, squeeze=False)
-        for cell in axes.flat[2 * len(panels) :]:
-            cell.set_axis_off()
-        for i, panel in enumerate(panels):
-            row, column = divmod(i, columns)
-            pair = axes[row, 2 * column : 2 * column + 2]
-            _pair(pair[0], pair[1], panel, number=i + 1)
-            if row == rows - 1 or i + columns >= len(panels):
-                pair[0].set_xlabel(f"radiance ({_UNIT})")
-                pair[1].set_xlabel(f"radiance ({_UNIT}), log scale")
-            pair[0].set_ylabel("density", fontsize=7)
-        channels = [
-            Line2D([], [], color=_color(c, i), label=verbatim(c))
-            for i, c in enumerate(panels[0].log)
-        ]
-        axes[0, 0].legend(handles=channels, loc="upper right", handlelength=1, borderaxespad=0)
+    figure = page(fig, 1.27 * rows + 0.3, wspace=0.02, hspace=0.04)
+    axes = grid(figure, 2 * len(panels), 2 * columns)
+    for i, (panel, color) in enumerate(zip(panels, qualitative(len(panels)), strict=True)):
+        pair = axes[2 * i : 2 * i + 2]
+        for ax, counted in zip(pair, (panel.linear, panel.log), strict=True):
+            chd_axes(counted, channels=panel.channels, fits=panel.fits, ax=ax)
+            ax.spines["bottom"].set(color=color, linewidth=2.2)
+            for mean, shade in zip(panel.mean, _colors(panel.channels or "RGB"), strict=False):
+                if np.isfinite(mean) and mean > 0:
+                    ax.axvline(mean, 0, 0.92, color=shade, linewidth=0.8, linestyle=(0, (3, 2)))
+        pair[0].set_title(
+            f"{i + 1} {verbatim(panel.name)}", loc="left", fontsize=8, fontweight="bold", pad=3
+        )
+        pair[1].set_title(panel.note, loc="right", fontsize=7, pad=3, color="#444444")
+        pair[0].set_ylabel("density", fontsize=7)
+        if i + columns >= len(panels):
+            pair[0].set_xlabel(f"radiance ({UNIT})")
+            pair[1].set_xlabel(f"radiance ({UNIT}), log scale")
+    names = list(by_channel(panels[0].log, panels[0].channels))
+    channels = [
+        Line2D([], [], color=color, label=verbatim(name))
+        for name, color in zip(names, _colors(names), strict=True)
+    ]
+    axes[0].legend(handles=channels, loc="upper right", handlelength=1, borderaxespad=0)
     return figure
 
 
+@style()
 def fits(
-    linear: Histogram, log: Histogram, fitted: Mapping[str, Density], *, title: str = ""
+    linear: Histogram,
+    log: Histogram,
+    fitted: Mapping[str, Density],
+    *,
+    title: str = "",
+    fig: Figure | None = None,
 ) -> Figure:
     """Draw several fits of one pixel over its linear and its log10 histogram.
 
@@ -308,6 +294,8 @@ def fits(
         `chdstat.fit.Fit`, of a mixture, or of a SciPy distribution.
     title
         What is shown.
+    fig
+        Where to draw; None makes a figure.
 
     Raises
     ------
@@ -325,72 +313,136 @@ def fits(
     >>> len(figure.axes)
     2
     """
-    for counted in (linear, log):
-        if counted.counts.ndim != 1:
-            message = (
-                "expected the histogram of one channel of one pixel, counts of shape (bin,), "
-                f"got shape {counted.counts.shape}"
-            )
-            raise InputError(message)
-    with style():
-        figure = Figure(figsize=(WIDTH, 2.2), layout="constrained")
-        axes = figure.subplots(1, 2)
-        for ax, counted in zip(axes, (linear, log), strict=True):
-            _overlay(ax, counted, fitted)
-        axes[0].set_xlabel(f"radiance ({_UNIT})")
-        axes[0].set_ylabel("density per unit of radiance", fontsize=7)
-        axes[1].set_xlabel(f"radiance ({_UNIT}), log scale")
-        axes[1].set_ylabel("density per decade", fontsize=7)
-        if axes[0].get_legend_handles_labels()[0]:
-            axes[0].legend(loc="upper right")
-        axes[0].set_title(title, loc="left")
+    figure = page(fig, 2.2)
+    axes = grid(figure, 2, 2)
+    for ax, counted in zip(axes, (linear, log), strict=True):
+        draw_histograms(ax, by_channel(counted, ["samples"]), colors=["#AAAAAA"])
+        for i, (name, density) in enumerate(fitted.items()):
+            look = {"color": _LINES[i % len(_LINES)], "linestyle": _DASHES[i % len(_DASHES)]}
+            _draw_fit(ax, counted, density, label=name, **look)
+    axes[0].set_xlabel(f"radiance ({UNIT})")
+    axes[0].set_ylabel("density per unit of radiance", fontsize=7)
+    axes[1].set_xlabel(f"radiance ({UNIT}), log scale")
+    axes[1].set_ylabel("density per decade", fontsize=7)
+    if axes[0].get_legend_handles_labels()[0]:
+        axes[0].legend(loc="upper right")
+    axes[0].set_title(title, loc="left")
     return figure
 
 
-def _overlay(axes: Axes, counted: Histogram, fitted: Mapping[str, Density]) -> None:
-    curve = Curve(counted.edges, counted.density)
-    low, high = _limits({"": curve}, counted.scale)
-    x = (np.geomspace if counted.scale == "log" else np.linspace)(low, high, _POINTS)
-    if np.isfinite(counted.density).all() and np.isfinite(counted.edges).all():
-        axes.stairs(curve.density, curve.edges, color="#BBBBBB", fill=True, label="samples")
-    else:
-        axes.annotate("no positive samples", (0.5, 0.5), xycoords="axes fraction", ha="center")
-    for i, (name, density) in enumerate(fitted.items()):
-        y = _evaluated(density, x, counted.scale)
-        if np.isfinite(y).any():
-            axes.plot(
-                x, y, color=_LINES[i % len(_LINES)], linestyle=_DASHES[i % len(_DASHES)], label=name
-            )
-    if counted.scale == "log":
-        axes.set_xscale("log")
-    # A density may be infinite at 0: the histogram sets the height.
-    top = 1.35 * float(np.nanmax(counted.density, initial=0))
-    axes.set(xlim=(low, high), ylim=(0, top or 1.0), yticks=[])
+@style()
+def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None = None) -> Figure:
+    """Draw superimposed histograms of batches and, below, the histogram of their means.
+
+    The axis of the batches ends where 1 % of the samples are brighter: a firefly must not squeeze
+    all others into the first bin.
+
+    Parameters
+    ----------
+    batches
+        Samples by the name of their pixel, radiance of shape (batch, sample), as many of each. A
+        dashed line is their mean.
+    fig
+        Where to draw; None makes a figure.
+
+    Raises
+    ------
+    InputError
+        If there is no pixel.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).gamma(0.5, size=(64, 32))
+    >>> len(batch_histograms({"wall": x}).axes)
+    2
+    """
+    count = len(batches)
+    figure = page(fig, 2.1, WIDTH * min(1.0, 0.26 * count))
+    axes = grid(figure, 2 * count, max(1, count))
+    for i, (name, samples) in enumerate(batches.items()):
+        x, color = np.asarray(samples, dtype=np.float64), qualitative(count)[i]
+        means, expected = x.mean(axis=1), float(x.mean())
+        top = float(np.quantile(x, 0.99)) or float(x.max()) or 1.0
+        edges = np.linspace(0, max(top, 1.5 * expected), _BINS + 1)
+        counts = np.stack([np.histogram(row, edges)[0] for row in x])
+        # The outlines of all batches, shape (batch, corner, 2), are drawn as one.
+        y = np.pad(np.repeat(counts, 2, axis=1), ((0, 0), (1, 1)))
+        outlines = np.stack([np.broadcast_to(np.repeat(edges, 2), y.shape), y], axis=-1)
+        upper, lower = axes[i], axes[count + i]
+        alpha = min(0.5, max(0.03, 2.5 / len(x)))
+        upper.add_collection(PolyCollection([*outlines], facecolor=color, lw=0, alpha=alpha))
+        upper.stairs(counts.mean(axis=0), edges, color="#222222", linewidth=0.6)
+        upper.set_ylim(0, 1.15 * float(np.max(counts[:, 1:])) or 1.0)
+        upper.set_title(verbatim(name), fontsize=8)
+        lower.hist(means, bins=_BINS // 2, color=color)
+        for ax in (upper, lower):
+            ax.axvline(expected, color="black", linewidth=0.9, linestyle="--")
+            ax.set(yticks=[])
+            ax.set_xlim(left=min(0.0, float(means.min())))
+            ax.locator_params(axis="x", nbins=3)
+            ax.spines["left"].set_visible(False)
+    axes[0].set_ylabel(f"{len(x)} batches\nof {x.shape[1]} samples")
+    axes[count].set_ylabel(f"their {len(x)}\nmeans")
+    figure.supxlabel(f"radiance in {UNIT}", fontsize=8)
+    return figure
 
 
-def _evaluated(density: Density, x: Array, scale: Scale) -> Array:
-    """Return a density per unit of radiance, or per decade, where there is radiance."""
-    y = np.full(x.shape, np.nan)
-    with np.errstate(all="ignore"):
-        y[x > 0] = density(x[x > 0])
-    return np.asarray(y * x * np.log(10) if scale == "log" else y)
+@style()
+def averages(
+    sizes: npt.ArrayLike,
+    rejected: Mapping[str, npt.ArrayLike],
+    skewness: npt.ArrayLike,
+    predicted: npt.ArrayLike,
+    *,
+    alpha: float,
+    fig: Figure | None = None,
+) -> Figure:
+    """Draw how far averages of N samples are from Gaussian.
 
+    By the central limit theorem, skewness falls as 1 / sqrt(N): on a logarithmic scale this is a
+    straight line of slope -1/2, from which samples that depend on each other depart. Skewness that
+    is not positive is left out.
 
-def _pair(linear: Axes, log: Axes, panel: Panel, *, number: int) -> None:
-    color = qualitative(number)[number - 1]
-    chd_axes(linear, panel.linear, scale="linear")
-    chd_axes(log, panel.log, scale="log")
-    for axes in (linear, log):
-        axes.spines["bottom"].set(color=color, linewidth=2.2)
-        _mean_ticks(axes, panel.mean)
-    linear.set_title(
-        f"{number} {verbatim(panel.name)}", loc="left", fontsize=8, fontweight="bold", pad=3
-    )
-    log.set_title(panel.note, loc="right", fontsize=7, pad=3, color="#444444")
-
-
-def _mean_ticks(axes: Axes, means: Mapping[str, float]) -> None:
-    for channel, mean in means.items():
-        if np.isfinite(mean) and mean > 0:
-            color = CHANNELS.get(channel, "black")
-            axes.axvline(mean, 0, 0.92, color=color, linewidth=0.8, linestyle=(0, (3, 2)))
+    Parameters
+    ----------
+    sizes
+        N, shape (size,).
+    rejected
+        By name of the channel, the share of pixels for whose averages normality is rejected,
+        shape (size,).
+    skewness
+        Quartiles over the pixels of the skewness of averages, shape (3, size).
+    predicted
+        Median over the pixels of the skewness that the central limit theorem predicts, (size,).
+    alpha
+        The false-discovery rate, drawn as a dotted line.
+    fig
+        Where to draw; None makes a figure.
+    """
+    n = np.asarray(sizes)
+    low, middle, high = np.asarray(skewness, dtype=float)
+    figure = page(fig, 2.3)
+    left, right = grid(figure, 2, 2)
+    for i, (name, share) in enumerate(rejected.items()):
+        color, marker = CHANNELS.get(name, PALETTE[4 + i % 4]), "os^D"[i % 4]
+        label = verbatim(name)
+        left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=label)
+    left.axhline(alpha, color="#888888", linewidth=0.8, linestyle=":")
+    left.set(ylim=(0, 1.02), ylabel="normality rejected, share of pixels")
+    left.yaxis.set_major_formatter(per_cent)
+    left.legend(loc="best")
+    right.fill_between(n, low, high, color=PALETTE[1], alpha=0.35, linewidth=0)
+    right.plot(n, middle, marker="o", markersize=3.5, color=PALETTE[4], label="measured")
+    theorem = r"CLT: $1/\sqrt{N}$"
+    right.plot(n, np.asarray(predicted), color=PALETTE[5], linestyle="--", label=theorem)
+    right.set(ylabel="skewness of averages")
+    right.legend(loc="lower left")
+    right.set_yscale("log", nonpositive="mask")
+    right.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    for ax in (left, right):
+        ax.set_xscale("log", base=2)
+        ax.set_xticks(n, [str(v) for v in n])
+        ax.minorticks_off()
+        ax.set_xlabel("samples in an average, N")
+    return figure

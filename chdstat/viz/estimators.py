@@ -1,7 +1,8 @@
-"""Estimators compared: their errors, and what they estimate for a few pixels.
+"""Estimators compared: their errors, training curves, intervals, and estimates of a few pixels.
 
 `pattern_breakdown` draws a measure for each pattern, `error_curves` how errors fall with N,
-`estimator_measures` all measures side by side, `pixel_estimates` a few pixels one by one.
+`estimator_measures` all measures side by side, `pixel_estimates` a few pixels one by one;
+`training` draws losses, `coverage` how often intervals contain the reference.
 """
 
 from __future__ import annotations
@@ -21,40 +22,69 @@ from chdstat._core.arrays import luminance
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Breakdown, Comparison, ErrorCurve, PixelEstimates
 from chdstat.errors import InputError
-from chdstat.viz.styling import MISSING, PALETTE, WIDTH, qualitative, style, verbatim
+from chdstat.estimators.training import History
+from chdstat.viz.styling import (
+    MISSING,
+    PALETTE,
+    UNIT,
+    WIDTH,
+    axes_in,
+    grid,
+    page,
+    per_cent,
+    qualitative,
+    style,
+    verbatim,
+)
 
 __all__ = [
-    "GREY",
-    "TITLES",
-    "Names",
-    "called",
+    "coverage",
     "error_curves",
     "estimator_measures",
     "pattern_breakdown",
     "pixel_estimates",
+    "training",
 ]
 
 Array = npt.NDArray[Any]
+Names = Mapping[str, str] | None
 
+_GREY = "#888888"
+_TITLES = {
+    "mse": "MSE",
+    "relmse": "relMSE",
+    "mse_ratio": "MSE ratio",
+    "relmse_ratio": "relMSE ratio",
+    "improved": "better, same, worse",
+    "bias": "bias",
+    "fireflies_left": "fireflies left",
+}
 _EXTREME = 8.0
 """Ratios beyond this, or its inverse, have the colour of this."""
 _LEVEL = 6
 """Estimators whose names have room beside each other."""
 _NEUTRAL = {"mse_ratio": 1.0, "relmse_ratio": 1.0, "bias": 0.0}
-"""What can be broken down, and what the sample mean has."""
+"""What can be broken down, and the value of the sample mean."""
 
 
+def _called(names: Sequence[str], known: Names) -> list[str]:
+    """Return what to write for names: what is known for them, or themselves in words."""
+    return [(known or {}).get(name, name.replace("_", " ")) for name in names]
+
+
+@style()
 def pattern_breakdown(
     found: Breakdown,
     *,
     measure: Literal["mse_ratio", "relmse_ratio", "bias"] = "relmse_ratio",
     names: Names = None,
-) -> Figure:
+    ax: Axes | None = None,
+) -> Axes:
     """Draw one measure for each pattern and estimator as a table with colours.
 
     The frame marks the smallest error of each pattern among the estimators that look at one pixel.
-    Pale numbers are those whose interval holds what the sample mean has: 1, or 0 for bias, which is
-    in per cent.
+    Pale numbers are those whose interval contains the value of the sample mean: 1, or 0 for bias,
+    which is in per cent.
 
     Parameters
     ----------
@@ -63,7 +93,9 @@ def pattern_breakdown(
     measure
         Which one to draw.
     names
-        What to call estimators and labels; those not among them by their own name.
+        What to call estimators and labels; others have their own name.
+    ax
+        Where to draw; None makes a figure.
 
     Raises
     ------
@@ -73,83 +105,62 @@ def pattern_breakdown(
     if measure not in _NEUTRAL:
         message = f"measure must be one of {', '.join(_NEUTRAL)}; got {measure!r}"
         raise InputError(message)
-    values = found.measures[measure]
-    error: Literal["mse", "relmse"] = "mse" if measure == "mse_ratio" else "relmse"
-    best = found.best(error)
-    with style():
-        size = (WIDTH, 1.45 + 0.24 * len(found.labels))
-        figure = Figure(figsize=size, layout="constrained")
-        axes = figure.subplots()
-        axes.imshow(
-            _shade(values.value, measure),
-            cmap="PuOr" if measure == "bias" else "BrBG_r",
-            norm=TwoSlopeNorm(0, -1.4, 1.4),
-            aspect="auto",
-        )
-        axes.set_facecolor(MISSING)
-        for row in range(len(found.labels)):
-            for column, name in enumerate(found.estimators):
-                at = values[row, column]
-                _number(axes, at, (column, row), measure, neutral=_NEUTRAL[measure])
-                if name == best[row] and np.isfinite(at.value):
-                    axes.add_patch(_frame(column, row))
-        _label_table(axes, found, names)
-        unit = ", %" if measure == "bias" else ""
-        axes.set_title(f"{TITLES[measure]} for each pattern{unit}", loc="left")
-    return figure
-
-
-def _shade(values: Array, measure: str) -> Array:
-    """Return values from -1 to 1 around what the sample mean has."""
+    values, bias = found.measures[measure], measure == "bias"
+    best = found.best("mse" if measure == "mse_ratio" else "relmse")
+    ax = axes_in(ax, 1.45 + 0.24 * len(found.labels), WIDTH)
     with np.errstate(divide="ignore", invalid="ignore"):
-        scaled = 2 * values if measure == "bias" else np.log(values) / np.log(_EXTREME)
-    return np.ma.masked_invalid(np.clip(scaled, -1, 1))
+        shade = 2 * values.value if bias else np.log(values.value) / np.log(_EXTREME)
+    ax.imshow(
+        np.ma.masked_invalid(np.clip(shade, -1, 1)),
+        cmap="PuOr" if bias else "BrBG_r",
+        norm=TwoSlopeNorm(0, -1.4, 1.4),
+        aspect="auto",
+    )
+    ax.set_facecolor(MISSING)
+    for row, column in np.argwhere(np.isfinite(values.value)):
+        _number(ax, values[row, column], (column, row), measure)
+        if found.estimators[column] == best[row]:
+            corner = (column - 0.47, row - 0.45)
+            frame: dict[str, Any] = {"fill": False, "edgecolor": "#111111", "linewidth": 1.3}
+            ax.add_patch(Rectangle(corner, 0.94, 0.9, **frame))
+    _label_table(ax, found, names)
+    ax.set_title(f"{_TITLES[measure]} for each pattern{', %' if bias else ''}", loc="left")
+    return ax
 
 
-def _number(
-    axes: Axes, value: Interval[Array], place: tuple[int, int], measure: str, *, neutral: float
-) -> None:
-    if not np.isfinite(value.value):
-        return
-    number = float(value.value)
+def _number(ax: Axes, value: Interval[Array], place: tuple[int, int], measure: str) -> None:
+    number, neutral = float(value.value), _NEUTRAL[measure]
     if measure == "bias":
         text = f"{round(100 * number):+d}".replace("+0", "0").replace("-", "−")
     else:
         text = f"{number:.{2 if number < 9.95 else 0}f}"
-    decided = bool(value.low > neutral or value.high < neutral)
-    color = "#111111" if decided else "#999999"
-    axes.text(*place, text, ha="center", va="center", fontsize=6, color=color)
+    color = "#111111" if value.low > neutral or value.high < neutral else "#999999"
+    ax.text(*place, text, ha="center", va="center", fontsize=6, color=color)
 
 
-def _frame(column: int, row: int) -> Rectangle:
-    return Rectangle(
-        (column - 0.47, row - 0.45), 0.94, 0.9, fill=False, edgecolor="#111111", linewidth=1.3
-    )
-
-
-def _label_table(axes: Axes, found: Breakdown, names: Names) -> None:
-    """Name rows and columns; a line parts the estimators that use neighbours."""
+def _label_table(ax: Axes, found: Breakdown, names: Names) -> None:
+    """Name rows and columns; a line separates the estimators that use neighbours."""
     share = found.pixels / max(1, found.pixels.sum())
     rows = [
-        f"{label}, {100 * part:.0f} %" if part >= 0.005 else f"{label}, {count} px"
+        f"{label}, {per_cent(part)}" if part >= 0.005 else f"{label}, {count} px"
         for label, part, count in zip(
-            called(found.labels, names), share, found.pixels.tolist(), strict=True
+            _called(found.labels, names), share, found.pixels.tolist(), strict=True
         )
     ]
-    axes.set_yticks(np.arange(len(rows)), rows)
-    columns = called(found.estimators, names)
-    axes.set_xticks(np.arange(len(columns)), columns)
+    ax.set_yticks(np.arange(len(rows)), rows)
+    columns = _called(found.estimators, names)
+    ax.set_xticks(np.arange(len(columns)), columns)
     if len(columns) > _LEVEL:
-        axes.tick_params(axis="x", rotation=40)
-        for text in axes.get_xticklabels():
+        ax.tick_params(axis="x", rotation=40)
+        for text in ax.get_xticklabels():
             text.set(ha="right", rotation_mode="anchor")
-    axes.tick_params(length=0)
-    axes.spines[:].set_visible(False)
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
     if found.uses_neighbours.any():
-        first = int(np.flatnonzero(found.uses_neighbours)[0])
-        axes.axvline(first - 0.5, color="#111111", linewidth=1)
+        ax.axvline(int(found.uses_neighbours.argmax()) - 0.5, color="#111111", linewidth=1)
 
 
+@style()
 def error_curves(
     found: ErrorCurve,
     *,
@@ -158,6 +169,7 @@ def error_curves(
         "relmse",
     ),
     names: Names = None,
+    fig: Figure | None = None,
 ) -> Figure:
     """Draw errors against the number of samples, both on logarithmic scales.
 
@@ -171,87 +183,53 @@ def error_curves(
     measures
         One panel each.
     names
-        What to call the estimators; those not among them by their own name.
+        What to call the estimators; others have their own name.
+    fig
+        Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
         If there is no measure to draw.
     """
-    if not measures:
-        message = "error_curves needs at least one measure, got none"
-        raise InputError(message)
-    colors = dict(zip(found.estimators, _line_colors(found.estimators), strict=True))
     rows = -(-len(found.estimators) // 4)
-    with style():
-        figure = Figure(figsize=(WIDTH, 2.3 + 0.17 * rows), layout="constrained")
-        panels = figure.subplots(1, len(measures), squeeze=False)[0]
-        for axes, measure in zip(panels, measures, strict=True):
-            _lines(axes, found, measure, colors, called(found.estimators, names))
-            axes.set(xlabel="samples in an estimate, N", ylabel=TITLES[measure])
-            axes.set_xscale("log", base=2)
-            axes.set_xticks(found.sizes, [str(n) for n in found.sizes])
-            axes.minorticks_off()
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=6.5)
+    figure = page(fig, 2.3 + 0.17 * rows)
+    axes = grid(figure, len(measures), max(1, len(measures)))
+    for ax, measure in zip(axes, measures, strict=True):
+        _draw_errors(ax, found, measure, _called(found.estimators, names))
+        ax.set(xlabel="samples in an estimate, N", ylabel=_TITLES[measure])
+        ax.set_xscale("log", base=2)
+        ax.set_xticks(found.sizes, [str(n) for n in found.sizes])
+        ax.minorticks_off()
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=6.5)
     return figure
 
 
-def _lines(
-    axes: Axes, found: ErrorCurve, measure: str, colors: Mapping[str, str], called: list[str]
-) -> None:
-    interval = found.measures[measure]
-    axes.set_yscale("linear" if measure == "fireflies_left" else "log")
+def _draw_errors(ax: Axes, found: ErrorCurve, measure: str, names: Sequence[str]) -> None:
+    """Draw one measure of all estimators, the mean in black above the others."""
+    ax.set_yscale("linear" if measure == "fireflies_left" else "log")
+    colors = iter(qualitative(len(names)))
     for k, name in enumerate(found.estimators):
-        values = interval[:, k]
+        color = "#111111" if name == "mean" else next(colors)
+        values = found.measures[measure][:, k]
         if not np.isfinite(values.value).any():
             continue
-        dashed = "--" if found.uses_neighbours[k] else "-"
-        axes.fill_between(
-            found.sizes, values.low, values.high, color=colors[name], alpha=0.18, linewidth=0
-        )
-        axes.plot(
-            found.sizes,
-            values.value,
-            dashed,
-            marker="o",
-            markersize=2.5,
-            color=colors[name],
-            label=called[k],
-            zorder=2.5 if name == "mean" else 2,  # what all others are measured against
-        )
+        band: dict[str, Any] = {"color": color, "alpha": 0.18, "linewidth": 0}
+        ax.fill_between(found.sizes, values.low, values.high, **band)
+        dashes = "--" if found.uses_neighbours[k] else "-"
+        look: dict[str, Any] = {"color": color, "marker": "o", "markersize": 2.5}
+        order = 2.5 if name == "mean" else 2
+        ax.plot(found.sizes, values.value, dashes, label=names[k], zorder=order, **look)
     if measure in found.reference_noise:
-        axes.plot(
-            found.sizes,
-            found.reference_noise[measure],
-            ":",
-            color=GREY,
-            linewidth=1,
-            label="noise of the reference",
-        )
+        noise = found.reference_noise[measure]
+        ax.plot(found.sizes, noise, ":", color=_GREY, linewidth=1, label="noise of the reference")
 
 
-def _line_colors(estimators: Sequence[str]) -> list[str]:
-    """Return a colour for each estimator, black for the mean."""
-    colors = iter(qualitative(len(estimators)))
-    return ["#111111" if name == "mean" else next(colors) for name in estimators]
-
-
-Names = Mapping[str, str] | None
-
-GREY = "#888888"
-TITLES = {
-    "mse": "MSE",
-    "relmse": "relMSE",
-    "mse_ratio": "MSE ratio",
-    "relmse_ratio": "relMSE ratio",
-    "fireflies_left": "fireflies left",
-    "bias": "bias",
-    "improved": "improved",
-}
-
-
-def estimator_measures(found: Comparison, *, names: Names = None) -> Figure:
+@style()
+def estimator_measures(
+    found: Comparison, *, names: Names = None, fig: Figure | None = None
+) -> Figure:
     """Draw all measures of all estimators, those that use neighbours separately, below a line.
 
     Ratios are those to the sample mean, on a logarithmic scale; intervals are over blocks.
@@ -261,79 +239,77 @@ def estimator_measures(found: Comparison, *, names: Names = None) -> Figure:
     found
         What `chdstat.compare` found.
     names
-        What to call the estimators; those not among them by their own name.
+        What to call the estimators; others have their own name.
+    fig
+        Where to draw; None makes a figure.
     """
     rows = np.arange(len(found.estimators)) + 0.6 * found.uses_neighbours
-    titles = ["mse_ratio", "relmse_ratio", "improved", "bias", "fireflies_left"]
-    with style():
-        height = 0.75 + 0.165 * (rows.max() + 1)
-        figure = Figure(figsize=(WIDTH, height), layout="constrained")
-        panels = figure.subplots(1, len(titles), sharey=True, squeeze=False)[0]
-        for axes, measure in zip(panels, titles, strict=True):
-            axes.set_title(TITLES[measure])
-            if measure == "improved":
-                _shares(axes, rows, found)
-            else:
-                _points(axes, rows, found.measures[measure][:, -1], measure)
-        for axes in panels:
-            axes.set_axisbelow(True)
-            axes.grid(axis="x", linewidth=0.4, color="#DDDDDD")
-            axes.tick_params(axis="y", length=0)
-            if found.uses_neighbours.any():
-                line = rows[found.uses_neighbours].min() - 0.8
-                axes.axhline(line, color=GREY, linewidth=0.6)
-        panels[0].set_yticks(rows, called(found.estimators, names))
-        panels[0].set_ylim(rows.max() + 0.6, -0.6)
+    measures = [name for name in _TITLES if name not in {"mse", "relmse"}]
+    figure = page(fig, 0.75 + 0.165 * (rows.max() + 1))
+    axes = grid(figure, len(measures), len(measures), sharey=True)
+    for ax, measure in zip(axes, measures, strict=True):
+        ax.set_title(_TITLES[measure], fontsize=7.5)
+        ax.set_axisbelow(True)
+        ax.grid(axis="x", linewidth=0.4, color="#DDDDDD")
+        ax.tick_params(axis="y", length=0)
+        ax.tick_params(axis="x", labelsize=6)
+        if measure == "improved":
+            _draw_shares(ax, rows, found)
+        else:
+            _draw_intervals(ax, rows, found.measures[measure][:, -1], measure)
         if found.uses_neighbours.any():
-            figure.supxlabel("below the line: those that look at the pixels around", fontsize=7)
+            line = rows[found.uses_neighbours].min() - 0.8
+            ax.axhline(line, color=_GREY, linewidth=0.6)
+    axes[0].set_yticks(rows, _called(found.estimators, names))
+    axes[0].set_ylim(rows.max() + 0.6, -0.6)
+    if found.uses_neighbours.any():
+        figure.supxlabel("below the line: those that use neighbouring pixels", fontsize=7)
     return figure
 
 
-def _points(axes: Axes, rows: Array, values: Interval[Array], measure: str) -> None:
-    axes.hlines(rows, values.low, values.high, color=PALETTE[4], linewidth=1.6)
-    axes.plot(values.value, rows, "o", color=PALETTE[4], markersize=3)
-    axes.axvline(0 if measure == "bias" else 1, color=GREY, linewidth=0.9, linestyle="--")
+def _draw_intervals(ax: Axes, rows: Array, values: Interval[Array], measure: str) -> None:
+    ax.hlines(rows, values.low, values.high, color=PALETTE[4], linewidth=1.6)
+    ax.plot(values.value, rows, "o", color=PALETTE[4], markersize=3)
+    ax.axvline(0 if measure == "bias" else 1, color=_GREY, linewidth=0.9, linestyle="--")
     if measure == "bias":
-        _percent_axis(axes)
+        ax.xaxis.set_major_formatter(per_cent)
     elif measure != "fireflies_left":
-        _log_axis(axes, np.append(values.value, 1.0))
-    axes.tick_params(axis="x", labelsize=6)
+        _set_log_axis(ax, np.append(values.value, 1.0))
 
 
-def _shares(axes: Axes, rows: Array, found: Comparison) -> None:
+def _draw_shares(ax: Axes, rows: Array, found: Comparison) -> None:
     """Draw the shares of estimates that got better, stayed, and got worse, as one bar each."""
     better, same = (found.measures[m].value[:, -1] for m in ("improved", "unchanged"))
-    axes.barh(rows, better, height=0.7, color=PALETTE[2])
-    axes.barh(rows, same, left=better, height=0.7, color="#E4E4E4")
-    axes.barh(rows, 1 - better - same, left=better + same, height=0.7, color=PALETTE[5], alpha=0.55)
-    axes.set_title("better, same, worse", fontsize=7.5)
-    axes.axvline(0.5, color="#444444", linewidth=0.9, linestyle="--")
-    axes.set_xlim(0, 1)
-    _percent_axis(axes)
-    axes.set_xticks([0, 0.5, 1])
-    axes.tick_params(axis="x", labelsize=6)
+    ax.barh(rows, better, height=0.7, color=PALETTE[2])
+    ax.barh(rows, same, left=better, height=0.7, color="#E4E4E4")
+    ax.barh(rows, 1 - better - same, left=better + same, height=0.7, color=PALETTE[5], alpha=0.55)
+    ax.axvline(0.5, color="#444444", linewidth=0.9, linestyle="--")
+    ax.set_xlim(0, 1)
+    ax.xaxis.set_major_formatter(per_cent)
+    ax.set_xticks([0, 0.5, 1])
 
 
-def _percent_axis(axes: Axes) -> None:
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:.0f} %"))
-
-
-def _log_axis(axes: Axes, values: Array) -> None:
+def _set_log_axis(ax: Axes, values: Array) -> None:
     """Show positive values on a logarithmic scale whose ticks are few and readable."""
-    axes.set_xscale("log")
+    ax.set_xscale("log")
     seen = values[np.isfinite(values) & (values > 0)]
     low, high = seen.min() / 1.25, seen.max() * 1.25
     steps = (1, 2, 5) if high / low < 30 else (1,)
     ticks = [m * 10.0**k for k in range(-6, 10) for m in steps]
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.set_xlim(low, high)
-    axes.set_xticks([t for t in ticks if low <= t <= high])
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.set_xlim(low, high)
+    ax.set_xticks([t for t in ticks if low <= t <= high])
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
+@style()
 def pixel_estimates(
-    found: PixelEstimates, *, channel: str | None = None, names: Names = None
-) -> Figure:
+    found: PixelEstimates,
+    *,
+    channel: str | None = None,
+    names: Names = None,
+    ax: Axes | None = None,
+) -> Axes:
     """Draw a few pixels one by one: reference, sample mean and estimates.
 
     This is the numerical evaluation of Elek, Thomas and Forbes 2019. Thin lines join the sample
@@ -347,7 +323,9 @@ def pixel_estimates(
     channel
         Which channel; None draws the luminance where there are three, else the first.
     names
-        What to call the estimators; those not among them by their own name.
+        What to call the estimators; others have their own name.
+    ax
+        Where to draw; None makes a figure.
 
     Raises
     ------
@@ -364,35 +342,25 @@ def pixel_estimates(
     order = np.argsort(reference, kind="stable")
     drawn = [(name, estimates[k]) for k, name in enumerate(found.estimators) if name != "mean"]
     places = np.arange(1, len(order) + 1)
-    with style():
-        figure = Figure(figsize=(WIDTH, 2.9), layout="constrained")
-        axes = figure.subplots()
-        axes.vlines(places, reference[order], mean[order], color="#BBBBBB", linewidth=0.8)
-        axes.hlines(
-            reference[order],
-            places - 0.42,
-            places + 0.42,
-            color="#111111",
-            linewidth=1.6,
-            label="reference",
-        )
-        mark: dict[str, Any] = {"facecolors": "white", "edgecolors": "#555555", "linewidths": 0.9}
-        axes.scatter(places, mean[order], s=20, label=f"mean of {found.n}", zorder=3, **mark)
-        colors = qualitative(len(drawn))
-        for k, ((name, values), at) in enumerate(zip(drawn, _offsets(len(drawn)), strict=True)):
-            axes.scatter(
-                places + at,
-                values[order],
-                s=11,
-                marker="DsP^vX"[k % 6],
-                color=[PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], *colors][k],
-                label=called([name], names)[0],
-                zorder=4,
-                linewidths=0,
-            )
-        _pixel_axes(axes, np.concatenate([reference, mean, *(v for _, v in drawn)]), found, channel)
-        figure.legend(loc="outside upper center", ncols=min(6, 2 + len(drawn)))
-    return figure
+    ax = axes_in(ax, 2.9, WIDTH)
+    ax.vlines(places, reference[order], mean[order], color="#BBBBBB", linewidth=0.8)
+    bar: dict[str, Any] = {"color": "#111111", "linewidth": 1.6, "label": "reference"}
+    ax.hlines(reference[order], places - 0.42, places + 0.42, **bar)
+    mark: dict[str, Any] = {"facecolors": "white", "edgecolors": "#555555", "linewidths": 0.9}
+    ax.scatter(places, mean[order], s=20, label=f"mean of {found.n}", zorder=3, **mark)
+    colors = [PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], *qualitative(len(drawn))]
+    # Marks lie beside each other within a pixel's place.
+    offsets = np.linspace(-0.22, 0.22, len(drawn)) if len(drawn) > 1 else [0.0]
+    for k, (name, values) in enumerate(drawn):
+        label = _called([name], names)[0]
+        look: dict[str, Any] = {"marker": "DsP^vX"[k % 6], "color": colors[k], "linewidths": 0}
+        ax.scatter(places + offsets[k], values[order], s=11, label=label, zorder=4, **look)
+    shown = verbatim(channel or ("luminance" if len(found.channels) == 3 else found.channels[0]))
+    ax.set_ylabel(f"{shown}, {UNIT}")
+    _set_pixel_axes(ax, np.concatenate([reference, mean, *(v for _, v in drawn)]), len(order))
+    columns = min(6, 2 + len(drawn))
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns)
+    return ax
 
 
 def _of_channel(values: Array, channels: tuple[str, ...], channel: str | None) -> Array:
@@ -406,30 +374,82 @@ def _of_channel(values: Array, channels: tuple[str, ...], channel: str | None) -
     return values[:, channels.index(channel)].astype(np.float64)
 
 
-def _pixel_axes(axes: Axes, values: Array, found: PixelEstimates, channel: str | None) -> None:
+def _set_pixel_axes(ax: Axes, values: Array, pixels: int) -> None:
     positive = values[np.isfinite(values) & (values > 0)]
     knee = float(np.quantile(positive, 0.05)) / 2 if positive.size else 1.0
-    axes.set_yscale("asinh", linear_width=knee)
+    ax.set_yscale("asinh", linear_width=knee)
     if (values > 0).all() and positive.max() < 10 * positive.min():
         # Without two powers of ten among them, the scale has ticks of six digits.
-        axes.yaxis.set_major_locator(MaxNLocator(6))
+        ax.yaxis.set_major_locator(MaxNLocator(6))
     # Numbers between 0 and the knee would be written over each other.
-    axes.yaxis.set_major_formatter(
+    ax.yaxis.set_major_formatter(
         FuncFormatter(lambda value, _: "" if 0 < abs(value) < knee else f"{value:g}")
     )
-    axes.yaxis.set_minor_locator(NullLocator())
-    shown = verbatim(channel or ("luminance" if len(found.channels) == 3 else found.channels[0]))
-    axes.set(xlim=(0.3, len(found.pixels) + 0.7), ylabel=f"{shown}, W sr$^{{-1}}$ m$^{{-2}}$")
-    axes.set_xlabel(f"{len(found.pixels)} random pixels, from dark to bright")
-    axes.set_xticks([])
-    axes.grid(axis="y", linewidth=0.4, color="#DDDDDD")
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.set(xlim=(0.3, pixels + 0.7), xticks=[])
+    ax.set_xlabel(f"{pixels} random pixels, from dark to bright")
+    ax.grid(axis="y", linewidth=0.4, color="#DDDDDD")
 
 
-def _offsets(count: int) -> Array:
-    """Return where to put marks beside each other within a pixel's place."""
-    return np.linspace(-0.22, 0.22, count) if count > 1 else np.zeros(count)
+@style()
+def training(history: History, *, ax: Axes | None = None) -> Axes:
+    """Draw a model's loss over its training against the error of the sample mean.
+
+    Parameters
+    ----------
+    history
+        Of a trained model, its losses and the squared error of the sample mean on the same batches.
+    ax
+        Where to draw; None makes a figure.
+    """
+    ax = axes_in(ax, 2.3)
+    lines = {
+        "training": (history.train_loss, float(history.train_baseline[-1]), PALETTE[1]),
+        "validation": (history.validation_loss, float(history.validation_baseline[-1]), PALETTE[4]),
+    }
+    for name, (loss, baseline, color) in lines.items():
+        ax.plot(history.iteration, loss, color=color, label=name)
+        label = f"sample mean, {name}"
+        ax.axhline(baseline, color=color, linewidth=0.9, ls="--", label=label)
+    ax.set(xlabel="iteration", ylabel="squared error", yscale="log")
+    ax.set_xlim(left=0)
+    # A few spikes of the optimiser must not squeeze the rest.
+    ax.set_ylim(top=3 * max(baseline for _, baseline, _ in lines.values()))
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    return ax
 
 
-def called(names: Sequence[str], known: Names) -> list[str]:
-    """Return what to write for names: what is known for them, or themselves in words."""
-    return [(known or {}).get(name, name.replace("_", " ")) for name in names]
+@style()
+def coverage(
+    levels: npt.ArrayLike,
+    measured: Mapping[str, Sequence[float]],
+    *,
+    title: str = "",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw how often intervals contain the reference.
+
+    Parameters
+    ----------
+    levels
+        Probabilities that the intervals state, shape (level,).
+    measured
+        By name, the shares that were measured, shape (level,).
+    title
+        What is shown.
+    ax
+        Where to draw; None makes a figure.
+    """
+    stated = np.asarray(levels, float)
+    ax = axes_in(ax, 2.4)
+    low = min(float(np.nanmin([stated, *measured.values()])), 0.5) - 0.04
+    ax.plot([low, 1], [low, 1], color=_GREY, linewidth=0.9, linestyle="--")
+    for k, (name, shares) in enumerate(measured.items()):
+        color = (PALETTE[4], PALETTE[5], PALETTE[2])[k % 3]
+        ax.plot(stated, shares, marker="os^D"[k % 4], markersize=3.5, color=color, label=name)
+    ax.set(xlim=(low, 1), ylim=(low, 1), xlabel="stated", ylabel="measured", title=title)
+    ax.set_aspect("equal")
+    ax.xaxis.set_major_formatter(per_cent)
+    ax.yaxis.set_major_formatter(per_cent)
+    ax.legend(loc="upper left", fontsize=6.5)
+    return ax

@@ -1,6 +1,8 @@
-"""Images: linear radiance as a person would see it, with marks, insets and errors.
+"""Images: linear radiance as a person would see it, with regions, CHDs of these, and errors.
 
-`firefly_pair` shows two pixels side by side, `view_pair` one view that was rendered in two ways.
+`with_marks` and `region_study` show the regions of an image, the latter with their CHDs, as in the
+case study of Elek et al. 2019; `side_by_side` shows estimates and their errors, `firefly_pair` two
+pixels, `view_pair` one view that was rendered in two ways.
 """
 
 from __future__ import annotations
@@ -12,17 +14,39 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
 from chdstat._core.image_scales import display_stops
 from chdstat.errors import InputError
-from chdstat.viz.chd import Curve
-from chdstat.viz.styling import HEIGHT, PALETTE, WIDTH, style, verbatim
+from chdstat.summary.histograms import Histogram
+from chdstat.viz.chd import Panel, by_channel, draw_histograms
+from chdstat.viz.styling import PALETTE, UNIT, WIDTH, bare, grid, page, qualitative, style, verbatim
 
-__all__ = ["Mark", "firefly_pair", "side_by_side", "tonemap", "view_pair", "with_marks"]
+__all__ = [
+    "Mark",
+    "firefly_pair",
+    "region_study",
+    "side_by_side",
+    "tonemap",
+    "view_pair",
+    "with_marks",
+]
 
 Array = npt.NDArray[Any]
+
+_PAIR = (PALETTE[5], PALETTE[4])
+"""Colours of two things that are compared."""
+_DASHES: tuple[Any, ...] = ("-", (0, (3, 1)), (0, (1, 0.8)))
+"""Of the channels, where the colour is that of the region."""
+_COLUMNS = 2
+"""Regions side by side in a study."""
+_ROW = 0.8
+"""Height of a row of regions, in inches."""
+_MARGIN = 7
+"""Pixels shown around a firefly."""
 
 
 @dataclass(frozen=True)
@@ -84,8 +108,13 @@ def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArr
     return np.where(finite[..., None], curve, (1.0, 0.0, 1.0))
 
 
+@style()
 def with_marks(
-    image: npt.ArrayLike, marks: Sequence[Mark] = (), *, exposure: float | None = None
+    image: npt.ArrayLike,
+    marks: Sequence[Mark] = (),
+    *,
+    exposure: float | None = None,
+    fig: Figure | None = None,
 ) -> Figure:
     """Draw an image with coloured marks and, beside it, each marked region magnified.
 
@@ -97,87 +126,175 @@ def with_marks(
         Regions; each has its colour of `chdstat.viz.PALETTE`, in order.
     exposure
         As in `tonemap`; image and insets share it.
+    fig
+        Where to draw; None makes a figure.
     """
     shown = tonemap(image, exposure=exposure)
-    columns = 2 if marks else 0
     rows = max(1, -(-len(marks) // 2))
     share = 0.64 if marks else 1.0
     aspect = shown.shape[0] / shown.shape[1]
-    with style():
-        height = max(WIDTH * share * aspect, 1.05 * rows)
-        figure = Figure(figsize=(WIDTH, min(height, HEIGHT)), layout="constrained")
-        grid = figure.add_gridspec(rows, 1 + columns, width_ratios=[4.2, *[1] * columns])
-        main = figure.add_subplot(grid[:, 0])
-        _show(main, shown)
-        for i, mark in enumerate(marks):
-            color = PALETTE[i % len(PALETTE)]
-            _mark(main, mark, color, number=i + 1)
-            _inset(figure.add_subplot(grid[i % rows, 1 + i // rows]), shown, mark, color, i + 1)
+    figure = page(fig, max(WIDTH * share * aspect, 1.05 * rows))
+    columns = 2 if marks else 0
+    cells = figure.add_gridspec(rows, 1 + columns, width_ratios=[4.2, *[1] * columns])
+    main = figure.add_subplot(cells[:, 0])
+    _marked(main, shown, marks)
+    for i, mark in enumerate(marks):
+        _inset(figure.add_subplot(cells[i % rows, 1 + i // rows]), shown, mark, i)
     return figure
 
 
-def _show(axes: Axes, shown: Array) -> None:
-    axes.imshow(shown, interpolation="nearest")
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_visible(False)
+def _marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:
+    """Show an image with the frames and numbers of its marks."""
+    ax.imshow(shown, interpolation="nearest")
+    bare(ax)
+    for i, (mark, color) in enumerate(zip(marks, qualitative(len(marks)), strict=True)):
+        corner = (mark.xs.start - 0.5, mark.ys.start - 0.5)
+        extent = (mark.xs.stop - mark.xs.start, mark.ys.stop - mark.ys.start)
+        for edge, width in (("black", 2.4), (color, 1.4)):
+            ax.add_patch(Rectangle(corner, *extent, fill=False, edgecolor=edge, linewidth=width))
+        ax.annotate(
+            str(i + 1), corner, xytext=(-1, 1), textcoords="offset points", ha="right", va="bottom",
+            fontsize=6.5, fontweight="bold", annotation_clip=True,
+            bbox={"boxstyle": "round,pad=0.12", "facecolor": color, "edgecolor": "none"},
+        )  # fmt: skip
 
 
-def _mark(axes: Axes, mark: Mark, color: str, *, number: int) -> None:
-    height, width = mark.ys.stop - mark.ys.start, mark.xs.stop - mark.xs.start
-    corner = (mark.xs.start - 0.5, mark.ys.start - 0.5)
-    axes.add_patch(Rectangle(corner, width, height, fill=False, edgecolor="black", linewidth=2.4))
-    axes.add_patch(Rectangle(corner, width, height, fill=False, edgecolor=color, linewidth=1.4))
-    axes.annotate(
-        str(number),
-        (mark.xs.start - 0.5, mark.ys.start - 0.5),
-        xytext=(-1, 1),
-        textcoords="offset points",
-        ha="right",
-        va="bottom",
-        fontsize=7,
-        fontweight="bold",
-        color="black",
-        bbox={"boxstyle": "round,pad=0.15", "facecolor": color, "edgecolor": "none"},
-        annotation_clip=True,
-    )
-
-
-def _inset(axes: Axes, shown: Array, mark: Mark, color: str, number: int) -> None:
-    """Show the surroundings of a mark, about three times its size, with its pixel."""
-    y, x = mark.pixel
+def _inset(ax: Axes, shown: Array, mark: Mark, place: int) -> None:
+    """Show a region and what is around it, with the pixel whose distribution is of interest."""
+    color = qualitative(place + 1)[place]
     half = max(4, mark.ys.stop - mark.ys.start, mark.xs.stop - mark.xs.start)
-    axes.imshow(shown, interpolation="nearest")
-    axes.set(
-        xlim=(x - half - 0.5, x + half + 0.5),
-        ylim=(y + half + 0.5, y - half - 0.5),
-        xticks=[],
-        yticks=[],
-        facecolor="#EEEEEE",
-    )
-    axes.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, fill=False, edgecolor=color, linewidth=1.2))
-    axes.spines[:].set(visible=True, color=color, linewidth=2)
-    axes.set_title(f"{number} {verbatim(mark.name)}", fontsize=7.5, pad=4)
+    _magnify(ax, shown, mark.pixel, half)
+    _frame(ax, mark.pixel, color, linewidth=1.2)
+    ax.spines[:].set(visible=True, color=color, linewidth=2)
+    title = f"{place + 1} {verbatim(mark.name)}"
+    ax.set_title(title, fontsize=7, loc="left", pad=2, fontweight="bold")
 
 
+def _magnify(ax: Axes, shown: Array, pixel: tuple[int, int], half: int) -> None:
+    """Show the pixels at most `half` away from one."""
+    y, x = pixel
+    ax.imshow(shown, interpolation="nearest")
+    ax.set(xlim=(x - half - 0.5, x + half + 0.5), ylim=(y + half + 0.5, y - half - 0.5))
+    ax.set(xticks=[], yticks=[], facecolor="#EEEEEE")
+
+
+def _frame(ax: Axes, pixel: tuple[int, int], color: str, *, linewidth: float) -> None:
+    y, x = pixel
+    corner = (x - 0.5, y - 0.5)
+    ax.add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=color, linewidth=linewidth))
+
+
+@style()
+def region_study(
+    image: npt.ArrayLike,
+    marks: Sequence[Mark],
+    panels: Sequence[Panel],
+    *,
+    notes: Sequence[str] = (),
+    fig: Figure | None = None,
+) -> Figure:
+    """Draw an image with its regions, and the CHD of one pixel of each.
+
+    Parameters
+    ----------
+    image
+        Linear radiance, shape (y, x, channel).
+    marks
+        Regions, each with the pixel whose distribution is shown.
+    panels
+        CHDs of these pixels, in the same order; fits are not drawn.
+    notes
+        A line of text for each region, beside the image.
+    fig
+        Where to draw; None makes a figure.
+
+    Raises
+    ------
+    InputError
+        If there is no region, or not a panel for each.
+    """
+    if not marks or len(panels) != len(marks):
+        message = f"expected a panel for each region, got {len(panels)} for {len(marks)}"
+        raise InputError(message)
+    shown = tonemap(image)
+    rows = -(-len(marks) // _COLUMNS)
+    top = min(0.38 * WIDTH * shown.shape[0] / shown.shape[1], 0.5 * WIDTH)
+    bottom = _ROW * rows + 0.3
+    figure = page(fig, top + bottom, wspace=0.01, hspace=0.02)
+    upper, lower = figure.subfigures(2, 1, height_ratios=[top, bottom], squeeze=False).flat
+    overview, names = upper.subplots(1, 2)
+    _marked(overview, shown, marks)
+    _list_regions(names, marks, notes)
+    ratios = [1, 1.45, 1.45] * _COLUMNS
+    axes = lower.subplots(rows, 3 * _COLUMNS, squeeze=False, width_ratios=ratios)
+    # Regions are numbered down the columns.
+    cells = np.concatenate(np.split(axes, _COLUMNS, axis=1))
+    for i, (mark, panel) in enumerate(zip(marks, panels, strict=True)):
+        inset, linear, log = cells[i]
+        _inset(inset, shown, mark, i)
+        _region_chds(linear, log, panel, qualitative(len(marks))[i])
+    for empty in cells[len(marks) :].flat:
+        empty.set_axis_off()
+    channels = list(by_channel(panels[0].log, panels[0].channels))
+    if len(channels) > 1:
+        title = f"densities of radiance in {UNIT}, linear and logarithmic; channels:"
+        look: dict[str, Any] = {"color": "#333333", "linewidth": 0.9}
+        handles = [Line2D([], [], linestyle="", label=title)] + [
+            Line2D([], [], linestyle=_DASHES[i % 3], label=verbatim(name), **look)
+            for i, name in enumerate(channels)
+        ]
+        below: dict[str, Any] = {"loc": "outside lower center", "ncols": len(handles)}
+        lower.legend(handles=handles, fontsize=7, handlelength=2, **below)
+    return figure
+
+
+def _list_regions(ax: Axes, marks: Sequence[Mark], notes: Sequence[str]) -> None:
+    """List numbers and names of regions with their notes."""
+    ax.set_axis_off()
+    ax.set(xlim=(0, 1), ylim=(0, 1))
+    for i, (mark, color) in enumerate(zip(marks, qualitative(len(marks)), strict=True)):
+        y = 1 - (i + 0.5) / max(len(marks), 6)
+        ax.text(
+            0.01, y, str(i + 1), fontsize=7.5, fontweight="bold", ha="center", va="center",
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
+        )  # fmt: skip
+        ax.text(0.06, y, verbatim(mark.name), fontsize=8, fontweight="bold", va="center")
+        if i < len(notes):
+            ax.text(0.40, y, notes[i], fontsize=7.5, va="center", color="#333333")
+
+
+def _region_chds(linear: Axes, log: Axes, panel: Panel, color: str) -> None:
+    """Draw the CHD of a region's pixel in the colour of the region."""
+    dark = tuple(0.6 * part for part in to_rgb(color))
+    for ax, counted in ((linear, panel.linear), (log, panel.log)):
+        found = by_channel(counted, panel.channels)
+        several = len(found)
+        draw_histograms(
+            ax, found, colors=[color] * several, outlines=[dark] * several, dashes=_DASHES
+        )
+        ax.spines["bottom"].set(color=color, linewidth=2)
+        ax.tick_params(labelsize=6, pad=1.5)
+    linear.locator_params(axis="x", nbins=3)
+    log.set_title(panel.note, fontsize=6.5, loc="right", pad=2, color="#444444")
+
+
+@style()
 def side_by_side(
     images: Mapping[str, npt.ArrayLike],
     *,
     errors: Mapping[str, npt.ArrayLike] | None = None,
-    exposure: float | None = None,
-    crop: tuple[slice, slice] | None = None,
+    fig: Figure | None = None,
 ) -> Figure:
     """Draw images side by side under one exposure, each with its squared error below.
 
     Parameters
     ----------
     images
-        Linear radiance (y, x, channel) by title; the last sets the exposure where none is given.
+        Linear radiance (y, x, channel) by title; the last sets the exposure.
     errors
         Squared error (y, x) by the same titles; drawn on one logarithmic colour scale.
-    exposure
-        As in `tonemap`.
-    crop
-        Rows and columns to show.
+    fig
+        Where to draw; None makes a figure.
 
     Raises
     ------
@@ -185,62 +302,47 @@ def side_by_side(
         If there is no image.
     """
     if not images:
-        message = "side_by_side needs at least one image, got none"
+        message = "expected at least one image, got none"
         raise InputError(message)
-    window = crop or (slice(None), slice(None))
-    exposed = np.asarray(list(images.values())[-1])[window]
-    if exposure is None:
-        exposure = display_stops(exposed)
-    rows = 2 if errors else 1
-    with style():
-        height, width = np.shape(exposed)[:2]
-        each = 0.92 * WIDTH / len(images) * height / width
-        figure = Figure(figsize=(WIDTH, min(rows * each + 0.35, HEIGHT)), layout="constrained")
-        axes = figure.subplots(rows, len(images), squeeze=False)
-        for column, (title, image) in zip(axes.T, images.items(), strict=True):
-            _show(column[0], tonemap(np.asarray(image)[window], exposure=exposure))
-            column[0].set_title(title)
-        if errors:
-            _error_row(figure, list(axes[1]), list(images), errors, window)
+    last = np.asarray(list(images.values())[-1])
+    exposure = display_stops(last)
+    count, rows = len(images), 2 if errors else 1
+    figure = page(fig, rows * 0.92 * WIDTH / count * last.shape[0] / last.shape[1] + 0.35)
+    axes = grid(figure, rows * count, count)
+    for ax, (title, image) in zip(axes, images.items(), strict=False):
+        ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
+        bare(ax, title)
+    if errors:
+        for ax in axes[count:]:
+            bare(ax)
+        _draw_errors(figure, dict(zip(images, axes[count:], strict=True)), errors)
     return figure
 
 
-def _error_row(
-    figure: Figure,
-    axes: list[Axes],
-    titles: list[str],
-    errors: Mapping[str, npt.ArrayLike],
-    crop: tuple[slice, slice],
+def _draw_errors(
+    figure: Figure, axes: Mapping[str, Axes], errors: Mapping[str, npt.ArrayLike]
 ) -> None:
     """Draw squared errors as decades on one colour scale."""
     with np.errstate(divide="ignore"):
-        decades = {k: np.log10(np.asarray(v, dtype=float)[crop]) for k, v in errors.items()}
-    finite = np.concatenate([d[np.isfinite(d)] for d in decades.values()] or [np.zeros(0)])
+        decades = {title: np.log10(np.asarray(v, dtype=float)) for title, v in errors.items()}
+    finite = np.concatenate([d[np.isfinite(d)] for d in decades.values()])
     low, high = np.percentile(finite, (2, 99.5)) if finite.size else (-1.0, 0.0)
-    drawn = None
-    for ax, title in zip(axes, titles, strict=True):
-        ax.set(xticks=[], yticks=[])
-        ax.spines[:].set_visible(False)
-        if title in decades:
-            shown = np.maximum(decades[title], low)  # no error at all is as dark as the least
-            drawn = ax.imshow(shown, vmin=low, vmax=high, cmap="magma")
-    if drawn is not None:
-        bar = figure.colorbar(drawn, ax=axes, orientation="vertical", fraction=0.03, pad=0.01)
-        bar.set_label("log10 squared error")
+    for title, values in decades.items():
+        shown = np.maximum(values, low)  # no error at all is as dark as the least
+        drawn = axes[title].imshow(shown, vmin=low, vmax=high, cmap="magma")
+    below = list(axes.values())
+    bar = figure.colorbar(drawn, ax=below, orientation="vertical", fraction=0.03, pad=0.01)
+    bar.set_label("log10 squared error")
 
 
-_COLORS = (PALETTE[5], PALETTE[4])
-_DASHES = ("-", "--")
-
-
+@style()
 def firefly_pair(
     image: npt.ArrayLike,
     pixels: Mapping[str, tuple[int, int]],
-    linear: Mapping[str, Curve],
-    log: Mapping[str, Curve],
+    linear: Mapping[str, Histogram],
+    log: Mapping[str, Histogram],
     *,
-    notes: Mapping[str, str] | None = None,
-    margin: int = 7,
+    fig: Figure | None = None,
 ) -> Figure:
     """Draw an estimate around a firefly, and the CHDs of the firefly and its neighbour.
 
@@ -251,11 +353,9 @@ def firefly_pair(
     pixels
         (y, x) by name: the firefly, then its neighbour.
     linear, log
-        Histograms of one channel by the same names.
-    notes
-        A few words on each, by the same names.
-    margin
-        Pixels shown around the firefly.
+        Histograms of one channel, shape (bin,), by the same names.
+    fig
+        Where to draw; None makes a figure.
 
     Raises
     ------
@@ -265,33 +365,26 @@ def firefly_pair(
     if len(pixels) != 2:
         message = f"expected a firefly and its neighbour, got {len(pixels)} pixels"
         raise InputError(message)
-    shown = tonemap(image)
-    with style():
-        figure = Figure(figsize=(WIDTH, 1.6), layout="constrained")
-        axes = figure.subplots(1, 3, width_ratios=[1, 1.6, 1.6])
-        axes[0].imshow(shown, interpolation="nearest")
-        y, x = next(iter(pixels.values()))
-        axes[0].set(
-            xlim=(x - margin - 0.5, x + margin + 0.5), ylim=(y + margin + 0.5, y - margin - 0.5)
-        )
-        axes[0].set(xticks=[], yticks=[], facecolor="#EEEEEE")
-        for color, (row, column) in zip(_COLORS, pixels.values(), strict=True):
-            corner = (column - 0.5, row - 0.5)
-            axes[0].add_patch(Rectangle(corner, 1, 1, fill=False, edgecolor=color, linewidth=1.5))
-        known = notes or {}
-        labels = {name: f"{name}{': ' * (name in known)}{known.get(name, '')}" for name in pixels}
-        _overlay(axes[1], {labels[n]: c for n, c in linear.items()})
-        _overlay(axes[2], {labels[n]: c for n, c in log.items()}, log=True)
-        axes[1].set_xlabel("radiance in W sr$^{-1}$ m$^{-2}$")
-        axes[2].set_xlabel("the same on a logarithmic scale")
-        if axes[1].patches:
-            axes[1].legend(loc="upper right", fontsize=7)
+    figure = page(fig, 1.6)
+    seen, left, right = grid(figure, 3, 3, width_ratios=[1, 1.6, 1.6])
+    _magnify(seen, tonemap(image), next(iter(pixels.values())), _MARGIN)
+    for color, pixel in zip(_PAIR, pixels.values(), strict=True):
+        _frame(seen, pixel, color, linewidth=1.5)
+    for ax, counted in ((left, linear), (right, log)):
+        draw_histograms(ax, counted, colors=_PAIR, dashes=_DASHES)
+    left.set_xlabel(f"radiance in {UNIT}")
+    right.set_xlabel("the same on a logarithmic scale")
+    if left.patches:
+        left.legend(loc="upper right", fontsize=7)
     return figure
 
 
+@style()
 def view_pair(
     images: Mapping[str, npt.ArrayLike],
-    log: Mapping[str, Mapping[str, Curve]],
+    log: Mapping[str, Mapping[str, Histogram]],
+    *,
+    fig: Figure | None = None,
 ) -> Figure:
     """Draw one view rendered in two ways under one exposure, and CHDs of its regions.
 
@@ -300,8 +393,10 @@ def view_pair(
     images
         Linear radiance (y, x, channel) by name; the last sets the exposure.
     log
-        By region, then by the names of the images: histograms on the logarithmic scale. The first
-        four are drawn.
+        By region, then by the names of the images: log histograms of shape (bin,). The first four
+        are drawn.
+    fig
+        Where to draw; None makes a figure.
 
     Raises
     ------
@@ -311,48 +406,20 @@ def view_pair(
     if len(images) != 2:
         message = f"expected two images of one view, got {len(images)}"
         raise InputError(message)
-    exposure = display_stops(list(images.values())[1])
-    with style():
-        height = 0.225 * WIDTH * np.shape(next(iter(images.values())))[0]
-        height /= np.shape(next(iter(images.values())))[1]
-        figure = Figure(figsize=(WIDTH, max(height, 1.5) + 0.35), layout="constrained")
-        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=[1.05, 1])[0]
-        for i, (cell, (name, image)) in enumerate(
-            zip(left.subplots(1, 2), images.items(), strict=True)
-        ):
-            cell.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
-            cell.set(xticks=[], yticks=[])
-            cell.spines[:].set_visible(False)
-            cell.set_title(verbatim(name), fontsize=8, color=_COLORS[i], fontweight="bold")
-        cells = right.subplots(2, 2, squeeze=False).ravel()
-        shown = list(log.items())[:4]
-        for cell, (region, curves) in zip(cells, shown, strict=False):
-            _overlay(cell, {n: curves[n] for n in images if n in curves}, log=True)
-            cell.set_title(verbatim(region), fontsize=7, loc="left", pad=2)
-            cell.tick_params(labelsize=6, pad=1.5)
-        for cell in cells[len(shown) :]:
-            cell.set_axis_off()
-        right.supxlabel("radiance in W sr$^{-1}$ m$^{-2}$", fontsize=7)
+    first, second = images.values()
+    height, width = np.shape(first)[:2]
+    figure = page(fig, max(0.225 * WIDTH * height / width, 1.5) + 0.35)
+    left, right = figure.subfigures(1, 2, width_ratios=[1.05, 1], squeeze=False).flat
+    exposure = display_stops(second)
+    for ax, (name, image), color in zip(grid(left, 2, 2), images.items(), _PAIR, strict=True):
+        ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
+        bare(ax, verbatim(name), fontsize=8, color=color, fontweight="bold")
+    shown = dict(list(log.items())[:4])
+    for ax, (region, found) in zip(right.subplots(2, 2).flat, shown.items(), strict=False):
+        draw_histograms(ax, found, colors=_PAIR, dashes=_DASHES)
+        ax.set_title(verbatim(region), fontsize=7, loc="left", pad=2)
+        ax.tick_params(labelsize=6, pad=1.5)
+    for empty in right.axes[len(shown) :]:
+        empty.set_axis_off()
+    right.supxlabel(f"radiance in {UNIT}", fontsize=7)
     return figure
-
-
-def _overlay(axes: Axes, curves: Mapping[str, Curve], *, log: bool = False) -> None:
-    spans = []
-    for color, dash, (name, curve) in zip(_COLORS, _DASHES, curves.items(), strict=False):
-        if not (np.isfinite(curve.edges).all() and np.isfinite(curve.density).all()):
-            continue
-        axes.stairs(curve.density, curve.edges, fill=True, color=color, alpha=0.2)
-        axes.stairs(
-            curve.density, curve.edges, color=color, linewidth=0.9, linestyle=dash, label=name
-        )
-        filled = np.flatnonzero(curve.density > 0)
-        spans += [(curve.edges[filled[0]], curve.edges[filled[-1] + 1])] if filled.size else []
-    if log:
-        axes.set_xscale("log")
-    else:
-        axes.locator_params(axis="x", nbins=4)
-    if spans:
-        axes.set_xlim(min(s[0] for s in spans), max(s[1] for s in spans))
-    axes.set(yticks=[])
-    axes.set_ylim(bottom=0)
-    axes.spines["left"].set_visible(False)

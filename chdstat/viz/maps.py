@@ -1,11 +1,12 @@
 """Maps: one value, label or colour per pixel, with the scale that reads them.
 
-`atlas` draws the recurring distributions, as a map and as small multiples.
+`map_grid` makes room for several of them. `atlas` draws the recurring distributions, as a map and
+as small multiples.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,28 +15,83 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter
 
 from chdstat.patterns import Atlas
 from chdstat.viz.image import tonemap
-from chdstat.viz.styling import HEIGHT, MISSING, PALETTE, WIDTH, qualitative, sequential, style
+from chdstat.viz.styling import (
+    MISSING,
+    WIDTH,
+    axes_in,
+    bare,
+    grid,
+    page,
+    per_cent,
+    qualitative,
+    sequential,
+    style,
+)
 
-__all__ = ["atlas", "categorical_map", "coverage", "image_map", "map_grid", "n_needed", "value_map"]
+__all__ = ["atlas", "categorical_map", "image_map", "map_grid", "n_needed", "value_map"]
 
-_TOO_MANY = "#D55E00"
-"""Apart from all colours of `sequential`: vermillion of Okabe and Ito."""
+_MORE = "#D55E00"
+"""Colour of more samples than were tested: vermillion of Okabe and Ito, not among `sequential`."""
+_VISIBLE = 0.01
+"""Density, relative to the highest, below which no panel needs to reach."""
+_OF_MAP = 0.4
+"""Share of the width that the map takes: the figure then fits below others on a page."""
+_HEIGHT = 2.4
+"""Of a figure with a single map, in inches."""
 
-Draw = Callable[[Axes], None]
+
+@style()
+def map_grid(
+    number: int, *, columns: int = 3, aspect: float = 1.0, fig: Figure | None = None
+) -> Figure:
+    """Make room for maps in a grid that fills the width of a page.
+
+    Parameters
+    ----------
+    number
+        Number of maps.
+    columns
+        Maps in a row.
+    aspect
+        Height of the image over its width.
+    fig
+        Where to make room; None makes a figure.
+
+    Returns
+    -------
+    Figure
+        Its ``axes`` are for `value_map`, `categorical_map` and the others here.
+
+    Raises
+    ------
+    InputError
+        If there is no map.
+
+    Examples
+    --------
+    >>> figure = map_grid(2, columns=2)
+    >>> for ax, title in zip(figure.axes, ("mean", "variance"), strict=True):
+    ...     _ = value_map(np.eye(4), title=title, ax=ax)
+    """
+    rows = -(-number // columns)
+    figure = page(fig, WIDTH / columns * (0.86 * aspect + 0.2) * rows)
+    grid(figure, number, columns)
+    return figure
 
 
+@style()
 def value_map(
     values: npt.ArrayLike,
     *,
-    title: str,
+    title: str = "",
     unit: str = "",
     limits: tuple[float, float] | None = None,
-) -> Draw:
-    """Return a drawing of one number per pixel, for `map_grid`.
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw one number per pixel.
 
     Parameters
     ----------
@@ -46,30 +102,40 @@ def value_map(
     limits
         Ends of the colour scale; None takes the 1st and 99th percentile. Values beyond an end
         have its colour.
+    ax
+        Where to draw; None makes a figure.
     """
     array = np.asarray(values, dtype=float)
-
-    def draw(axes: Axes) -> None:
-        low, high = limits or _percentiles(array)
-        image = axes.imshow(array, cmap=sequential(), vmin=low, vmax=high, interpolation="nearest")
-        _bare(axes, title)
-        bar = axes.figure.colorbar(image, ax=axes, fraction=0.046, pad=0.03)
-        bar.outline.set_visible(False)
-        if unit:
-            bar.set_label(unit, fontsize=7)
-
-    return draw
+    low, high = _percentiles(array) if limits is None else limits
+    ax = axes_in(ax, _HEIGHT)
+    image = ax.imshow(array, cmap=sequential(), vmin=low, vmax=high, interpolation="nearest")
+    bare(ax, title)
+    bar = ax.figure.colorbar(image, ax=ax, fraction=0.046, pad=0.03)
+    bar.outline.set_visible(False)
+    bar.set_label(unit, fontsize=7)
+    return ax
 
 
+def _percentiles(array: npt.NDArray[Any]) -> tuple[float, float]:
+    """Return the 1st and 99th percentile, or what is around them where they are the same."""
+    finite = array[np.isfinite(array)]
+    if not finite.size:
+        return 0.0, 1.0
+    low, high = np.percentile(finite, (1, 99))
+    return (float(low), float(high)) if high > low else (float(low) - 0.5, float(low) + 0.5)
+
+
+@style()
 def categorical_map(
     codes: npt.ArrayLike,
     names: Mapping[int, str],
     *,
-    title: str,
+    title: str = "",
     colors: Sequence[str] | None = None,
     columns: int = 2,
-) -> Draw:
-    """Return a drawing of one label per pixel, for `map_grid`.
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw one label per pixel.
 
     Parameters
     ----------
@@ -84,37 +150,50 @@ def categorical_map(
         `chdstat.viz.PALETTE`, and darker ones beyond its eighth.
     columns
         Of the legend.
+    ax
+        Where to draw; None makes a figure.
     """
     array = np.asarray(codes)
-    order = list(names)
-    palette = qualitative(len(order)) if colors is None else colors
+    shades = qualitative(len(names)) if colors is None else colors
+    ax = axes_in(ax, _HEIGHT)
+    rank = np.full(array.shape, -1)
+    patches = []
+    for i, (code, name) in enumerate(names.items()):
+        rank[array == code] = i
+        if (array == code).any():
+            share = _percent(float((array == code).mean()))
+            patches.append(Patch(color=shades[i], label=f"{name} {share}"))
+    _draw_labels(ax, rank, shades[: len(names)], title)
+    ax.legend(
+        handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=columns,
+        fontsize=6.5, handlelength=0.9, columnspacing=0.9, borderaxespad=0.2,
+    )  # fmt: skip
+    return ax
 
-    def draw(axes: Axes) -> None:
-        rank = np.full(array.shape, np.nan)
-        for i, code in enumerate(order):
-            rank[array == code] = i
-        shades = [palette[i % len(palette)] for i in range(len(order))]
-        cmap = ListedColormap(shades).with_extremes(bad=MISSING)
-        norm = BoundaryNorm(np.arange(len(order) + 1) - 0.5, len(order))
-        axes.imshow(rank, cmap=cmap, norm=norm, interpolation="nearest")
-        _bare(axes, title)
-        patches = [
-            Patch(color=shades[i], label=f"{names[code]} {_percent(share)}")
-            for i, code in enumerate(order)
-            if (share := float((array == code).mean())) > 0
-        ]
-        axes.legend(
-            handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=columns,
-            fontsize=6.5, handlelength=0.9, columnspacing=0.9, borderaxespad=0.2,
-        )  # fmt: skip
 
-    return draw
+def _draw_labels(
+    ax: Axes, labels: npt.NDArray[np.integer[Any]], colors: Sequence[str], title: str
+) -> None:
+    """Draw labels 0, 1, 2 and so on of pixels in their colours; negative ones are grey."""
+    shades = ListedColormap(list(colors)).with_extremes(bad=MISSING)
+    norm = BoundaryNorm(np.arange(len(colors) + 1) - 0.5, len(colors))
+    shown = np.ma.masked_less(labels, 0)
+    ax.imshow(shown, cmap=shades, norm=norm, interpolation="nearest")
+    bare(ax, title)
+
+
+def _percent(share: float) -> str:
+    return per_cent(share) if share >= 0.01 or share == 0 else "< 1 %"
 
 
 def n_needed(
-    needed: npt.ArrayLike, sizes: npt.ArrayLike, *, title: str = "Samples per average needed"
-) -> Draw:
-    """Return a drawing of the samples that an average needs to look Gaussian, for `map_grid`.
+    needed: npt.ArrayLike,
+    sizes: npt.ArrayLike,
+    *,
+    title: str = "Samples per average needed",
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw the number of samples that an average of each pixel needs to look Gaussian.
 
     Parameters
     ----------
@@ -125,16 +204,24 @@ def n_needed(
         The sizes that were tested, shape (size,).
     title
         What is shown.
+    ax
+        Where to draw; None makes a figure.
     """
     tested = [int(n) for n in np.sort(np.asarray(sizes).ravel())]
     shades = [to_hex(shade) for shade in sequential()(np.linspace(0.05, 1, len(tested)))]
     names = {n: f"{n}:" for n in tested} | {-1: f"> {tested[-1]}:"}
-    colors = [*shades, _TOO_MANY]
-    return categorical_map(needed, names, title=title, colors=colors, columns=3)
+    return categorical_map(needed, names, title=title, colors=[*shades, _MORE], columns=3, ax=ax)
 
 
-def image_map(image: npt.ArrayLike, *, title: str, exposure: float | None = None) -> Draw:
-    """Return a drawing of an image, for `map_grid`.
+@style()
+def image_map(
+    image: npt.ArrayLike,
+    *,
+    title: str = "",
+    exposure: float | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw an image.
 
     Parameters
     ----------
@@ -142,100 +229,17 @@ def image_map(image: npt.ArrayLike, *, title: str, exposure: float | None = None
         As in `tonemap`.
     title
         What is shown.
+    ax
+        Where to draw; None makes a figure.
     """
-    shown = tonemap(image, exposure=exposure)
-
-    def draw(axes: Axes) -> None:
-        axes.imshow(shown, interpolation="nearest")
-        _bare(axes, title)
-
-    return draw
+    ax = axes_in(ax, _HEIGHT)
+    ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
+    bare(ax, title)
+    return ax
 
 
-def coverage(levels: npt.ArrayLike, measured: Mapping[str, Sequence[float]], *, title: str) -> Draw:
-    """Return a drawing of how often intervals hold the truth, for `map_grid`.
-
-    Parameters
-    ----------
-    levels
-        Probabilities that the intervals state, shape (level,).
-    measured
-        By name, the shares that were measured, shape (level,).
-    title
-        What is shown.
-    """
-    stated = np.asarray(levels, float)
-
-    def draw(axes: Axes) -> None:
-        low = min(float(np.nanmin([stated, *measured.values()])), 0.5) - 0.04
-        axes.plot([low, 1], [low, 1], color="#888888", linewidth=0.9, linestyle="--")
-        for k, (name, shares) in enumerate(measured.items()):
-            axes.plot(
-                stated,
-                shares,
-                marker="os^D"[k % 4],
-                markersize=3.5,
-                color=(PALETTE[4], PALETTE[5], PALETTE[2])[k % 3],
-                label=name,
-            )
-        axes.set(xlim=(low, 1), ylim=(low, 1), xlabel="stated", ylabel="measured", title=title)
-        axes.set_aspect("equal")
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:.0f} %"))
-        axes.legend(loc="upper left", fontsize=6.5)
-
-    return draw
-
-
-def map_grid(maps: Sequence[Draw], *, columns: int = 3, aspect: float = 1.0) -> Figure:
-    """Arrange maps in a grid that fills the width of a page.
-
-    Parameters
-    ----------
-    maps
-        Drawings made by `value_map`, `categorical_map` and the others here.
-    columns
-        Maps in a row.
-    aspect
-        Height of the image over its width.
-    """
-    rows = -(-len(maps) // columns)
-    with style():
-        height = WIDTH / columns * (0.86 * aspect + 0.2) * rows
-        figure = Figure(figsize=(WIDTH, min(height, HEIGHT)), layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False)
-        for cell in axes.flat[len(maps) :]:
-            cell.set_axis_off()
-        for cell, draw in zip(axes.flat, maps, strict=False):
-            draw(cell)
-    return figure
-
-
-def _bare(axes: Axes, title: str) -> None:
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_visible(False)
-    axes.set_title(title)
-
-
-def _percentiles(array: npt.NDArray[Any]) -> tuple[float, float]:
-    finite = array[np.isfinite(array)]
-    if not finite.size:
-        return 0.0, 1.0
-    low, high = np.percentile(finite, (1, 99))
-    return (float(low), float(high)) if high > low else (float(low) - 0.5, float(low) + 0.5)
-
-
-def _percent(share: Any) -> str:
-    return f"{100 * float(share):.0f} %" if share >= 0.01 or share == 0 else "< 1 %"
-
-
-_VISIBLE = 0.01
-"""Density, relative to the highest, below which no panel needs to reach."""
-_OF_MAP = 0.4
-"""Share of the width that the map takes: the figure then fits below others on a page."""
-
-
-def atlas(found: Atlas) -> Figure:
+@style()
+def atlas(found: Atlas, *, fig: Figure | None = None) -> Figure:
     """Draw where the shapes of an atlas are, and what each looks like.
 
     Numbers in the map mark the most typical pixel of each shape. The panels show the mean density
@@ -245,86 +249,53 @@ def atlas(found: Atlas) -> Figure:
     ----------
     found
         What `chdstat.atlas` found.
+    fig
+        Where to draw; None makes a figure.
     """
     number = len(found.share)
     columns = 2 if number <= 8 else 3
     rows = max(2, -(-number // columns))
     aspect = found.labels.shape[0] / found.labels.shape[1]
-    with style():
-        height = max(_OF_MAP * WIDTH * aspect + 0.2, 0.8 * rows + 0.3)
-        figure = Figure(figsize=(WIDTH, min(height, HEIGHT)), layout="constrained")
-        ratios = [_OF_MAP, 1 - _OF_MAP]
-        left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=ratios)[0]
-        _map(left.subplots(), found)
-        panels = right.subplots(rows, columns, squeeze=False).ravel()
-        for k, axes in enumerate(panels):
-            if k < number:
-                _panel(axes, found, k)
-                axes.tick_params(labelbottom=k + columns >= number)
-            else:
-                axes.set_axis_off()
-        right.supxlabel("decades from the mean of log10 radiance", fontsize=8)
+    figure = page(fig, max(_OF_MAP * WIDTH * aspect + 0.2, 0.8 * rows + 0.3))
+    left, right = figure.subfigures(1, 2, width_ratios=[_OF_MAP, 1 - _OF_MAP], squeeze=False).flat
+    missing = float((found.labels < 0).mean())
+    note = f"   (grey: none, {_percent(missing)})" if missing else ""
+    colors = qualitative(number)
+    ax = left.subplots()
+    _draw_labels(ax, found.labels, colors or [MISSING], f"Shape of each pixel{note}")
+    for k, (y, x) in enumerate(found.medoids):
+        ring = {"boxstyle": "circle,pad=0.18", "facecolor": "white", "edgecolor": colors[k]}
+        ax.annotate(
+            str(k + 1), (x, y), ha="center", va="center", fontsize=6.5, fontweight="bold",
+            bbox={**ring, "lw": 1.4},
+        )  # fmt: skip
+    panels = right.subplots(rows, columns, squeeze=False).flat
+    for k, ax in enumerate(panels):
+        if k < number:
+            _draw_shape(ax, found, k, colors[k])
+            ax.tick_params(labelbottom=k + columns >= number)
+        else:
+            ax.set_axis_off()
+    right.supxlabel("decades from the mean of log10 radiance", fontsize=8)
     return figure
 
 
-def _map(axes: Axes, found: Atlas) -> None:
-    number = max(1, len(found.share))
-    shades = ListedColormap(qualitative(number)).with_extremes(bad=MISSING)
-    shown = np.ma.masked_less(found.labels, 0)
-    norm = BoundaryNorm(np.arange(number + 1) - 0.5, number)
-    axes.imshow(shown, cmap=shades, norm=norm, interpolation="nearest")
-    axes.set(xticks=[], yticks=[])
-    axes.spines[:].set_visible(False)
-    missing = float((found.labels < 0).mean())
-    note = f"   (grey: none, {_percent(missing)})" if missing else ""
-    axes.set_title(f"Shape of each pixel{note}")
-    for k, (y, x) in enumerate(found.medoids):
-        _badge(axes, str(k + 1), (x, y), qualitative(number)[k])
-
-
-def _badge(axes: Axes, text: str, place: tuple[float, float], color: str) -> None:
-    axes.annotate(
-        text,
-        place,
-        ha="center",
-        va="center",
-        fontsize=6.5,
-        fontweight="bold",
-        bbox={"boxstyle": "circle,pad=0.18", "facecolor": "white", "edgecolor": color, "lw": 1.4},
-    )
-
-
-def _panel(axes: Axes, found: Atlas, k: int) -> None:
-    color = qualitative(len(found.share))[k]
+def _draw_shape(ax: Axes, found: Atlas, k: int, color: str) -> None:
+    """Draw the density of one shape, over the decades that hold the visible part of every shape."""
     inner = slice(1, -1)  # the outer bins hold all that lies beyond: no density
     low, high = np.moveaxis(found.density_band[k, inner], -1, 0)
-    axes.fill_between(found.positions[inner], low, high, color=color, alpha=0.35, linewidth=0)
-    axes.plot(found.positions[inner], found.density[k, inner], color=color, linewidth=1.4)
-    axes.axvline(0, color="#888888", linewidth=0.6, linestyle=":")
-    axes.set(xlim=_limits(found), yticks=[])
-    axes.set_ylim(bottom=0)
-    axes.spines["left"].set_visible(False)
-    y, x = found.medoids[k]
-    axes.set_title(
-        f"$\\bf{{{k + 1}}}$  {_percent(found.share[k])}, nulls {_percent(found.null_share[k])}",
-        loc="left",
-        fontsize=7.5,
-        pad=2,
-    )
-    axes.text(
-        0.99,
-        0.93,
-        f"y {y}\nx {x}",
-        transform=axes.transAxes,
-        ha="right",
-        va="top",
-        fontsize=6,
-        color="#555555",
-    )
-
-
-def _limits(found: Atlas) -> tuple[float, float]:
-    """Return the decades that the panels share: what holds the visible part of every shape."""
+    ax.fill_between(found.positions[inner], low, high, color=color, alpha=0.35, linewidth=0)
+    ax.plot(found.positions[inner], found.density[k, inner], color=color, linewidth=1.4)
+    ax.axvline(0, color="#888888", linewidth=0.6, linestyle=":")
     tops = found.density.max(axis=-1, keepdims=True)
     seen = found.positions[(found.density > _VISIBLE * tops).any(axis=0)]
-    return float(seen.min()) - 0.1, float(seen.max()) + 0.1
+    ax.set(xlim=(float(seen.min()) - 0.1, float(seen.max()) + 0.1), yticks=[])
+    ax.set_ylim(bottom=0)
+    ax.spines["left"].set_visible(False)
+    shares = f"{_percent(found.share[k])}, nulls {_percent(found.null_share[k])}"
+    ax.set_title(f"$\\bf{{{k + 1}}}$  {shares}", loc="left", fontsize=7.5, pad=2)
+    y, x = found.medoids[k]
+    ax.text(
+        0.99, 0.93, f"y {y}\nx {x}", transform=ax.transAxes, ha="right", va="top", fontsize=6,
+        color="#555555",
+    )  # fmt: skip

@@ -1,14 +1,15 @@
-"""Style: one look for all figures, as a context that leaves the user's settings alone.
+"""Style: one look for all figures, as a context or decorator that leaves the user's settings alone.
 
-What users have named is drawn as they wrote it, in fonts that have its letters: `verbatim` is for
-every name that is not the library's own, `families` has the fonts, and `spelt` goes around what
-saves figures.
+`page`, `axes_in` and `grid` make the figures and axes that everything is drawn into. Names that
+users chose are drawn as they wrote them, in fonts that have their letters: `verbatim` goes around
+every such name, `families` returns the fonts, and `spelt` goes around what saves figures.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import io
 import logging
 import re
 import warnings
@@ -17,15 +18,26 @@ from typing import Any
 
 import matplotlib as mpl
 from matplotlib import colormaps, font_manager
+from matplotlib.axes import Axes
 from matplotlib.colors import Colormap, to_hex, to_rgb
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from chdstat.errors import InputError
 
 __all__ = [
     "CHANNELS",
     "HEIGHT",
     "MISSING",
     "PALETTE",
+    "UNIT",
     "WIDTH",
+    "axes_in",
+    "bare",
     "families",
+    "grid",
+    "page",
+    "per_cent",
     "qualitative",
     "sequential",
     "spelt",
@@ -37,7 +49,10 @@ WIDTH = 6.7
 """Width of a figure that fills the text of an A4 page, in inches."""
 
 HEIGHT = 8.0
-"""What leaves room on that page for a heading and a caption."""
+"""Largest height of a figure, in inches: it leaves room on the page for a heading and a caption."""
+
+UNIT = r"W$\,$sr$^{-1}\,$m$^{-2}$"
+"""Unit of radiance."""
 
 PALETTE = (
     "#E69F00",
@@ -87,7 +102,7 @@ _SETTINGS: dict[Any, Any] = {
 
 @contextlib.contextmanager
 def style() -> Iterator[None]:
-    """Apply the style of chdstat's figures while the context lasts.
+    """Apply the style of chdstat's figures in a ``with`` block, or in a function it decorates.
 
     Examples
     --------
@@ -102,6 +117,69 @@ def style() -> Iterator[None]:
     """
     with mpl.rc_context(_SETTINGS | {"font.family": list(families())}):
         yield
+
+
+class NotebookFigure(Figure):
+    """A figure that a notebook shows, which it does not do with others made without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        with style():
+            self.savefig(stream, format="png", dpi="figure")
+        return stream.getvalue()
+
+
+def page(fig: Figure | None, height: float, width: float = WIDTH, **spaces: Any) -> Figure:
+    """Return the figure to draw into: the given one, or a new one of a size in inches.
+
+    Parameters
+    ----------
+    fig
+        A figure of the user; None makes one.
+    height, width
+        Size of a new figure, in inches; no higher than `HEIGHT`.
+    spaces
+        Of its layout: `wspace` and `hspace`, as shares of the width and height of its axes.
+    """
+    if fig is not None:
+        return fig
+    layout = ConstrainedLayoutEngine(**spaces)
+    return NotebookFigure(figsize=(width, min(height, HEIGHT)), layout=layout)
+
+
+def axes_in(ax: Axes | None, height: float, width: float = WIDTH / 2) -> Axes:
+    """Return the axes to draw into: the given ones, or those of a new figure."""
+    return page(None, height, width).subplots() if ax is None else ax
+
+
+def grid(figure: Figure | SubFigure, number: int, columns: int, **options: Any) -> list[Axes]:
+    """Return axes in rows of `columns`; the rest of the last row stays empty.
+
+    Raises
+    ------
+    InputError
+        If there is nothing to draw.
+    """
+    if not number:
+        message = "expected at least one panel to draw, got none"
+        raise InputError(message)
+    rows = -(-number // columns)
+    axes = list(figure.subplots(rows, columns, squeeze=False, **options).flat)
+    for empty in axes[number:]:
+        empty.remove()
+    return axes[:number]
+
+
+def per_cent(share: float, _tick: float = 0) -> str:
+    """Return a share in whole per cent; axes of shares take it as formatter of their ticks."""
+    return f"{100 * share:.0f} %"
+
+
+def bare(ax: Axes, title: str = "", **options: Any) -> None:
+    """Leave out ticks and frame of axes that show an image; `options` are those of the title."""
+    ax.set(xticks=[], yticks=[])
+    ax.spines[:].set_visible(False)
+    ax.set_title(title, **options)
 
 
 def qualitative(number: int) -> list[str]:
@@ -179,9 +257,15 @@ def families() -> tuple[str, ...]:
 @contextlib.contextmanager
 def spelt() -> Iterator[None]:
     """Log in one line which letters no font has, where Matplotlib warns of each and each time."""
-    with _silent_fonts(), warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        yield
+    fonts = logging.getLogger(font_manager.__name__)
+    level = fonts.level
+    fonts.setLevel(logging.ERROR)  # it says of each font that it has no bold letters
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            yield
+    finally:
+        fonts.setLevel(level)
     letters: dict[str, None] = {}
     for warning in caught:
         if found := _MISSING.match(str(warning.message)):
@@ -198,15 +282,3 @@ def spelt() -> Iterator[None]:
             " ".join([*letters][:_SHOWN]) + " …" * (len(letters) > _SHOWN),
             mpl.get_cachedir(),
         )
-
-
-@contextlib.contextmanager
-def _silent_fonts() -> Iterator[None]:
-    """Keep quiet about fonts that have no bold letters: their plain ones are drawn."""
-    log = logging.getLogger(font_manager.__name__)
-    level = log.level
-    log.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        log.setLevel(level)

@@ -39,7 +39,7 @@ def main() -> None:
 def draw(axes: Axes, x: np.ndarray, name: str, color: str) -> None:
     null = (x == 0).all(axis=0)
     histogram = chd.histogram(x[1], null=null)
-    viz.chd_axes(axes, {"G": viz.Curve(histogram.edges, histogram.density)}, scale="log")
+    viz.chd_axes(histogram, channels=["G"], ax=axes)
     found = chd.fit.select(x[1], null=null)
     for family, line in zip(found.families, viz.PALETTE[4:], strict=False):
         density = found.fits[family].pdf(histogram.centers) * histogram.centers * np.log(10)

@@ -69,14 +69,8 @@ for name, share in zip(pixels, null.mean(axis=-1), strict=True):
 
 def panel(name: str, x: np.ndarray) -> viz.Panel:
     null = (x == 0).all(axis=0)
-    curves = {}
-    for scale in ("linear", "log"):
-        h = chd.histogram(x, scale=scale, null=null)
-        channels = zip(samples.channels, h.edges, h.density, strict=True)
-        curves[scale] = {c: viz.Curve(edges, density) for c, edges, density in channels}
-    means = dict(zip(samples.channels, x.mean(axis=-1), strict=True))
-    note = f"{null.mean():.0%} nulls"
-    return viz.Panel(name, curves["linear"], curves["log"], means, note)
+    linear, log = (chd.histogram(x, scale=scale, null=null) for scale in ("linear", "log"))
+    return viz.Panel(name, linear, log, mean=x.mean(axis=-1), note=f"{null.mean():.0%} nulls")
 
 
 viz.chd_grid([panel(*pixel) for pixel in zip(pixels, x, strict=True)])

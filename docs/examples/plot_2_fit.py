@@ -48,12 +48,10 @@ for i, name in enumerate(names):
 # decade when multiplied by ``x log(10)``.
 
 mixed = chd.fit.mixture(green, null=null)
-histogram = chd.histogram(green, null=null)
 with viz.style():
     figure = Figure(figsize=(6.7, 2.3), layout="constrained")
     for i, axes in enumerate(figure.subplots(1, 3)):
-        curve = viz.Curve(histogram.edges[i], histogram.density[i])
-        viz.chd_axes(axes, {"G": curve}, scale="log")
+        viz.chd_axes(chd.histogram(green[i], null=null[i]), channels=["G"], ax=axes)
         best = found.names[i]
         fits = {best: found.fits[best], f"{mixed.k[i]} log-normal": mixed}
         radiance = np.geomspace(1e-5, 1e2, 400)
@@ -104,6 +102,7 @@ for name, xi, (low, high), n in zip(names, tail.xi, tail.interval, tail.n, stric
 # and the vanity are that dark, down to 1e-20: a log-normal distribution, as sensitive at the dark
 # end as at the bright one, is wider with them. The gamma fits hardly notice.
 
+histogram = chd.histogram(green, null=null)
 of_counts = chd.fit.select(histogram)
 for i, name in enumerate(names):
     sigmas = (fits["lognormal"].parameters["sigma"][i] for fits in (found.fits, of_counts.fits))

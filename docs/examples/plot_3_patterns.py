@@ -46,15 +46,13 @@ for pattern in PATTERNS:
 label = patterns["label"]
 meanings = [name.replace("_", " ") for name in label.attrs["flag_meanings"].split()]
 names = dict(zip(label.attrs["flag_values"], meanings, strict=True))
-viz.map_grid(
-    [
-        viz.categorical_map(label, names, title="Label"),
-        viz.value_map(patterns["null_heavy_statistic"], title="Share of nulls", limits=(0, 1)),
-        viz.value_map(
-            patterns["long_tail_statistic"], title=r"Tail index $\xi$", limits=(-0.25, 0.75)
-        ),
-    ]
-)
+figure = viz.map_grid(3)
+left, middle, right = figure.axes
+viz.categorical_map(label, names, title="Label", ax=left)
+viz.value_map(patterns["null_heavy_statistic"], title="Share of nulls", limits=(0, 1), ax=middle)
+tail = patterns["long_tail_statistic"]
+viz.value_map(tail, title=r"Tail index $\xi$", limits=(-0.25, 0.75), ax=right)
+figure
 
 # %%
 # The window is constant: every sample of it is the same sky. Away from it, most paths are null in
@@ -75,17 +73,13 @@ agreement = patterns["label_agreement"]
 print("pairs of neighbours with one label: {observed:.0%}".format(**agreement.attrs))
 print("of shuffled labels: {by_chance:.0%}".format(**agreement.attrs))
 print("kappa {kappa:.2f}, z {z:.0f}".format(**agreement.attrs))
-viz.map_grid(
-    [
-        viz.value_map(agreement, title="Neighbours that agree", limits=(0, 1)),
-        viz.value_map(
-            patterns["firefly_dominated_statistic"],
-            title="Share of the largest sample",
-            limits=(0, 0.5),
-        ),
-        viz.value_map(patterns["bimodal_statistic"], title="Ashman's D of modes", limits=(0, 6)),
-    ]
-)
+figure = viz.map_grid(3)
+left, middle, right = figure.axes
+viz.value_map(agreement, title="Neighbours that agree", limits=(0, 1), ax=left)
+largest = patterns["firefly_dominated_statistic"]
+viz.value_map(largest, title="Share of the largest sample", limits=(0, 0.5), ax=middle)
+viz.value_map(patterns["bimodal_statistic"], title="Ashman's D of modes", limits=(0, 6), ax=right)
+figure
 
 # %%
 # How often are the flags right?

@@ -73,13 +73,11 @@ print(f"improved: {np.mean(errors['self-trained'] < errors['mean of 64']):.0%} o
 # pixels, not calibrated, so count how often it holds what the other samples say.
 
 width = (found.high - found.low).mean(axis=-1) / found.radiance.mean(axis=-1)
-viz.map_grid(
-    [
-        viz.value_map(found.certainty, title="Certainty", limits=(0, 1)),
-        viz.value_map(width, title="Width of the interval ÷ estimate"),
-    ],
-    columns=2,
-)
+figure = viz.map_grid(2, columns=2)
+left, right = figure.axes
+viz.value_map(found.certainty, title="Certainty", limits=(0, 1), ax=left)
+viz.value_map(width, title="Width of the interval ÷ estimate", ax=right)
+figure
 
 # %%
 

@@ -54,15 +54,7 @@ for part in indirect.parts:
 # Each finding carries what its figure draws.
 
 shown = [f for f in found if f.plot_data.series][:8]
-viz.displays(
-    [
-        viz.Display(e.kind, e.series, e.x_label, e.y_label, title=f"{f.number} {f.name}")
-        for f in shown
-        for e in [f.plot_data]
-    ],
-    columns=3,
-    height=1.6,
-)
+viz.finding_plots({f"{f.number} {f.name}": f.plot_data for f in shown})
 
 # %%
 # Many scenes

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from chdstat.reporting.claims import (
-    asked,
     claim_content,
     claim_figures,
     finding_content,
     plot_findings,
+    with_others,
 )
 from chdstat.studies.claims import FINDINGS, ClaimTest, Finding, Statistic
 from chdstat.studies.outcomes import PlotData
@@ -68,10 +68,10 @@ def test_a_verdict_is_that_of_the_claim_and_not_of_what_stands_beside_it(both):
         (["box"], "supported"),
         (["box, progressive (ours)"], "not supported"),
     ]
-    assert list(asked({"box": both})) == ["box", "box, progressive (ours)"]
+    assert list(with_others({"box": both})) == ["box", "box, progressive (ours)"]
     (figure,) = claim_figures(15, {"box": both}).values()
     assert [text.get_text() for text in figure.axes[0].get_yticklabels()] == list(
-        asked({"box": both})
+        with_others({"box": both})
     )
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import ChdstatError, InputError, LeftOutWarning
-from chdstat.reporting.findings import findings
+from chdstat.reporting.content import findings
 from chdstat.reporting.typst import between, number, percent
 
 FIXED = ("mean", "median_of_means")
@@ -41,7 +41,7 @@ def test_a_report_has_all_its_parts(radiance, tmp_path):
         assert part in text
     for part in ("Are averages Gaussian?", "Estimators", "Method and limits", "References"):
         assert part in text
-    for part in ("The paper’s claims", "Not asked: 9 (path lengths)", "share of gamma less"):
+    for part in ("The paper’s claims", "Not tested: 9 (path lengths)", "share of gamma less"):
         assert part in text
     assert "50 % of all samples are null" in text
     assert "median of means" in text

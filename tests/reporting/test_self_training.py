@@ -7,10 +7,10 @@ import pytest
 
 import chdstat as chd
 from chdstat.analysis import overview
+from chdstat.comparison.self_training import SelfTraining, coverage
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive import Estimates
-from chdstat.reporting.findings import findings
-from chdstat.reporting.scene_figures import SelfTraining, coverage
+from chdstat.reporting import content, figures
 
 
 def samples(spp=128, side=12):
@@ -56,20 +56,20 @@ def test_coverage_counts_the_pixels_that_judge(found):
 
 
 def test_words_and_a_figure_come_of_it(trained, found):
-    content = trained.content()
-    assert content["n"] == 64
-    assert content["mse_ratio"] != "—"
-    figure = trained.figure()
+    told = content.self_training_content(trained)
+    assert told["n"] == 64
+    assert told["mse_ratio"] != "—"
+    figure = figures.self_training(trained)
     figure.draw_without_rendering()
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert titles[:3] == ["Mean of 64 samples", "Self-trained", "Reference"]
     assert titles[3:] == [
         "Certainty",
         "Width of the interval ÷ estimate",
-        "Intervals that hold the reference",
+        "Intervals that contain the reference",
     ]
     whole = overview(chd.analyze(samples(side=4), progress=False))
-    questions = [row.question for row in findings(whole, None, found, trained)]
+    questions = [row.question for row in content.findings(whole, None, found, trained)]
     assert any("64 samples without a reference" in question for question in questions)
 
 

@@ -10,8 +10,8 @@ from matplotlib.patches import Rectangle
 
 from chdstat import viz
 from chdstat.errors import InputError
-
-EDGES = np.geomspace(1e-3, 10, 41)
+from chdstat.studies.claims import ClaimTest, PlotData, Statistic
+from chdstat.summary.histograms import histogram
 
 
 def texts(figure):
@@ -19,13 +19,16 @@ def texts(figure):
     return {t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_visible()}
 
 
-def curve(value=1.0):
-    return viz.Curve(EDGES, np.full(40, value))
+def counted(*shape, scale="log"):
+    return histogram(np.random.default_rng(3).gamma(1.0, size=(*shape, 64)), scale=scale)
 
 
 def panel(name):
-    channels = {"R": curve(), "G": curve(2.0), "B": curve(3.0)}
-    return viz.Panel(name, channels, channels, note="12 % null")
+    return viz.Panel(name, counted(3, scale="linear"), counted(3), note="12 % null")
+
+
+def claim_test(value, low, high, *, name="share", unit="1", least=-np.inf, most=np.inf):
+    return ClaimTest(Statistic(name, value, unit), low, high, 0.95, least, most)
 
 
 @pytest.fixture
@@ -42,16 +45,15 @@ def marks():
 
 
 def test_a_verdict_is_told_by_colour_and_by_symbol():
-    figure = viz.verdict_matrix(
+    axes = viz.verdict_matrix(
         {"nulls": {"a": "supported", "b": "not supported*"}, "modes": {"a": "cannot tell"}}
     )
-    axes = figure.axes[0]
     symbols = [t.get_text() for t in axes.texts]
     colors = [to_hex(p.get_facecolor()).upper() for p in axes.findobj(Rectangle)[:3]]
     assert symbols == ["✓", "✗", "?"]
     assert colors == [viz.VERDICTS[v][0] for v in ("supported", "not supported", "cannot tell")]
     assert len(set(colors)) == len(set(symbols)) == 3
-    assert {"nulls", "modes", "a", "b"} <= texts(figure)
+    assert {"nulls", "modes", "a", "b"} <= texts(axes.figure)
 
 
 def test_an_unknown_verdict_or_none_at_all_is_refused():
@@ -62,45 +64,49 @@ def test_an_unknown_verdict_or_none_at_all_is_refused():
 
 
 def test_intervals_stand_over_the_range_of_the_claim():
-    part = viz.Measured("share", [0.7, np.nan], [0.6, np.nan], [0.8, np.nan], least=0.5, unit="m")
-    figure = viz.claim_intervals([part], ["a", "b"])
+    figure = viz.claim_intervals(
+        {"a": [claim_test(0.7, 0.6, 0.8, least=0.5, unit="m")], "b": [], "c": [claim_test(1, 2, 3)]}
+    )
     low, high = figure.axes[0].get_xlim()
     assert low < 0.5 < 0.8 < high
-    assert {"share (m)", "a", "b", "—"} <= texts(figure)
+    assert {"share (m)", "share", "a", "b", "c", "—"} <= texts(figure)
+    assert len(figure.axes) == 2  # the same statistic with another range is another claim
 
 
 def test_an_interval_has_the_colour_of_its_verdict():
-    part = viz.Measured("x", [0.0, 2.0, 1.0], [-0.1, 1.9, 0.5], [0.1, 2.1, 1.5], most=1.0)
-    lines = viz.claim_intervals([part], ["in", "out", "across"]).axes[0].lines
+    intervals = {"in": (0.0, -0.1, 0.1), "out": (2.0, 1.9, 2.1), "across": (1.0, 0.5, 1.5)}
+    tests = {name: [claim_test(*interval, most=1.0)] for name, interval in intervals.items()}
+    lines = viz.claim_intervals(tests).axes[0].lines
     colors = [to_hex(line.get_color()).upper() for line in lines if len(line.get_xdata()) == 2]
     yes, no = viz.VERDICTS["supported"][0], viz.VERDICTS["not supported"][0]
     assert colors[-3:-1] == [yes, no]
     assert colors[-1] not in {yes, no}
 
 
-def test_a_part_without_a_value_for_each_scene_is_refused():
-    with pytest.raises(InputError, match=r"each of 2 scenes, got \[1\]"):
-        viz.claim_intervals([viz.Measured("x", [1], [0], [2])], ["a", "b"])
+def test_claims_without_a_test_are_refused():
+    with pytest.raises(InputError, match="at least one panel"):
+        viz.claim_intervals({"a": []})
 
 
 @pytest.mark.parametrize("kind", ["curves", "points", "bars", "map"])
-def test_every_kind_of_exhibit_is_drawn(kind):
+def test_every_kind_of_plot_is_drawn(kind):
     x = np.linspace(0, 1, 50)
     y = np.outer(x, x) if kind == "map" else x**2
     series = {"one": (x, y)} if kind == "map" else {"one": (x, y), "two": (x, 2 * y)}
-    figure = viz.displays([viz.Display(kind, series, "x", "y", f"scene {i}") for i in range(2)])
+    plot = PlotData(kind, series, "x", "y")
+    figure = viz.finding_plots({"scene 0": plot, "scene 1": plot})
     assert {"scene 0", "scene 1", "x", "y"} <= texts(figure)
     with pytest.raises(InputError, match="at least one panel"):
-        viz.displays([])
+        viz.finding_plots({})
 
 
 def test_a_peak_does_not_squeeze_a_curve_and_nan_draws_nothing():
     y = np.ones(100)
     y[3] = 1e6
-    figure = viz.displays([viz.Display("curves", {"loss": (np.arange(100), y)})])
+    figure = viz.finding_plots({"": PlotData("curves", {"loss": (np.arange(100), y)})})
     assert figure.axes[0].get_ylim()[1] < 10
-    empty = viz.Display("curves", {"loss": (np.arange(100), np.full(100, np.nan))})
-    viz.displays([empty]).draw_without_rendering()
+    empty = PlotData("curves", {"loss": (np.arange(100), np.full(100, np.nan))})
+    viz.finding_plots({"": empty}).draw_without_rendering()
 
 
 # --- scenes -------------------------------------------------------------------------------------
@@ -121,28 +127,30 @@ def test_a_region_without_a_panel_is_refused(image, marks):
 
 
 def test_all_batches_and_their_means_are_drawn():
-    counts = np.ones((64, 40))
-    one = viz.BatchPanel("wall", EDGES, counts, EDGES, counts[0], 0.5)
-    upper, lower = viz.batch_histograms([one], number=64, size=32).axes
+    x = np.random.default_rng(0).gamma(0.5, size=(64, 32))
+    figure = viz.batch_histograms({"wall": x})
+    upper, lower = figure.axes
     (batches,) = upper.collections
     assert len(batches.get_paths()) == 64
-    assert len(upper.patches) == len(lower.patches) == 1
-    assert [line.get_xdata()[0] for line in (*upper.lines, *lower.lines)] == [0.5, 0.5]
-    with pytest.raises(InputError, match="at least one pixel"):
-        viz.batch_histograms([], number=64, size=32)
+    means, bins = x.mean(axis=1), lower.patches
+    assert [p.get_height() for p in bins] == np.histogram(means, len(bins))[0].tolist()
+    assert [a.lines[0].get_xdata()[0] for a in (upper, lower)] == pytest.approx([x.mean()] * 2)
+    assert {"64 batches\nof 32 samples", "their 64\nmeans"} <= texts(figure)
+    with pytest.raises(InputError, match="at least one panel"):
+        viz.batch_histograms({})
 
 
 def test_a_firefly_and_its_neighbour_are_named(image):
-    pixels = {"firefly": (5, 5), "neighbour": (4, 5)}
-    curves = {name: curve(i + 1.0) for i, name in enumerate(pixels)}
-    figure = viz.firefly_pair(image, pixels, curves, curves, notes={"firefly": "9.3"})
+    pixels = {"firefly: 9.3": (5, 5), "neighbour": (4, 5)}
+    linear, log = ({n: counted(scale=scale) for n in pixels} for scale in ("linear", "log"))
+    figure = viz.firefly_pair(image, pixels, linear, log)
     assert {"firefly: 9.3", "neighbour"} <= texts(figure)
     with pytest.raises(InputError, match="got 1 pixels"):
-        viz.firefly_pair(image, {"firefly": (5, 5)}, curves, curves)
+        viz.firefly_pair(image, {"firefly": (5, 5)}, linear, log)
 
 
 def test_two_views_share_one_exposure(image):
-    log = {f"region {i}": {"short": curve(), "long": curve(2.0)} for i in range(5)}
+    log = {f"region {i}": {"short": counted(), "long": counted()} for i in range(5)}
     figure = viz.view_pair({"short": image / 2, "long": image}, log)
     dark, bright = (a.images[0].get_array().mean() for a in figure.axes if a.images)
     assert dark < 0.85 * bright

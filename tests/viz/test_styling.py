@@ -11,6 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from chdstat import viz
+from chdstat.studies.claims import ClaimTest, PlotData, Statistic
+from chdstat.summary.histograms import histogram
 from chdstat.viz import styling
 from chdstat.viz.styling import families, spelt, verbatim
 
@@ -20,10 +22,16 @@ IN_NO_FONT = "\U0010fffd"
 
 IMAGE = np.random.default_rng(0).random((12, 16, 3))
 MARK = viz.Mark(NAME, slice(2, 6), slice(2, 6), (4, 4))
-EDGES = np.linspace(0.1, 1, 5)
-CURVE = viz.Curve(EDGES, np.ones(4))
-PANEL = viz.Panel(NAME, {NAME: CURVE, "G": CURVE}, {NAME: CURVE, "G": CURVE})
+LINEAR, LOG = (
+    histogram(np.random.default_rng(1).gamma(1.0, size=(2, 64)), scale=scale)
+    for scale in ("linear", "log")
+)
+PANEL = viz.Panel(NAME, LINEAR, LOG, channels=[NAME, "G"])
 SERIES = {NAME: (np.arange(3), np.arange(3)), "other": (np.arange(3), np.arange(3))}
+
+
+def one_channel():
+    return histogram(np.random.default_rng(1).gamma(1.0, size=64))
 
 
 @pytest.mark.parametrize(
@@ -32,19 +40,17 @@ SERIES = {NAME: (np.arange(3), np.arange(3)), "other": (np.arange(3), np.arange(
         lambda: viz.with_marks(IMAGE, [MARK]),
         lambda: viz.chd_grid([PANEL]),
         lambda: viz.region_study(IMAGE, [MARK], [PANEL]),
-        lambda: viz.batch_histograms(
-            [viz.BatchPanel(NAME, EDGES, np.ones((2, 4)), EDGES, np.ones(4), 0.5)],
-            number=2,
-            size=4,
-        ),
-        lambda: viz.view_pair({"short": IMAGE, NAME: IMAGE}, {NAME: {NAME: CURVE}}),
+        lambda: viz.batch_histograms({NAME: np.ones((2, 4))}),
+        lambda: viz.view_pair({"short": IMAGE, NAME: IMAGE}, {NAME: {NAME: one_channel()}}),
         lambda: viz.averages([1, 2], {NAME: [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05),
-        lambda: viz.verdict_matrix({"nulls": {NAME: "supported"}}),
-        lambda: viz.claim_intervals([viz.Measured("share", [0.5], [0.4], [0.6])], [NAME]),
-        lambda: viz.displays([viz.Display("curves", SERIES, title=NAME)]),
-        lambda: viz.displays([viz.Display("points", SERIES)]),
-        lambda: viz.displays([viz.Display("bars", SERIES)]),
-        lambda: viz.displays([viz.Display("curves", SERIES), viz.Display("points", {})]),
+        lambda: viz.verdict_matrix({"nulls": {NAME: "supported"}}).figure,
+        lambda: viz.claim_intervals(
+            {NAME: [ClaimTest(Statistic("share", 0.5), 0.4, 0.6, 0.95, least=0.3)]}
+        ),
+        lambda: viz.finding_plots({NAME: PlotData("curves", SERIES)}),
+        lambda: viz.finding_plots({"": PlotData("points", SERIES)}),
+        lambda: viz.finding_plots({"": PlotData("bars", SERIES)}),
+        lambda: viz.finding_plots({"a": PlotData("curves", SERIES), "b": PlotData("points", {})}),
     ],
 )
 def test_dollar_signs_in_a_name_begin_no_formula(draw):

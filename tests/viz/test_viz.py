@@ -5,14 +5,16 @@ from __future__ import annotations
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
+from matplotlib.colors import to_hex
 from scipy import stats
 
 from chdstat import viz
 from chdstat.errors import InputError
+from chdstat.estimators.training import History
 from chdstat.patterns import atlas
 from chdstat.samples import Samples
 from chdstat.summary.histograms import histogram
+from chdstat.viz import CHANNELS
 
 
 @pytest.fixture
@@ -25,10 +27,8 @@ def texts(figure):
     return {t.get_text() for t in figure.findobj(mpl.text.Text) if t.get_visible()}
 
 
-def curve(low=0.1, high=10.0, scale="log"):
-    space = np.geomspace if scale == "log" else np.linspace
-    edges = space(low, high, 101)
-    return viz.Curve(edges, np.ones(100), np.full(100, 0.5))
+def counted(scale="log", channels=3):
+    return histogram(np.random.default_rng(1).gamma(1.0, size=(channels, 64)), scale=scale)
 
 
 def test_tonemap_is_srgb():
@@ -61,26 +61,38 @@ def test_marks_are_numbered_and_magnified(image):
 @pytest.mark.parametrize("scale", ["linear", "log"])
 def test_chd_axes_draws_what_histogram_returns(scale):
     x = np.random.default_rng(1).gamma(1.0, size=(3, 64))
-    one, same, gray = Figure().subplots(1, 3)
     found = histogram(x, scale=scale)
-    viz.chd_axes(one, found, scale=scale)
-    curves = {c: viz.Curve(found.edges[i], found.density[i]) for i, c in enumerate("RGB")}
-    viz.chd_axes(same, curves, scale=scale)
-    drawn, expected = ([p.get_data().values for p in a.patches] for a in (one, same))
-    np.testing.assert_array_equal(drawn, expected)
-    assert [p.get_edgecolor() for p in one.patches] == [p.get_edgecolor() for p in same.patches]
-    viz.chd_axes(gray, histogram(x[0], scale=scale), scale=scale)
+    ax = viz.chd_axes(found)
+    assert ax.get_xscale() == scale
+    areas, outlines = ax.patches[::2], ax.patches[1::2]
+    for drawn in (areas, outlines):
+        np.testing.assert_array_equal([p.get_data().values for p in drawn], found.density)
+        np.testing.assert_array_equal([p.get_data().edges for p in drawn], found.edges)
+    assert [to_hex(p.get_edgecolor()) for p in outlines] == [c.lower() for c in CHANNELS.values()]
+    gray = viz.chd_axes(histogram(x[0], scale=scale), channels=["G"])
     np.testing.assert_allclose(gray.patches[0].get_data().values, found.density[0])
-    other = "log" if scale == "linear" else "linear"
-    with pytest.raises(InputError, match=f"expected a {other} histogram of one pixel"):
-        viz.chd_axes(one, found, scale=other)
+    assert to_hex(gray.patches[1].get_edgecolor()) == CHANNELS["G"].lower()
     with pytest.raises(InputError, match="one pixel, .* got"):
-        viz.chd_axes(one, histogram(x[np.newaxis], scale=scale), scale=scale)
+        viz.chd_axes(histogram(x[np.newaxis], scale=scale))
+    with pytest.raises(InputError, match="2 channels, got one of shape"):
+        viz.chd_axes(found, channels=["a", "b"])
+
+
+def test_a_fit_is_a_curve_in_the_unit_of_its_histogram():
+    x = np.random.default_rng(2).lognormal(size=400)
+    density = stats.lognorm(1.0).pdf
+    for scale in ("linear", "log"):
+        found = histogram(x, scale=scale)
+        (line,) = viz.chd_axes(found, fits=[density]).lines
+        radiance, drawn = line.get_xydata()[line.get_xdata() > 0].T
+        factor = radiance * np.log(10) if scale == "log" else 1.0
+        np.testing.assert_allclose(drawn, density(radiance) * factor)
+    assert not viz.chd_axes(found, fits=[None]).lines
 
 
 def test_chd_grid_shows_every_panel():
     panels = [
-        viz.Panel(f"p{i}", {"R": curve(0, 1, "linear")}, {"R": curve()}, {"R": 0.4}, f"note {i}")
+        viz.Panel(f"p{i}", counted("linear"), counted(), mean=[0.4, 0.5, 0.6], note=f"note {i}")
         for i in range(3)
     ]
     found = texts(viz.chd_grid(panels))
@@ -90,21 +102,18 @@ def test_chd_grid_shows_every_panel():
 
 
 def test_a_pixel_without_samples_says_so():
-    nothing = viz.Curve(np.full(101, np.nan), np.full(100, np.nan))
-    figure = viz.chd_grid([viz.Panel("dark", {"R": nothing}, {"R": nothing})])
+    linear, log = (histogram(np.zeros((3, 8)), scale=scale) for scale in ("linear", "log"))
+    figure = viz.chd_grid([viz.Panel("dark", linear, log)])
     assert "no positive samples" in texts(figure)
 
 
 def test_maps_have_scales_and_legends(image):
     codes = np.zeros((20, 30), int)
     codes[:, :6] = 2
-    figure = viz.map_grid(
-        [
-            viz.value_map(image[..., 0], title="values", unit="radiance"),
-            viz.categorical_map(codes, {0: "one", 1: "never", 2: "two"}, title="labels"),
-        ],
-        columns=2,
-    )
+    figure = viz.map_grid(2, columns=2)
+    left, right = figure.axes
+    viz.value_map(image[..., 0], title="values", unit="radiance", ax=left)
+    viz.categorical_map(codes, {0: "one", 1: "never", 2: "two"}, title="labels", ax=right)
     found = texts(figure)
     assert {"values", "labels", "radiance", "one 80 %", "two 20 %"} <= found
     assert not any("never" in t for t in found)
@@ -112,13 +121,11 @@ def test_maps_have_scales_and_legends(image):
 
 @pytest.mark.parametrize("measured", [(0.5, 0.9), (0.02, 0.3), (np.nan, np.nan)])
 def test_images_and_coverage_stand_beside_maps(image, measured):
-    draw = [
-        viz.image_map(image, title="seen", exposure=0),
-        viz.coverage([0.5, 0.9], {"ours": measured}, title="hold"),
-    ]
-    figure = viz.map_grid(draw, columns=2)
-    assert {"seen", "hold", "ours", "stated", "measured"} <= texts(figure)
+    figure = viz.map_grid(2, columns=2)
     shown, shares = figure.axes
+    viz.image_map(image, title="seen", exposure=0, ax=shown)
+    viz.coverage([0.5, 0.9], {"ours": measured}, title="contain", ax=shares)
+    assert {"seen", "contain", "ours", "stated", "measured"} <= texts(figure)
     np.testing.assert_allclose(shown.images[0].get_array(), viz.tonemap(image, exposure=0))
     assert shares.lines[1].get_ydata() == pytest.approx(measured, nan_ok=True)
     assert shares.get_xlim()[0] == shares.get_ylim()[0] < 0.5
@@ -126,7 +133,7 @@ def test_images_and_coverage_stand_beside_maps(image, measured):
 
 @pytest.mark.parametrize("value", [np.nan, 3.0])
 def test_a_map_without_spread_is_drawn(value):
-    viz.map_grid([viz.value_map(np.full((4, 4), value), title="flat")]).canvas.draw()
+    viz.value_map(np.full((4, 4), value)).figure.canvas.draw()
 
 
 def test_images_share_an_exposure_and_show_errors(image):
@@ -140,17 +147,16 @@ def test_images_share_an_exposure_and_show_errors(image):
 def test_curves_draw_what_they_are_given():
     figure = viz.averages([1, 2], {"R": [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05)
     assert {"R", "measured", r"CLT: $1/\sqrt{N}$"} <= texts(figure)
-    figure = viz.training([1, 2, 3], {"training": [3, 2, 1]}, {"training": 2.0})
-    assert "sample mean, training" in texts(figure)
 
 
 def test_the_legend_of_a_training_is_beside_its_curves():
-    losses = {"training": [3, 2, 1], "validation": [3, 2.5, 2.2]}
-    figure = viz.training([1, 2, 3], losses, {"training": 2.9, "validation": 3.0})
-    figure.draw_without_rendering()
-    (legend,) = figure.legends
+    rows = np.array([[1, 2, 3], [3, 2, 1], [3, 2.5, 2.2], [2.9] * 3, [3.0] * 3])
+    ax = viz.training(History(*rows))
+    ax.figure.draw_without_rendering()
+    legend = ax.get_legend()
+    assert "sample mean, training" in texts(ax.figure)
     assert len(legend.get_texts()) == 4
-    assert legend.get_window_extent().y0 >= figure.axes[0].get_window_extent().y1
+    assert legend.get_window_extent().y0 >= ax.get_window_extent().y1
 
 
 @pytest.mark.parametrize("marks", [(), [viz.Mark("m", slice(0, 9), slice(0, 3), (4, 1))]])
@@ -159,7 +165,7 @@ def test_a_high_image_fits_the_page(marks):
     for figure in (
         viz.with_marks(high, marks),
         viz.side_by_side({"a": high, "b": high}, errors={"a": high[..., 0]}),
-        viz.map_grid(9 * [viz.value_map(high[..., 0], title="flat")], aspect=3),
+        viz.map_grid(9, aspect=3),
     ):
         assert figure.get_figheight() <= 8
 
@@ -167,7 +173,7 @@ def test_a_high_image_fits_the_page(marks):
 def test_the_central_limit_theorem_is_a_straight_line_on_a_log_scale():
     n = np.array([1, 4, 16])
     skewness = np.array([[-0.1, 1, 3]]).T / np.sqrt(n)
-    figure = viz.averages(n, {"R": 0 / n}, skewness, 1 / np.sqrt(n), alpha=0.05, scale="log")
+    figure = viz.averages(n, {"R": 0 / n}, skewness, 1 / np.sqrt(n), alpha=0.05)
     right = figure.axes[1]
     (line,) = [drawn for drawn in right.lines if "CLT" in str(drawn.get_label())]
     np.testing.assert_allclose(np.diff(np.log(line.get_xydata()), axis=0) @ [1, 2], 0, atol=1e-12)
@@ -185,7 +191,7 @@ def test_fits_are_drawn_over_both_histograms():
     # Per decade, a log-normal density is Gaussian in log10 of radiance.
     expected = stats.norm(scale=1 / np.log(10)).pdf(np.log10(radiance))
     np.testing.assert_allclose(density, expected, rtol=1e-9)
-    with pytest.raises(InputError, match=r"shape \(bin,\), got shape \(2, 100\)"):
+    with pytest.raises(InputError, match=r"1 channels, got one of shape \(2, 100\)"):
         viz.fits(linear, histogram(np.ones((2, 4))), {})
 
 
@@ -197,16 +203,14 @@ def test_fits_of_no_samples_are_drawn():
 
 def test_the_map_of_n_needed_tells_more_than_tested_from_no_answer():
     needed = np.array([[1, 1, 4, -1], [0, 1, 1, 1]])
-    figure = viz.map_grid([viz.n_needed(needed, [1, 2, 4])])
-    found = texts(figure)
+    found = texts(viz.n_needed(needed, [1, 2, 4]).figure)
     assert {"1: 62 %", "4: 12 %", "> 4: 12 %"} <= found
     assert not any(t.startswith(("2:", "0")) for t in found)
 
 
 def test_more_labels_than_colours_stay_apart():
     codes = np.arange(12).reshape(3, 4)
-    figure = viz.map_grid([viz.categorical_map(codes, {i: f"f{i}" for i in range(12)}, title="t")])
-    image = figure.axes[0].images[0]
+    (image,) = viz.categorical_map(codes, {i: f"f{i}" for i in range(12)}).images
     colors = image.cmap(image.norm(np.arange(12)))
     assert len(np.unique(colors, axis=0)) == 12
 
@@ -233,12 +237,3 @@ def test_an_atlas_is_a_map_and_a_panel_for_each_shape(two_shapes, clusters):
 
 def test_an_atlas_of_nothing_is_drawn():
     viz.atlas(atlas(Samples.from_array(np.zeros((4, 4, 1, 8))))).canvas.draw()
-
-
-def test_drawing_leaves_settings_and_pyplot_alone(image):
-    import matplotlib.pyplot as plt
-
-    before = dict(mpl.rcParams)
-    viz.with_marks(image)
-    assert dict(mpl.rcParams) == before
-    assert plt.get_fignums() == []

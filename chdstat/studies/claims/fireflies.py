@@ -14,7 +14,7 @@ from chdstat.studies.log_chds import SAME_SHAPE, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["BRIGHTER", "LEAST", "SAME_MEAN", "measure"]
+__all__ = ["BRIGHTER", "LEAST", "SAME_MEAN", "brightest_firefly", "measure"]
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -27,6 +27,10 @@ SAME_MEAN = 2.0
 of what makes a firefly."""
 LEAST = 12
 """Fireflies that a median over them needs."""
+_USUAL = 3
+"""Batches that show what is usual for a pixel."""
+_SIMILAR = 1.5
+"""Ratio up to which two medians are about the same."""
 _PARTS = 2
 _FOLDS = 4
 _BIN = 0.1
@@ -75,6 +79,29 @@ def measure(data: SceneData) -> Outcome:
         },
         plot_data=_plot_data(data, partner, np.where(found, square, np.nan)),
     )
+
+
+def brightest_firefly(batches: Floats) -> tuple[int, int, int] | None:
+    """Return row, column and batch of the brightest firefly; None without any.
+
+    It is an estimate at least `BRIGHTER` times the median of its pixel and of the pixel above it,
+    where these medians are about the same: elsewhere there is an edge.
+
+    Parameters
+    ----------
+    batches
+        Luminance of the mean of each batch, shape (y, x, batch).
+    """
+    if batches.shape[0] < 2 or batches.shape[2] < _USUAL or not np.isfinite(batches).all():
+        return None
+    usual = np.median(batches, axis=-1)
+    high, low = np.maximum(usual[1:], usual[:-1]), np.minimum(usual[1:], usual[:-1])
+    similar = (low > 0) & (high <= _SIMILAR * low)
+    ratio = np.where(similar, batches[1:].max(axis=-1) / np.where(similar, high, 1), 0)
+    if ratio.max() < BRIGHTER:
+        return None
+    y, x = (int(i) for i in np.unravel_index(int(ratio.argmax()), ratio.shape))
+    return y + 1, x, int(batches[y + 1, x].argmax())
 
 
 @dataclass(frozen=True)

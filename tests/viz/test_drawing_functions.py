@@ -1,0 +1,101 @@
+"""What holds for every drawing function: where it draws, what it returns, what it leaves alone."""
+
+from __future__ import annotations
+
+import inspect
+from functools import partial
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+import chdstat as chd
+from chdstat import viz
+from chdstat.comparison import error_curve
+from chdstat.estimators.training import History
+from chdstat.studies.claims import ClaimTest, PlotData, Statistic
+
+RNG = np.random.default_rng(0)
+IMAGE = RNG.random((12, 16, 3))
+MARK = viz.Mark("wall", slice(2, 6), slice(2, 6), (4, 4))
+LINEAR, LOG = (chd.histogram(RNG.gamma(1.0, size=(3, 64)), scale=s) for s in ("linear", "log"))
+ONE = {s: chd.histogram(RNG.gamma(1.0, size=64), scale=s) for s in ("linear", "log")}
+PANEL = viz.Panel("wall", LINEAR, LOG)
+
+
+@pytest.fixture(scope="module")
+def examples():
+    """Return a call of each drawing function that lacks only where to draw."""
+    samples = chd.Samples.from_array(RNG.gamma(1.0, size=(8, 8, 3, 64)))
+    labels = np.zeros((8, 8), int)
+    compared = chd.compare(samples, ["mean", "median"], labels=labels, progress=False)
+    test = ClaimTest(Statistic("share", 0.5), 0.4, 0.6, 0.95, least=0.3)
+    two = {name: chd.histogram(RNG.gamma(1.0, size=64)) for name in ("a", "b")}
+    pair = {"a": (5, 5), "b": (4, 5)}
+    linear = dict.fromkeys(pair, ONE["linear"])
+    return {
+        "atlas": partial(viz.atlas, chd.atlas(samples, clusters=2, progress=False)),
+        "averages": partial(
+            viz.averages, [1, 2], {"R": [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05
+        ),
+        "batch_histograms": partial(viz.batch_histograms, {"wall": RNG.gamma(1.0, size=(8, 4))}),
+        "categorical_map": partial(viz.categorical_map, labels, {0: "none"}),
+        "chd_axes": partial(viz.chd_axes, LOG),
+        "chd_grid": partial(viz.chd_grid, [PANEL]),
+        "claim_intervals": partial(viz.claim_intervals, {"fog": [test]}),
+        "coverage": partial(viz.coverage, [0.5, 0.9], {"ours": (0.4, 0.8)}),
+        "error_curves": partial(
+            viz.error_curves, error_curve(samples, ["mean"], sizes=[4, 8], progress=False)
+        ),
+        "estimator_measures": partial(viz.estimator_measures, compared),
+        "finding_plots": partial(
+            viz.finding_plots, {"fog": PlotData("bars", {"wall": (np.zeros(1), np.ones(1))})}
+        ),
+        "firefly_pair": partial(viz.firefly_pair, IMAGE, pair, linear, two),
+        "fits": partial(viz.fits, ONE["linear"], ONE["log"], {"flat": np.ones_like}),
+        "image_map": partial(viz.image_map, IMAGE),
+        "map_grid": partial(viz.map_grid, 2),
+        "n_needed": partial(viz.n_needed, labels + 1, [1, 2]),
+        "pattern_breakdown": partial(viz.pattern_breakdown, compared.breakdown),
+        "pixel_estimates": partial(viz.pixel_estimates, compared.draw_pixels(4)),
+        "region_study": partial(viz.region_study, IMAGE, [MARK], [PANEL]),
+        "side_by_side": partial(viz.side_by_side, {"a": IMAGE, "b": IMAGE}),
+        "training": partial(viz.training, History(*np.array([[1, 2], *4 * [[2, 1]]]))),
+        "value_map": partial(viz.value_map, IMAGE[..., 0]),
+        "verdict_matrix": partial(viz.verdict_matrix, {"nulls": {"fog": "supported"}}),
+        "view_pair": partial(viz.view_pair, {"a": IMAGE, "b": IMAGE}, {"wall": two}),
+        "with_marks": partial(viz.with_marks, IMAGE, [MARK]),
+    }
+
+
+DRAWING = [name for name in viz.__all__ if name.islower() and name not in {"style", "tonemap"}]
+
+
+@pytest.mark.parametrize("name", DRAWING)
+def test_it_draws_where_it_is_told_to_and_returns_that(examples, name):
+    given = inspect.signature(getattr(viz, name)).parameters.keys() & {"ax", "fig"}
+    if given == {"ax"}:
+        figure = Figure()
+        first, second = figure.subplots(1, 2)
+        assert examples[name](ax=second) is second
+        assert not first.has_data()
+    else:
+        assert given == {"fig"}
+        figure = Figure(layout="constrained")
+        assert examples[name](fig=figure) is figure
+        assert figure.axes
+    figure.draw_without_rendering()
+
+
+@pytest.mark.parametrize("name", DRAWING)
+def test_alone_it_makes_a_figure_that_a_notebook_shows_and_leaves_settings_alone(examples, name):
+    import matplotlib.pyplot as plt
+
+    before = dict(mpl.rcParams)
+    drawn = examples[name]()
+    figure = drawn.figure if isinstance(drawn, Axes) else drawn
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    assert dict(mpl.rcParams) == before
+    assert plt.get_fignums() == []
