@@ -12,34 +12,45 @@ with a certainty and an interval, and without a reference as `self_trained`. The
   `james_stein`;
 - with the channels together: `zirr2018_pixel` and the shrinkage; and with the pixels around:
   `zirr2018`, `decoro2010`;
-- sharing statistics with alike pixels around: `delbracio2014`, `sakai2024`, `shared_patches`,
+- sharing statistics with similar pixels around: `delbracio2014`, `sakai2024`, `shared_patches`,
   `shared_shape`.
 
 `mean_radiance` is the unit that `Progressive` measures an image in. `names` lists what is
 registered, the mean first, and `lookup` says where it comes from and what it needs;
-``estimators.<name>`` is the function.
+``estimators.<name>`` is the function of whatever is registered.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-# The order of import is the order of registration.
-# isort: off
-from chdstat.estimators.order import mean
-from chdstat.estimators.order import median, trimmed_mean, winsorized_mean
-from chdstat.estimators.m_estimators import catoni, huber, tukey
-from chdstat.estimators.buckets import gmon_adaptive, gmon_binary, median_of_means
-from chdstat.estimators.reweighting import bayesian_median_of_means, lee_valiant
-from chdstat.estimators.reweighting import jung2015
-from chdstat.estimators.shrinkage import gmon_shrinkage, james_stein
-from chdstat.estimators.shrinkage import gamma_shrinkage, lognormal_shrinkage, mixture_shrinkage
-from chdstat.estimators.cascades import Cascade, zirr2018, zirr2018_pixel
-from chdstat.estimators.density import decoro2010
-from chdstat.estimators.neighbourhood import delbracio2014, sakai2024
-from chdstat.estimators.similar_pixels import Fireflies, shared_patches, shared_shape
+from chdstat._core.image_scales import mean_radiance
+from chdstat.estimators.buckets import (
+    bayesian_median_of_means,
+    gmon_adaptive,
+    gmon_binary,
+    jung2015,
+    lee_valiant,
+    median_of_means,
+)
 from chdstat.estimators.mlp import MLP
-from chdstat.estimators.training import PRESETS, Preset
+from chdstat.estimators.neighbourhood import (
+    Fireflies,
+    delbracio2014,
+    sakai2024,
+    shared_patches,
+    shared_shape,
+)
+from chdstat.estimators.order import (
+    catoni,
+    huber,
+    mean,
+    median,
+    trimmed_mean,
+    tukey,
+    winsorized_mean,
+)
+from chdstat.estimators.outliers import Cascade, decoro2010, zirr2018, zirr2018_pixel
 from chdstat.estimators.progressive import Estimates, Profile, Progressive, Stream, self_trained
 from chdstat.estimators.registry import (
     Estimator,
@@ -50,9 +61,14 @@ from chdstat.estimators.registry import (
     register,
     register_learned,
 )
-from chdstat.estimators.training import History
-from chdstat._core.image_scales import mean_radiance
-# isort: on
+from chdstat.estimators.shrinkage import (
+    gamma_shrinkage,
+    gmon_shrinkage,
+    james_stein,
+    lognormal_shrinkage,
+    mixture_shrinkage,
+)
+from chdstat.estimators.training import PRESETS, History, Preset
 
 __all__ = [
     "MLP",
@@ -100,6 +116,7 @@ __all__ = [
     "zirr2018",
     "zirr2018_pixel",
 ]
+__all__ += [name for name in names("fixed") if name not in __all__]
 
 
 def __getattr__(name: str) -> Any:

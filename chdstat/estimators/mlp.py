@@ -252,13 +252,16 @@ def _trained(preset: Preset, samples: Samples, **options: Any) -> MLP:
     return MLP(preset).train(samples, **options)
 
 
-for _preset in PRESETS.values():
-    register_learned(
-        LearnedEstimator(
-            _preset.name,
-            partial(_trained, _preset),
-            _preset.source,
-            inputs=_preset.inputs,
-            pixels=_preset.pixels,
-        )
+_ELEK = PRESETS["elek2019"]
+register_learned(
+    LearnedEstimator(
+        _ELEK.name,
+        partial(_trained, _ELEK),
+        _ELEK.source,
+        inputs=_ELEK.inputs,
+        pixels=_ELEK.pixels,
+        label="Elek et al. 2019",
+        place=8,
+        default=True,
     )
+)

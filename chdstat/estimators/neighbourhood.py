@@ -1,216 +1,72 @@
-"""Windows: sums over the pixels around, weighted by how alike each of them is.
-
-`pool` walks over the offsets of a window and shifts the image by each, so that all pixels of an
-offset are compared at once. A pair of pixels is compared once and counts both ways: what one pixel
-takes from another, that one takes from it.
-
-Shared statistics, as published: pixels whose samples are alike average their estimates.
+"""Neighbourhood: pixels whose samples are similar share their statistics.
 
 `delbracio2014` compares histograms of the samples, patch by patch; `sakai2024` compares their means
-by a test of significance, pixel by pixel. Neither shares across an edge that the samples tell.
+by a test of significance, pixel by pixel. Neither shares across an edge that the samples show.
+
+`shared_patches`, ours, averages pixels whose surroundings are statistically similar, in two passes;
+on rendered scenes at 32 samples, its error is the smallest of all that are not learned.
+`shared_shape`, ours, learns from similar pixels only how far a mean may lie above what the other
+samples of the pixel say, and averages nothing: it removes fireflies, and leaves noise and edges to
+a denoiser.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels, spans, whole
+from chdstat._core.arrays import as_pixels, whole
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import InputError
-from chdstat.estimators.order import mean_of_good
+from chdstat.estimators import similarity
 from chdstat.estimators.registry import register
-from chdstat.estimators.rows import Floats
-from chdstat.estimators.similarity import (
-    ScaledSamples,
-    chi_square,
-    corrected_means,
-    histograms,
-    not_different,
-    root,
-    significance,
-)
+from chdstat.estimators.rows import Floats, check_positive, check_probability
 
-__all__ = [
-    "Weigh",
-    "check_window",
-    "delbracio2014",
-    "patch_mean",
-    "patch_sum",
-    "pool",
-    "quotient",
-    "sakai2024",
-    "with_own",
-    "with_weight",
-]
+__all__ = ["Fireflies", "delbracio2014", "sakai2024", "shared_patches", "shared_shape"]
 
-Weigh = Callable[[tuple[Floats, ...], tuple[Floats, ...]], Floats]
-"""Weights (y, x) of pixels, from the fields here and the fields at an offset, each (y, x, ...)."""
+Array = npt.NDArray[np.floating[Any]]
+Fireflies = Literal["limit", "keep"]
 
-_PIXELS = 2**15
-"""Pixels compared at once."""
-
-
-def pool(
-    weigh: Weigh,
-    fields: tuple[Floats, ...],
-    values: Floats,
-    squares: Floats | None = None,
-    *,
-    radius: int,
-    reach: int = 0,
-) -> tuple[Floats, Floats]:
-    """Add up what lies within a window, each pixel by its weight.
-
-    Parameters
-    ----------
-    weigh
-        Weights of pairs; the pixel itself counts with weight 1.
-    fields
-        What `weigh` compares, each of shape (y, x, ...).
-    values, squares
-        What is added up, shape (y, x, value): values by the weights, squares by the squared
-        weights, as variances of the former are.
-    radius
-        Pixels up to this far in y and in x belong to the window.
-    reach
-        How many rows around a pair its weight depends on.
-
-    Returns
-    -------
-    tuple of ndarray
-        Both sums, shape (y, x, value); outside the image there is nothing.
-    """
-    beside = np.zeros((*values.shape[:2], 0)) if squares is None else squares
-    height, width = values.shape[:2]
-    sums, squared = np.empty_like(values), np.empty_like(beside)
-    halo = radius + reach
-    for rows in spans(height, max(halo, _PIXELS // max(width, 1), 1)):
-        # Strips with what they depend on around them give what the whole image does.
-        strip = slice(max(rows.start - halo, 0), rows.stop + halo)
-        found = _pool(weigh, [f[strip] for f in fields], values[strip], beside[strip], radius)
-        inner = slice(rows.start - strip.start, rows.stop - strip.start)
-        sums[rows], squared[rows] = found[0][inner], found[1][inner]
-    return sums, squared
-
-
-def patch_sum(values: Floats, radius: int) -> Floats:
-    """Add up (y, x) over patches of (2 radius + 1)^2 pixels; outside, there is nothing."""
-    if radius == 0:
-        return values
-    height, width = values.shape
-    padded = np.pad(values, radius)
-    rows = padded[:height].copy()
-    for step in range(1, 2 * radius + 1):
-        rows += padded[step : step + height]
-    total = rows[:, :width].copy()
-    for step in range(1, 2 * radius + 1):
-        total += rows[:, step : step + width]
-    return total
-
-
-def patch_mean(values: Floats, known: npt.NDArray[np.bool_], radius: int) -> Floats:
-    """Average what is known of (y, x) over patches; infinite where nothing is."""
-    count = patch_sum(known.astype(values.dtype), radius)
-    total = patch_sum(np.where(known, values, 0), radius)
-    return np.divide(total, count, out=np.full_like(total, np.inf), where=count > 0)
-
-
-def with_weight(values: Floats, weight: npt.NDArray[Any]) -> Floats:
-    """Return values (y, x, value) times weights (y, x), and these behind; 0 if unknown."""
-    weights = weight[..., np.newaxis].astype(np.float64)
-    known = (weights > 0) & np.isfinite(values).all(axis=-1, keepdims=True)
-    parts = np.where(known, values * weights, 0), np.where(known, weights, 0)
-    return np.concatenate(parts, axis=-1)
-
-
-def quotient(sums: Floats) -> Floats:
-    """Return the averages of what `with_weight` has prepared; NaN where nothing has weight."""
-    weight = sums[..., -1:]
-    return np.divide(
-        sums[..., :-1], weight, out=np.full_like(sums[..., :-1], np.nan), where=weight > 0
-    )
-
-
-def with_own(
-    estimate: Floats, samples: npt.NDArray[np.floating[Any]], count: npt.NDArray[np.int64]
-) -> npt.NDArray[Any]:
-    """Put the mean of a channel's own good samples where there is no estimate, or no count."""
-    missing = (count == 0) | ~np.isfinite(estimate).all(axis=-1)
-    if missing.any():
-        estimate[missing] = mean_of_good(samples[missing])
-    return estimate.astype(samples.dtype)
-
-
-def check_window(
-    radius: int,
-    *,
-    patch: int = 0,
-    alpha: float = 0.5,
-    above_zero: Mapping[str, float] | None = None,
-) -> None:
-    """Refuse options of a shared estimator that are out of range."""
-    whole("radius", radius, least=0)
-    whole("patch", patch, least=0)
-    if not 0 < alpha < 1:
-        message = f"alpha must lie between 0 and 1, got {alpha}"
-        raise InputError(message)
-    for name, value in (above_zero or {}).items():
-        if not value > 0:
-            message = f"{name} must be larger than 0, got {value}"
-            raise InputError(message)
-
-
-def _pool(
-    weigh: Weigh, fields: list[Floats], values: Floats, squares: Floats, radius: int
-) -> tuple[Floats, Floats]:
-    sums, squared = values.copy(), squares.copy()
-    height, width = values.shape[:2]
-    for here, there in _pairs(height, width, radius):
-        weight = weigh(tuple(f[here] for f in fields), tuple(f[there] for f in fields))
-        weight = weight[..., np.newaxis]
-        for target, source in ((here, there), (there, here)):
-            sums[target] += weight * values[source]
-            squared[target] += weight**2 * squares[source]
-    return sums, squared
-
-
-def _pairs(
-    height: int, width: int, radius: int
-) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
-    """Yield, for every offset in one half of the window, the places of both pixels of the pairs."""
-    for dy in range(min(radius, height - 1) + 1):
-        most = min(radius, width - 1)
-        for dx in range(-most if dy else 1, most + 1):
-            left, right = (
-                slice(max(-dx, 0), width - max(dx, 0)),
-                slice(max(dx, 0), width + min(dx, 0)),
-            )
-            yield (slice(0, height - dy), left), (slice(dy, height), right)
+_FIRST, _SECOND = 0.3, 0.5
+"""How fast weights fall with the distance, in the first and in the second pass."""
+_CORRELATED = 3.0
+"""Factor on the variances of means that have been averaged once: neighbours share their samples,
+and what they share was chosen for being similar."""
+_HUE = 0.02
+"""Difference between channels, relative to their level, that tells nothing: light takes on the
+colour of what is around."""
+_ROUNDING = 1e-6
+_LIMIT, _ALPHA, _AROUND = 1.75, 0.005, 5
+"""Defaults of `shared_shape`."""
+_CUT = 7.0
+"""Weights below e^-7 are none."""
+_FAR = 1e6
+_OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
 
 
 @register(
     "delbracio2014",
     source="Delbracio et al. 2014, doi:10.1145/2532708",
+    label="Delbracio et al. 2014",
+    place=7,
     uses_neighbours=True,
     joint_channels=True,
 )
 def delbracio2014(
-    x: npt.ArrayLike,
+    x: Array,
     *,
     threshold: float = 1.0,
     radius: int = 6,
     patch: int = 1,
     unit: float | None = None,
-) -> npt.NDArray[np.floating[Any]]:
-    """Ray histogram fusion: average patches whose samples have alike histograms.
+) -> Array:
+    """Ray histogram fusion: average patches whose samples have similar histograms.
 
     Pixels i and j share their samples if ``chi^2 = sum (n_j h_i - n_i h_j)^2 / (n_i n_j (h_i +
     h_j)) <= threshold`` per used bin, summed over a patch around each and over the channels. Bins
-    are used that hold more than one sample of both. Every patch that is alike lends all its pixels.
+    are used that hold more than one sample of both. Every similar patch lends all its pixels.
 
     Histogram and distance are those of the code of Bayesian collaborative denoising, a successor.
     The coarse scales of the publication are left out, and the sums over patches that overlap are
@@ -222,7 +78,7 @@ def delbracio2014(
         Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
         is left out.
     threshold
-        Distance up to which patches are alike, larger than 0; 1 is what noise gives.
+        Distance up to which patches are similar, larger than 0; 1 is what noise gives.
     radius
         Of the search window, in pixels: 6 for 13 x 13.
     patch
@@ -256,35 +112,38 @@ def delbracio2014(
     >>> bool(shared.std() < alone.std() / 3)
     True
     """
-    check_window(radius, patch=patch, above_zero={"threshold": threshold})
-    samples = as_pixels(x, image=True)
-    image = ScaledSamples.of(samples)
+    whole("radius", radius, least=0)
+    whole("patch", patch, least=0)
+    check_positive(threshold=threshold)
+    image = similarity.ScaledSamples.of(x)
     mean = image.mean()
     found = exposure_unit(mean.mean(axis=-1) * image.unit, unit)
     counts = image.count[..., np.newaxis].astype(np.float64)
-    fields = (histograms(image, found), counts)
+    fields = (similarity.histograms(image, found), counts)
 
     def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
-        distance, used = chi_square(*here, *there)
-        alike = patch_sum(distance, patch) <= threshold * patch_sum(used, patch)
+        distance, used = _chi_square(*here, *there)
+        similar = similarity.patch_sum(distance, patch) <= threshold * similarity.patch_sum(
+            used, patch
+        )
         # A patch lends to each of its pixels what lies at the same place of the other patch.
-        return patch_sum(alike.astype(np.float64), patch) / (2 * patch + 1) ** 2
+        return similarity.patch_sum(similar.astype(np.float64), patch) / (2 * patch + 1) ** 2
 
-    values = with_weight(mean, image.count)
-    sums, _ = pool(weigh, fields, values, radius=radius, reach=2 * patch)
-    return with_own(quotient(sums) * image.unit, samples, image.count)
+    values = similarity.with_weight(mean, image.count)
+    sums, _ = similarity.pool(weigh, fields, values, radius=radius, reach=2 * patch)
+    return image.radiance(similarity.quotient(sums))
 
 
 @register(
     "sakai2024",
     source="Sakai et al. 2024, doi:10.1145/3680528.3687591",
+    label="Sakai et al. 2024",
+    place=7,
     minimum_samples=2,
     uses_neighbours=True,
     joint_channels=True,
 )
-def sakai2024(
-    x: npt.ArrayLike, *, alpha: float = 0.005, radius: int = 5
-) -> npt.NDArray[np.floating[Any]]:
+def sakai2024(x: Array, *, alpha: float = 0.005, radius: int = 5) -> Array:
     """Statistical denoising: average pixels whose means do not differ significantly.
 
     Pixels i and j share their samples if, in every channel, ``(m_i - m_j)^2 <= t_i^2 SE_i^2 + t_j^2
@@ -335,11 +194,273 @@ def sakai2024(
     >>> sakai2024(image)[4, [0, 3, 4, 7], 0].round(1).tolist()
     [1.0, 1.0, 95.0, 95.0]
     """
-    check_window(radius, alpha=alpha)
-    samples = as_pixels(x, minimum=2, image=True)
-    image = ScaledSamples.of(samples)
+    whole("radius", radius, least=0)
+    check_probability(alpha=alpha)
+    image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
     # 2 (sqrt(x) - 1) gives the same test as sqrt(x).
-    fields = significance(corrected_means(image, root), image.count, alpha)
-    values = with_weight(image.mean(), image.count)
-    sums, _ = pool(not_different, fields, values, radius=radius)
-    return with_own(quotient(sums) * image.unit, samples, image.count)
+    fields = similarity.significance(
+        similarity.corrected_means(image, similarity.root), image.count, alpha
+    )
+    values = similarity.with_weight(image.mean(), image.count)
+    sums, _ = similarity.pool(similarity.not_different, fields, values, radius=radius)
+    return image.radiance(similarity.quotient(sums))
+
+
+@register(
+    "shared_patches",
+    source=_OURS,
+    place=7,
+    minimum_samples=2,
+    uses_neighbours=True,
+    joint_channels=True,
+)
+def shared_patches(
+    x: Array,
+    *,
+    threshold: float = 1.0,
+    radius: int = 5,
+    patch: int = 1,
+    fireflies: Fireflies = "limit",
+) -> Array:
+    """Average pixels whose patches are statistically alike, in two passes.
+
+    The distance of two pixels is Welch's statistic, ``d = (m_i - m_j)^2 / (SE_i^2 + SE_j^2)``,
+    averaged over the pixels of a patch around each and over statistics: the mean of the samples, of
+    their roots, and of the differences between the roots of neighbouring channels. They share with
+    weight ``exp(-max(0, d - threshold) / s)``; noise alone gives d = 1. Patches lend all their
+    pixels, as in non-local means, except to pixels that differ significantly by the test of
+    `sakai2024`. A first pass (s = 0.3) averages the statistics. A second (s = 0.5) compares these
+    averages, whose errors are several times smaller, and averages the estimates.
+
+    Test and transform are those of `sakai2024`, patches those of `delbracio2014`. A single pixel
+    tells too little: its error may be large for one firefly, or small because none has come yet.
+    The second pass is that of Rousselle et al. 2012. Weights, statistics and passes are ours.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
+    threshold
+        Distance up to which patches share fully, larger than 0: the larger, the smoother.
+    radius
+        Of the search window, in pixels: 5 for 11 x 11.
+    patch
+        Radius of the patches: 1 for 3 x 3, 0 for single pixels.
+    fireflies
+        "limit" averages what `shared_shape` makes of the pixels, which loses about 1 % of the
+        energy; "keep" averages their means.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Where no whole sample is
+        good, the mean of a channel's good samples; NaN where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` is no image, has less than 2 samples, or an option is out of range.
+
+    References
+    ----------
+    H. Sakai, C. Freude, T. Auzinger, D. Hahn and M. Wimmer, "A statistical approach to Monte Carlo
+    denoising", SIGGRAPH Asia Conference Papers, 2024, doi:10.1145/3680528.3687591.
+    F. Rousselle, C. Knaus and M. Zwicker, "Adaptive rendering with non-local means filtering", ACM
+    Transactions on Graphics 31(6), 2012, doi:10.1145/2366145.2366214.
+
+    Examples
+    --------
+    >>> image = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
+    >>> image[:, 4:] *= 100
+    >>> shared_patches(image, fireflies="keep")[4, [0, 3, 4, 7], 0].round(1).tolist()
+    [1.0, 0.9, 100.0, 93.1]
+    """
+    whole("radius", radius, least=0)
+    whole("patch", patch, least=0)
+    check_positive(threshold=threshold)
+    if fireflies not in ("limit", "keep"):
+        message = f"fireflies must be 'limit' or 'keep', got {fireflies!r}"
+        raise InputError(message)
+    image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
+    own = image.mean() if fireflies == "keep" else _limited(image, _LIMIT, _ALPHA, _AROUND)
+    members = similarity.significance(
+        similarity.corrected_means(image, similarity.root), image.count, _ALPHA
+    )
+
+    def pooled(
+        means: similarity.Means, scale: float, values: Floats, squares: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
+            distance = _distance(here[:2], there[:2])
+            apart = _patch_mean(np.minimum(distance, _FAR), np.isfinite(distance), patch)
+            excess = np.maximum(apart - threshold, 0) / scale
+            weight = np.where(excess < _CUT, np.exp(-np.minimum(excess, _CUT)), 0)
+            lent = similarity.patch_sum(weight, patch) / (2 * patch + 1) ** 2
+            return lent * similarity.not_different(here[2:], there[2:])
+
+        fields = (means.value, means.variance, *members)
+        return similarity.pool(weigh, fields, values, squares, radius=radius, reach=2 * patch)
+
+    means, good = _statistics(image), image.count > 0
+    variance = np.nan_to_num(means.variance, posinf=0)
+    sums, squared = pooled(means, _FIRST, similarity.with_weight(means.value, good), variance)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        averaged = similarity.Means(
+            similarity.quotient(sums), _CORRELATED * squared / sums[..., -1:] ** 2
+        )
+    sums, _ = pooled(averaged, _SECOND, similarity.with_weight(own, good))
+    return image.radiance(similarity.quotient(sums))
+
+
+@register(
+    "shared_shape",
+    source=_OURS,
+    place=7,
+    minimum_samples=2,
+    uses_neighbours=True,
+    joint_channels=True,
+)
+def shared_shape(
+    x: Array, *, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = _AROUND
+) -> Array:
+    """Mean of the pixel, limited by the shape that its samples share with those of similar pixels.
+
+    ``min(mean_i, limit l_i / average_j(l_j / mean_j))``. The level ``l = p E(sqrt x)^2`` is that of
+    the samples but the largest: k of them are above 0, p = k / n, and all pairs of these estimate
+    it, ``p (S^2 - sum x) / (k (k - 1))`` with S the sum of their roots. One firefly does not move
+    it. How far means lie above levels is learned from the members j, each in its own unit and
+    weighted by k: a mean that lies further above than `limit` times that owes it to fireflies.
+
+    Members have a shape that does not differ significantly from that of i, in any channel: Welch's
+    test on ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)``, again without the largest sample. No radiance
+    of another pixel enters, only the ratio of its level to its mean, so none crosses an edge. The
+    bias is to the dark. All of this is about the positive samples; negative ones are added as they
+    are.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
+    limit
+        Larger than 0; infinity for the mean. At 32 samples of rendered scenes, 1.75 loses about 1 %
+        of the energy and 1.25 twice to three times that.
+    alpha
+        Level of the two-sided test, between 0 and 1: the smaller, the more is shared.
+    radius
+        Of the window, in pixels: 5 for 11 x 11.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`, at most the mean of the
+        whole samples that are good. Where none is, or a channel has less than 3 above 0, the mean
+        of its good samples; NaN where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` is no image, has less than 2 samples, or an option is out of range.
+
+    References
+    ----------
+    H. Sakai, C. Freude, T. Auzinger, D. Hahn and M. Wimmer, "A statistical approach to Monte Carlo
+    denoising", SIGGRAPH Asia Conference Papers, 2024, doi:10.1145/3680528.3687591.
+
+    Examples
+    --------
+    >>> image = np.random.default_rng(0).gamma(4.0, size=(8, 8, 3, 32))
+    >>> image *= np.linspace(1, 100, 8).reshape(8, 1, 1, 1)
+    >>> image[3, 3, :, 0] = 1e6
+    >>> found = shared_shape(image)
+    >>> found[2:5, 3, 0].round().tolist()
+    [108.0, 338.0, 205.0]
+    """
+    whole("radius", radius, least=0)
+    check_probability(alpha=alpha)
+    check_positive(limit=limit)
+    image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
+    return image.radiance(_limited(image, limit, alpha, radius))
+
+
+def _chi_square(h: Floats, n: Floats, other: Floats, m: Floats) -> tuple[Floats, Floats]:
+    """Return the chi-square distance of histograms of n and m samples, and the bins used.
+
+    ``sum (m h - n h')^2 / (n m (h + h'))``: Delbracio et al. 2014, doi:10.1145/2532708. Bins with
+    no more than one sample of both are not used, as in the code of Boughida and Boubekeur 2017.
+    """
+    both = h + other
+    used = (both > 1) & (n > 0) & (m > 0)
+    apart = np.sqrt(m / np.maximum(n, 1)) * h - np.sqrt(n / np.maximum(m, 1)) * other
+    terms = np.divide(apart * apart, both, out=np.zeros_like(both), where=used)
+    return terms.sum(axis=-1), np.count_nonzero(used, axis=-1).astype(np.float64)
+
+
+def _limited(image: similarity.ScaledSamples, limit: float, alpha: float, radius: int) -> Floats:
+    """Return the means, that of the positive samples limited by the shape of what is around."""
+    below = np.minimum(image.samples, 0).sum(axis=-1, dtype=np.float64) / image.unit
+    below /= np.maximum(image.count, 1)[..., np.newaxis]
+    mean = image.mean() - below
+    level, positive = _level(image)
+    known = (level > 0) & (mean > 0)
+    depth = np.divide(level, mean, out=np.zeros_like(mean), where=known)
+    weight = np.where(known, positive, 0)
+    fields = similarity.significance(similarity.shape_means(image), image.count, alpha)
+    values = np.concatenate([weight * depth, weight], axis=-1)
+    depths, weights = np.split(
+        similarity.pool(similarity.not_different, fields, values, radius=radius)[0], 2, axis=-1
+    )
+    by_shape = np.divide(level * weights, depths, out=mean.copy(), where=known & (depths > 0))
+    return np.minimum(mean, limit * by_shape, out=mean, where=known) + below
+
+
+def _level(image: similarity.ScaledSamples) -> tuple[Floats, Floats]:
+    """Return levels and the number k of positive samples, without the largest sample."""
+
+    def work(rows: Floats, _: object, n: npt.NDArray[np.int64]) -> tuple[Floats, Floats]:
+        kept = np.maximum(similarity.without_largest(rows), 0)
+        positive = np.count_nonzero(kept, axis=-1).astype(np.float64)
+        total = np.sqrt(kept).sum(axis=-1)
+        pairs = total**2 - kept.sum(axis=-1)
+        # What is left of a single sample, or of one among many darker by far, is rounding.
+        pairs[pairs < _ROUNDING * total**2] = 0
+        return pairs / (np.maximum(positive - 1, 1) * np.maximum(n, 1)), positive
+
+    level, positive = image.walk(work)
+    return level, positive
+
+
+def _statistics(image: similarity.ScaledSamples) -> similarity.Means:
+    """Return means of samples, of their roots and of the differences of these between channels."""
+
+    def transform(rows: Floats) -> Floats:
+        roots = similarity.root(rows)
+        return np.concatenate([rows, roots, -np.diff(roots, axis=-2)], axis=-2)
+
+    means = similarity.corrected_means(image, transform)
+    channels = image.samples.shape[2]
+    roots = means.value[..., channels : 2 * channels].mean(axis=-1, keepdims=True)
+    # Equal samples differ by rounding alone.
+    floor = (_ROUNDING * means.value) ** 2
+    floor[..., 2 * channels :] = (_HUE * roots) ** 2
+    return similarity.Means(means.value, means.variance + floor)
+
+
+def _distance(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
+    """Return Welch's statistic, squared and averaged over the statistics."""
+    (mean, variance), (other, its) = here, there
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart = (mean - other) ** 2
+        both = variance + its
+        # Pixels that are black without noise are similar.
+        found = np.divide(apart, both, out=np.zeros_like(apart), where=(both > 0) | ~(apart >= 0))
+        # A product adds short rows up several times faster than a mean does.
+        return np.asarray(found @ np.full(found.shape[-1], 1 / found.shape[-1]))
+
+
+def _patch_mean(values: Floats, known: npt.NDArray[np.bool_], radius: int) -> Floats:
+    """Average what is known of (y, x) over patches; infinite where nothing is."""
+    count = similarity.patch_sum(known.astype(values.dtype), radius)
+    total = similarity.patch_sum(np.where(known, values, 0), radius)
+    return np.divide(total, count, out=np.full_like(total, np.inf), where=count > 0)

@@ -3,10 +3,12 @@
 A fixed estimator is a function of samples, ``x (..., sample) -> (...)``, entered with `register`.
 Every one takes an image (y, x, channel, sample); two flags say which need more of that shape than
 the last axis: those that look at the channels of a sample together, and those that look at other
-pixels.
+pixels. The decorated function takes array-likes and returns the dtype of the samples; the function
+itself is given a floating-point array of at least these axes.
 
-A learned one is entered with `register_learned` as a function that trains it on a scene and
-returns a `Model`. Both are found by name with `lookup`; `chdstat.compare` takes the names.
+A learned estimator is entered with `register_learned` as a function that trains it on a scene and
+returns a `Model`. Both are found by name with `lookup`; `chdstat.compare` takes the names. Their
+rows also hold the label and the place that reports, the explorer and the documentation show.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, TypeVar, cast
+from typing import Any, Concatenate, Literal, ParamSpec, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +25,7 @@ from chdstat._core.arrays import as_pixels, as_samples, warn_left_out
 from chdstat.errors import InputError
 
 __all__ = [
+    "LABELS",
     "Estimator",
     "LearnedEstimator",
     "Model",
@@ -34,9 +37,10 @@ __all__ = [
 ]
 
 Array = npt.NDArray[Any]
-_PART = "chdstat.estimators"
+Options = ParamSpec("Options")
 
-Function = TypeVar("Function", bound=Callable[..., Array])
+_LAST = 100
+"""Place of an estimator that names none."""
 
 
 class Model(Protocol):
@@ -70,6 +74,13 @@ class Estimator:
         The function itself.
     source
         Author, year, DOI.
+    label
+        What text and figures call it; "" for the name with spaces.
+    place
+        Place in lists of estimators, ascending; those of one place are in the order of their
+        registration.
+    default
+        Whether it takes part in a comparison or report that names no estimators.
     minimum_samples
         Fewest samples that it takes.
     uses_neighbours
@@ -81,31 +92,47 @@ class Estimator:
         Whether it takes ``features=``, the first-hit features of the image, where there are any.
     learns
         Whether it trains on the samples at hand each time that it is called.
-    uses_direct
-        Whether it takes ``direct=``, the direct part of the samples, where it is known.
     """
 
     name: str
     function: Callable[..., Array]
     source: str
+    label: str = ""
+    place: int = _LAST
+    default: bool = False
     minimum_samples: int = 1
     uses_neighbours: bool = False
     joint_channels: bool = False
     uses_features: bool = False
     learns: bool = False
-    uses_direct: bool = False
+
+    @property
+    def uses_direct(self) -> bool:
+        """Whether it takes the direct part of the samples: no fixed estimator does."""
+        return False
 
     def __call__(self, x: npt.ArrayLike, **options: Any) -> Array:
         """Estimate the radiance that the samples `x` are draws of.
+
+        Parameters
+        ----------
+        x
+            Samples, shape (..., sample).
+        **options
+            Keywords of the function itself.
 
         Raises
         ------
         InputError
             If there are too few samples, or `x` lacks the axes that the estimator looks at.
         """
-        needs_channels = self.joint_channels or self.uses_neighbours
-        convert = as_pixels if needs_channels else as_samples
-        return self.function(convert(x, minimum=self.minimum_samples), **options)
+        return self.function(self.checked(x, minimum=self.minimum_samples), **options)
+
+    def checked(self, x: npt.ArrayLike, *, minimum: int = 1) -> Array:
+        """Return samples as a floating-point array with the axes that the estimator looks at."""
+        if self.joint_channels or self.uses_neighbours:
+            return as_pixels(x, minimum=minimum, image=self.uses_neighbours)
+        return as_samples(x, minimum=minimum)
 
 
 @dataclass(frozen=True)
@@ -121,6 +148,8 @@ class LearnedEstimator:
         number of samples also takes ``sizes``, those that it will be asked for.
     source
         Author, year, DOI.
+    label, place, default
+        As for `Estimator`.
     inputs
         Samples per estimate, where it takes neither more nor fewer; None for any number.
     pixels
@@ -143,6 +172,9 @@ class LearnedEstimator:
     source: str
     inputs: int | None
     pixels: int
+    label: str = ""
+    place: int = _LAST
+    default: bool = False
     options: Mapping[str, Any] = field(default_factory=dict)
     uses_features: bool = False
     joint_channels: bool = False
@@ -164,19 +196,27 @@ Kind = Literal["fixed", "learned"]
 
 _ENTRIES: dict[str, Estimator | LearnedEstimator] = {}
 
+LABELS: dict[str, str] = {}
+"""What text and figures call the registered estimators, by name."""
+
 
 def register(
     name: str,
     *,
     source: str,
+    label: str = "",
+    place: int = _LAST,
+    default: bool = False,
     minimum_samples: int = 1,
     uses_neighbours: bool = False,
     joint_channels: bool = False,
     uses_features: bool = False,
     learns: bool = False,
-    uses_direct: bool = False,
-) -> Callable[[Function], Function]:
-    """Enter the decorated function as the estimator `name`.
+) -> Callable[
+    [Callable[Concatenate[Array, Options], Array]],
+    Callable[Concatenate[npt.ArrayLike, Options], Array],
+]:
+    """Enter the decorated function as the estimator `name`; see `Estimator` for the parameters.
 
     Examples
     --------
@@ -189,18 +229,31 @@ def register(
     >>> registry.forget("first")
     """
 
-    def enter(function: Function) -> Function:
-        whole_samples = joint_channels or uses_neighbours
-
+    def enter(
+        function: Callable[Concatenate[Array, Options], Array],
+    ) -> Callable[Concatenate[npt.ArrayLike, Options], Array]:
         @functools.wraps(function)
-        def warning(x: npt.ArrayLike, *args: Any, **options: Any) -> Any:
-            given = as_pixels(x) if whole_samples else as_samples(x)
-            warn_left_out(given, channel_axis=-2 if whole_samples else None, within=_PART)
-            return function(given, *args, **options)
+        def estimate(x: npt.ArrayLike, *args: Options.args, **options: Options.kwargs) -> Array:
+            samples = entry.checked(x)
+            channel_axis = -2 if joint_channels or uses_neighbours else None
+            warn_left_out(samples, channel_axis=channel_axis, within="chdstat.estimators")
+            return np.asarray(function(samples, *args, **options), samples.dtype)
 
-        flags = uses_neighbours, joint_channels, uses_features, learns, uses_direct
-        _enter(Estimator(name, warning, source, minimum_samples, *flags))
-        return cast("Function", warning)
+        entry = Estimator(
+            name,
+            estimate,
+            source,
+            label=label,
+            place=place,
+            default=default,
+            minimum_samples=minimum_samples,
+            uses_neighbours=uses_neighbours,
+            joint_channels=joint_channels,
+            uses_features=uses_features,
+            learns=learns,
+        )
+        _enter(entry)
+        return estimate
 
     return enter
 
@@ -213,11 +266,11 @@ def register_learned(entry: LearnedEstimator) -> None:
 def forget(name: str) -> None:
     """Take an estimator out again."""
     lookup(name)
-    del _ENTRIES[name]
+    del _ENTRIES[name], LABELS[name]
 
 
 def names(kind: Kind | None = None) -> tuple[str, ...]:
-    """Return the names of all estimators, or of one kind, in the order they were entered.
+    """Return the names of all estimators, or of one kind, in the order of their places.
 
     Examples
     --------
@@ -225,10 +278,10 @@ def names(kind: Kind | None = None) -> tuple[str, ...]:
     >>> "mean" in estimators.names("fixed"), "mean" in estimators.names("learned")
     (True, False)
     """
-    learned = {name: entry.learns for name, entry in _ENTRIES.items()}
-    return tuple(
-        n for n, learns in learned.items() if kind is None or learns == (kind == "learned")
-    )
+    entries = sorted(_ENTRIES.values(), key=lambda entry: entry.place)
+    return tuple(e.name for e in entries if kind is None or e.learns == (kind == "learned"))
+
+
 
 
 def lookup(name: str) -> Estimator | LearnedEstimator:
@@ -240,7 +293,7 @@ def lookup(name: str) -> Estimator | LearnedEstimator:
         If there is no estimator of that name.
     """
     if name not in _ENTRIES:
-        message = f"no estimator is called {name!r}; there are {', '.join(_ENTRIES)}"
+        message = f"no estimator is called {name!r}; there are {', '.join(names())}"
         raise InputError(message)
     return _ENTRIES[name]
 
@@ -250,3 +303,4 @@ def _enter(entry: Estimator | LearnedEstimator) -> None:
         message = f"an estimator called {entry.name!r} is registered already; choose another name"
         raise InputError(message)
     _ENTRIES[entry.name] = entry
+    LABELS[entry.name] = entry.label or entry.name.replace("_", " ")

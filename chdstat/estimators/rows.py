@@ -12,7 +12,7 @@ every M-estimator whose influence function is monotone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -23,9 +23,9 @@ from chdstat.errors import InputError
 
 __all__ = [
     "Floats",
-    "Kernel",
     "balance",
-    "check_share",
+    "check_positive",
+    "check_probability",
     "estimate_rows",
     "median_of_sorted",
     "reordered",
@@ -33,7 +33,6 @@ __all__ = [
 ]
 
 Floats = npt.NDArray[np.float64]
-Kernel = Callable[..., Floats]
 
 _CHUNK = 2**15
 """Samples worked on at once: their float64 copies, and those of a kernel, stay in the cache."""
@@ -41,7 +40,7 @@ _CHUNK = 2**15
 
 def estimate_rows(
     x: npt.NDArray[np.floating[Any]],
-    kernel: Kernel,
+    kernel: Callable[..., Floats],
     *beside: npt.NDArray[np.floating[Any]],
     ordered: bool = False,
 ) -> npt.NDArray[Any]:
@@ -65,17 +64,33 @@ def estimate_rows(
     ndarray
         Shape (...), dtype of `x`; NaN where no sample is good.
     """
-    samples = x.shape[-1]
-    rows = x.reshape(-1, samples)
+    rows = x.reshape(-1, x.shape[-1])
     others = [other.reshape(-1) for other in beside]
     result = np.full(len(rows), np.nan)
-    for part in spans(len(rows), max(1, _CHUNK // samples)):
-        chunk, along = rows[part], [other[part] for other in others]
-        if all_good(chunk):
-            result[part] = _scaled(kernel, np.sort(chunk) if ordered else chunk, along)
-        else:
-            result[part] = _with_gaps(kernel, chunk, along)
+    for where, good in _good_rows(rows, ordered):
+        relative = good.astype(np.float64)
+        m = relative.shape[-1]
+        _, exponent = np.frexp(np.abs(relative) @ np.full(m, 1 / m))
+        # The unit and its inverse are finite for every mean, 0 included.
+        unit = np.ldexp(1.0, exponent - 1)
+        relative /= unit[:, np.newaxis]
+        result[where] = kernel(relative, *(other[where] / unit for other in others)) * unit
     return result.astype(x.dtype).reshape(x.shape[:-1])
+
+
+def _good_rows(rows: npt.NDArray[Any], ordered: bool) -> Iterator[tuple[Any, npt.NDArray[Any]]]:
+    """Yield the good samples of some rows, as many of each, and the places of these rows."""
+    for part in spans(len(rows), max(1, _CHUNK // rows.shape[-1])):
+        chunk = rows[part]
+        if all_good(chunk):
+            yield part, np.sort(chunk) if ordered else chunk
+            continue
+        # Bad samples sort behind the others.
+        ascending = np.sort(np.where(is_bad(chunk), np.inf, chunk))
+        count = np.count_nonzero(np.isfinite(ascending), axis=-1)
+        for m in np.unique(count[count > 0]):
+            same = np.flatnonzero(count == m)
+            yield part.start + same, ascending[same, :m]
 
 
 def row_sums(rows: Floats) -> Floats:
@@ -89,39 +104,20 @@ def median_of_sorted(rows: Floats) -> Floats:
     return np.asarray(0.5 * (rows[:, (m - 1) // 2] + rows[:, m // 2]))
 
 
-def check_share(share: float) -> None:
-    """Refuse a share of samples to cut off at each end that leaves nothing."""
-    if not 0 <= share < 0.5:
-        message = f"share must be at least 0 and less than 0.5, got {share}"
-        raise InputError(message)
+def check_positive(**options: float) -> None:
+    """Refuse options, by name, that are not larger than 0."""
+    for name, value in options.items():
+        if not value > 0:
+            message = f"{name} must be larger than 0, got {value}"
+            raise InputError(message)
 
 
-def _with_gaps(
-    kernel: Kernel, chunk: npt.NDArray[Any], beside: list[npt.NDArray[Any]]
-) -> npt.NDArray[Any]:
-    """Estimate from rows with bad samples, which sort behind the others."""
-    bad = is_bad(chunk)
-    count = chunk.shape[-1] - np.count_nonzero(bad, axis=-1)
-    ascending = np.sort(np.where(bad, np.inf, chunk))
-    result = np.full(len(chunk), np.nan)
-    for m in np.unique(count[count > 0]):
-        same = count == m
-        along = [other[same] for other in beside]
-        result[same] = _scaled(kernel, ascending[same, :m], along)
-    return result
-
-
-def _scaled(
-    kernel: Kernel, rows: npt.NDArray[Any], beside: list[npt.NDArray[Any]]
-) -> npt.NDArray[Any]:
-    """Run the kernel in a unit for each row, a power of two near its mean size."""
-    relative = rows.astype(np.float64)
-    m = rows.shape[-1]
-    _, exponent = np.frexp(np.abs(relative) @ np.full(m, 1 / m))
-    # The unit and its inverse are finite for every mean, 0 included.
-    unit = np.ldexp(1.0, exponent - 1)
-    relative /= unit[:, np.newaxis]
-    return np.asarray(kernel(relative, *(other / unit for other in beside)) * unit)
+def check_probability(**options: float) -> None:
+    """Refuse options, by name, that do not lie between 0 and 1."""
+    for name, value in options.items():
+        if not 0 < value < 1:
+            message = f"{name} must lie between 0 and 1, got {value}"
+            raise InputError(message)
 
 
 def reordered(
@@ -155,15 +151,15 @@ def reordered(
     return [own.reshape(array.shape) for own, array in zip(ordered, (x, *beside), strict=True)]
 
 
-Balance = Callable[..., tuple[Floats, Floats]]
-
 _TOLERANCE = 1e-12
 """Of a step, relative to the sample of the row that is farthest from 0."""
 _STEPS = 100
 """Bisection alone arrives in half as many."""
 
 
-def balance(influence: Balance, rows: Floats, start: Floats, *beside: Floats) -> Floats:
+def balance(
+    influence: Callable[..., tuple[Floats, Floats]], rows: Floats, start: Floats, *beside: Floats
+) -> Floats:
     """Solve sum_i psi(x_i - theta) = 0 for theta in each row.
 
     Parameters

@@ -15,12 +15,13 @@ fewer than three channels nothing is shrunk. To share the factor between pixels 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import all_good, as_pixels, as_samples, is_bad
+from chdstat._core.arrays import all_good, is_bad
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
 from chdstat.estimators.buckets import gmon_adaptive
@@ -33,19 +34,17 @@ from chdstat.fit.mle import fit_part
 from chdstat.fit.results import Fit, Mixture
 
 __all__ = [
-    "SOURCE",
     "gamma_shrinkage",
     "gmon_shrinkage",
     "james_stein",
     "lognormal_shrinkage",
     "mixture_shrinkage",
-    "shrink_mean",
     "standard_error",
-    "whole_samples",
 ]
 
-SOURCE = "Green and Strawderman 1991, doi:10.1080/01621459.1991.10475144"
-"""Of the combination."""
+Array = npt.NDArray[np.floating[Any]]
+
+_SOURCE = "Green and Strawderman 1991, doi:10.1080/01621459.1991.10475144"
 
 
 def james_stein(
@@ -121,22 +120,7 @@ def james_stein(
     return np.asarray(y + pull * difference)
 
 
-def shrink_mean(
-    x: npt.ArrayLike, biased: npt.NDArray[np.floating[Any]]
-) -> npt.NDArray[np.floating[Any]]:
-    """Pull the mean of samples (..., channel, sample) towards another estimate (..., channel)."""
-    samples = as_samples(x)
-    mean = mean_of_good(samples)
-    error = standard_error(samples)
-    # Radiance in units of the pixel's brightest channel can be squared whatever it is.
-    unit = np.fmax.reduce(np.fmax(np.abs(mean), error), axis=-1, keepdims=True, initial=0)
-    unit[unit == 0] = 1
-    with np.errstate(over="ignore"):
-        towards, noise = biased / unit, (error / unit) ** 2
-    return np.asarray((james_stein(mean / unit, towards, noise) * unit).astype(samples.dtype))
-
-
-def standard_error(x: npt.NDArray[np.floating[Any]]) -> Floats:
+def standard_error(x: Array) -> Floats:
     """Return the standard error of the mean of the good samples, ``sqrt(M2 / (n (n - 1)))``.
 
     0 where there is one sample, NaN where there is none.
@@ -154,8 +138,15 @@ def standard_error(x: npt.NDArray[np.floating[Any]]) -> Floats:
     return estimate_rows(x, kernel).astype(np.float64)
 
 
-@register("gmon_shrinkage", source=SOURCE, minimum_samples=11, joint_channels=True)
-def gmon_shrinkage(x: npt.ArrayLike, *, buckets: int = 11) -> npt.NDArray[np.floating[Any]]:
+@register(
+    "gmon_shrinkage",
+    source=_SOURCE,
+    label="shrinkage to G-MoN",
+    place=5,
+    minimum_samples=11,
+    joint_channels=True,
+)
+def gmon_shrinkage(x: Array, *, buckets: int = 11) -> Array:
     """James-Stein combination of the mean with the adaptive G-MoN, see `james_stein`.
 
     Parameters
@@ -190,22 +181,17 @@ def gmon_shrinkage(x: npt.ArrayLike, *, buckets: int = 11) -> npt.NDArray[np.flo
     >>> gmon_shrinkage(x).round(1).tolist()
     [19.7, 19.7, 19.7]
     """
-    samples = whole_samples(x)
-    return shrink_mean(samples, gmon_adaptive(samples, buckets=buckets))
+    return _shrink_mean(x, partial(gmon_adaptive, buckets=buckets))
 
 
-def whole_samples(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
-    """Spoil all channels of a sample of which one is bad, unless that leaves a pixel with none."""
-    samples = as_pixels(x)
-    if all_good(samples):
-        return samples
-    bad = is_bad(samples).any(axis=-2, keepdims=True)
-    spoilt = bad & ~bad.all(axis=-1, keepdims=True)
-    return np.where(spoilt, samples.dtype.type(np.nan), samples)
-
-
-@register("gamma_shrinkage", source=SOURCE, joint_channels=True)
-def gamma_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+@register(
+    "gamma_shrinkage",
+    source=_SOURCE,
+    label="shrinkage to gamma",
+    place=5,
+    joint_channels=True,
+)
+def gamma_shrinkage(x: Array) -> Array:
     """James-Stein combination of the mean with that of a fitted zero-inflated gamma.
 
     It is the mean: of a gamma distribution, the maximum-likelihood estimate of the expectation is
@@ -240,12 +226,17 @@ def gamma_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     >>> gamma_shrinkage([[1.0, 2.0, 6.0], [2.0, 1.0, 6.0], [6.0, 1.0, 2.0]]).round(9).tolist()
     [3.0, 3.0, 3.0]
     """
-    samples = whole_samples(x)
-    return shrink_mean(samples, _mean_of_fit(samples, _of_family("gamma")))
+    return _shrink_mean(x, partial(_mean_of_family, name="gamma"))
 
 
-@register("lognormal_shrinkage", source=SOURCE, joint_channels=True)
-def lognormal_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
+@register(
+    "lognormal_shrinkage",
+    source=_SOURCE,
+    label="shrinkage to log-normal",
+    place=5,
+    joint_channels=True,
+)
+def lognormal_shrinkage(x: Array) -> Array:
     """James-Stein combination of the mean with that of a fitted zero-inflated log-normal.
 
     The plug-in ``(1 - null share) exp(mu + sigma^2 / 2)`` weighs the largest samples less than the
@@ -281,12 +272,17 @@ def lognormal_shrinkage(x: npt.ArrayLike) -> npt.NDArray[np.floating[Any]]:
     >>> float(x.mean()), lognormal_shrinkage(x)[0].round(2).item()
     (1.875, 1.91)
     """
-    samples = whole_samples(x)
-    return shrink_mean(samples, _mean_of_fit(samples, _of_family("lognormal")))
+    return _shrink_mean(x, partial(_mean_of_family, name="lognormal"))
 
 
-@register("mixture_shrinkage", source=SOURCE, joint_channels=True)
-def mixture_shrinkage(x: npt.ArrayLike, *, max_k: int = 3) -> npt.NDArray[np.floating[Any]]:
+@register(
+    "mixture_shrinkage",
+    source=_SOURCE,
+    label="shrinkage to mixture",
+    place=5,
+    joint_channels=True,
+)
+def mixture_shrinkage(x: Array, *, max_k: int = 3) -> Array:
     """James-Stein combination of the mean with that of a fitted zero-inflated log-normal mixture.
 
     The plug-in ``(1 - null share) sum_j w_j exp(mu_j + sigma_j^2 / 2)`` extrapolates less than that
@@ -331,26 +327,42 @@ def mixture_shrinkage(x: npt.ArrayLike, *, max_k: int = 3) -> npt.NDArray[np.flo
     >>> float(x.mean()), mixture_shrinkage(x)[0].round(1).item()
     (94.6875, 96.5)
     """
-    samples = whole_samples(x)
 
     def kernel(rows: Floats) -> Floats:
         return _mean_of_fit(rows, lambda x: mixture(x, max_k=max_k, effort="fast"))
 
-    # Near 1, logarithms are exact enough for the narrowest components, of a width of 1e-3.
+    def plug_in(x: Array) -> Array:
+        # Near 1, logarithms are exact enough for the narrowest components, of a width of 1e-3.
+        with np.errstate(over="ignore"):
+            return estimate_rows(x.astype(np.float64, copy=False), kernel)
+
+    return _shrink_mean(x, plug_in)
+
+
+def _shrink_mean(x: Array, towards: Callable[[Array], Array]) -> Array:
+    """Pull the mean of samples (..., channel, sample) towards another estimate of them.
+
+    All channels of a sample are left out where one is bad, unless that leaves a pixel with none.
+    """
+    if not all_good(x):
+        bad = is_bad(x).any(axis=-2, keepdims=True)
+        x = np.where(bad & ~bad.all(axis=-1, keepdims=True), x.dtype.type(np.nan), x)
+    mean, error = mean_of_good(x), standard_error(x)
+    # Radiance in units of the pixel's brightest channel can be squared whatever it is.
+    unit = np.fmax.reduce(np.fmax(np.abs(mean), error), axis=-1, keepdims=True, initial=0)
+    unit[unit == 0] = 1
+    biased = towards(x)
     with np.errstate(over="ignore"):
-        plug_in = estimate_rows(samples.astype(np.float64, copy=False), kernel)
-    return shrink_mean(samples, plug_in)
+        return james_stein(mean / unit, biased / unit, (error / unit) ** 2) * unit
 
 
-def _of_family(name: str) -> Callable[[Floats], Fit]:
-    return lambda x: fit_part(PositivePart.of(x), FAMILIES[name])
-
-
-def _mean_of_fit(
-    samples: npt.NDArray[np.floating[Any]], fit: Callable[[Floats], Fit | Mixture]
-) -> Floats:
+def _mean_of_fit(x: Array, fit: Callable[[Array], Fit | Mixture]) -> Floats:
     """Return the mean of a fit, for which negative samples are zeros, and add their values."""
     # A very wide log-normal has no finite mean in doubles; then the sample mean stands.
     with np.errstate(over="ignore", invalid="ignore"):
-        mean = fit(np.maximum(samples, 0)).mean()
-        return mean if samples.min(initial=0) >= 0 else mean + mean_of_good(np.minimum(samples, 0))
+        mean = fit(np.maximum(x, 0)).mean()
+        return mean if x.min(initial=0) >= 0 else mean + mean_of_good(np.minimum(x, 0))
+
+
+def _mean_of_family(x: Array, name: str) -> Floats:
+    return _mean_of_fit(x, lambda x: fit_part(PositivePart.of(x), FAMILIES[name]))

@@ -1,14 +1,17 @@
-"""Similarity: statistics that tell whether the samples of two pixels come from one distribution.
+"""Similarity: whether the samples of two pixels come from one distribution, and sums over windows.
 
 Means of transformed samples with their standard errors, as Welch's test compares them, and the
 histograms that a chi-square distance compares. Only samples that are good in all channels count;
-where there are too few, errors are NaN and histograms empty. Topics are distributions that many
-histograms are mixtures of, found from the histograms alone.
+where there are too few, errors are NaN and histograms empty.
+
+`pool` adds up the pixels of a window, each weighted by its similarity. It walks over the offsets of
+the window and shifts the image by each, so that all pixels of an offset are compared at once. A
+pair of pixels is compared once and counts both ways: the weight of one for the other is symmetric.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,21 +25,22 @@ from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.rows import Floats
 
 __all__ = [
-    "BINS",
     "Means",
     "ScaledSamples",
-    "chi_square",
     "corrected_means",
     "histograms",
     "not_different",
+    "patch_sum",
+    "pool",
+    "quotient",
     "root",
     "shape_means",
     "significance",
-    "topic_histograms",
+    "with_weight",
     "without_largest",
 ]
 
-BINS = 20
+_BINS = 20
 """Bins of a histogram (BCD)."""
 
 _GAMMA = 2.2
@@ -46,9 +50,8 @@ _SATURATION = 2.0
 """Multiple of that from which all counts in the last bin (BCD)."""
 _CHUNK = 2**16
 """Samples transformed at once."""
-
-Transform = Callable[[Floats], Floats]
-"""From samples (pixel, channel, sample) to values (pixel, statistic, sample)."""
+_PIXELS = 2**15
+"""Pixels compared at once."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +76,10 @@ class ScaledSamples:
 
     Attributes
     ----------
+    given
+        Samples as they are, shape (y, x, channel, sample).
     samples
-        Shape (y, x, channel, sample); 0 where they are bad.
+        The same, 0 where a channel is bad.
     good
         Marks samples of which all channels are good, shape (y, x, sample); None where all are.
     count
@@ -83,6 +88,7 @@ class ScaledSamples:
         A power of two, which changes no digit.
     """
 
+    given: npt.NDArray[np.floating[Any]]
     samples: npt.NDArray[np.floating[Any]]
     good: npt.NDArray[np.bool_] | None
     count: npt.NDArray[np.int64]
@@ -90,16 +96,14 @@ class ScaledSamples:
 
     @classmethod
     def of(cls, x: npt.NDArray[np.floating[Any]]) -> ScaledSamples:
-        """Tell good and bad samples (y, x, channel, sample) apart."""
-        good, kept = None, x
+        """Find the bad samples among (y, x, channel, sample), and the unit."""
+        good, kept, count = None, x, np.full(x.shape[:2], x.shape[-1], np.int64)
         if not all_good(x):
             good = ~np.asarray(is_bad(x).any(axis=-2))
             kept = np.where(good[..., np.newaxis, :], x, 0)
-        count = np.full(x.shape[:2], x.shape[-1], np.int64)
-        if good is not None:
             count = np.count_nonzero(good, axis=-1)
         _, exponent = np.frexp(exposure_unit(mean_of_good(kept).mean(axis=-1)))
-        return cls(kept, good, count, float(np.ldexp(1.0, int(exponent) - 1)))
+        return cls(x, kept, good, count, float(np.ldexp(1.0, int(exponent) - 1)))
 
     def mean(self) -> Floats:
         """Return the mean of the good samples in units of `unit`, shape (y, x, channel)."""
@@ -107,12 +111,15 @@ class ScaledSamples:
             total = self.samples.sum(axis=-1, dtype=np.float64) / self.unit
             return np.asarray(total / self.count[..., np.newaxis])
 
-    def mean_below_zero(self) -> Floats:
-        """Return what negative samples contribute to `mean`, same shape."""
-        if self.samples.min() >= 0:
-            return np.zeros(self.samples.shape[:-1])
-        below = np.minimum(self.samples, 0).sum(axis=-1, dtype=np.float64) / self.unit
-        return np.asarray(below / np.maximum(self.count, 1)[..., np.newaxis])
+    def radiance(self, estimate: Floats) -> npt.NDArray[Any]:
+        """Return estimates (y, x, channel), in units of `unit`, as radiance.
+
+        Where there is none, or no whole sample is good, the mean of a channel's good samples.
+        """
+        found = estimate * self.unit
+        missing = (self.count == 0) | ~np.isfinite(found).all(axis=-1)
+        found[missing] = mean_of_good(self.given[missing])
+        return found
 
     def walk(self, work: Callable[..., tuple[Floats, ...]]) -> tuple[Floats, ...]:
         """Apply ``work(rows, mask, count)`` to pixels that stay in the cache together.
@@ -124,22 +131,20 @@ class ScaledSamples:
         rows = self.samples.reshape(-1, channels, n)
         good = None if self.good is None else self.good.reshape(-1, 1, n)
         count = self.count.reshape(-1, 1)
-        found = [
-            work(
-                rows[part] / np.float64(self.unit),
-                None if good is None else good[part],
-                count[part],
-            )
-            for part in spans(len(rows), max(1, _CHUNK // (channels * n)))
-        ]
+        found = []
+        for part in spans(len(rows), max(1, _CHUNK // (channels * n))):
+            mask = None if good is None else good[part]
+            found.append(work(rows[part] / np.float64(self.unit), mask, count[part]))
         return tuple(
             np.concatenate(kind).reshape(height, width, *kind[0].shape[1:])
             for kind in zip(*found, strict=True)
         )
 
 
-def corrected_means(image: ScaledSamples, transform: Transform) -> Means:
+def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats]) -> Means:
     """Return means of transformed samples, corrected for their skewness, and standard errors.
+
+    The transform turns samples (pixel, channel, sample) into values (pixel, statistic, sample).
 
     ``mu + mu_3 / (6 s^2 n)``: Johnson 1978, doi:10.1080/01621459.1978.10480051, with mu_3 = M_3 / n
     and s^2 = M_2 / (n - 1), as in the code of Sakai et al. 2024.
@@ -215,13 +220,13 @@ def histograms(image: ScaledSamples, unit: float) -> Floats:
         with np.errstate(over="ignore"):
             v = (np.maximum(rows, 0) * (image.unit / unit)) ** (1 / _GAMMA) / _HIGHEST
         v = np.minimum(v, _SATURATION)
-        place = v * (BINS - 2)
-        low = np.minimum(place.astype(np.intp), BINS - 2)
+        place = v * (_BINS - 2)
+        low = np.minimum(place.astype(np.intp), _BINS - 2)
         high = np.where(v < 1, place - low, v - 1)
         counted = np.ones(rows.shape) if good is None else np.broadcast_to(good, rows.shape)
-        start = BINS * np.arange(len(rows) * channels).reshape(len(rows), channels, 1)
+        start = _BINS * np.arange(len(rows) * channels).reshape(len(rows), channels, 1)
         where = (low + start).reshape(-1)
-        size = BINS * len(rows) * channels
+        size = _BINS * len(rows) * channels
         low_bins = np.bincount(where, (counted * (1 - high)).reshape(-1), size)
         found = low_bins + np.bincount(where + 1, (counted * high).reshape(-1), size)
         return (np.asarray(found, dtype=np.float64).reshape(len(rows), -1),)
@@ -243,80 +248,101 @@ def not_different(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats
     """Return 1 where no statistic differs significantly, else 0; 0 where one is unknown."""
     (mean, bound), (other, its) = here, there
     with np.errstate(over="ignore", invalid="ignore"):
-        alike = ((mean - other) ** 2 <= bound + its).all(axis=-1)
-    return np.asarray(alike, dtype=np.float64)
+        return ((mean - other) ** 2 <= bound + its).all(axis=-1).astype(np.float64)
 
 
-def chi_square(h: Floats, n: Floats, other: Floats, m: Floats) -> tuple[Floats, Floats]:
-    """Return the chi-square distance of histograms of n and m samples, and the bins used.
-
-    ``sum (m h - n h')^2 / (n m (h + h'))``: Delbracio et al. 2014, doi:10.1145/2532708. Bins with
-    no more than one sample of both are not used, as in the code of Boughida and Boubekeur 2017.
-    """
-    both = h + other
-    used = (both > 1) & (n > 0) & (m > 0)
-    apart = np.sqrt(m / np.maximum(n, 1)) * h - np.sqrt(n / np.maximum(m, 1)) * other
-    terms = np.divide(apart * apart, both, out=np.zeros_like(both), where=used)
-    return terms.sum(axis=-1), np.count_nonzero(used, axis=-1).astype(np.float64)
+Weigh = Callable[[tuple[Floats, ...], tuple[Floats, ...]], Floats]
+"""Weights (y, x) of pixels, from the fields here and the fields at an offset, each (y, x, ...)."""
 
 
-Counts = npt.NDArray[np.float32]
-
-_ROWS_AT_ONCE = 512
-"""Histograms worked on at once: they and their ratios stay in the cache."""
-_POOLED = 0.2
-"""Share of the pooled histogram in a first topic; without it no topic could take up a new bin."""
-_LEAST = 1e-3
-"""Weight of the pooled histogram among the counts of a topic: no probability becomes 0."""
-
-
-def topic_histograms(
-    counts: Counts, *, topics: int, iterations: int, rng: np.random.Generator
-) -> Counts:
-    r"""Describe every histogram as a mixture of a few topics that all of them share.
-
-    Maximises ``sum_jb c_jb log sum_k theta_jk phi_kb`` by expectation-maximisation, from topics
-    that are histograms drawn at random. What only noise tells apart becomes equal.
+def pool(
+    weigh: Weigh,
+    fields: tuple[Floats, ...],
+    values: Floats,
+    squares: Floats | None = None,
+    *,
+    radius: int,
+    reach: int = 0,
+) -> tuple[Floats, Floats]:
+    """Add up what lies within a window, each pixel by its weight.
 
     Parameters
     ----------
-    counts
-        c, shape (row, bin), not negative; every row and the first topics drawn hold a count.
-    topics
-        How many; no more than there are rows.
-    iterations
-        Of expectation-maximisation.
-    rng
-        Draws the rows that are the first topics.
+    weigh
+        Weights of pairs; the pixel itself counts with weight 1.
+    fields
+        What `weigh` compares, each of shape (y, x, ...).
+    values, squares
+        What is added up, shape (y, x, value): values by the weights, squares by the squared
+        weights, as variances of the former are.
+    radius
+        Pixels up to this far in y and in x belong to the window.
+    reach
+        How many rows around a pair its weight depends on.
 
     Returns
     -------
-    ndarray
-        Probabilities theta phi, shape (row, bin); each row adds up to 1.
-
-    References
-    ----------
-    T. Hofmann, "Probabilistic latent semantic indexing", SIGIR 1999, doi:10.1145/312624.312649,
-    equations 3 to 6.
+    tuple of ndarray
+        Both sums, shape (y, x, value); outside the image there is nothing.
     """
-    number = min(topics, len(counts))
-    pooled = counts.mean(axis=0)
-    first = counts[rng.choice(len(counts), number, replace=False)]
-    phi = _normalised(first + _POOLED * pooled + _LEAST)
-    theta = np.full((len(counts), number), 1 / number, np.float32)
-    for _ in range(iterations):
-        found = np.zeros_like(phi)
-        for part in spans(len(counts), _ROWS_AT_ONCE):
-            ratio = counts[part] / _positive(theta[part] @ phi)
-            found += theta[part].T @ ratio
-            theta[part] = _normalised(theta[part] * (ratio @ phi.T))
-        phi = _normalised(phi * found + _LEAST * pooled)
-    return np.asarray(theta @ phi)
+    squares = values[..., :0] if squares is None else squares
+    height, width = values.shape[:2]
+    sums, squared = np.empty_like(values), np.empty_like(squares)
+    halo = radius + reach
+    for rows in spans(height, max(halo, _PIXELS // max(width, 1), 1)):
+        # Strips with what they depend on around them give what the whole image does.
+        strip = slice(max(rows.start - halo, 0), rows.stop + halo)
+        compared, own, own_squares = [f[strip] for f in fields], values[strip], squares[strip]
+        total, total_squares = own.copy(), own_squares.copy()
+        for here, there in _pairs(*own.shape[:2], radius):
+            weight = weigh(tuple(f[here] for f in compared), tuple(f[there] for f in compared))
+            weight = weight[..., np.newaxis]
+            for target, source in ((here, there), (there, here)):
+                total[target] += weight * own[source]
+                total_squares[target] += weight**2 * own_squares[source]
+        inner = slice(rows.start - strip.start, rows.stop - strip.start)
+        sums[rows], squared[rows] = total[inner], total_squares[inner]
+    return sums, squared
 
 
-def _positive(values: Counts) -> Counts:
-    return np.maximum(values, np.float32(1e-20))
+def _pairs(
+    height: int, width: int, radius: int
+) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
+    """Yield, for every offset in one half of the window, the places of both pixels of the pairs."""
+    most = min(radius, width - 1)
+    for dy in range(min(radius, height - 1) + 1):
+        for dx in range(-most if dy else 1, most + 1):
+            left = slice(max(-dx, 0), width - max(dx, 0))
+            right = slice(max(dx, 0), width + min(dx, 0))
+            yield (slice(0, height - dy), left), (slice(dy, height), right)
 
 
-def _normalised(rows: npt.NDArray[Any]) -> Counts:
-    return np.asarray(rows / _positive(rows.sum(axis=-1, keepdims=True)), np.float32)
+def patch_sum(values: Floats, radius: int) -> Floats:
+    """Add up (y, x) over patches of (2 radius + 1)^2 pixels; outside, there is nothing."""
+    if radius == 0:
+        return values
+    height, width = values.shape
+    padded = np.pad(values, radius)
+    rows = padded[:height].copy()
+    for step in range(1, 2 * radius + 1):
+        rows += padded[step : step + height]
+    total = rows[:, :width].copy()
+    for step in range(1, 2 * radius + 1):
+        total += rows[:, step : step + width]
+    return total
+
+
+def with_weight(values: Floats, weight: npt.NDArray[Any]) -> Floats:
+    """Return values (y, x, value) times weights (y, x), and these behind; 0 if unknown."""
+    weights = weight[..., np.newaxis].astype(np.float64)
+    known = (weights > 0) & np.isfinite(values).all(axis=-1, keepdims=True)
+    parts = np.where(known, values * weights, 0), np.where(known, weights, 0)
+    return np.concatenate(parts, axis=-1)
+
+
+def quotient(sums: Floats) -> Floats:
+    """Return the averages of what `with_weight` has prepared; NaN where nothing has weight."""
+    weight = sums[..., -1:]
+    return np.divide(
+        sums[..., :-1], weight, out=np.full_like(sums[..., :-1], np.nan), where=weight > 0
+    )

@@ -6,7 +6,7 @@ import pytest
 from chdstat import estimators
 from chdstat._core.arrays import LUMINANCE
 from chdstat.errors import InputError
-from chdstat.estimators.cascades import BASE, LAYERS, Cascade, layer_weights
+from chdstat.estimators.outliers import BASE, LAYERS, Cascade, layer_weights
 
 BRIGHTNESS = BASE ** np.arange(LAYERS)
 

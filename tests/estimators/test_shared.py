@@ -6,17 +6,22 @@ from scipy import stats
 
 from chdstat import estimators
 from chdstat.errors import InputError
-from chdstat.estimators import neighbourhood, similar_pixels
-from chdstat.estimators.neighbourhood import patch_sum, pool
-from chdstat.estimators.similarity import ScaledSamples, corrected_means, histograms, shape_means
+from chdstat.estimators.similarity import (
+    ScaledSamples,
+    corrected_means,
+    histograms,
+    patch_sum,
+    pool,
+    shape_means,
+)
 
 ALL = (
-    neighbourhood.delbracio2014,
-    neighbourhood.sakai2024,
-    similar_pixels.shared_patches,
-    similar_pixels.shared_shape,
+    estimators.delbracio2014,
+    estimators.sakai2024,
+    estimators.shared_patches,
+    estimators.shared_shape,
 )
-AVERAGES = (neighbourhood.delbracio2014, neighbourhood.sakai2024, similar_pixels.shared_patches)
+AVERAGES = (estimators.delbracio2014, estimators.sakai2024, estimators.shared_patches)
 
 
 def image(seed=0, shape=(9, 11, 3, 16), sigma=1.0):
@@ -57,7 +62,7 @@ def test_sakai_shares_what_the_formula_says(radius):
     x = image(sigma=0.5)
     x[:, 5:] *= 1.3
     expected, members = sakai_by_hand(x, 0.05, radius)
-    assert neighbourhood.sakai2024(x, alpha=0.05, radius=radius) == pytest.approx(
+    assert estimators.sakai2024(x, alpha=0.05, radius=radius) == pytest.approx(
         expected, rel=1e-12
     )
     sizes = {len(found) for found in members.values()}
@@ -109,7 +114,7 @@ def test_delbracio_shares_what_the_formula_says(threshold):
                 total += n[k, m] * mean[k, m]
                 weight += n[k, m]
                 shared_pairs += 1
-        found = neighbourhood.delbracio2014(x, threshold=threshold, radius=2, patch=0, unit=1.0)
+        found = estimators.delbracio2014(x, threshold=threshold, radius=2, patch=0, unit=1.0)
         assert found[y, column] == pytest.approx(total / weight, rel=1e-12)
     assert 30 < shared_pairs < 400
 
@@ -149,7 +154,7 @@ def test_strips_give_what_the_whole_image_gives(radius, patch, monkeypatch):
         return pool(weigh, (field,), field, field**2, radius=radius, reach=2 * patch)
 
     whole = work()
-    monkeypatch.setattr("chdstat.estimators.neighbourhood._PIXELS", 7)
+    monkeypatch.setattr("chdstat.estimators.similarity._PIXELS", 7)
     assert all(np.array_equal(a, b) for a, b in zip(work(), whole, strict=True))
 
 
@@ -187,10 +192,10 @@ def test_nothing_leaks_across_an_edge(function):
     x[:, 8:] *= 1000 * (rng.random((12, 8, 3, 64)) < 0.5)
     other = x.copy()
     other[:, 8:] = rng.permuted(x[:, 8:], axis=-1)[::-1]
-    options = {"unit": 1.0} if function is neighbourhood.delbracio2014 else {}
+    options = {"unit": 1.0} if function is estimators.delbracio2014 else {}
     left, again = function(x, **options)[:, :8], function(other, **options)[:, :8]
     assert left == pytest.approx(
-        again, rel=5e-3 if function is similar_pixels.shared_patches else 1e-9
+        again, rel=5e-3 if function is estimators.shared_patches else 1e-9
     )
     assert (abs(left / 8 - 1) < 0.3).all()
 
@@ -221,17 +226,17 @@ def test_shape_is_shared_and_level_is_not():
     """Scaling one pixel scales its own estimate and moves no other."""
     x = image(10, (8, 8, 3, 32), sigma=1.5)
     factor = np.random.default_rng(10).lognormal(0, 3, size=(8, 8, 1))
-    found = similar_pixels.shared_shape(x * factor[..., np.newaxis])
-    assert found == pytest.approx(factor * similar_pixels.shared_shape(x), rel=1e-9)
+    found = estimators.shared_shape(x * factor[..., np.newaxis])
+    assert found == pytest.approx(factor * estimators.shared_shape(x), rel=1e-9)
 
 
 def test_limit_by_shape_moves_no_mean_up_and_is_lifted_by_infinity():
     x = image(20, (8, 8, 3, 32), sigma=2)
     mean = x.mean(axis=-1)
-    found = similar_pixels.shared_shape(x)
+    found = estimators.shared_shape(x)
     assert (found <= mean * (1 + 1e-12)).all()
     assert 0.05 < (found < 0.999 * mean).mean() < 0.8
-    assert similar_pixels.shared_shape(x, limit=np.inf) == pytest.approx(mean, rel=1e-12)
+    assert estimators.shared_shape(x, limit=np.inf) == pytest.approx(mean, rel=1e-12)
 
 
 def test_limit_by_shape_has_smaller_errors_whatever_the_levels_around():
@@ -243,7 +248,7 @@ def test_limit_by_shape_has_smaller_errors_whatever_the_levels_around():
     rng = np.random.default_rng(11)
     truth = rng.lognormal(0, 2, size=(24, 24, 1))
     x = truth[..., np.newaxis] * rng.lognormal(-1.125, 1.5, size=(24, 24, 3, 32))
-    found, mean = (rms(f(x) / truth - 1) for f in (similar_pixels.shared_shape, estimators.mean))
+    found, mean = (rms(f(x) / truth - 1) for f in (estimators.shared_shape, estimators.mean))
     assert found < 0.95 * mean
 
 
@@ -270,13 +275,13 @@ def test_a_pixel_without_a_good_sample_neither_takes_nor_gives(function):
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize(
     "function",
-    [neighbourhood.sakai2024, similar_pixels.shared_patches, similar_pixels.shared_shape],
+    [estimators.sakai2024, estimators.shared_patches, estimators.shared_shape],
 )
 def test_one_good_sample_is_not_compared(function):
     x = image(13, (5, 5, 3, 16))
     x[2, 2, :, 1:] = np.inf
     assert np.isfinite(function(x)).all()
-    if function is neighbourhood.sakai2024:
+    if function is estimators.sakai2024:
         assert function(x)[2, 2] == pytest.approx(x[2, 2, :, 0])
 
 
@@ -287,7 +292,7 @@ def test_radiances_that_squares_of_overflow(function, level):
     x[0, 0] = 0
     x[5, 5] = 1.0
     assert np.isfinite(function(x)).all()
-    if function is not neighbourhood.delbracio2014:  # whose patches tell a single pixel less
+    if function is not estimators.delbracio2014:  # whose patches tell a single pixel less
         assert function(x)[0, 0] == pytest.approx(0, abs=1e-6 * level)
 
 
@@ -308,8 +313,8 @@ def test_any_number_of_channels_can_share(channels):
 def test_fireflies_are_limited_or_kept():
     x = np.random.default_rng(18).gamma(4.0, size=(10, 10, 3, 16))
     x[5, 5, :, 0] = 4000.0
-    kept = similar_pixels.shared_patches(x, fireflies="keep")
-    limited = similar_pixels.shared_patches(x)
+    kept = estimators.shared_patches(x, fireflies="keep")
+    limited = estimators.shared_patches(x)
     assert kept[5, 5].min() > 1.5 * limited[5, 5].max()
     assert abs(limited.mean() / 4 - 1) < 0.05
 
@@ -317,16 +322,16 @@ def test_fireflies_are_limited_or_kept():
 @pytest.mark.parametrize(
     ("function", "options"),
     [
-        (neighbourhood.delbracio2014, {"radius": -1}),
-        (neighbourhood.delbracio2014, {"threshold": 0.0}),
-        (neighbourhood.delbracio2014, {"patch": -1}),
-        (neighbourhood.delbracio2014, {"unit": 0.0}),
-        (neighbourhood.sakai2024, {"alpha": 1.0}),
-        (neighbourhood.sakai2024, {"radius": -1}),
-        (similar_pixels.shared_patches, {"threshold": np.nan}),
-        (similar_pixels.shared_patches, {"fireflies": "hunt"}),
-        (similar_pixels.shared_shape, {"alpha": 0.0}),
-        (similar_pixels.shared_shape, {"limit": 0.0}),
+        (estimators.delbracio2014, {"radius": -1}),
+        (estimators.delbracio2014, {"threshold": 0.0}),
+        (estimators.delbracio2014, {"patch": -1}),
+        (estimators.delbracio2014, {"unit": 0.0}),
+        (estimators.sakai2024, {"alpha": 1.0}),
+        (estimators.sakai2024, {"radius": -1}),
+        (estimators.shared_patches, {"threshold": np.nan}),
+        (estimators.shared_patches, {"fireflies": "hunt"}),
+        (estimators.shared_shape, {"alpha": 0.0}),
+        (estimators.shared_shape, {"limit": 0.0}),
     ],
 )
 def test_options_out_of_range_are_refused(function, options):

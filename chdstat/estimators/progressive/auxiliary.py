@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat.errors import InputError
-from chdstat.estimators.neighbourhood import pool
 from chdstat.estimators.progressive.profile import OCTAVES, Profile
+from chdstat.estimators.similarity import pool
 
 __all__ = [
     "BANDS",

@@ -16,10 +16,10 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import is_bad
 from chdstat.errors import InputError
+from chdstat.estimators.neighbourhood import shared_patches
 from chdstat.estimators.progressive.auxiliary import BANDS, RADII, Features, describe, pool_around
 from chdstat.estimators.progressive.profile import Profile
 from chdstat.estimators.progressive.splits import MinibatchSource, SampleSplits
-from chdstat.estimators.similar_pixels import shared_patches
 from chdstat.estimators.validation import check_spp, checked_pixels, draw_pixels
 from chdstat.samples import Samples
 

@@ -32,12 +32,12 @@ def _train_with_direct(samples: Samples, **options: Any) -> Progressive:
     return Progressive(inputs=["direct"]).train(samples, **options)
 
 
-for _name, _function, _balance in (
-    ("progressive", _train, 0.5),
-    ("progressive_mse", _train, 0.0),
-    ("progressive_relmse", _train, 1.0),
-    ("progressive_features", _train_with_features, 0.5),
-    ("progressive_direct", _train_with_direct, 0.5),
+for _name, _label, _function, _balance in (
+    ("progressive", "progressive (ours)", _train, 0.5),
+    ("progressive_mse", "progressive, for MSE", _train, 0.0),
+    ("progressive_relmse", "progressive, for relMSE", _train, 1.0),
+    ("progressive_features", "progressive, with features", _train_with_features, 0.5),
+    ("progressive_direct", "progressive, with direct light apart", _train_with_direct, 0.5),
 ):
     register_learned(
         LearnedEstimator(
@@ -46,6 +46,9 @@ for _name, _function, _balance in (
             _SOURCE,
             inputs=None,
             pixels=_PIXELS,
+            label=_label,
+            place=9,
+            default=_name == "progressive",
             options={"balance": _balance},
             uses_features=_function is _train_with_features,
             joint_channels=True,
@@ -57,6 +60,8 @@ for _name, _function, _balance in (
 @register(
     "self_trained",
     source="this library, after Lehtinen et al. 2018",
+    label="self-trained (ours)",
+    place=9,
     minimum_samples=4,
     uses_neighbours=True,
     joint_channels=True,

@@ -1,9 +1,11 @@
-"""Cascades: samples sorted by brightness, and layers trusted by how often they were hit.
+"""Outliers: samples that few others confirm are left out, in part or as a whole.
 
-A sample is split between the two layers whose brightness it lies between. A layer counts as far as
-enough samples of its brightness have fallen into the pixel or around it; rarer ones, the fireflies,
-are left out in part. `zirr2018` looks at 3 x 3 pixels, `zirr2018_pixel` at the pixel alone, and
-`Cascade` keeps the layers, so that a sweep of kappa splits the samples once.
+`zirr2018` and `zirr2018_pixel` split a sample between the two layers whose brightness it lies
+between. A layer counts as far as enough samples of its brightness have fallen into the pixel or
+around it; rarer ones, the fireflies, are left out in part. The former looks at 3 x 3 pixels, the
+latter at the pixel alone, and `Cascade` keeps the layers, so that a sweep of kappa splits the
+samples once. `decoro2010` leaves out samples with too few similar ones in the pixels around, and
+averages the rest.
 """
 
 from __future__ import annotations
@@ -14,14 +16,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import all_good, as_pixels, is_bad, luminance, spans
+from chdstat._core.arrays import all_good, as_pixels, is_bad, luminance, spans, whole
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import InputError
 from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.registry import register
-from chdstat.estimators.rows import Floats
+from chdstat.estimators.rows import Floats, check_positive
 
-__all__ = ["BASE", "LAYERS", "Cascade", "layer_weights", "zirr2018", "zirr2018_pixel"]
+__all__ = [
+    "BASE",
+    "LAYERS",
+    "Cascade",
+    "decoro2010",
+    "dense",
+    "layer_weights",
+    "zirr2018",
+    "zirr2018_pixel",
+]
+
+Array = npt.NDArray[np.floating[Any]]
 
 BASE = 8.0
 """Ratio b of the brightness of neighbouring layers: the paper's default, in the authors' code."""
@@ -32,14 +45,26 @@ _DARKEST = 0.05
 """Luminance that is always taken for reliable (authors' code)."""
 _OFF = 1e-6
 """Largest kappa that switches the reweighting off (authors' code)."""
-_SOURCE = "Zirr et al. 2018, doi:10.1111/cgf.13335"
 _CHUNK = 2**16
+"""Samples split at once."""
+_SOURCE = "Zirr et al. 2018, doi:10.1111/cgf.13335"
+_BLACK = 1e-2
+"""Radiance, of an image exposed as usual, below which colours are as good as black."""
+_FAR = 1e30
+"""Half a squared distance that is never bridged."""
+_DISTANCES = 2**17
+"""Distances computed at once."""
 
 
-@register("zirr2018", source=_SOURCE, uses_neighbours=True, joint_channels=True)
-def zirr2018(
-    x: npt.ArrayLike, *, kappa: float = 1.0, unit: float | None = None
-) -> npt.NDArray[np.floating[Any]]:
+@register(
+    "zirr2018",
+    source=_SOURCE,
+    label="Zirr et al. 2018",
+    place=6,
+    uses_neighbours=True,
+    joint_channels=True,
+)
+def zirr2018(x: Array, *, kappa: float = 1.0, unit: float | None = None) -> Array:
     """Reweighted fireflies: each brightness counts as far as the pixels around confirm it.
 
     Samples are split over layers of brightness ``B_i = 8^i``. The estimate is ``sum_i w_i C_i``:
@@ -90,10 +115,14 @@ def zirr2018(
     return _estimate(x, kappa, unit, radius=1)
 
 
-@register("zirr2018_pixel", source=_SOURCE, joint_channels=True)
-def zirr2018_pixel(
-    x: npt.ArrayLike, *, kappa: float = 1.0, unit: float | None = None
-) -> npt.NDArray[np.floating[Any]]:
+@register(
+    "zirr2018_pixel",
+    source=_SOURCE,
+    label="Zirr et al. 2018, pixel",
+    place=6,
+    joint_channels=True,
+)
+def zirr2018_pixel(x: Array, *, kappa: float = 1.0, unit: float | None = None) -> Array:
     """Reweighted fireflies of the pixel alone: `zirr2018` without its neighbourhood.
 
     Parameters
@@ -153,8 +182,10 @@ class Cascade:
     def of(cls, x: npt.ArrayLike, *, unit: float | None = None) -> Cascade:
         """Split samples (..., channel, sample); see `zirr2018` for what they may be."""
         samples = as_pixels(x)
-        _check_channels(samples.shape)
         channels, n = samples.shape[-2:]
+        if channels not in (1, 3):
+            message = f"luminance needs 1 or 3 channels, got {channels} in shape {samples.shape}"
+            raise InputError(message)
         rows = samples.reshape(-1, channels, n)
         count = np.empty(len(rows), np.int64)
         # The image is exposed by what it shows, before anything is reweighted.
@@ -264,16 +295,12 @@ def layer_weights(brightness: npt.ArrayLike) -> Floats:
     return weights
 
 
-def _estimate(
-    x: npt.ArrayLike, kappa: float, unit: float | None, *, radius: int
-) -> npt.NDArray[np.floating[Any]]:
-    samples = as_pixels(x, image=radius > 0)
-    cascade = Cascade.of(samples, unit=unit)
+def _estimate(x: Array, kappa: float, unit: float | None, *, radius: int) -> Array:
+    cascade = Cascade.of(x, unit=unit)
     found = cascade.resolve(kappa, radius=radius)
     empty = cascade.count == 0
-    if empty.any():
-        found[empty] = mean_of_good(samples[empty])
-    return found.astype(samples.dtype)
+    found[empty] = mean_of_good(x[empty])
+    return found
 
 
 def _split(rows: npt.NDArray[Any], unit: float) -> tuple[Floats, npt.NDArray[np.int64]]:
@@ -299,7 +326,129 @@ def _window_mean(values: Floats, radius: int) -> Floats:
     return np.asarray(columns / width**2)
 
 
-def _check_channels(shape: tuple[int, ...]) -> None:
-    if shape[-2] not in (1, 3):
-        message = f"luminance needs 1 or 3 channels, got {shape[-2]} in shape {shape}"
-        raise InputError(message)
+@register(
+    "decoro2010",
+    source="DeCoro et al. 2010, doi:10.1111/j.1467-8659.2010.01799.x",
+    label="DeCoro et al. 2010",
+    place=6,
+    uses_neighbours=True,
+    joint_channels=True,
+)
+def decoro2010(
+    x: Array,
+    *,
+    neighbours: int = 4,
+    bandwidth: float = 1.0,
+    radius: int = 1,
+    unit: float | None = None,
+) -> Array:
+    """Mean of the samples that are not alone in joint image and colour space.
+
+    A sample stays if at least k others are less than 1 away, ``d^2 = (dx^2 + dy^2) / (r + 1)^2 +
+    mean_c (log x_c - log x'_c)^2 / h^2``. That is the same as a bound on the distance to its k-th
+    nearest neighbour, the classical estimate of a density.
+
+    Reconstructed from the paper's abstract, which characterises outliers by their density among
+    nearby paths in joint image and colour space; metric, bounds and defaults are ours. Colours are
+    those of an image exposed as usual, and what is darker than 0.01 of that is black: dim samples
+    and negative ones are not outliers. Bias is to the dark, more where a bright event is rare but
+    real.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
+        is left out.
+    neighbours
+        k, at least 1.
+    bandwidth
+        h, the difference of natural logarithms that counts as 1, larger than 0.
+    radius
+        r, in pixels: samples up to r pixels away count; 0 for those of the pixel alone.
+    unit
+        Radiance that is exposed as 1; None makes the log-average of the image 0.18.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit and dtype of `x`. Where all samples of a pixel
+        are alone, and where no whole sample is good, the mean of a channel's good samples; NaN
+        where there are none of these.
+
+    Raises
+    ------
+    InputError
+        If `x` is no image, or an option is out of range.
+
+    References
+    ----------
+    C. DeCoro, T. Weyrich and S. Rusinkiewicz, "Density-based outlier rejection in Monte Carlo
+    rendering", Computer Graphics Forum 29(7), 2010, doi:10.1111/j.1467-8659.2010.01799.x.
+    D. O. Loftsgaarden and C. P. Quesenberry, "A nonparametric estimate of a multivariate density
+    function", Annals of Mathematical Statistics 36(3), 1965, doi:10.1214/aoms/1177700079.
+
+    Examples
+    --------
+    >>> image = np.ones((3, 3, 3, 8))
+    >>> image[1, 1, :, 0] = 900.0
+    >>> decoro2010(image)[1, 1].tolist()
+    [1.0, 1.0, 1.0]
+    """
+    whole("neighbours", neighbours, least=1)
+    whole("radius", radius, least=0)
+    check_positive(bandwidth=bandwidth)
+    bad = np.asarray(is_bad(x).any(axis=-2))
+    kept = dense(x, bad, neighbours, bandwidth, radius, unit) & ~bad
+    alone = ~kept.any(axis=-1)
+    count = np.maximum(np.count_nonzero(kept, axis=-1), 1)[..., np.newaxis]
+    # A product with the mask would turn what is left out, infinite or NaN, into NaN.
+    found = np.where(kept[..., np.newaxis, :], x, 0).sum(axis=-1, dtype=np.float64) / count
+    found[alone] = mean_of_good(x[alone])
+    return np.asarray(found)
+
+
+def dense(
+    x: Array,
+    bad: npt.NDArray[np.bool_],
+    neighbours: int,
+    bandwidth: float,
+    radius: int,
+    unit: float | None,
+) -> npt.NDArray[np.bool_]:
+    """Mark the samples (y, x, channel, sample) with enough others near; shape (y, x, sample)."""
+    height, width, channels, n = x.shape
+    colours = _log_colours(x, bad, unit) / (bandwidth * np.sqrt(channels))
+    # a . b - |b|^2 / 2 + limit / 2 > |a|^2 / 2 is |a - b|^2 < limit: one product tells.
+    half = 0.5 * np.vecdot(colours, colours)
+    here = np.concatenate([colours, np.ones((*half.shape, 1))], axis=-1)
+    edge = ((radius, radius), (radius, radius), (0, 0))
+    # Bad samples, and what lies outside the image, are far from everything.
+    far = np.pad(np.where(bad, _FAR, half), edge, constant_values=_FAR)
+    padded = np.concatenate([np.pad(colours, (*edge, (0, 0))), -far[..., np.newaxis]], axis=-1)
+    found = np.empty((height, width, n), dtype=bool)
+    for y in range(height):
+        for part in spans(width, max(1, _DISTANCES // (n**2 * (2 * radius + 1) ** 2))):
+            there = _window(padded[y : y + 2 * radius + 1], part, radius)
+            near = here[y, part] @ there.swapaxes(-1, -2) > half[y, part, :, np.newaxis]
+            # The sample itself is always near.
+            found[y, part] = np.count_nonzero(near, axis=-1) > neighbours
+    return found
+
+
+def _window(strip: Floats, part: slice, radius: int) -> Floats:
+    """Return what lies around some pixels of the middle row of a strip, shape (pixel, -1, :)."""
+    pieces = []
+    for dy, dx in np.ndindex(2 * radius + 1, 2 * radius + 1):
+        piece = strip[dy, part.start + dx : part.stop + dx].copy()
+        distance = ((dx - radius) ** 2 + (dy - radius) ** 2) / (radius + 1) ** 2
+        piece[..., -1] += 0.5 * (1 - distance)
+        pieces.append(piece)
+    return np.concatenate(pieces, axis=1)
+
+
+def _log_colours(x: Array, bad: npt.NDArray[np.bool_], unit: float | None) -> Floats:
+    """Return log(max(x / unit, 0) + black), shape (y, x, sample, channel)."""
+    good = np.where(bad[..., np.newaxis, :], 0, x) if bad.any() else x
+    found = exposure_unit(good.mean(axis=(-1, -2), dtype=np.float64), unit)
+    relative = np.ascontiguousarray(good.swapaxes(-1, -2)) / np.float64(found)
+    return np.asarray(np.log(np.maximum(relative, 0) + _BLACK))
