@@ -24,7 +24,7 @@ from chdstat._core.executor import track
 from chdstat._core.resampling import Interval
 from chdstat.comparison.metrics import bootstrap, relative_squared_error
 from chdstat.errors import InputError
-from chdstat.estimators import mean
+from chdstat.estimators.order import mean
 from chdstat.estimators.validation import Totals, batches, direct_of
 from chdstat.samples import Samples
 

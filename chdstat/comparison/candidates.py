@@ -14,7 +14,7 @@ from chdstat.comparison.accumulate import Directed, Function
 from chdstat.errors import InputError
 from chdstat.estimators.denoising import Denoised, variants
 from chdstat.estimators.progressive import Progressive
-from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup
+from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup, names
 from chdstat.estimators.validation import Totals, direct_of, draw_pixels, judging_pixels
 from chdstat.samples import Samples
 
@@ -36,8 +36,8 @@ __all__ = [
 
 Entry = Estimator | LearnedEstimator | Denoised
 
-DEFAULT = ("mean", "median_of_means", "elek2019", "progressive")
-"""Who takes part where nobody is named: the paper's three, and our own."""
+DEFAULT = tuple(name for name in names() if lookup(name).default)
+"""Estimators of a comparison that names none."""
 
 
 def resolve(estimators: Sequence[str | Entry], sizes: Sequence[int]) -> dict[str, Entry]:

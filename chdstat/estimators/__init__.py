@@ -22,36 +22,16 @@ registered, the mean first, and `lookup` says where it comes from and what it ne
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
+import numpy.typing as npt
+
 from chdstat._core.image_scales import mean_radiance
-from chdstat.estimators.buckets import (
-    bayesian_median_of_means,
-    gmon_adaptive,
-    gmon_binary,
-    jung2015,
-    lee_valiant,
-    median_of_means,
-)
 from chdstat.estimators.mlp import MLP
-from chdstat.estimators.neighbourhood import (
-    Fireflies,
-    delbracio2014,
-    sakai2024,
-    shared_patches,
-    shared_shape,
-)
-from chdstat.estimators.order import (
-    catoni,
-    huber,
-    mean,
-    median,
-    trimmed_mean,
-    tukey,
-    winsorized_mean,
-)
-from chdstat.estimators.outliers import Cascade, decoro2010, zirr2018, zirr2018_pixel
-from chdstat.estimators.progressive import Estimates, Profile, Progressive, Stream, self_trained
+from chdstat.estimators.neighbourhood import Fireflies
+from chdstat.estimators.outliers import Cascade
+from chdstat.estimators.progressive import Estimates, Profile, Progressive, Stream
 from chdstat.estimators.registry import (
     Estimator,
     LearnedEstimator,
@@ -61,13 +41,7 @@ from chdstat.estimators.registry import (
     register,
     register_learned,
 )
-from chdstat.estimators.shrinkage import (
-    gamma_shrinkage,
-    gmon_shrinkage,
-    james_stein,
-    lognormal_shrinkage,
-    mixture_shrinkage,
-)
+from chdstat.estimators.shrinkage import james_stein
 from chdstat.estimators.training import PRESETS, History, Preset
 
 __all__ = [
@@ -84,44 +58,23 @@ __all__ = [
     "Profile",
     "Progressive",
     "Stream",
-    "bayesian_median_of_means",
-    "catoni",
-    "decoro2010",
-    "delbracio2014",
-    "gamma_shrinkage",
-    "gmon_adaptive",
-    "gmon_binary",
-    "gmon_shrinkage",
-    "huber",
     "james_stein",
-    "jung2015",
-    "lee_valiant",
-    "lognormal_shrinkage",
     "lookup",
-    "mean",
     "mean_radiance",
-    "median",
-    "median_of_means",
-    "mixture_shrinkage",
     "names",
     "register",
     "register_learned",
-    "sakai2024",
-    "self_trained",
-    "shared_patches",
-    "shared_shape",
-    "trimmed_mean",
-    "tukey",
-    "winsorized_mean",
-    "zirr2018",
-    "zirr2018_pixel",
 ]
-__all__ += [name for name in names("fixed") if name not in __all__]
+__all__ += [name for name in names() if isinstance(lookup(name), Estimator)]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> Callable[..., npt.NDArray[Any]]:
     entry = lookup(name) if name in names() else None
     if isinstance(entry, Estimator):
         return entry.function
     message = f"module 'chdstat.estimators' has no attribute {name!r}"
     raise AttributeError(message)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -52,7 +52,6 @@ _OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
     label="Delbracio et al. 2014",
     place=7,
     uses_neighbours=True,
-    joint_channels=True,
 )
 def delbracio2014(
     x: Array,
@@ -141,7 +140,6 @@ def delbracio2014(
     place=7,
     minimum_samples=2,
     uses_neighbours=True,
-    joint_channels=True,
 )
 def sakai2024(x: Array, *, alpha: float = 0.005, radius: int = 5) -> Array:
     """Statistical denoising: average pixels whose means do not differ significantly.
@@ -206,14 +204,7 @@ def sakai2024(x: Array, *, alpha: float = 0.005, radius: int = 5) -> Array:
     return image.radiance(similarity.quotient(sums))
 
 
-@register(
-    "shared_patches",
-    source=_OURS,
-    place=7,
-    minimum_samples=2,
-    uses_neighbours=True,
-    joint_channels=True,
-)
+@register("shared_patches", source=_OURS, place=7, minimum_samples=2, uses_neighbours=True)
 def shared_patches(
     x: Array,
     *,
@@ -313,14 +304,7 @@ def shared_patches(
     return image.radiance(similarity.quotient(sums))
 
 
-@register(
-    "shared_shape",
-    source=_OURS,
-    place=7,
-    minimum_samples=2,
-    uses_neighbours=True,
-    joint_channels=True,
-)
+@register("shared_shape", source=_OURS, place=7, minimum_samples=2, uses_neighbours=True)
 def shared_shape(
     x: Array, *, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = _AROUND
 ) -> Array:
@@ -412,7 +396,7 @@ def _limited(image: similarity.ScaledSamples, limit: float, alpha: float, radius
         similarity.pool(similarity.not_different, fields, values, radius=radius)[0], 2, axis=-1
     )
     by_shape = np.divide(level * weights, depths, out=mean.copy(), where=known & (depths > 0))
-    return np.minimum(mean, limit * by_shape, out=mean, where=known) + below
+    return np.asarray(np.minimum(mean, limit * by_shape, out=mean, where=known) + below)
 
 
 def _level(image: similarity.ScaledSamples) -> tuple[Floats, Floats]:

@@ -56,14 +56,7 @@ _DISTANCES = 2**17
 """Distances computed at once."""
 
 
-@register(
-    "zirr2018",
-    source=_SOURCE,
-    label="Zirr et al. 2018",
-    place=6,
-    uses_neighbours=True,
-    joint_channels=True,
-)
+@register("zirr2018", source=_SOURCE, label="Zirr et al. 2018", place=6, uses_neighbours=True)
 def zirr2018(x: Array, *, kappa: float = 1.0, unit: float | None = None) -> Array:
     """Reweighted fireflies: each brightness counts as far as the pixels around confirm it.
 
@@ -116,11 +109,7 @@ def zirr2018(x: Array, *, kappa: float = 1.0, unit: float | None = None) -> Arra
 
 
 @register(
-    "zirr2018_pixel",
-    source=_SOURCE,
-    label="Zirr et al. 2018, pixel",
-    place=6,
-    joint_channels=True,
+    "zirr2018_pixel", source=_SOURCE, label="Zirr et al. 2018, pixel", place=6, joint_channels=True
 )
 def zirr2018_pixel(x: Array, *, kappa: float = 1.0, unit: float | None = None) -> Array:
     """Reweighted fireflies of the pixel alone: `zirr2018` without its neighbourhood.
@@ -332,7 +321,6 @@ def _window_mean(values: Floats, radius: int) -> Floats:
     label="DeCoro et al. 2010",
     place=6,
     uses_neighbours=True,
-    joint_channels=True,
 )
 def decoro2010(
     x: Array,

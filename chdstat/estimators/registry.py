@@ -16,7 +16,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Concatenate, Literal, ParamSpec, Protocol
+from typing import Any, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -37,7 +37,7 @@ __all__ = [
 ]
 
 Array = npt.NDArray[Any]
-Options = ParamSpec("Options")
+Function = TypeVar("Function", bound=Callable[..., Array])
 
 _LAST = 100
 """Place of an estimator that names none."""
@@ -84,7 +84,8 @@ class Estimator:
     minimum_samples
         Fewest samples that it takes.
     uses_neighbours
-        Whether it looks across pixels; then it takes an image (y, x, channel, sample).
+        Whether it looks across pixels, and at all their channels; then it takes an image (y, x,
+        channel, sample).
     joint_channels
         Whether it looks at the channels together; then it takes samples (..., channel, sample), and
         a sample of which any channel is bad is left out as a whole.
@@ -212,10 +213,7 @@ def register(
     joint_channels: bool = False,
     uses_features: bool = False,
     learns: bool = False,
-) -> Callable[
-    [Callable[Concatenate[Array, Options], Array]],
-    Callable[Concatenate[npt.ArrayLike, Options], Array],
-]:
+) -> Callable[[Function], Function]:
     """Enter the decorated function as the estimator `name`; see `Estimator` for the parameters.
 
     Examples
@@ -228,15 +226,13 @@ def register(
     array([1., 3.])
     >>> registry.forget("first")
     """
+    joint = joint_channels or uses_neighbours
 
-    def enter(
-        function: Callable[Concatenate[Array, Options], Array],
-    ) -> Callable[Concatenate[npt.ArrayLike, Options], Array]:
+    def enter(function: Function) -> Function:
         @functools.wraps(function)
-        def estimate(x: npt.ArrayLike, *args: Options.args, **options: Options.kwargs) -> Array:
+        def estimate(x: npt.ArrayLike, *args: Any, **options: Any) -> Array:
             samples = entry.checked(x)
-            channel_axis = -2 if joint_channels or uses_neighbours else None
-            warn_left_out(samples, channel_axis=channel_axis, within="chdstat.estimators")
+            warn_left_out(samples, channel_axis=-2 if joint else None, within="chdstat.estimators")
             return np.asarray(function(samples, *args, **options), samples.dtype)
 
         entry = Estimator(
@@ -248,12 +244,12 @@ def register(
             default=default,
             minimum_samples=minimum_samples,
             uses_neighbours=uses_neighbours,
-            joint_channels=joint_channels,
+            joint_channels=joint,
             uses_features=uses_features,
             learns=learns,
         )
         _enter(entry)
-        return estimate
+        return cast("Function", estimate)
 
     return enter
 
@@ -280,8 +276,6 @@ def names(kind: Kind | None = None) -> tuple[str, ...]:
     """
     entries = sorted(_ENTRIES.values(), key=lambda entry: entry.place)
     return tuple(e.name for e in entries if kind is None or e.learns == (kind == "learned"))
-
-
 
 
 def lookup(name: str) -> Estimator | LearnedEstimator:

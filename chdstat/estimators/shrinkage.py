@@ -185,11 +185,7 @@ def gmon_shrinkage(x: Array, *, buckets: int = 11) -> Array:
 
 
 @register(
-    "gamma_shrinkage",
-    source=_SOURCE,
-    label="shrinkage to gamma",
-    place=5,
-    joint_channels=True,
+    "gamma_shrinkage", source=_SOURCE, label="shrinkage to gamma", place=5, joint_channels=True
 )
 def gamma_shrinkage(x: Array) -> Array:
     """James-Stein combination of the mean with that of a fitted zero-inflated gamma.
@@ -276,11 +272,7 @@ def lognormal_shrinkage(x: Array) -> Array:
 
 
 @register(
-    "mixture_shrinkage",
-    source=_SOURCE,
-    label="shrinkage to mixture",
-    place=5,
-    joint_channels=True,
+    "mixture_shrinkage", source=_SOURCE, label="shrinkage to mixture", place=5, joint_channels=True
 )
 def mixture_shrinkage(x: Array, *, max_k: int = 3) -> Array:
     """James-Stein combination of the mean with that of a fitted zero-inflated log-normal mixture.

@@ -248,7 +248,7 @@ def not_different(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats
     """Return 1 where no statistic differs significantly, else 0; 0 where one is unknown."""
     (mean, bound), (other, its) = here, there
     with np.errstate(over="ignore", invalid="ignore"):
-        return ((mean - other) ** 2 <= bound + its).all(axis=-1).astype(np.float64)
+        return np.asarray(((mean - other) ** 2 <= bound + its).all(axis=-1), np.float64)
 
 
 Weigh = Callable[[tuple[Floats, ...], tuple[Floats, ...]], Floats]
@@ -294,7 +294,7 @@ def pool(
         strip = slice(max(rows.start - halo, 0), rows.stop + halo)
         compared, own, own_squares = [f[strip] for f in fields], values[strip], squares[strip]
         total, total_squares = own.copy(), own_squares.copy()
-        for here, there in _pairs(*own.shape[:2], radius):
+        for here, there in _pairs(len(own), width, radius):
             weight = weigh(tuple(f[here] for f in compared), tuple(f[there] for f in compared))
             weight = weight[..., np.newaxis]
             for target, source in ((here, there), (there, here)):

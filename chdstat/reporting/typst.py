@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from chdstat._core.files import replacing
 from chdstat.errors import ChdstatError
+from chdstat.estimators.registry import LABELS
 from chdstat.fit.families import FAMILIES
 from chdstat.viz import style
 from chdstat.viz.styling import spelt
@@ -25,46 +27,17 @@ if TYPE_CHECKING:
 
 __all__ = ["NAMES", "Document", "between", "number", "percent", "typeset"]
 
-NAMES = {
-    "mean": "sample mean",
-    "trimmed_mean": "trimmed mean",
-    "winsorized_mean": "winsorized mean",
-    "huber": "Huber",
-    "tukey": "Tukey",
-    "catoni": "Catoni",
-    "median_of_means": "median of means",
-    "gmon_binary": "G-MoN, binary",
-    "gmon_adaptive": "G-MoN, adaptive",
-    "bayesian_median_of_means": "aBMM",
-    "lee_valiant": "Lee and Valiant",
-    "jung2015": "Jung et al. 2015",
-    "gmon_shrinkage": "shrinkage to G-MoN",
-    "gamma_shrinkage": "shrinkage to gamma",
-    "lognormal_shrinkage": "shrinkage to log-normal",
-    "mixture_shrinkage": "shrinkage to mixture",
-    "zirr2018_pixel": "Zirr et al. 2018, pixel",
-    "zirr2018": "Zirr et al. 2018",
-    "decoro2010": "DeCoro et al. 2010",
-    "delbracio2014": "Delbracio et al. 2014",
-    "sakai2024": "Sakai et al. 2024",
-    "shared_patches": "shared patches",
-    "shared_shape": "shared shape",
-    "elek2019": "Elek et al. 2019",
-    "progressive": "progressive (ours)",
-    "progressive_mse": "progressive, for MSE",
-    "progressive_relmse": "progressive, for relMSE",
-    "progressive_features": "progressive, with features",
-    "progressive_direct": "progressive, with direct light apart",
-    "self_trained": "self-trained (ours)",
-    "oidn": "OIDN, colour",
-    "oidn_features": "OIDN, features",
-    **{name: family.label for name, family in FAMILIES.items()},
-    "null_heavy": "null-heavy",
-    "long_tail": "long tail",
-    "firefly_dominated": "firefly-dominated",
-    "gamma_like": "gamma-like",
-    "lognormal_like": "log-normal-like",
-}
+NAMES: Mapping[str, str] = ChainMap(
+    LABELS,
+    {
+        **{name: family.label for name, family in FAMILIES.items()},
+        "null_heavy": "null-heavy",
+        "long_tail": "long tail",
+        "firefly_dominated": "firefly-dominated",
+        "gamma_like": "gamma-like",
+        "lognormal_like": "log-normal-like",
+    },
+)
 """Names of estimators, families and patterns in running text."""
 
 

@@ -62,9 +62,7 @@ def test_sakai_shares_what_the_formula_says(radius):
     x = image(sigma=0.5)
     x[:, 5:] *= 1.3
     expected, members = sakai_by_hand(x, 0.05, radius)
-    assert estimators.sakai2024(x, alpha=0.05, radius=radius) == pytest.approx(
-        expected, rel=1e-12
-    )
+    assert estimators.sakai2024(x, alpha=0.05, radius=radius) == pytest.approx(expected, rel=1e-12)
     sizes = {len(found) for found in members.values()}
     assert radius == 0 or len(sizes) > 3
     assert all(p in members[q] for p, found in members.items() for q in found)
@@ -194,9 +192,7 @@ def test_nothing_leaks_across_an_edge(function):
     other[:, 8:] = rng.permuted(x[:, 8:], axis=-1)[::-1]
     options = {"unit": 1.0} if function is estimators.delbracio2014 else {}
     left, again = function(x, **options)[:, :8], function(other, **options)[:, :8]
-    assert left == pytest.approx(
-        again, rel=5e-3 if function is estimators.shared_patches else 1e-9
-    )
+    assert left == pytest.approx(again, rel=5e-3 if function is estimators.shared_patches else 1e-9)
     assert (abs(left / 8 - 1) < 0.3).all()
 
 
