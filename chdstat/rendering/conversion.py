@@ -13,8 +13,7 @@ from chdstat.errors import StoreError
 from chdstat.rendering.capture import render
 from chdstat.samples import Samples
 from chdstat.samples import open as open_samples
-from chdstat.samples.layout import DIRECT
-from chdstat.samples.manifest import FIRST_SCHEMA, SCHEMA_VERSION, WriteError
+from chdstat.samples.layout import DIRECT, FIRST_SCHEMA, SCHEMA_VERSION, WriteError
 from chdstat.samples.store import Store
 from chdstat.scenes import Scene
 

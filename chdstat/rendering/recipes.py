@@ -191,7 +191,9 @@ def own_recipe(name: str, origin: str) -> Recipe | None:
 def regions_of(samples: Samples) -> tuple[Region, ...]:
     """Return the regions of samples of a built-in scene in the view of its recipe, else none."""
     recipe = own_recipe(samples.name, str(samples.attrs.get("scene_source")))
-    return recipe.regions if recipe and recipe.shows(*samples.shape[:2]) else ()
+    height, width = samples.shape[:2]
+    whole = samples.attrs.get("size", [width, height]) == [width, height]  # not cut by `isel`
+    return recipe.regions if recipe and whole and recipe.shows(height, width) else ()
 
 
 def remake_of(samples: Samples) -> str:

@@ -14,9 +14,9 @@ import numpy.typing as npt
 from chdstat.errors import StoreError
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import STREAMS
-from chdstat.samples import Samples
-from chdstat.samples.layout import Chunk, chunk_grid
-from chdstat.samples.manifest import check_schema, store_exists
+from chdstat.samples import Samples, is_store
+from chdstat.samples.access import of_store
+from chdstat.samples.layout import Chunk, check_appendable, chunk_grid
 from chdstat.samples.store import Store
 
 __all__ = ["MemoryWriter", "StoreWriter", "Writer", "existing_store", "provenance"]
@@ -67,7 +67,7 @@ lack them."""
 
 def existing_store(out: str | Path | None) -> Store | None:
     """Return the store that is already at `out`, if any."""
-    if out is None or not store_exists(Path(out)):
+    if out is None or not is_store(out):
         return None
     return Store.open(Path(out))
 
@@ -100,7 +100,7 @@ class MemoryWriter:
 
     def finish(self, direct: Samples | None = None) -> Samples:
         """Return the samples."""
-        return Samples(array=self._array, attrs=self._attrs, features=self._features, direct=direct)
+        return Samples(self._array, attrs=self._attrs, features=self._features, direct=direct)
 
 
 class StoreWriter:
@@ -133,7 +133,7 @@ class StoreWriter:
                 features=renderer.features() if features else {},
             )
             return cls(store)
-        check_schema(Path(out))
+        check_appendable(Path(out))
         _check_identity(existing, attrs)
         store = Store.open(Path(out), writable=True)
         if features:
@@ -164,7 +164,7 @@ class StoreWriter:
         """Return the samples."""
         store = self._store
         store.update(direct=True if direct else None)
-        return Samples(store=store, attrs=store.attrs, direct=direct, spp=store.complete_spp())
+        return of_store(store, direct)
 
 
 def _check_identity(store: Store, attrs: dict[str, Any]) -> None:

@@ -26,7 +26,16 @@ if TYPE_CHECKING:
 
     from chdstat.samples.store import Store
 
-__all__ = ["Blocks", "cache_key", "checked", "inspect", "is_store", "open", "reduce_tiles"]
+__all__ = [
+    "Blocks",
+    "cache_key",
+    "checked",
+    "inspect",
+    "is_store",
+    "of_store",
+    "open",
+    "reduce_tiles",
+]
 
 Blocks = Iterator[npt.NDArray[np.float32]]
 
@@ -63,14 +72,23 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
     from chdstat.samples.store import Store
 
     store = Store.open(Path(path))
-    spp = store.complete_spp()
-    if spp == 0:
+    if not store.complete_spp():
         message = (
             f"{path} holds no sample that every pixel has: its rendering was stopped early. "
             "Run the same 'chdstat render' again to resume it"
         )
         raise StoreError(message)
-    return Samples(store=store, attrs=store.attrs, direct=_direct_of(store, spp), spp=spp)
+    part = store.direct()
+    return of_store(store, of_store(part) if part and part.complete_spp() else None)
+
+
+def of_store(store: Store, direct: Samples | None = None) -> Samples:
+    """Return the samples of an open store that every pixel has; `direct` is that of as many."""
+    height, width, _, _ = store.shape
+    part = range(height), range(width), range(store.complete_spp())
+    if direct is not None and direct.spp > len(part[2]):
+        direct = direct.isel(sample=slice(len(part[2])))
+    return Samples(store, attrs=store.attrs, direct=direct, part=part, path=store.path)
 
 
 def cache_key(samples: Samples) -> str:
@@ -83,13 +101,6 @@ def cache_key(samples: Samples) -> str:
         return ""
     attrs = json.dumps(samples.attrs, sort_keys=True).encode()
     return f"{samples.path.stem}-{hashlib.sha256(attrs).hexdigest()[:12]}-{samples.spp}"
-
-
-def _direct_of(store: Store, spp: int) -> Samples | None:
-    """Return what is rendered of the direct part of a store, at most so many samples."""
-    direct = store.direct()
-    complete = 0 if direct is None else min(spp, direct.complete_spp())
-    return Samples(store=direct, attrs=direct.attrs, spp=complete) if direct and complete else None
 
 
 def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:

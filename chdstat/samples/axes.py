@@ -1,7 +1,8 @@
-"""Axes of samples that are given as an array: brought to (y, x, channel, sample), or refused."""
+"""Arrays that are given as samples: axes brought to (y, x, channel, sample), others refused."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_samples
 from chdstat.errors import InputError
 
-__all__ = ["as_image"]
+__all__ = ["as_image", "check_features"]
 
 _MOST_CHANNELS = 4
 """More than these are probably samples, unless the caller says that they are channels."""
@@ -42,6 +43,17 @@ def as_image(array: npt.ArrayLike, name: str, axes: str | None) -> npt.NDArray[n
     if data.ndim == 3:
         data = data[:, :, np.newaxis, :]
     return _single(data, name)
+
+
+def check_features(features: Mapping[str, npt.ArrayLike], shape: tuple[int, ...]) -> None:
+    """Refuse first-hit features of another image than samples of this shape."""
+    for name, image in features.items():
+        if np.ndim(image) not in (2, 3) or np.shape(image)[:2] != shape[:2]:
+            message = (
+                f"feature {name} must have shape {shape[:2]} or (*{shape[:2]}, component), "
+                f"as the samples, got {np.shape(image)}"
+            )
+            raise InputError(message)
 
 
 def _ordered(data: npt.NDArray[Any], name: str, axes: str) -> npt.NDArray[Any]:

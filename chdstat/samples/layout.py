@@ -20,11 +20,21 @@ newer one. Two stores of one identity hold equal chunks, as samples depend on no
 **Other places than a folder.** All that is asked of a place is to replace, read and list small
 files by name, and a lock; nothing is renamed but by `replacing`, no folder is moved, nothing is
 appended. A store of objects would put a chunk with one request, and need a lease for the lock.
+
+**The manifest** is the attribute of that name: shape, identity, the samples that every pixel is
+known to have, the checksum of each feature, whether there is a direct part, and a checksum of all
+attributes. A chunk among the samples that every pixel has is damaged if it is not there; any other
+is not rendered yet, or counts by its label: a render that is killed at any moment repeats at most
+the chunks that were in flight. The metadata of arrays follows from the manifest and is never
+believed. The manifest lies in two files, so that damage to one of them loses nothing.
 """
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import itertools
+import json
 import math
 import os
 import struct
@@ -38,31 +48,46 @@ import numpy.typing as npt
 import zarr
 from zarr.storage import StorePath
 
-from chdstat._core.arrays import spans
-from chdstat._core.files import checksum
-from chdstat.samples.manifest import DamageError, brief
+from chdstat._core.files import checksum, replacing
+from chdstat.errors import StoreError
+from chdstat.samples.access import is_store
 
 __all__ = [
     "ALL",
     "BATCH",
     "BLOCK",
     "DIRECT",
+    "FIRST_SCHEMA",
+    "FOREIGN",
+    "LOCK",
+    "SCHEMA_VERSION",
     "TILE",
     "Chunk",
+    "DamageError",
     "Image",
     "Shape",
+    "WriteError",
     "array",
-    "chunk_file",
+    "attributes_of",
+    "brief",
+    "canonical",
+    "check_appendable",
+    "check_free",
     "chunk_grid",
-    "chunks_within",
-    "empty_ledger",
     "feature_file",
     "feature_metadata",
     "grid",
+    "group_metadata",
+    "identity",
+    "incomplete",
     "labelled",
-    "metadata_files",
+    "loaded",
+    "occupied",
+    "put",
     "radiance_metadata",
     "read_label",
+    "signed",
+    "writing",
 ]
 
 TILE = 64
@@ -84,6 +109,32 @@ _CRC = {"name": "crc32c"}
 Image = npt.NDArray[np.float32]
 Shape = tuple[int, int, int, int]
 """(y, x, channel, sample)."""
+
+
+SCHEMA_VERSION = 2
+FIRST_SCHEMA = 1
+LOCK = ".lock"
+_GROWING = ("spp", "render_seconds")
+"""Attributes that change while samples are added; all others are the identity of a store."""
+FOREIGN = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    LookupError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+"""What damaged bytes may raise in the libraries that read them."""
+
+
+class WriteError(StoreError):
+    """The system does not let a store be written to."""
+
+
+class DamageError(ValueError):
+    """What is wrong with a file."""
 
 
 @dataclass(frozen=True)
@@ -114,30 +165,20 @@ class Chunk:
         return math.prod(self.shape)
 
 
-def chunk_grid(height: int, width: int, spp: int) -> Iterator[Chunk]:
-    """Yield all chunks of an image, batch by batch: an interrupted render holds whole images."""
-    cuts = [list(spans(n, step)) for n, step in ((spp, BATCH), (height, TILE), (width, TILE))]
-    for (b, ss), (ty, ys), (tx, xs) in itertools.product(*(enumerate(s) for s in cuts)):
-        yield Chunk(b, ty, tx, ys, xs, ss)
-
-
-def chunks_within(
-    shape: Sequence[int], ys: slice = ALL, xs: slice = ALL, ss: slice = ALL
+def chunk_grid(
+    height: int, width: int, spp: int, *, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL
 ) -> Iterator[Chunk]:
-    """Yield the chunks that a part of a store lies in."""
-    height, width, _, spp = shape
+    """Yield the chunks that an image, or a part of it, lies in.
+
+    They come batch by batch, so that an interrupted render holds whole images.
+    """
     cuts = []
     for part, length, step in ((ss, spp, BATCH), (ys, height, TILE), (xs, width, TILE)):
         start, stop, _ = part.indices(length)
-        firsts = range(start // step, -(-stop // step)) if stop > start else range(0)
-        cuts.append([(i, slice(i * step, min((i + 1) * step, length))) for i in firsts])
-    for (b, s), (ty, y), (tx, x) in itertools.product(*cuts):
-        yield Chunk(b, ty, tx, y, x, s)
-
-
-def chunk_file(path: Path, chunk: Chunk) -> Path:
-    """Return the file of a store that holds a chunk."""
-    return path / f"radiance/c/{chunk.tile_y}/{chunk.tile_x}/0/{chunk.batch}"
+        numbers = range(start // step, -(-stop // step)) if stop > start else range(0)
+        cuts.append([(i, slice(i * step, min((i + 1) * step, length))) for i in numbers])
+    for (b, samples), (ty, rows), (tx, columns) in itertools.product(*cuts):
+        yield Chunk(b, ty, tx, rows, columns, samples)
 
 
 def feature_file(name: str, shape: Sequence[int]) -> str:
@@ -149,11 +190,6 @@ def grid(shape: Sequence[int]) -> tuple[int, int, int]:
     """Return (tile_y, tile_x, batch) of a store."""
     height, width, _, spp = shape
     return -(-height // TILE), -(-width // TILE), -(-spp // BATCH)
-
-
-def empty_ledger(shape: Sequence[int]) -> npt.NDArray[np.int32]:
-    """Return the ledger of a store without samples, shape (tile_y, tile_x, batch)."""
-    return np.zeros(grid(shape), np.int32)
 
 
 # --- labels -------------------------------------------------------------------------------------
@@ -197,20 +233,8 @@ def read_label(file: Path, identity: str, chunk: Chunk) -> tuple[int, int, int]:
 # --- metadata of zarr ---------------------------------------------------------------------------
 
 
-def metadata_files(
-    signed: Mapping[str, Any], copy: Mapping[str, Any], shape: Sequence[int]
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the metadata files of a store, with what belongs into them, the manifest first."""
-    yield "zarr.json", _group(signed)
-    yield "radiance/zarr.json", radiance_metadata(shape, copy)
-    features = signed["manifest"]["features"]
-    if features:
-        yield "features/zarr.json", _group({})
-    for name, about in features.items():
-        yield f"features/{name}/zarr.json", feature_metadata(about["shape"])
-
-
-def _group(attributes: Mapping[str, Any]) -> dict[str, Any]:
+def group_metadata(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the metadata of a group."""
     return {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes)}
 
 
@@ -266,3 +290,135 @@ def array(store: Any, name: str, metadata: Any) -> Any:
     # A chunk of nothing but NaN is a result; unless told at each opening, zarr drops it.
     with zarr.config.set({"array.write_empty_chunks": True}):
         return zarr.Array(zarr.AsyncArray(metadata, StorePath(store, name)))
+
+
+# --- manifest -----------------------------------------------------------------------------------
+
+
+def identity(attrs: Mapping[str, Any], shape: Sequence[int]) -> str:
+    """Return the hash by which samples are known, whatever their number."""
+    told = {k: v for k, v in attrs.items() if k not in _GROWING}
+    return hashlib.blake2b(canonical([told, list(shape[:3])]), digest_size=8).hexdigest()
+
+
+def signed(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return attributes with their checksum in the manifest."""
+    manifest = {k: v for k, v in attributes["manifest"].items() if k != "checksum"}
+    told = {**attributes, "manifest": manifest}
+    return {**told, "manifest": {**manifest, "checksum": checksum(canonical(told))}}
+
+
+def canonical(value: Any) -> bytes:
+    """Return JSON as bytes that are the same for equal values."""
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
+
+
+def attributes_of(path: Path) -> dict[str, Any]:
+    """Return the attributes of a store, from the first of its two manifests that is sound."""
+    found = []
+    for name in ("zarr.json", "radiance/zarr.json"):
+        attributes: Any = (loaded(path / name) or {}).get("attributes")
+        try:
+            if attributes["schema_version"] == SCHEMA_VERSION and signed(attributes) == attributes:
+                return dict(attributes)
+        except FOREIGN:
+            pass
+        found.append(attributes)
+    version = found[0].get("schema_version") if isinstance(found[0], dict) else None
+    if version == FIRST_SCHEMA:
+        return dict(found[0])
+    if version not in (None, SCHEMA_VERSION):
+        message = (
+            f"{path} has schema version {version}, this chdstat reads "
+            f"{FIRST_SCHEMA} and {SCHEMA_VERSION}"
+        )
+        raise StoreError(message)
+    raise incomplete(path, "zarr.json and its copy radiance/zarr.json are damaged or of others")
+
+
+def check_appendable(path: Path) -> None:
+    """Refuse to write to a store of schema 1.
+
+    Raises
+    ------
+    StoreError
+        If it is one; the message says how to convert it.
+    """
+    attributes = attributes_of(path)
+    if attributes["schema_version"] == FIRST_SCHEMA:
+        name, source = (attributes.get(key) for key in ("scene", "scene_source"))
+        scene = name if source in (None, "chdstat") else source
+        message = (
+            f"{path} is of schema {FIRST_SCHEMA}, which is only read; to append, convert it "
+            f"first: chdstat convert {path} -o NEW --scene {scene}"
+        )
+        raise StoreError(message)
+
+
+# --- files --------------------------------------------------------------------------------------
+
+
+def loaded(file: Path) -> dict[str, Any] | None:
+    """Return the JSON in a file; None if it is damaged."""
+    try:
+        found = json.loads(file.read_bytes(), parse_constant=_refuse)
+    except (OSError, ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _refuse(constant: str) -> None:
+    message = f"{constant} is no JSON"
+    raise ValueError(message)
+
+
+def put(file: Path, content: bytes) -> None:
+    """Replace a file of a store, or a folder without files in its place."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if file.is_dir():
+        for folder in (*sorted(file.rglob("*"), reverse=True), file):
+            folder.rmdir()
+    with replacing(file) as partial:
+        partial.write_bytes(content)
+
+
+def check_free(path: Path) -> None:
+    """Refuse a folder with anything in it but what a killed maker of a store leaves."""
+    if is_store(path):
+        message = f"{path} was made by another process just now; run the command again to go on"
+        raise StoreError(message)
+    for name in os.listdir(path):  # noqa: PTH208 - names alone
+        if name != LOCK and not (name.startswith(".zarr.") and ".partial" in name):
+            raise occupied(path)
+
+
+def occupied(path: Path) -> StoreError:
+    """Return the error for a folder that holds something else."""
+    return StoreError(
+        f"{path} exists and is not a chdstat store; nothing was overwritten. "
+        "Give another path or move it away"
+    )
+
+
+def incomplete(path: Path, why: str) -> StoreError:
+    """Return the error for a folder that is no whole store."""
+    return StoreError(f"{path} is not a complete chdstat store ({why})")
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn what the system says of a disk into what a user can do."""
+    try:
+        yield
+    except OSError as error:
+        message = (
+            f"cannot write to {path}: {error.strerror or error}. "
+            "What is stored is kept; run the same command again to resume"
+        )
+        raise WriteError(message) from error
+
+
+def brief(error: BaseException) -> str:
+    """Return in one line what is wrong."""
+    said = str(error).splitlines()[0] if str(error) else "no detail"
+    return said if isinstance(error, DamageError) else f"{type(error).__name__}: {said}"

@@ -1,17 +1,21 @@
 """Samples: every radiance sample of an image, in memory or on disk, with the same methods.
 
-Index it with a pixel, read parts of it, walk it in constant memory with `Samples.blocks`, or map a
-function over its tiles with `Samples.map`; statistics elsewhere take it whole.
+Index it with a pixel, cut it with `Samples.isel`, read parts of it, walk it in constant memory with
+`Samples.blocks`, or map a function over its tiles with `Samples.map`; statistics elsewhere take it
+whole.
 """
 
 from __future__ import annotations
 
+import importlib
 import itertools
 import math
+import operator
+import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsIndex
+from typing import TYPE_CHECKING, Any, SupportsIndex, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +23,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut, spans
 from chdstat._core.executor import check_memory, in_order, track
 from chdstat.errors import InputError
-from chdstat.samples.axes import as_image
+from chdstat.samples.axes import as_image, check_features
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -30,10 +34,13 @@ __all__ = ["Mapped", "Samples"]
 
 _MAP_BYTES = 16 * 2**20
 """Size of the block that `Samples.map` hands out at most, unless 16 x 16 pixels are larger."""
-_MEMORY_TILE, _MEMORY_BATCH = 64, 64
-_ALWAYS_HELD = 2**26
+_TILE, _BATCH = 64, 64
+"""Edge of the tiles and number of samples of the blocks that samples are walked in."""
+_ALWAYS_READ = 2**26
 """Bytes that are read without a look at how much memory there is."""
+_ALL = slice(None)
 
+Image = npt.NDArray[np.float32]
 Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
 
 
@@ -44,40 +51,35 @@ class Samples:
 
     Examples
     --------
-    >>> import numpy as np
     >>> samples = Samples.from_array(np.ones((4, 6, 3, 32)), scene="flat")
     >>> samples
     <Samples 'flat' 6 x 4 pixels, 3 channels, 32 spp, in memory>
-    >>> samples[0, 0].shape
-    (3, 32)
+    >>> samples[0, 0].shape, np.asarray(samples).shape
+    ((3, 32), (4, 6, 3, 32))
     """
 
     def __init__(
         self,
+        held: Image | Store,
         *,
-        array: npt.NDArray[np.float32] | None = None,
-        store: Store | None = None,
         attrs: Mapping[str, Any],
-        features: Mapping[str, npt.NDArray[np.float32]] | None = None,
+        features: Mapping[str, Image] | None = None,
         direct: Samples | None = None,
-        spp: int | None = None,
+        part: tuple[range, range, range] | None = None,
+        path: Path | None = None,
     ) -> None:
-        if (array is None) == (store is None):
-            message = "Samples holds either an array or a store; use Samples.from_array or open"
-            raise InputError(message)
-        self._array = array
-        self._store = store
-        self._attrs = dict(attrs)
-        self._features = features
-        self._direct = direct
-        self._spp = spp
+        height, width, _, spp = held.shape
+        self._held, self._attrs = held, dict(attrs)
+        self._features, self._direct, self._path = features, direct, path
+        # Rows, columns and samples of the render that these are: of a store, those that are read.
+        self._part = part or (range(height), range(width), range(spp))
 
     @classmethod
     def from_array(
         cls,
         array: npt.ArrayLike,
         *,
-        features: Mapping[str, npt.NDArray[np.float32]] | None = None,
+        features: Mapping[str, Image] | None = None,
         direct: npt.ArrayLike | None = None,
         axes: str | None = None,
         **attrs: Any,
@@ -116,22 +118,17 @@ class Samples:
         <Samples 'samples' 6 x 4 pixels, 3 channels, 32 spp, in memory>
         """
         data = as_image(array, "samples", axes)
-        for name, image in (features or {}).items():
-            if np.ndim(image) not in (2, 3) or np.shape(image)[:2] != data.shape[:2]:
-                message = (
-                    f"feature {name} must have shape {data.shape[:2]} or (*{data.shape[:2]}, "
-                    f"component), as the samples, got {np.shape(image)}"
-                )
-                raise InputError(message)
-        part = None
+        check_features(features or {}, data.shape)
+        samples = cls(data, attrs=attrs, features=features or {})
         if direct is not None:
-            part = cls(array=as_image(direct, "direct", axes), attrs=attrs)
-            if part.shape != data.shape:
+            samples._direct = cls(as_image(direct, "direct", axes), attrs=attrs, features={})
+            if samples._direct.shape != samples.shape:
                 message = (
-                    f"direct must have the shape of the samples, {data.shape}, got {part.shape}"
+                    f"direct must have the shape of the samples, {samples.shape}, "
+                    f"got {samples._direct.shape}"
                 )
                 raise InputError(message)
-        return cls(array=data, attrs=attrs, features=features, direct=part)
+        return samples
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -145,14 +142,14 @@ class Samples:
 
     @property
     def path(self) -> Path | None:
-        """Where the store lies; None in memory."""
-        return self._store.path if self._store else None
+        """Where the store lies; None in memory, or for a part of a store."""
+        return self._path
 
     @property
     def shape(self) -> tuple[int, int, int, int]:
         """(y, x, channel, sample)."""
-        height, width, channels, spp = (self._store or self._array).shape  # type: ignore[union-attr]
-        return height, width, channels, spp if self._spp is None else self._spp
+        rows, columns, samples = self._part
+        return len(rows), len(columns), self._held.shape[2], len(samples)
 
     @property
     def spp(self) -> int:
@@ -166,18 +163,19 @@ class Samples:
         return ("R", "G", "B") if count == 3 else tuple(f"channel{i}" for i in range(count))
 
     @cached_property
-    def features(self) -> dict[str, npt.NDArray[np.float32]]:
+    def features(self) -> dict[str, Image]:
         """First-hit features by name: albedo, normal, position (y, x, component), depth (y, x)."""
-        if self._features is not None:
-            return dict(self._features)
-        return self._store.read_features() if self._store else {}
+        if self._features is not None or isinstance(self._held, np.ndarray):
+            return dict(self._features or {})
+        ys, xs, _ = map(_as_slice, self._part)
+        return {name: image[ys, xs] for name, image in self._held.read_features().items()}
 
     @property
     def direct(self) -> Samples | None:
         """Emission and direct light of the same samples, as far as known; None where it is not.
 
         These are the same paths, cut after their first reflection: sample by sample no more than
-        the whole. Where their rendering was stopped they are fewer than the samples.
+        the whole. There are fewer of them where their rendering was stopped.
         """
         return self._direct
 
@@ -185,8 +183,8 @@ class Samples:
         """Return whether sample i of a pixel was drawn with the random numbers of the other's.
 
         So it is of renders of equal seed and size by one kind of backend, whatever their scenes or
-        integrators: their noise is correlated, and what compares them compares pairs of samples.
-        Samples that do not say their seed are taken for independent.
+        integrators, and of equal parts of them: their noise is correlated, and what compares them
+        compares pairs of samples. Samples that do not say their seed are taken for independent.
 
         Examples
         --------
@@ -194,7 +192,9 @@ class Samples:
         >>> one.shares_numbers_with(same), one.shares_numbers_with(other)
         (True, False)
         """
-        if self._attrs.get("seed") is None or self.shape[:2] != other.shape[:2]:
+        (*ours, first), (*theirs, second) = self._part, other._part
+        of_one_place = ours == theirs and (first.start, first.step) == (second.start, second.step)
+        if self._attrs.get("seed") is None or not of_one_place:
             return False
         # What compiles draws in wavefronts, with numbers of their own.
         kinds = {s.attrs.get("backend") == "scalar" for s in (self, other)}
@@ -203,30 +203,71 @@ class Samples:
 
     def __repr__(self) -> str:
         height, width, channels, spp = self.shape
-        where = f"at {self.path}" if self.path else "in memory"
+        where = "in memory" if isinstance(self._held, np.ndarray) else f"at {self._held.path}"
+        where = where if self.path else where.replace("at ", "part of ", 1)
         return (
             f"<Samples {self.name!r} {width} x {height} pixels, "
             f"{channels} channel{'s' if channels > 1 else ''}, {spp} spp, {where}>"
         )
 
-    def __getitem__(self, pixel: tuple[int, int]) -> npt.NDArray[np.float32]:
-        """Return the samples of one pixel, shape (channel, sample)."""
+    @overload
+    def __getitem__(self, pixel: tuple[SupportsIndex, SupportsIndex]) -> Image: ...
+    @overload
+    def __getitem__(self, pixel: tuple[slice, slice | SupportsIndex]) -> Samples: ...
+    @overload
+    def __getitem__(self, pixel: tuple[slice | SupportsIndex, slice]) -> Samples: ...
+    def __getitem__(
+        self, pixel: tuple[slice | SupportsIndex, slice | SupportsIndex]
+    ) -> Image | Samples:
+        """Return the samples of one pixel, shape (channel, sample); of slices, as `isel` does."""
         pair = isinstance(pixel, tuple) and len(pixel) == 2
-        if not pair or not all(isinstance(place, SupportsIndex) for place in pixel):
-            message = f"expected one pixel (y, x), got {pixel!r}; read() returns parts of an image"
+        if not pair or not all(isinstance(place, SupportsIndex | slice) for place in pixel):
+            message = f"expected a pixel (y, x) or slices of rows and columns, got {pixel!r}"
             raise InputError(message)
-        y, x = map(int, pixel)
-        height, width = self.shape[:2]
-        if not (-height <= y < height and -width <= x < width):
-            message = f"pixel (y={y}, x={x}) is outside the image of {width} x {height} pixels"
-            raise InputError(message)
-        y, x = y % height, x % width
-        pixels: npt.NDArray[np.float32] = self.read(slice(y, y + 1), slice(x, x + 1))[0, 0]
-        return pixels
+        y, x = pixel
+        if isinstance(y, slice) or isinstance(x, slice):
+            return self.isel(y=y, x=x)
+        rows, columns, _ = self._part
+        return cast("Image", self.read(_cut("y", rows, y), _cut("x", columns, x))[0, 0])
 
-    def read(
-        self, ys: slice = slice(None), xs: slice = slice(None), ss: slice = slice(None)
-    ) -> npt.NDArray[np.float32]:
+    def isel(
+        self,
+        *,
+        y: slice | SupportsIndex = _ALL,
+        x: slice | SupportsIndex = _ALL,
+        sample: slice | SupportsIndex = _ALL,
+    ) -> Samples:
+        """Return some rows, columns or samples of each pixel; nothing is read or copied for it.
+
+        Features and the direct part are cut alike. An integer keeps its axis, of length 1.
+
+        Raises
+        ------
+        InputError
+            If an index lies outside, keeps nothing, or goes backwards.
+
+        Examples
+        --------
+        >>> samples = Samples.from_array(np.ones((4, 6, 3, 32)))
+        >>> samples.isel(y=slice(1, 3), sample=slice(None, None, 2))
+        <Samples 'samples' 6 x 2 pixels, 3 channels, 16 spp, in memory>
+        """
+        rows, columns, samples = self._part
+        ys, xs, ss = _cut("y", rows, y), _cut("x", columns, x), _cut("sample", samples, sample)
+        features, direct = self._features, self._direct
+        if features is not None:
+            features = {name: image[ys, xs] for name, image in features.items()}
+        if direct is not None:  # it may be rendered for fewer samples
+            direct = direct.isel(y=ys, x=xs, sample=ss) if ss.start < direct.spp else None
+        return Samples(
+            self._held[ys, xs, :, ss] if isinstance(self._held, np.ndarray) else self._held,
+            attrs=self._attrs if sample == _ALL else {**self._attrs, "spp": len(samples[ss])},
+            features=features,
+            direct=direct,
+            part=(rows[ys], columns[xs], samples[ss]),
+        )
+
+    def read(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> Image:
         """Return a part of the samples, shape (y, x, channel, sample).
 
         Raises
@@ -236,16 +277,18 @@ class Samples:
         StoreError
             If the store on disk is damaged.
         """
-        height, width, channels, spp = self.shape
-        ys, xs, ss = (slice(*s.indices(n)) for s, n in ((ys, height), (xs, width), (ss, spp)))
-        if self._store is not None:
-            lengths = (len(range(s.start, s.stop, s.step)) for s in (ys, xs, ss))
-            size = 4 * channels * math.prod(lengths)
-            if size > _ALWAYS_HELD:
-                advice = "read them in parts, such as read(ys, xs), or walk through blocks()"
-                check_memory(size, "these samples", advice)
-            return self._store.read(ys, xs, ss)
-        return self._array[ys, xs, :, ss]  # type: ignore[index]
+        if isinstance(self._held, np.ndarray):
+            return self._held[ys, xs, :, ss]
+        rows, columns, samples = (r[s] for r, s in zip(self._part, (ys, xs, ss), strict=True))
+        size = 4 * self.shape[2] * len(rows) * len(columns) * len(samples)
+        if size > _ALWAYS_READ:
+            advice = "read them in parts, such as read(ys, xs), or walk through blocks()"
+            check_memory(size, "these samples", advice)
+        return self._held.read(*map(_as_slice, (rows, columns, samples)))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        """Return all samples as an array (y, x, channel, sample), for ``np.asarray(samples)``."""
+        return np.array(self.read(), dtype=dtype, copy=copy)
 
     @property
     def nbytes(self) -> int:
@@ -254,10 +297,12 @@ class Samples:
 
     def load(self) -> Samples:
         """Return the same samples held in memory: worth it before several analyses."""
-        if self._array is not None:
+        if isinstance(self._held, np.ndarray):
             return self
-        direct = None if self.direct is None else self.direct.load()
-        return Samples(array=self.read(), attrs=self.attrs, features=self.features, direct=direct)
+        direct = None if self._direct is None else self._direct.load()
+        return Samples(
+            self.read(), attrs=self._attrs, features=self.features, direct=direct, part=self._part
+        )
 
     def first(self, spp: int) -> Samples:
         """Return the first samples of each pixel, in memory.
@@ -270,15 +315,9 @@ class Samples:
         if not 1 <= spp <= self.spp:
             message = f"spp must be from 1 to {self.spp}, what these samples hold; got {spp}"
             raise InputError(message)
-        direct = self.direct
-        return Samples(
-            array=self.read(ss=slice(0, spp)),
-            attrs={**self.attrs, "spp": spp},
-            features=self.features,
-            direct=None if direct is None else direct.first(min(spp, direct.spp)),
-        )
+        return self.isel(sample=slice(spp)).load()
 
-    def blocks(self) -> Iterator[tuple[slice, slice, slice, npt.NDArray[np.float32]]]:
+    def blocks(self) -> Iterator[tuple[slice, slice, slice, Image]]:
         """Walk the samples in constant memory: tile by tile, and batch by batch within a tile.
 
         Yields
@@ -289,14 +328,13 @@ class Samples:
             Its samples, shape (y, x, channel, sample).
         """
         height, width, _, spp = self.shape
-        for ys in spans(height, _MEMORY_TILE):
-            for xs in spans(width, _MEMORY_TILE):
-                for ss in spans(spp, _MEMORY_BATCH):
-                    yield ys, xs, ss, self.read(ys, xs, ss)
+        edges = spans(height, _TILE), spans(width, _TILE), spans(spp, _BATCH)
+        for ys, xs, ss in itertools.product(*edges):
+            yield ys, xs, ss, self.read(ys, xs, ss)
 
     def map(
         self,
-        function: Callable[[npt.NDArray[np.float32]], Mapped],
+        function: Callable[[Image], Mapped],
         *,
         logarithms: bool = False,
         description: str = "analysing",
@@ -304,21 +342,19 @@ class Samples:
     ) -> xr.Dataset:
         """Apply a function to tiles with all their samples and assemble the image.
 
-        Tiles are worked on at once, in one thread for each core.
+        Tiles are computed in parallel, in one thread for each core.
 
         Parameters
         ----------
         function
             Takes samples (y, x, channel, sample) of a tile; returns, by variable name, the names
-            of the dims that follow (y, x) and an array of shape (y, x, ...). It must not depend
-            on the order of the tiles.
+            of the dims that follow (y, x) and an array of shape (y, x, ...). Its results must not
+            depend on the order of the tiles.
         logarithms
-            Whether it leaves negative samples out; where more than 1 % are left out, as bad ones
-            are in any case, a `chdstat.errors.LeftOutWarning` says so.
-        description
-            What the progress bar says.
-        progress
-            Show a progress bar; None shows it on a terminal.
+            Whether it leaves negative samples out, as bad ones are in any case; a
+            `chdstat.errors.LeftOutWarning` tells of more than 1 %.
+        description, progress
+            Label of a progress bar, and whether to show it; None shows it on a terminal.
 
         Returns
         -------
@@ -326,7 +362,7 @@ class Samples:
             The variables over the whole image, with y, x and channel coordinates.
         """
         height, width, channels, spp = self.shape
-        edge = _MEMORY_TILE
+        edge = _TILE
         while edge > 16 and edge * edge * channels * spp * 4 > _MAP_BYTES:
             edge //= 2
         tiles = itertools.product(spans(height, edge), spans(width, edge))
@@ -349,15 +385,10 @@ class Samples:
         description: str = "analysing",
         progress: bool | None = None,
     ) -> xr.Dataset:
-        """Assemble what was computed tile by tile; `map` does it for functions of whole tiles.
+        """Return the dataset of an image from variables that were computed tile by tile.
 
-        Parameters
-        ----------
-        parts
-            Rows, columns and variables of each tile, the latter as the function of `map` returns
-            them; consumed one by one.
-        description, progress
-            As for `map`.
+        `parts` are rows, columns and variables of each tile, the latter as the function of `map`
+        returns them; they are consumed one by one.
         """
         height, width = self.shape[:2]
         results: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
@@ -373,28 +404,48 @@ class Samples:
 
     def to_dataset(self) -> xr.Dataset:
         """Return samples and features as a labelled dataset, lazily (dask) where on disk."""
-        import xarray as xr
+        radiance: Any = self._held
+        if not isinstance(self._held, np.ndarray):
+            da: Any = importlib.import_module("dask.array")
+            chunks = da.core.normalize_chunks((_TILE, _TILE, -1, _BATCH), self.shape)
 
-        dims = ("y", "x", "channel", "sample")
-        if self._store is None:
-            radiance = xr.DataArray(self._array, dims=dims)
-        else:
-            radiance = xr.DataArray(self._store.lazy(), dims=dims)
-        radiance = radiance.isel(sample=slice(0, self.spp))
-        radiance.attrs = {"long_name": "linear radiance", "units": "W sr-1 m-2"}
-        features = {
-            name: (("y", "x", "component")[: image.ndim], image)
-            for name, image in self.features.items()
-        }
-        return self._dataset({**features, "radiance": radiance})
+            def block(block_info: Any) -> Image:
+                ys, xs, _, ss = (slice(*ends) for ends in block_info[None]["array-location"])
+                return self.read(ys, xs, ss)
+
+            named = {"name": f"radiance-{uuid.uuid4()}", "meta": np.empty((0, 0, 0, 0), np.float32)}
+            radiance = da.map_blocks(block, chunks=chunks, **named)
+        about = {"long_name": "linear radiance", "units": "W sr-1 m-2"}
+        dims = ("y", "x", "component")
+        features = {name: (dims[: i.ndim], i) for name, i in self.features.items()}
+        samples = (("y", "x", "channel", "sample"), radiance, about)
+        return self._dataset({**features, "radiance": samples})
 
     def _dataset(self, variables: Mapping[str, Any]) -> xr.Dataset:
         import xarray as xr
 
         height, width = self.shape[:2]
-        dataset = xr.Dataset(dict(variables), attrs=self.attrs)
-        dataset = dataset.assign_coords(y=np.arange(height), x=np.arange(width))
+        coords = {"y": np.arange(height), "x": np.arange(width)}
+        dataset = xr.Dataset(dict(variables), coords, self.attrs)
         if "channel" in dataset.dims:
             # Strings of variable length: zarr v3 has no stable type for those of fixed length.
             dataset = dataset.assign_coords(channel=np.array(self.channels, dtype=object))
         return dataset
+
+
+def _cut(dim: str, places: range, index: slice | SupportsIndex) -> slice:
+    """Return an index of places along a dim as a slice that goes forward, an integer as one."""
+    length = len(places)
+    if isinstance(index, slice):
+        kept = range(length)[index]
+    else:
+        place = operator.index(index)
+        kept = range(place % length, place % length + 1) if -length <= place < length else range(0)
+    if not kept or kept.step < 0:
+        message = f"{dim} must lie within {-length} to {length - 1} and go forward, got {index!r}"
+        raise InputError(message)
+    return _as_slice(kept)
+
+
+def _as_slice(places: range) -> slice:
+    return slice(places.start, places.stop, places.step)

@@ -1,7 +1,6 @@
 """Store: the samples of an image in a folder, a zarr v3 group that many processes may read.
 
-`layout` says where everything lies, `manifest` what belongs to a store, and `schemas` how today's
-schema differs from the first.
+`chdstat.samples.layout` says where everything lies and what a file of it holds.
 
 **Many writers.** A chunk and its label are one file that is replaced at once, written without a
 look at anything else: any number of processes may write chunks of one store. Only ``zarr.json`` and
@@ -10,52 +9,21 @@ its copy are rewritten, by who holds the lock. Today that one writes the chunks,
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from zarr.storage import MemoryStore
+from zarr.storage import LocalStore, MemoryStore
 
 from chdstat._core.files import Lock, checksum, sweep
 from chdstat.errors import StoreError
-from chdstat.samples.layout import (
-    ALL,
-    BATCH,
-    DIRECT,
-    TILE,
-    Chunk,
-    Image,
-    array,
-    chunk_file,
-    chunk_grid,
-    chunks_within,
-    empty_ledger,
-    feature_metadata,
-    labelled,
-    radiance_metadata,
-)
-from chdstat.samples.manifest import (
-    FIRST_SCHEMA,
-    FOREIGN,
-    LOCK,
-    SCHEMA_VERSION,
-    attributes_of,
-    brief,
-    canonical,
-    check_free,
-    check_schema,
-    identity,
-    loaded,
-    occupied,
-    put,
-    store_exists,
-    writing,
-)
-from chdstat.samples.schemas import FirstSchema, Schema, SecondSchema
+from chdstat.samples import layout
+from chdstat.samples.access import is_store
+from chdstat.samples.layout import ALL, BATCH, FOREIGN, Chunk, DamageError, Image, Shape, brief
 
 __all__ = ["Store"]
 
@@ -63,7 +31,6 @@ _SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
 """Attributes by which the samples of two stores begin with the same random numbers."""
 
 
-@dataclass
 class Store:
     """An open store of samples, (y, x, channel, sample).
 
@@ -77,14 +44,13 @@ class Store:
         Samples of each pixel that are stored in a chunk, shape (tile_y, tile_x, batch).
     """
 
-    path: Path
-    shape: tuple[int, int, int, int]
-    ledger: npt.NDArray[np.int32]
-    _attributes: dict[str, Any] = field(repr=False)
-    _schema: Schema = field(repr=False)
-    _lock: Lock | None = field(default=None, repr=False)
+    _index_location = "start"
 
-    def __post_init__(self) -> None:
+    def __init__(self, path: Path, attributes: Mapping[str, Any], lock: Lock | None = None) -> None:
+        self.path, self._attributes, self._lock = path, dict(attributes), lock
+        height, width, channels, spp = self._manifest["shape"]
+        self.shape: Shape = (height, width, channels, spp)
+        self.ledger = self._stored()
         self._lay_out()
 
     @classmethod
@@ -112,27 +78,26 @@ class Store:
         """
         shape = (height, width, channels, spp)
         kept = {k: v for k, v in attrs.items() if k != "manifest"} | {
-            "schema_version": SCHEMA_VERSION
+            "schema_version": layout.SCHEMA_VERSION
         }
         manifest = {
             "shape": list(shape),
-            "identity": identity(kept, shape),
+            "identity": layout.identity(kept, shape),
             "complete": 0,
             "features": {},
             "direct": False,
         }
-        with writing(path):
+        with layout.writing(path):
             if not path.is_dir():
                 if path.exists():
-                    raise occupied(path)
+                    raise layout.occupied(path)
                 path.mkdir(parents=True, exist_ok=True)
-            check_free(path)
-            lock = Lock(path / LOCK, path)
-            check_free(path)
+            layout.check_free(path)
+            lock = Lock(path / layout.LOCK, path)
+            layout.check_free(path)
             sweep(path)
-            attributes = json.loads(canonical({**kept, "manifest": manifest}))
-            schema = SecondSchema(path, identity(kept, shape))
-            store = cls(path, shape, empty_ledger(shape), attributes, schema, lock)
+            attributes = json.loads(layout.canonical({**kept, "manifest": manifest}))
+            store = cls(path, attributes, lock)
             store._save()
             for name, image in (features or {}).items():
                 store._write_feature(name, image)
@@ -156,30 +121,22 @@ class Store:
         if not path.exists():
             message = f"no store at {path}; render one with: chdstat render SCENE -o {path}"
             raise StoreError(message)
-        if writable:
-            check_schema(path)
-            with writing(path):
-                lock = Lock(path / LOCK, path)
-                sweep(path)
-                store = cls._read(path, lock)
-                store._save()
-                for chunk in store._damaged_chunks():
-                    store.ledger[chunk.index] = 0
-            return store
-        return cls._read(path)
+        if not writable:
+            attributes = layout.attributes_of(path)
+            if attributes["schema_version"] != layout.FIRST_SCHEMA:
+                return cls(path, attributes)
+            from chdstat.samples.first_schema import FirstStore
 
-    @classmethod
-    def _read(cls, path: Path, lock: Lock | None = None) -> Store:
-        attributes = attributes_of(path)
-        if attributes["schema_version"] == FIRST_SCHEMA:
-            first = FirstSchema(path)
-            shape, ledger, manifest = first.contents(attributes)
-            return cls(path, shape, ledger, {**attributes, "manifest": manifest}, first)
-        manifest = attributes["manifest"]
-        shape = tuple(manifest["shape"])
-        schema = SecondSchema(path, manifest["identity"])
-        ledger = schema.ledger(shape, int(manifest["complete"]))
-        return cls(path, shape, ledger, attributes, schema, lock)
+            return FirstStore(path, attributes)
+        layout.check_appendable(path)
+        with layout.writing(path):
+            lock = Lock(path / layout.LOCK, path)
+            sweep(path)
+            store = cls(path, layout.attributes_of(path), lock)
+            store._save()
+        for chunk in store._damaged_chunks():
+            store.ledger[chunk.index] = 0
+        return store
 
     def __enter__(self) -> Store:
         return self
@@ -202,17 +159,34 @@ class Store:
     def _manifest(self) -> dict[str, Any]:
         return dict(self._attributes["manifest"])
 
+    def _stored(self) -> npt.NDArray[np.int32]:
+        """Return the ledger: as many leading samples as are known, and those that have labels."""
+        known = int(self._manifest["complete"])
+        ledger = np.zeros(layout.grid(self.shape), np.int32)
+        for chunk in self._chunks():
+            samples = chunk.shape[2]
+            ledger[chunk.index] = np.clip(known - chunk.ss.start, 0, samples)
+            if chunk.ss.stop > known and self.chunk_file(chunk).exists():
+                # A damaged chunk counts as stored, so that reading it reports the damage.
+                ledger[chunk.index] = samples
+                with contextlib.suppress(DamageError):
+                    ledger[chunk.index] = min(self._label(chunk)[0], samples)
+        return ledger
+
     def _lay_out(self) -> None:
         """Make the arrays that chunks are decoded and encoded with; nothing is read for it."""
-        self._radiance = self._schema.radiance(self.shape)
+        metadata = layout.radiance_metadata(self.shape, {}, index=self._index_location)
+        self._radiance = layout.array(LocalStore(self.path, read_only=True), "radiance", metadata)
         self._encoded: dict[str, Any] = {}
-        metadata = radiance_metadata(self.shape, {})
-        self._encoder = array(MemoryStore(self._encoded), "radiance", metadata)
+        self._encoder = layout.array(MemoryStore(self._encoded), "radiance", metadata)
+
+    def _chunks(self, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL) -> Iterator[Chunk]:
+        height, width, _, spp = self.shape
+        return layout.chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss)
 
     def pending(self) -> list[Chunk]:
-        """Chunks that are not safely stored yet, in the order to render them."""
-        height, width, _, spp = self.shape
-        return [c for c in chunk_grid(height, width, spp) if self.ledger[c.index] < c.shape[2]]
+        """Return the chunks that are not safely stored yet, in the order to render them."""
+        return [c for c in self._chunks() if self.ledger[c.index] < c.shape[2]]
 
     def complete_spp(self) -> int:
         """Return the number of leading samples that every pixel has."""
@@ -224,7 +198,7 @@ class Store:
 
     def chunk_file(self, chunk: Chunk) -> Path:
         """Return the file that holds a chunk."""
-        return chunk_file(self.path, chunk)
+        return self.path / f"radiance/c/{chunk.tile_y}/{chunk.tile_x}/0/{chunk.batch}"
 
     def direct(self) -> Store | None:
         """Open the store of emission and direct light of the same samples; None where it lacks.
@@ -234,8 +208,8 @@ class Store:
         StoreError
             If it cannot be read, or is not of the same samples.
         """
-        path = self.path / DIRECT
-        if not store_exists(path) and not self._manifest["direct"]:
+        path = self.path / layout.DIRECT
+        if not is_store(path) and not self._manifest["direct"]:
             return None
         part = Store.open(path)
         ours, theirs = self._same, part._same
@@ -270,36 +244,44 @@ class Store:
             and how to repair it.
         """
         try:
-            for chunk in chunks_within(self.shape, ys, xs, ss):
-                if samples := self.ledger[chunk.index]:
-                    self._schema.check(chunk, samples)
+            for chunk in self._chunks(ys, xs, ss):
+                if self.ledger[chunk.index]:
+                    self._check(chunk)
             return np.asarray(self._radiance[ys, xs, :, ss], dtype=np.float32)
         except FOREIGN as error:
             files = [self.chunk_file(c) for c in self._damaged_chunks(ys, xs, ss)]
-            raise self._schema.damage(files, brief(error)) from error
+            raise self._damage(files, brief(error)) from error
 
-    def lazy(self) -> Any:
-        """Return the radiance as a Dask array; each of its chunks is read when it is computed."""
-        import dask.array as da
+    def _label(self, chunk: Chunk) -> tuple[int, int, int]:
+        return layout.read_label(self.chunk_file(chunk), self._manifest["identity"], chunk)
 
-        chunks = (TILE, TILE, self.shape[2], BATCH)
-        lazily: Any = da.from_array
-        return lazily(_Lazy(self), chunks=chunks, name=False, asarray=False)
+    def _check(self, chunk: Chunk) -> None:
+        """Raise `DamageError` unless the file of a chunk is its own, with the samples it had."""
+        if self._label(chunk)[0] < self.ledger[chunk.index]:
+            message = "it is an older one, with fewer samples"
+            raise DamageError(message)
+
+    def _check_content(self, chunk: Chunk) -> None:
+        """Raise an error of `FOREIGN` unless the content of a chunk has its checksum."""
+        _, length, told = self._label(chunk)
+        if checksum(self.chunk_file(chunk).read_bytes()[:length]) != told:
+            message = "its checksum is another"
+            raise DamageError(message)
 
     def _damaged_chunks(
         self, ys: slice = ALL, xs: slice = ALL, ss: slice = ALL, *, content: bool = True
     ) -> list[Chunk]:
         """Return the stored chunks in a part that are damaged; by their labels alone or whole."""
-
-        def sound(chunk: Chunk) -> bool:
+        damaged = []
+        for chunk in self._chunks(ys, xs, ss):
             try:
-                self._schema.check(chunk, self.ledger[chunk.index])
-                return not content or self._schema.is_whole(chunk, self._radiance)
+                if self.ledger[chunk.index]:
+                    self._check(chunk)
+                    if content:
+                        self._check_content(chunk)
             except FOREIGN:
-                return False
-
-        within = chunks_within(self.shape, ys, xs, ss)
-        return [c for c in within if self.ledger[c.index] and not sound(c)]
+                damaged.append(chunk)
+        return damaged
 
     def damaged(self, *, content: bool = True) -> list[Path]:
         """Return the files that are gone, damaged or in the place of others.
@@ -309,18 +291,15 @@ class Store:
         content
             Read all chunks; False looks only at their labels.
         """
-        metadata = (
-            (self.path / name, content)
-            for name, content in self._schema.metadata(self._attributes, self.shape)
-        )
-        files = [file for file, content in metadata if loaded(file) != content]
-        files += [self.path / "features" / name for name in self._damaged_features()]
-        files += [self.chunk_file(chunk) for chunk in self._damaged_chunks(content=content)]
+        expected = [(self.path / name, content) for name, content in self._metadata()]
+        found = [file for file, content in expected if layout.loaded(file) != content]
+        found += [self.path / "features" / name for name in self._damaged_features()]
+        found += [self.chunk_file(chunk) for chunk in self._damaged_chunks(content=content)]
         try:
             direct = self.direct()
         except StoreError:
-            return [*files, self.path / DIRECT]
-        return files if direct is None else files + direct.damaged(content=content)
+            return [*found, self.path / layout.DIRECT]
+        return found if direct is None else found + direct.damaged(content=content)
 
     def read_features(self) -> dict[str, Image]:
         """Return the first-hit features that are stored, by name.
@@ -330,17 +309,53 @@ class Store:
         StoreError
             If one is damaged.
         """
-        features = self._manifest["features"].items()
-        return {name: self._schema.read_feature(name, about) for name, about in features}
+        return {name: self._read_feature(name) for name in self._manifest["features"]}
 
     @property
     def feature_names(self) -> list[str]:
         """Names of the first-hit features that belong to the store."""
         return sorted(self._manifest["features"])
 
+    def _read_feature(self, name: str) -> Image:
+        about = self._manifest["features"][name]
+        file = self.path / layout.feature_file(name, about["shape"])
+        try:
+            if checksum(file.read_bytes()) != about["checksum"]:
+                message = "its checksum is another"
+                raise DamageError(message)
+            place, metadata = LocalStore(self.path), layout.feature_metadata(about["shape"])
+            return np.asarray(layout.array(place, f"features/{name}", metadata)[...])
+        except FOREIGN as error:
+            raise self._damage([file], brief(error)) from error
+
     def _damaged_features(self) -> list[str]:
-        features = self._manifest["features"].items()
-        return [name for name, about in features if self._schema.feature_is_damaged(name, about)]
+        damaged = []
+        for name in self._manifest["features"]:
+            try:
+                self._read_feature(name)
+            except StoreError:
+                damaged.append(name)
+        return damaged
+
+    def _damage(self, files: list[Path], why: str) -> StoreError:
+        """Return the error that names damaged files and how to repair them."""
+        named = ", ".join(map(str, files)) or self.path
+        return StoreError(
+            f"cannot read {named} ({why}); run the same 'chdstat render' again to repair it "
+            "('chdstat info --verify' lists all that is damaged)"
+        )
+
+    def _metadata(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield the metadata files, with what belongs into them, the manifest first."""
+        # All but the time, so that equal samples are equal files.
+        copy = {k: v for k, v in self._attributes.items() if k != "render_seconds"}
+        yield "zarr.json", layout.group_metadata(layout.signed(self._attributes))
+        yield "radiance/zarr.json", layout.radiance_metadata(self.shape, layout.signed(copy))
+        features = self._manifest["features"]
+        if features:
+            yield "features/zarr.json", layout.group_metadata({})
+        for name, about in features.items():
+            yield f"features/{name}/zarr.json", layout.feature_metadata(about["shape"])
 
     # --- writing --------------------------------------------------------------------------------
 
@@ -355,8 +370,8 @@ class Store:
         self._encoder[chunk.ys, chunk.xs, :, chunk.ss] = block
         key = self.chunk_file(chunk).relative_to(self.path).as_posix()
         content = self._encoded.pop(key).to_bytes()
-        with writing(self.path):
-            put(self.path / key, labelled(content, self._manifest["identity"], chunk))
+        with layout.writing(self.path):
+            layout.put(self.path / key, layout.labelled(content, self._manifest["identity"], chunk))
         self.ledger[chunk.index] = chunk.shape[2]
         if self.complete_spp() > self._manifest["complete"]:
             self.update()
@@ -377,7 +392,7 @@ class Store:
         changed = {**self._attributes, **attrs, "manifest": manifest}
         if changed != self._attributes:
             self._attributes = changed
-            with writing(self.path):
+            with layout.writing(self.path):
                 self._save()
 
     def extend(self, spp: int) -> None:
@@ -392,7 +407,7 @@ class Store:
         if spp <= old:
             return
         self.shape = (height, width, channels, spp)
-        before, self.ledger = self.ledger, empty_ledger(self.shape)
+        before, self.ledger = self.ledger, np.zeros(layout.grid(self.shape), np.int32)
         self.ledger[..., : before.shape[2]] = before
         self._lay_out()
         self.update(spp=spp)
@@ -407,7 +422,7 @@ class Store:
         """
         damaged = self._damaged_features()
         if damaged or not self.feature_names:
-            with writing(self.path):
+            with layout.writing(self.path):
                 for name, image in features().items():
                     if name in damaged or name not in self.feature_names:
                         self._write_feature(name, image)
@@ -415,11 +430,12 @@ class Store:
 
     def _write_feature(self, name: str, image: Image) -> None:
         held: dict[str, Any] = {}
-        encoder = array(MemoryStore(held), f"features/{name}", feature_metadata(image.shape))
+        metadata = layout.feature_metadata(image.shape)
+        encoder = layout.array(MemoryStore(held), f"features/{name}", metadata)
         encoder[...] = image
         ((key, encoded),) = held.items()
         content = encoded.to_bytes()
-        put(self.path / key, content)
+        layout.put(self.path / key, content)
         manifest = self._manifest
         about = {"shape": list(image.shape), "checksum": checksum(content)}
         manifest["features"] = {**manifest["features"], name: about}
@@ -427,24 +443,6 @@ class Store:
 
     def _save(self) -> None:
         """Write the metadata that differs from what it should be, the manifest first."""
-        for name, content in self._schema.metadata(self._attributes, self.shape):
-            if loaded(self.path / name) != content:
-                put(self.path / name, json.dumps(content, indent=2, sort_keys=True).encode())
-
-
-@dataclass(frozen=True)
-class _Lazy:
-    """The radiance of a store, as much of an array as Dask needs."""
-
-    store: Store
-    dtype = np.dtype(np.float32)
-    ndim = 4
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        """(y, x, channel, sample)."""
-        return self.store.shape
-
-    def __getitem__(self, part: tuple[slice, slice, slice, slice]) -> Image:
-        ys, xs, channels, ss = part
-        return self.store.read(ys, xs, ss)[:, :, channels]
+        for name, content in self._metadata():
+            if layout.loaded(self.path / name) != content:
+                layout.put(self.path / name, json.dumps(content, indent=2, sort_keys=True).encode())

@@ -23,7 +23,7 @@ from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.rendering.writers import StoreWriter
-from chdstat.samples import store as layout
+from chdstat.samples import layout
 from chdstat.samples.layout import chunk_grid
 from chdstat.samples.store import Store
 from chdstat.scenes import load_scene

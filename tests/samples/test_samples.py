@@ -67,8 +67,11 @@ def test_a_pixel_is_channel_by_sample(samples, x, pixel):
 @pytest.mark.parametrize("pixel", [(70, 0), (0, 66), (-71, 0), (0, -67)])
 def test_a_pixel_outside_is_an_error(samples, pixel):
     y, x = pixel
-    with pytest.raises(InputError, match=rf"\(y={y}, x={x}\) is outside the image of 66 x 70 pix"):
-        samples[pixel]
+    message = rf"[yx] must lie within -\d+ to \d+ and go forward, got ({y}|{x})"
+    with pytest.raises(InputError, match=message):
+        samples[y, x]
+    with pytest.raises(InputError, match=message):
+        samples.isel(y=y, x=x)
 
 
 def test_parts(samples, x):
@@ -77,6 +80,78 @@ def test_parts(samples, x):
         samples.read(slice(60, 99), slice(-3, None), slice(63, 65)), x[60:, -3:, :, 63:65]
     )
     assert samples.read(slice(5, 5)).shape == (0, 66, 3, 70)
+
+
+def test_samples_are_an_array_for_numpy(samples, x):
+    assert np.array_equal(np.asarray(samples), x)
+    assert np.asarray(samples, np.float64).dtype == np.float64
+    assert np.array_equal(np.mean(samples, axis=-1), x.mean(axis=-1))
+    assert np.shares_memory(np.asarray(samples), np.asarray(samples)) == (samples.path is None)
+
+
+CUTS = [
+    (slice(60, 99), slice(-3, None), slice(63, 65)),
+    (slice(None, None, 3), slice(1, 66, 7), slice(5, None, 2)),
+    (-1, 65, 3),
+]
+
+
+@pytest.mark.parametrize("cut", CUTS)
+def test_a_cut_is_that_of_the_array(samples, x, depth, cut):
+    """An integer keeps its axis; a cut of a cut, and what is loaded, are cuts of the array."""
+    ys, xs, ss = (slice(i, i + 1 or None) if isinstance(i, int) else i for i in cut)
+    found = samples.isel(y=cut[0], x=cut[1], sample=cut[2])
+    for part in (
+        found,
+        found.load(),
+        samples.isel(sample=ss)[ys, xs],
+        samples[ys, xs].isel(sample=ss),
+    ):
+        assert np.array_equal(part.read(), x[ys, xs, :, ss])
+        assert part.shape == x[ys, xs, :, ss].shape
+        assert part.attrs["spp"] == part.spp
+        assert np.array_equal(part.features["depth"], depth[ys, xs])
+        assert np.array_equal(part.to_dataset()["radiance"], part.read())
+        assert np.array_equal(part[0, -1], x[ys, xs][0, -1][:, ss])
+    assert found.path is None  # nothing that is kept of the store is of this part of it
+    assert ("part of" in repr(found)) == (samples.path is not None)
+
+
+def test_a_cut_of_a_store_reads_only_its_part(x, tmp_path):
+    store = Store.create(tmp_path / "s.zarr", height=70, width=66, channels=3, spp=70, attrs={})
+    for chunk in store.pending():
+        store.write(chunk, x[chunk.ys, chunk.xs, :, chunk.ss])
+    (store.path / "radiance/c/1/0/0/0").unlink()
+    samples = chd.open(store.path)
+    assert np.array_equal(samples[:64, 3], x[:64, 3:4])
+    lazily = samples.to_dataset()["radiance"]
+    assert np.array_equal(lazily[:64].values, x[:64])
+    for damaged in (samples[60:65, 3].read, lazily.load):
+        with pytest.raises(StoreError, match="cannot read"):
+            damaged()
+
+
+def test_the_direct_part_is_cut_alike():
+    x = np.random.default_rng(0).exponential(size=(4, 5, 3, 8)).astype(np.float32)
+    samples = Samples.from_array(x, direct=x / 2)
+    assert np.array_equal(samples.isel(x=2, sample=slice(1, 4)).direct, x[:, 2:3, :, 1:4] / 2)
+    few = Samples(x, attrs={}, direct=samples.direct.isel(sample=slice(3)))
+    assert np.array_equal(few.isel(sample=slice(2, 8)).direct, x[..., 2:3] / 2)
+    assert few.isel(sample=slice(3, 8)).direct is None
+
+
+@pytest.mark.parametrize("cut", [{"y": slice(5, 5)}, {"x": 6}, {"sample": slice(None, None, -1)}])
+def test_a_cut_of_nothing_or_backwards_is_refused(cut):
+    with pytest.raises(InputError, match="must lie within .* and go forward"):
+        Samples.from_array(np.ones((5, 6, 3, 8))).isel(**cut)
+
+
+def test_parts_of_one_place_share_their_random_numbers():
+    one, other = (Samples.from_array(np.ones((4, 4, 8)), seed=0) for _ in range(2))
+    assert one.first(5).shares_numbers_with(other)
+    assert one[2:, 1:].shares_numbers_with(other[2:, 1:].load())
+    assert not one[2:, :].shares_numbers_with(other[:2, :])
+    assert not one.isel(sample=slice(4, 8)).shares_numbers_with(other.isel(sample=slice(4)))
 
 
 def test_blocks_give_every_sample_once_in_stored_order(samples, x):
@@ -192,11 +267,6 @@ def test_other_arrays_are_refused(array, message):
         Samples.from_array(array)
 
 
-def test_samples_hold_an_array_or_a_store():
-    with pytest.raises(InputError, match="either an array or a store"):
-        Samples(attrs={})
-
-
 def test_damage_shows_when_it_is_read(x, tmp_path):
     store = Store.create(
         tmp_path / "s.zarr", height=70, width=66, channels=3, spp=70, attrs={"scene": "test"}
@@ -211,10 +281,12 @@ def test_damage_shows_when_it_is_read(x, tmp_path):
         samples[69, 0]
 
 
-@pytest.mark.parametrize("index", [0, (0, 1, 2), (slice(0, 2), 0), ..., (0.5, 1)])
+@pytest.mark.parametrize("index", [0, (0, 1, 2), ..., (0.5, 1)])
 def test_what_is_no_pixel_is_refused_with_advice(index):
     samples = chd.Samples.from_array(np.ones((2, 2, 1, 3)))
-    with pytest.raises(InputError, match=r"expected one pixel \(y, x\), .* read\(\) returns parts"):
+    with pytest.raises(
+        InputError, match=r"expected a pixel \(y, x\) or slices of rows and columns"
+    ):
         samples[index]
 
 
@@ -241,7 +313,7 @@ def test_a_read_that_memory_cannot_hold_is_refused_in_words(tmp_path, monkeypatc
     for chunk in store.pending():
         store.write(chunk, np.ones((2, 2, 3, chunk.shape[2]), np.float32))
     samples = chd.open(tmp_path / "s.zarr")
-    monkeypatch.setattr("chdstat.samples.samples._ALWAYS_HELD", 0)
+    monkeypatch.setattr("chdstat.samples.samples._ALWAYS_READ", 0)
     monkeypatch.setattr("chdstat._core.executor.memory", lambda: samples.nbytes - 1)
     with pytest.raises(InputError, match=r"these samples take .* of memory, .*blocks\(\)"):
         samples.read()

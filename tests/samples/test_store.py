@@ -19,10 +19,8 @@ from chdstat._core.files import Lock
 from chdstat.cli import main
 from chdstat.errors import StoreError
 from chdstat.rendering.conversion import convert
-from chdstat.samples import inspect
-from chdstat.samples import store as layout
-from chdstat.samples.layout import BATCH, TILE, chunk_grid
-from chdstat.samples.manifest import SCHEMA_VERSION, store_exists
+from chdstat.samples import inspect, is_store, layout
+from chdstat.samples.layout import BATCH, SCHEMA_VERSION, TILE, chunk_grid
 from chdstat.samples.store import Store
 
 ALL = slice(None)
@@ -217,8 +215,8 @@ def test_what_a_stopped_maker_left_is_completed(tmp_path, monkeypatch, stop):
         patch.setattr(layout, "put", stopped)
         with pytest.raises(KeyboardInterrupt):
             create(path, x, features=features)
-    assert store_exists(path) == (stop != "zarr.json")
-    store = Store.open(path, writable=True) if store_exists(path) else create(path, x)
+    assert is_store(path) == (stop != "zarr.json")
+    store = Store.open(path, writable=True) if is_store(path) else create(path, x)
     with store:
         store.restore(lambda: features)
         assert store.damaged() == []
