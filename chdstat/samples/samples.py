@@ -154,7 +154,7 @@ class Samples:
     @property
     def spp(self) -> int:
         """Samples per pixel."""
-        return self.shape[3]
+        return len(self._part[2])
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -203,8 +203,9 @@ class Samples:
 
     def __repr__(self) -> str:
         height, width, channels, spp = self.shape
-        where = "in memory" if isinstance(self._held, np.ndarray) else f"at {self._held.path}"
-        where = where if self.path else where.replace("at ", "part of ", 1)
+        where = "in memory"
+        if not isinstance(self._held, np.ndarray):
+            where = f"{'at' if self.path else 'part of'} {self._held.path}"
         return (
             f"<Samples {self.name!r} {width} x {height} pixels, "
             f"{channels} channel{'s' if channels > 1 else ''}, {spp} spp, {where}>"
@@ -424,8 +425,7 @@ class Samples:
     def _dataset(self, variables: Mapping[str, Any]) -> xr.Dataset:
         import xarray as xr
 
-        height, width = self.shape[:2]
-        coords = {"y": np.arange(height), "x": np.arange(width)}
+        coords = {"y": np.arange(self.shape[0]), "x": np.arange(self.shape[1])}
         dataset = xr.Dataset(dict(variables), coords, self.attrs)
         if "channel" in dataset.dims:
             # Strings of variable length: zarr v3 has no stable type for those of fixed length.
