@@ -26,7 +26,7 @@ from chdstat.fit.goodness_of_fit import (
     goodness_of_part,
     goodness_variables,
 )
-from chdstat.fit.results import finish_mixture, mixture_variables
+from chdstat.fit.results import fit_variables, label_fit
 from chdstat.fit.selection import family_shares, finish_selection, selection_variables
 from chdstat.fit.tail_fits import finish_tail, tail_variables
 from chdstat.inference import (
@@ -201,8 +201,8 @@ def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list
         ),
         _Stage(lambda t: tail_variables(t.of_channels(t.tail)), finish_tail),
         _Stage(
-            lambda t: mixture_variables(t.of_channels(t.mixture)),
-            lambda d: finish_mixture(d, "lognormal"),
+            lambda t: fit_variables(t.of_channels(t.mixture)),
+            lambda d: label_fit(d, "lognormal", mixture=True),
         ),
         _Stage(lambda t: modality_variables(t.of_channels(t.modes)), finish_modality, "modality_"),
         _Stage(

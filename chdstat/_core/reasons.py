@@ -6,9 +6,15 @@ A pixel that cannot be computed is data: NaN in the result and one of these code
 from __future__ import annotations
 
 import enum
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["Reason", "flag_attributes"]
+import numpy as np
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["Reason", "flag_attributes", "label_variables"]
 
 
 class Reason(enum.IntEnum):
@@ -56,3 +62,19 @@ def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:
         "flag_values": [int(code) for code in kind],
         "flag_meanings": " ".join(code.name.lower() for code in kind),
     }
+
+
+def label_variables(
+    dataset: xr.Dataset, labels: Mapping[str, tuple[str, str]], *, bounds: bool = True
+) -> xr.Dataset:
+    """Set long name and units of the variables that a dataset has, and what reason codes mean.
+
+    With `bounds`, the ends of intervals, dimension ``bound``, get their names, too.
+    """
+    for name, (long_name, units) in labels.items():
+        if name in dataset:
+            flags = flag_attributes() if name.endswith("reason") else {}
+            dataset[name].attrs.update(long_name=long_name, units=units, **flags)
+    if bounds:
+        return dataset.assign_coords(bound=np.array(["low", "high"], dtype=object))
+    return dataset

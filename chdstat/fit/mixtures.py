@@ -15,12 +15,11 @@ from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat._core.reasons import Reason
-from chdstat._core.resampling import wilson
 from chdstat.errors import InputError
 from chdstat.fit.components import COMPONENTS, MixtureFamily
 from chdstat.fit.mle import zero_log_likelihood
 from chdstat.fit.peaks import standard_errors
-from chdstat.fit.results import Mixture, MixtureCriterion, finish_mixture, mixture_variables
+from chdstat.fit.results import Mixture, MixtureCriterion, counts_of, fit_variables, label_fit
 from chdstat.fit.search import EFFORTS, Effort, Found, Solution, log_likelihood, search
 from chdstat.samples import Samples
 from chdstat.summary.dispatch import Part, Source, run
@@ -176,7 +175,6 @@ def _result(found: ChosenMixtures, family: MixtureFamily) -> Mixture:
         log_n, log_good = np.log(part.n), np.log(part.n_good)
     of_shape = 3 * np.arange(1, largest + 1) - 1
     with np.errstate(invalid="ignore", divide="ignore"):
-        null_share = np.asarray(part.n_null / part.n_good)
         bics = of_shape * log_n[..., np.newaxis] + log_good[..., np.newaxis] - 2 * values
         bic = np.asarray((3.0 * k - 1) * log_n + log_good - 2 * chosen)
     weights, *estimates = found.values.reshape(3, *shape, largest)
@@ -194,13 +192,7 @@ def _result(found: ChosenMixtures, family: MixtureFamily) -> Mixture:
         bic=bic,
         bics=bics,
         held_out=held_out.reshape(*shape, largest),
-        null_share=null_share,
-        null_interval=wilson(part.n_null, part.n_good),
-        n=part.n,
-        n_null=part.n_null,
-        n_zero=part.n_zero,
-        n_negative=part.n_negative,
-        n_bad=part.n_bad,
+        **counts_of(part),
         converged=found.converged.reshape(shape),
         reason=found.reason,
     )
@@ -303,12 +295,12 @@ def mixture(
         lambda part: mixture_of_part(
             part, k, family=family, criterion=criterion, max_k=max_k, effort=effort
         ),
-        mixture_variables,
+        fit_variables,
         null=null,
         description=f"fitting {family} mixtures",
         progress=progress,
     )
-    return result if isinstance(result, Mixture) else finish_mixture(result, family)
+    return result if isinstance(result, Mixture) else label_fit(result, family, mixture=True)
 
 
 def mixture_of_part(

@@ -16,9 +16,8 @@ from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import Reason
-from chdstat._core.resampling import wilson
 from chdstat.fit.families import Estimate, Family, Parameters, get_family
-from chdstat.fit.results import Fit, fit_variables, label_fit
+from chdstat.fit.results import Fit, counts_of, fit_variables, label_fit
 from chdstat.samples import Samples
 from chdstat.summary.dispatch import Part, Source, run
 from chdstat.summary.histograms import Histogram
@@ -170,7 +169,6 @@ def fit_part(part: Part, family: Family) -> Fit:
     log_likelihood = np.asarray(family.log_likelihood(part, parameters) + zero_log_likelihood(part))
     count = len(parameters) + 1
     with np.errstate(invalid="ignore", divide="ignore"):
-        null_share = np.asarray(part.n_null / part.n_good)
         # Nulls say nothing about the shape: only their own share is estimated from all samples.
         of_shape = len(parameters) * np.log(part.n)
         bic = np.asarray(of_shape + np.log(part.n_good) - 2 * log_likelihood)
@@ -178,13 +176,7 @@ def fit_part(part: Part, family: Family) -> Fit:
         family=family.name,
         parameters=parameters,
         standard_errors=estimate.standard_errors,
-        null_share=null_share,
-        null_interval=wilson(part.n_null, part.n_good),
-        n=part.n,
-        n_null=part.n_null,
-        n_zero=part.n_zero,
-        n_negative=part.n_negative,
-        n_bad=part.n_bad,
+        **counts_of(part),
         log_likelihood=log_likelihood,
         aic=np.asarray(2 * count - 2 * log_likelihood),
         bic=bic,
