@@ -32,8 +32,7 @@ from scipy import special, stats
 
 from chdstat._core.positive import Floats, Mask
 from chdstat._core.reasons import Reason
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, summed
-from chdstat.fit.newton import Surface, climb
+from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
 from chdstat.fit.weighted_samples import Points
 from chdstat.summary.dispatch import Part
 
@@ -58,7 +57,7 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
     distribution of maximum likelihood (Shao 2004, doi:10.1016/S0167-9473(02)00367-5). Nor is there
     one where c goes to infinity while c d stays: to a power law above the smallest sample.
     """
-    c, d, scale, c_error, d_error, scale_error, converged, limit = climb(
+    c, d, scale, c_error, d_error, scale_error, converged, limit = maximise(
         part,
         _profile,
         start=_start,
@@ -127,7 +126,7 @@ def _start(points: Points) -> Floats:
     return np.stack([cumulants, np.stack([weibull, np.full_like(weibull, _NEAR_LIMIT)])])
 
 
-def _profile(points: Points, at: Floats) -> Surface:
+def _profile(points: Points, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``log c + mean v - log L - L`` with L = 1 / d."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         c, rho = np.exp(at[0]), _log_expm1(at[1])
@@ -141,17 +140,11 @@ def _profile(points: Points, at: Floats) -> Surface:
         by_rho_rho = g * l_rho**2 - f * l_rho_rho
         # From (c, rho) to (log c, q): d rho / d q = 1 + e^-rho.
         stretch = 1 + np.exp(-rho)
-        return Surface(
-            value=at[0] + rho - np.log(level) - level,
-            gradient=np.stack([c * by_c, stretch * by_rho]),
-            curvature=np.stack(
-                [
-                    c**2 * by_c_c + c * by_c,
-                    c * stretch * by_rho_c,
-                    stretch**2 * by_rho_rho - (stretch - 1) * stretch * by_rho,
-                ]
-            ),
-        )
+        value = at[0] + rho - np.log(level) - level
+        mixed = c * stretch * by_rho_c
+        by_q_q = stretch**2 * by_rho_rho - (stretch - 1) * stretch * by_rho
+        curvatures = c**2 * by_c_c + c * by_c, mixed, by_q_q
+        return np.stack([value, c * by_c, stretch * by_rho, *curvatures])
 
 
 def _standard_errors(points: Points, rest: Floats, c: Floats, d: Floats, rho: Floats) -> Floats:

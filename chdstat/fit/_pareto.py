@@ -25,8 +25,7 @@ from scipy import stats
 
 from chdstat._core.positive import Floats, Mask
 from chdstat._core.reasons import Reason
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, summed
-from chdstat.fit.newton import Surface, climb
+from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
 from chdstat.fit.weighted_samples import Points
 from chdstat.summary.dispatch import Part
 
@@ -52,7 +51,7 @@ def _estimate(part: Part, _near: Parameters | None) -> Estimate:
     to -1 / max x, where xi < -1: what is looked for is the local maximum above that
     (doi:10.1080/00401706.1993.10485040).
     """
-    xi, scale, converged, limit = climb(
+    xi, scale, converged, limit = maximise(
         part, _profile, start=_best_of_grid, finish=_finish, names=4, minimum=PARETO.minimum
     )
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -92,7 +91,7 @@ def _best_of_grid(points: Points) -> Floats:
     return np.stack([best, np.zeros_like(best)])
 
 
-def _profile(points: Points, at: Floats) -> Surface:
+def _profile(points: Points, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``-log scale - xi``, by s."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         u, ratio = np.expm1(at[0]), _ratio(points)
@@ -103,11 +102,8 @@ def _profile(points: Points, at: Floats) -> Surface:
         by_u = -slope / g - g - u * slope
         by_u_u = -curvature / g + (slope / g) ** 2 - 2 * slope - u * curvature
         zero = np.zeros_like(u)
-        return Surface(
-            value=value,
-            gradient=np.stack([(1 + u) * by_u, zero]),
-            curvature=np.stack([(1 + u) ** 2 * by_u_u + (1 + u) * by_u, zero, zero - 1]),
-        )
+        curvature = (1 + u) ** 2 * by_u_u + (1 + u) * by_u
+        return np.stack([value, (1 + u) * by_u, zero, curvature, zero, zero - 1])
 
 
 def _ratio(points: Points) -> Floats:

@@ -22,15 +22,14 @@ import numpy as np
 from scipy import stats
 
 from chdstat._core.positive import Floats, Mask
-from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, summed
-from chdstat.fit.newton import Surface, climb
+from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
 from chdstat.fit.weighted_samples import Points
 from chdstat.summary.dispatch import Part
 
 __all__ = ["WEIBULL"]
 
 
-def _profile(points: Points, at: Floats) -> Surface:
+def _profile(points: Points, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``log k + k mean(log x) - log mean(x^k)``, by log k."""
     k, top = np.exp(at[0]), points.log_top
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -39,7 +38,7 @@ def _profile(points: Points, at: Floats) -> Surface:
         second -= first**2
         value = at[0] - np.log(total) - k * top
     slope, curvature, zero = 1 - k * first, -k * first - k**2 * second, np.zeros_like(k)
-    return Surface(value, np.stack([slope, zero]), np.stack([curvature, zero, zero - 1]))
+    return np.stack([value, slope, zero, curvature, zero, zero - 1])
 
 
 def _start(points: Points) -> Floats:
@@ -64,7 +63,7 @@ def _powers(points: Points, k: Floats, top: Floats) -> Floats:
 
 
 def _estimate(part: Part, near: Parameters | None) -> Estimate:
-    shape, scale, converged = climb(
+    shape, scale, converged = maximise(
         part,
         _profile,
         start=_start,

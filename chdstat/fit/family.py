@@ -1,4 +1,11 @@
-"""Family: what a row of the table of families holds, and what its estimator returns."""
+"""Family: what a row of the table of families holds, and how its likelihood is maximised.
+
+Estimates in closed form aside, families have profile likelihoods of one or two parameters, which
+Newton's method maximises for all rows at once. Steps are damped where the function is not concave
+or a step did not climb (Levenberg 1944, doi:10.1090/qam/10666), so that a row converges from afar
+and quadratically in the end; rows that are done leave the block. A function of one parameter fills
+the second with gradient 0 and curvature -1.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.positive import Floats, Mask
-from chdstat.fit.weighted_samples import Points, sum_over_samples
+from chdstat.fit.weighted_samples import Halves, Points, of_rows, sum_over_samples
 from chdstat.summary.dispatch import Part
 
-__all__ = ["RADIANCE", "Estimate", "Family", "LogDensity", "Parameters", "summed", "take"]
+__all__ = ["RADIANCE", "Estimate", "Family", "Parameters", "maximise", "summed", "take"]
 
 Parameters = Mapping[str, Floats]
 
@@ -115,3 +122,234 @@ def summed(log_density: LogDensity) -> Callable[[Part, Parameters], Floats]:
         return sum_over_samples(part, known, of_points)
 
     return log_likelihood
+
+
+_ITERATIONS = 60
+_REACH = 2.0
+_ROUGHLY, _HALVES, _EXACTLY = 1e-2, 1e-2, 3e-5
+"""Newton steps at which to stop: what they leave is of the order of their squares."""
+_CONCAVE = 1e-3
+_NEXT, _APART = 0.3, 0.05
+"""Distances below which a start leads to the same maximum, and above which two ends are two."""
+_CLOSE = 0.05
+"""Difference per sample that a few points may get wrong."""
+
+
+Surface = Callable[[Points, Floats], Floats]
+"""A function of two parameters, given for some points, at parameters of shape (2, row).
+
+It returns six numbers, shape (6, row): the value; the first derivatives by the first and the second
+parameter; the second derivatives by the first, mixed, and by the second. NaN where it has no value.
+"""
+
+
+def _maximise_block(
+    surface: Surface,
+    points: Points,
+    start: Floats,
+    *,
+    floor: float = -np.inf,
+    tolerance: float = _EXACTLY,
+) -> tuple[Floats, Mask]:
+    """Climb from `start`, shape (2, row), to the maximum next to it.
+
+    Parameters
+    ----------
+    surface
+        What to maximise.
+    points
+        What the function is of.
+    start
+        First parameters.
+    floor
+        Least value, above 0, of the second parameter, if it has any: a maximum at the floor counts.
+    tolerance
+        Steps this small end the climb; being Newton's, they leave about their square.
+
+    Returns
+    -------
+    parameters, converged
+        Shapes (2, row) and (row,).
+    """
+    best, converged = start.copy(), np.zeros(start.shape[1], dtype=bool)
+    rows = np.arange(start.shape[1])
+    at, here = start, surface(points, start)
+    damping = np.zeros(len(rows))
+    for _ in range(_ITERATIONS):
+        step = _within(at, _step(_along(at, here, floor), damping), floor)
+        # The last step is taken on trust: what it leaves is of the order of its square.
+        done = (np.abs(step) < tolerance * _unit(at, floor)).all(axis=0) & (damping == 0)
+        best[:, rows] = np.where(done, at + step, at)
+        converged[rows] = done
+        active = ~done & np.isfinite(step).all(axis=0) & (damping < 1e8)
+        if not active.any():
+            break
+        if np.count_nonzero(active) < 0.7 * len(rows):
+            kept = np.flatnonzero(active)
+            rows, points, damping = rows[kept], points.take(kept), damping[kept]
+            at, step, here = at[:, kept], step[:, kept], here[:, kept]
+        trial = at + step
+        there = surface(points, trial)
+        with np.errstate(invalid="ignore"):
+            climbs = there[0] >= here[0] - 1e-11 * (1 + np.abs(here[0]))
+        at, here = np.where(climbs, trial, at), np.where(climbs, there, here)
+        damping = np.where(climbs, np.where(damping < 1e-2, 0, damping / 10), 10 * damping + 0.1)
+    return best, converged
+
+
+def maximise(
+    part: Part,
+    surface: Surface,
+    *,
+    start: Callable[[Points], Floats],
+    finish: Callable[[Points, Floats, Mask], Floats],
+    names: int,
+    minimum: int,
+    floor: float = -np.inf,
+    near: tuple[Floats, Floats] | None = None,
+) -> Floats:
+    """Maximise for all rows of a part, first for a few points of each, then for all of them.
+
+    Parameters
+    ----------
+    part, surface, floor
+        What to maximise, for all rows of a part; floor as of `_maximise_block`.
+    start
+        First parameters for the points of some rows, shape (2, row); or several, where there may be
+        several maxima, shape (start, 2, row).
+    finish
+        What to return for the points of some rows, with the parameters and where they are a
+        maximum; shape (names, row).
+    names
+        How many numbers that is.
+    minimum
+        Samples that a row needs.
+    near
+        First parameters, if they are known, each of the batch's shape: a row that has them needs no
+        start. Of `Halves`, rows that have none are left out.
+
+    Returns
+    -------
+    ndarray
+        Shape (names, ...).
+    """
+
+    def roughly(points: Points) -> Floats:
+        first, *others = start(points).reshape(-1, 2, len(points.n))
+        end, _ = _maximise_block(surface, points, first, floor=floor, tolerance=_ROUGHLY)
+        if not others:
+            return np.concatenate([end, np.full_like(end, np.nan)])
+        return _in_order(surface, points, end, _from_afar(surface, points, end, others[0], floor))
+
+    def exactly(points: Points) -> Floats:
+        begin, other = rough[:2, points.rows], rough[2:, points.rows]
+        lost = np.isnan(begin).any(axis=0)
+        if lost.any():
+            # The few points were all equal, while some others are not.
+            begin = np.where(lost, start(points).reshape(-1, *begin.shape)[0], begin)
+        at, converged = _maximise_block(surface, points, begin, floor=floor, tolerance=tolerance)
+        _try_others(surface, points, other, floor, at, converged)
+        return finish(points, at, converged)
+
+    tolerance = _EXACTLY
+    rough = np.full((4, part.n.size), np.nan)
+    if near is not None:
+        rough[:2] = np.stack(near).reshape(2, -1)
+    unknown = np.asarray(np.isnan(rough[:2]).any(axis=0))
+    if isinstance(part, Halves) and near is not None:
+        tolerance = _HALVES
+        return of_rows(part, minimum, names, exactly, among=~unknown).reshape(names, *part.n.shape)
+    if unknown.any():
+        found = of_rows(part, minimum, 4, roughly, thin=True, among=unknown)
+        rough = np.where(unknown, found, rough)
+    return of_rows(part, minimum, names, exactly).reshape(names, *part.n.shape)
+
+
+def _from_afar(
+    surface: Surface,
+    points: Points,
+    end: Floats,
+    start: Floats,
+    floor: float,
+) -> Floats:
+    """Climb from another start where that is not next to where the first climb ended; else NaN."""
+    other = np.full_like(end, np.nan)
+    rows = np.flatnonzero(~(np.abs(start - end) < _NEXT).all(axis=0))
+    if len(rows):
+        some = points.take(rows)
+        other[:, rows], _ = _maximise_block(
+            surface, some, start[:, rows], floor=floor, tolerance=_ROUGHLY
+        )
+    return other
+
+
+def _in_order(surface: Surface, points: Points, one: Floats, two: Floats) -> Floats:
+    """Return the higher end, then the other if all points may make it the higher; else NaN."""
+    first, second = surface(points, one)[0], surface(points, two)[0]
+    with np.errstate(invalid="ignore"):
+        swap = (second > first) | (np.isnan(first) & np.isfinite(second))
+        open_question = (np.abs(two - one) > _APART).any(axis=0)
+        open_question &= np.abs(second - first) < _CLOSE
+    higher, lower = np.where(swap, two, one), np.where(swap, one, two)
+    return np.concatenate([higher, np.where(open_question, lower, np.nan)])
+
+
+def _try_others(
+    surface: Surface,
+    points: Points,
+    other: Floats,
+    floor: float,
+    at: Floats,
+    converged: Mask,
+) -> None:
+    """Climb from the other start, too, where there is one; keep what is higher, in place."""
+    rows = np.flatnonzero(np.isfinite(other).all(axis=0))
+    if not len(rows):
+        return
+    some = points.take(rows)
+    there, done = _maximise_block(surface, some, other[:, rows], floor=floor)
+    with np.errstate(invalid="ignore"):
+        better = surface(some, there)[0] > surface(some, at[:, rows])[0]
+    at[:, rows] = np.where(better, there, at[:, rows])
+    converged[rows] = np.where(better, done, converged[rows])
+
+
+def _unit(at: Floats, floor: float) -> Floats | float:
+    """Return what steps are small in comparison with: 1, or a positive parameter that is less."""
+    if not np.isfinite(floor):
+        return 1.0
+    return np.stack([np.ones_like(at[1]), np.minimum(at[1], 1)])
+
+
+def _along(at: Floats, here: Floats, floor: float) -> Floats:
+    """Return the derivatives along the floor for rows that lie on it and would fall through."""
+    held = (at[1] <= floor) & (here[2] < 0)
+    if not held.any():
+        return here
+    value, slope, _, curvature, _, _ = here
+    zero = np.zeros_like(value)
+    return np.where(held, np.stack([value, slope, zero, curvature, zero, zero - 1]), here)
+
+
+def _within(at: Floats, step: Floats, floor: float) -> Floats:
+    """Cut steps that go too far; towards the floor, to a hundredth of what there is."""
+    step = np.clip(step, -_REACH, _REACH)
+    if np.isfinite(floor):
+        step[1] = np.maximum(step[1], np.maximum(-0.99 * at[1], floor - at[1]))
+    return step
+
+
+def _step(here: Floats, damping: Floats) -> Floats:
+    """Solve (H - shift) step = -gradient, the shift large enough to make H negative definite."""
+    _, by_first, by_second, a, b, d = here
+    determinant = a * d - b * b
+    concave = (a < 0) & (determinant > 0)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        if not concave.all() or damping.any():
+            size = np.abs(a) + np.abs(d)
+            largest = (a + d) / 2 + np.sqrt(((a - d) / 2) ** 2 + b**2)
+            shift = np.where(concave, 0, largest + _CONCAVE * size) + damping * size
+            a, d = a - shift, d - shift
+            determinant = a * d - b * b
+        p, q = by_first / determinant, by_second / determinant
+        return np.stack([b * q - d * p, b * p - a * q])
