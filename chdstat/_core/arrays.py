@@ -364,7 +364,7 @@ def _kind(x: object, array: npt.NDArray[Any]) -> str:
 Result = TypeVar("Result")
 
 
-def take_rows(result: Result, rows: int | slice, *, axis: int) -> Result:
+def take_rows(result: Result, rows: int | slice | npt.NDArray[Any], *, axis: int) -> Result:
     """Return a result with only some rows along one of its batch axes.
 
     Every array with that axis is indexed: those of dataclasses, what they have cached included, and
@@ -378,7 +378,7 @@ def take_rows(result: Result, rows: int | slice, *, axis: int) -> Result:
     return cast("Result", _take(result, (slice(None),) * axis + (rows,)))
 
 
-def _take(value: Any, index: tuple[int | slice, ...]) -> Any:
+def _take(value: Any, index: tuple[Any, ...]) -> Any:
     if isinstance(value, np.ndarray):
         return value[index] if value.ndim >= len(index) else value
     if isinstance(value, Mapping):

@@ -21,8 +21,8 @@ from typing import Literal
 import numpy as np
 from scipy import special
 
-from chdstat._core.arrays import spans
-from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.arrays import spans, take_rows
+from chdstat._core.positive import Counts, Floats
 
 __all__ = [
     "COMPONENTS",
@@ -69,16 +69,9 @@ class Cells:
     origin: Floats
     floor: Floats
 
-    def take(self, rows: Counts | Mask | slice) -> Cells:
+    def take(self, rows: Counts) -> Cells:
         """Return some of the rows."""
-        return Cells(
-            self.count[rows],
-            self.log[rows],
-            self.square[rows],
-            self.ratio[rows],
-            self.origin[rows],
-            self.floor[rows],
-        )
+        return take_rows(self, rows, axis=0)
 
     @property
     def n(self) -> Floats:

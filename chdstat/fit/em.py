@@ -28,13 +28,13 @@ from chdstat._core.positive import Counts, Floats, Mask
 from chdstat.fit.components import Cells, ComponentFamily
 
 __all__ = [
-    "Climb",
+    "Result",
     "bound_at",
-    "climb",
     "insertions",
     "log_density",
     "maximise",
     "responsibilities",
+    "run",
     "segmentations",
     "single",
     "split",
@@ -48,8 +48,8 @@ _REACH = 64.0
 """Longest extrapolation, in steps."""
 
 
-class Climb(NamedTuple):
-    """Where a climb ended: state (3, component, row), bound (row,), converged (row,)."""
+class Result(NamedTuple):
+    """Where EM ended: state (3, component, row), bound (row,), converged (row,)."""
 
     state: Floats
     bound: Floats
@@ -79,9 +79,9 @@ class _Data(NamedTuple):
         return _Data(*(values[..., rows] for values in self))
 
 
-def climb(
+def run(
     cells: Cells, family: ComponentFamily, state: Floats, *, cycles: int, tolerance: float
-) -> Climb:
+) -> Result:
     """Raise the bound until a cycle of three steps gains less than `tolerance` per sample."""
     state = state.copy()
     bound = np.full(state.shape[-1], -np.inf)
@@ -100,7 +100,7 @@ def climb(
         if 8 * np.count_nonzero(done) > done.size:
             active = active[~done]
             data = data.take(~done)
-    return Climb(state, bound, converged)
+    return Result(state, bound, converged)
 
 
 def responsibilities(cells: Cells, family: ComponentFamily, state: Floats) -> Floats:
@@ -113,9 +113,9 @@ def bound_at(cells: Cells, family: ComponentFamily, state: Floats) -> Floats:
     return _expect(_Data.of(cells, family), family.coefficients(state))[1]
 
 
-def maximise(cells: Cells, family: ComponentFamily, belonging: Floats) -> Floats:
+def maximise(cells: Cells, family: ComponentFamily, shares: Floats) -> Floats:
     """Return the state of maximum likelihood, given responsibilities."""
-    return _maximise(_Data.of(cells, family), family, belonging.transpose(0, 2, 1))
+    return _maximise(_Data.of(cells, family), family, shares.transpose(0, 2, 1))
 
 
 def log_density(log: Floats, statistic: Floats, coefficients: Floats) -> Floats:
@@ -151,20 +151,20 @@ def _extrapolate(state: Floats, one: Floats, two: Floats) -> Floats:
 
 def _step(data: _Data, family: ComponentFamily, state: Floats) -> tuple[Floats, Floats]:
     """Return the next state, and the bound at this one."""
-    belonging, bound = _expect(data, family.coefficients(state))
-    return _maximise(data, family, belonging), bound
+    shares, bound = _expect(data, family.coefficients(state))
+    return _maximise(data, family, shares), bound
 
 
 def _expect(data: _Data, coefficients: Floats) -> tuple[Floats, Floats]:
     """Return responsibilities, shape (component, cell, row), and the bound."""
     exponent, top = _exponents(data.log, data.statistic, coefficients[:, :, np.newaxis])
-    belonging = np.exp(exponent, out=exponent)
-    total = belonging.sum(axis=0)
-    belonging *= data.samples / total
+    shares = np.exp(exponent, out=exponent)
+    total = shares.sum(axis=0)
+    shares *= data.samples / total
     np.log(total, out=total)
     total += top
     total *= data.samples
-    return belonging, total.sum(axis=0)
+    return shares, total.sum(axis=0)
 
 
 def _exponents(log: Floats, statistic: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
@@ -181,10 +181,10 @@ def _exponents(log: Floats, statistic: Floats, coefficients: Floats) -> tuple[Fl
     return exponent, top
 
 
-def _maximise(data: _Data, family: ComponentFamily, belonging: Floats) -> Floats:
-    sizes = np.maximum(belonging.sum(axis=1), _LEAST_SIZE)
-    log = np.einsum("kcr,cr->kr", belonging, data.log) / sizes
-    statistic = np.einsum("kcr,cr->kr", belonging, data.statistic) / sizes
+def _maximise(data: _Data, family: ComponentFamily, shares: Floats) -> Floats:
+    sizes = np.maximum(shares.sum(axis=1), _LEAST_SIZE)
+    log = np.einsum("kcr,cr->kr", shares, data.log) / sizes
+    statistic = np.einsum("kcr,cr->kr", shares, data.statistic) / sizes
     return family.maximise(sizes / data.n, log, statistic, data.floor)
 
 

@@ -25,7 +25,7 @@ from chdstat._core.resampling import q_values, rejections
 from chdstat.errors import InputError
 from chdstat.fit.distances import DISTANCES, FitTest, bootstrap
 from chdstat.fit.families import Family, Parameters, get_family
-from chdstat.fit.mixture_family import mixture_family, mixture_parameters
+from chdstat.fit.mixtures import mixture_family, mixture_parameters
 from chdstat.fit.mle import fit_part, zero_log_likelihood
 from chdstat.fit.results import Fit, Mixture
 from chdstat.fit.selection import Selection

@@ -6,6 +6,7 @@ One search finds the mixtures of all numbers of components; `chdstat.fit.mixture
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast, overload
 
@@ -17,10 +18,13 @@ from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 from chdstat.fit.components import COMPONENTS, MixtureFamily
+from chdstat.fit.families import Estimate, Family, Parameters, get_family
+from chdstat.fit.family import summed
 from chdstat.fit.mle import zero_log_likelihood
 from chdstat.fit.peaks import standard_errors
 from chdstat.fit.results import Mixture, MixtureCriterion, counts_of, fit_variables, label_fit
 from chdstat.fit.search import EFFORTS, Effort, Found, Solution, log_likelihood, search
+from chdstat.fit.weighted_samples import Points
 from chdstat.samples import Samples
 from chdstat.summary.dispatch import Part, Source, run
 from chdstat.summary.histograms import Histogram
@@ -28,105 +32,112 @@ from chdstat.summary.histograms import Histogram
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ChosenMixtures", "allowed_components", "mixture", "mixture_of_part"]
+__all__ = [
+    "ChosenMixtures",
+    "mixture",
+    "mixture_family",
+    "mixture_of_part",
+    "mixture_parameters",
+]
 
-_NAMES = {"lognormal": ("mu", "sigma"), "gamma": ("shape", "scale")}
 
-
-@dataclass(frozen=True)
 class ChosenMixtures:
     """Mixtures that a search finds, piece by piece, of the chosen numbers of components.
 
-    Attributes
+    Parameters
     ----------
     part
         What the search is of.
     reason
         Why rows are not searched, shape (...).
-    allowed
-        How many components a row may have, shape (row, component).
-    chosen
+    largest
+        Most components.
+    k
         The number of components, or None for that of the best score.
     held_out
         What the score is, shape (row, component), or None for BIC.
-    k, values, errors, likelihoods, converged
-        What was found, shape (row,), (parameter, row, component) or (row, component).
     """
 
-    part: Part
-    reason: npt.NDArray[np.int8]
-    allowed: Mask
-    chosen: int | None
-    held_out: Floats | None
-    k: npt.NDArray[np.int8]
-    values: Floats
-    errors: Floats
-    likelihoods: Floats
-    converged: Mask
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         part: Part,
         reason: npt.NDArray[np.int8],
         largest: int,
         *,
         k: int | None = None,
         held_out: Floats | None = None,
-    ) -> ChosenMixtures:
-        """Begin with nothing found."""
+    ) -> None:
         rows = part.n.size
-        allowed = allowed_components(part, largest) & (reason == Reason.OK)[..., np.newaxis]
-        allowed = allowed.reshape(rows, largest)
-        return cls(
-            part=part,
-            reason=reason,
-            allowed=allowed,
-            chosen=k,
-            held_out=None if held_out is None else np.where(allowed, held_out, np.nan),
-            k=np.zeros(rows, dtype=np.int8),
-            values=np.full((3, rows, largest), np.nan),
-            errors=np.full((3, rows, largest), np.nan),
-            likelihoods=np.full((rows, largest), np.nan),
-            converged=np.zeros(rows, dtype=bool),
-        )
+        allowed = _allowed_components(part, largest) & (reason == Reason.OK)[..., np.newaxis]
+        self._part, self._reason, self._chosen = part, reason, k
+        self._allowed = allowed.reshape(rows, largest)
+        self._held_out = None if held_out is None else np.where(self._allowed, held_out, np.nan)
+        self._k = np.zeros(rows, dtype=np.int8)
+        self._values, self._errors = np.full((2, 3, rows, largest), np.nan)
+        self._likelihoods = np.full((rows, largest), np.nan)
+        self._converged = np.zeros(rows, dtype=bool)
 
     def enter(self, found: Found) -> None:
         """Take over what was found of some rows."""
-        solutions, allowed = found.solutions, self.allowed[found.rows]
+        solutions, allowed = found.solutions, self._allowed[found.rows]
         values = np.stack([s.log_likelihood for s in solutions], axis=-1)
         # Minus infinity stands for what the search did not try.
-        self.likelihoods[found.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
-        if self.chosen is None:
-            n = np.log(found.cells.n)[:, np.newaxis]
-            parameters = 3 * np.arange(1, len(solutions) + 1)
-            bic = values - parameters * n / 2
-            score = bic if self.held_out is None else self.held_out[found.rows]
-            best = np.where(allowed & ~np.isnan(score), score, -np.inf).argmax(axis=-1)
+        self._likelihoods[found.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
+        if self._chosen is not None:
+            best = np.full(len(found.rows), self._chosen - 1)
+        elif self._held_out is not None:
+            best = _highest(self._held_out[found.rows], allowed)
         else:
-            best = np.full(len(found.rows), self.chosen - 1)
+            parameters = 3 * np.arange(1, len(solutions) + 1)
+            best = _highest(values - parameters * np.log(found.cells.n)[:, np.newaxis] / 2, allowed)
         for k in np.unique(best):
             at = np.flatnonzero(best == k)
-            self._describe(found.rows[at], solutions[k].take(at), found, at)
+            rows, solution = found.rows[at], solutions[k].take(at)
+            errors = standard_errors(solution, found.cells.take(at))
+            order = np.argsort(_median(solution), axis=-1)
+            for i, (name, value) in enumerate(_parameters(solution).items()):
+                self._values[i, rows, : k + 1] = np.take_along_axis(value, order, axis=-1)
+                self._errors[i, rows, : k + 1] = np.take_along_axis(errors[name], order, axis=-1)
+            self._k[rows] = k + 1
+            self._converged[rows] = solution.converged
 
     def result(self, family: MixtureFamily) -> Mixture:
         """Return all of it."""
-        return _result(self, family)
+        part, largest = self._part, self._likelihoods.shape[-1]
+        shape = part.n.shape
+        rest = (zero_log_likelihood(part) - part.n * part.log_statistics.log_mean)[..., np.newaxis]
+        values = self._likelihoods.reshape(*shape, largest) + rest
+        k = self._k.reshape(shape)
+        at = np.maximum(k, 1).astype(np.int64)[..., np.newaxis] - 1
+        chosen = np.where(k > 0, np.take_along_axis(values, at, axis=-1)[..., 0], np.nan)
+        none = np.full(values.shape, np.nan)
+        of_shape = 3 * np.arange(1, largest + 1) - 1
+        with np.errstate(invalid="ignore", divide="ignore"):
+            log_n, log_good = np.log(part.n), np.log(part.n_good)
+            bics = of_shape * log_n[..., np.newaxis] + log_good[..., np.newaxis] - 2 * values
+            bic = np.asarray((3.0 * k - 1) * log_n + log_good - 2 * chosen)
+        names = ("weight", *get_family(family).units)
+        estimates = dict(zip(names, self._values.reshape(3, *shape, largest), strict=True))
+        errors = dict(zip(names, self._errors.reshape(3, *shape, largest), strict=True))
+        return Mixture(
+            family=family,
+            criterion="bic" if self._held_out is None else "held_out",
+            k=k,
+            weights=estimates.pop("weight"),
+            parameters=estimates,
+            standard_errors=errors,
+            log_likelihood=chosen,
+            aic=np.asarray(6.0 * k - 2 * chosen),
+            bic=bic,
+            bics=bics,
+            held_out=none if self._held_out is None else self._held_out.reshape(none.shape),
+            **counts_of(part),
+            converged=self._converged.reshape(shape),
+            reason=self._reason,
+        )
 
-    def _describe(self, rows: Counts, solution: Solution, found: Found, at: Counts) -> None:
-        k = solution.state.shape[1]
-        values = _parameters(solution)
-        errors = standard_errors(solution, found.cells.take(at))
-        names = ("weight", *_NAMES[solution.family.name])
-        order = np.argsort(_median(solution), axis=-1)
-        for i, name in enumerate(names):
-            self.values[i, rows, :k] = np.take_along_axis(values[name], order, axis=-1)
-            self.errors[i, rows, :k] = np.take_along_axis(errors[name], order, axis=-1)
-        self.k[rows] = k
-        self.converged[rows] = solution.converged
 
-
-def allowed_components(part: Part, largest: int) -> Mask:
+def _allowed_components(part: Part, largest: int) -> Mask:
     """Say how many components a row may have: with as many samples as parameters, or more.
 
     Nor may there be more components than distinct values, shape (..., component).
@@ -141,7 +152,13 @@ def allowed_components(part: Part, largest: int) -> Mask:
     return np.asarray(enough & (distinct[..., np.newaxis] >= k))
 
 
+def _highest(score: Floats, allowed: Mask) -> Counts:
+    """Return the index of the highest score of those that are allowed and known, shape (row,)."""
+    return np.asarray(np.where(allowed & ~np.isnan(score), score, -np.inf).argmax(axis=-1))
+
+
 def _parameters(solution: Solution) -> dict[str, Floats]:
+    """Return weights and parameters by name, in the order of the family, (row, component)."""
     log_weight, location, log_scale = solution.state.transpose(0, 2, 1)
     origin = solution.origin[:, np.newaxis]
     weight = np.exp(log_weight)
@@ -160,42 +177,6 @@ def _median(solution: Solution) -> Floats:
     shape = np.exp(log_scale)
     with np.errstate(divide="ignore"):
         return np.asarray(location + np.log(special.gammaincinv(shape, 0.5) / shape))
-
-
-def _result(found: ChosenMixtures, family: MixtureFamily) -> Mixture:
-    part = found.part
-    shape, largest = part.n.shape, found.likelihoods.shape[-1]
-    rest = (zero_log_likelihood(part) - part.n * part.log_statistics.log_mean)[..., np.newaxis]
-    values = found.likelihoods.reshape(*shape, largest) + rest
-    k = found.k.reshape(shape)
-    at = np.maximum(k, 1).astype(np.int64)[..., np.newaxis] - 1
-    chosen = np.where(k > 0, np.take_along_axis(values, at, axis=-1)[..., 0], np.nan)
-    held_out = np.full(values.shape, np.nan) if found.held_out is None else found.held_out
-    with np.errstate(divide="ignore"):
-        log_n, log_good = np.log(part.n), np.log(part.n_good)
-    of_shape = 3 * np.arange(1, largest + 1) - 1
-    with np.errstate(invalid="ignore", divide="ignore"):
-        bics = of_shape * log_n[..., np.newaxis] + log_good[..., np.newaxis] - 2 * values
-        bic = np.asarray((3.0 * k - 1) * log_n + log_good - 2 * chosen)
-    weights, *estimates = found.values.reshape(3, *shape, largest)
-    names = _NAMES[family]
-    errors = found.errors.reshape(3, *shape, largest)
-    return Mixture(
-        family=family,
-        criterion="bic" if found.held_out is None else "held_out",
-        k=k,
-        weights=weights,
-        parameters=dict(zip(names, estimates, strict=True)),
-        standard_errors=dict(zip(("weight", *names), errors, strict=True)),
-        log_likelihood=chosen,
-        aic=np.asarray(6.0 * k - 2 * chosen),
-        bic=bic,
-        bics=bics,
-        held_out=held_out.reshape(*shape, largest),
-        **counts_of(part),
-        converged=found.converged.reshape(shape),
-        reason=found.reason,
-    )
 
 
 _LARGEST_K = 8
@@ -315,30 +296,32 @@ def mixture_of_part(
     """Fit a mixture to samples that are already split; options as of `mixture`."""
     largest = max_k if k is None else k
     reason = part.reason()
-    allowed = allowed_components(part, largest)
+    allowed = _allowed_components(part, largest)
     least = allowed[..., 0 if k is None else k - 1]
     reason[(reason == Reason.OK) & ~least] = Reason.TOO_FEW
     held_out = None
     if criterion == "held_out":
-        held_out = _held_out(_samples_of(part), reason == Reason.OK, family, largest, effort)
-    chosen = ChosenMixtures.of(part, reason, largest, k=k, held_out=held_out)
+        if not isinstance(part, PositivePart):
+            message = (
+                "held-out likelihood needs samples: a histogram has lost their order; use 'bic'"
+            )
+            raise InputError(message)
+        held_out = _held_out(part, reason == Reason.OK, family, largest, effort)
+    chosen = ChosenMixtures(part, reason, largest, k=k, held_out=held_out)
     for found in search(part, reason == Reason.OK, family, largest, effort=effort):
         chosen.enter(found)
     return chosen.result(family)
-
-
-def _samples_of(part: Part) -> PositivePart:
-    if isinstance(part, PositivePart):
-        return part
-    message = "held-out likelihood needs samples: a histogram has lost their order; use 'bic'"
-    raise InputError(message)
 
 
 def _held_out(
     part: PositivePart, usable: Mask, family: MixtureFamily, largest: int, effort: Effort
 ) -> Floats:
     """Return held-out log-likelihoods per sample, shape (row, component)."""
-    halves = [_half(part, start) for start in (0, 1)]
+    halves = []
+    for parity in (slice(0, None, 2), slice(1, None, 2)):
+        x, positive = part.x[..., parity], part.positive[..., parity]
+        n = np.asarray(np.count_nonzero(positive, axis=-1), dtype=np.int64)
+        halves.append(PositivePart(x, positive, n, *[np.zeros_like(n)] * 4))
     smallest = np.minimum(halves[0].n, halves[1].n)
     both = usable & (smallest >= 2)
     for half in halves:
@@ -357,13 +340,6 @@ def _held_out(
     return np.where(enough, per_sample, np.nan)
 
 
-def _half(part: PositivePart, start: int) -> PositivePart:
-    positive = part.positive[..., start::2]
-    n = np.asarray(np.count_nonzero(positive, axis=-1), dtype=np.int64)
-    none = np.zeros_like(n)
-    return PositivePart(part.x[..., start::2], positive, n, none, none, none, none)
-
-
 def _check(k: Any, family: str, criterion: str, max_k: Any, effort: str) -> None:
     tables = {
         "family": (family, tuple(COMPONENTS)),
@@ -379,3 +355,96 @@ def _check(k: Any, family: str, criterion: str, max_k: Any, effort: str) -> None
         if not whole and not (name == "k" and number is None):
             message = f"{name} must be a whole number from 1 to {_LARGEST_K}, got {number!r}"
             raise InputError(message)
+
+
+def mixture_family(component: MixtureFamily, k: int) -> Family:
+    """Return mixtures of a fixed number of components as a family, for the bootstrap.
+
+    Its parameters are those of each component, numbered: ``mu_1``, ``sigma_1``, ``weight_1``, ...
+    """
+    base = get_family(component)
+
+    def estimate(part: Part, _near: Parameters | None) -> Estimate:
+        found = mixture_of_part(part, k, family=component)
+        return Estimate(
+            parameters=mixture_parameters(found, k),
+            standard_errors=_numbered(found.standard_errors, k),
+            converged=found.converged,
+        )
+
+    def log_density(points: Points, parameters: Parameters) -> Floats:
+        densities = [
+            base.log_density(points, one) + np.log(weight)[:, np.newaxis]
+            for weight, one in _components(parameters, k)
+        ]
+        return np.asarray(np.logaddexp.reduce(densities))
+
+    return Family(
+        name=f"{component}_mixture",
+        label=f"mixture of {base.label}",
+        documentation=None,
+        units={
+            f"{name}_{i + 1}": unit
+            for i in range(k)
+            for name, unit in {**base.units, "weight": "1"}.items()
+        },
+        estimate=estimate,
+        log_likelihood=summed(log_density),
+        log_density=log_density,
+        distribution=lambda parameters: _Distribution(base, parameters, k),
+    )
+
+
+def mixture_parameters(mixture: Mixture, k: int) -> dict[str, Floats]:
+    """Return the parameters of the first `k` components by numbered name, each of shape (...)."""
+    return _numbered({**mixture.parameters, "weight": mixture.weights}, k)
+
+
+@dataclass(frozen=True)
+class _Distribution:
+    """Distribution of a mixture of `k` components: what the bootstrap needs of SciPy's."""
+
+    base: Family
+    parameters: Parameters
+    k: int
+
+    def cdf(self, x: Floats) -> Floats:
+        """Return P(X <= x)."""
+        return self._mix("cdf", x)
+
+    def sf(self, x: Floats) -> Floats:
+        """Return P(X > x)."""
+        return self._mix("sf", x)
+
+    def rvs(self, size: tuple[int, ...], random_state: np.random.Generator) -> Floats:
+        """Draw samples."""
+        # A sample is of the component in whose share of (0, 1) its number lies.
+        number, drawn = random_state.random(size), np.zeros(size)
+        below = np.zeros(1)
+        for i, (weight, one) in enumerate(_components(self.parameters, self.k)):
+            values = self.base.distribution(one).rvs(size=size, random_state=random_state)
+            drawn = np.where(number >= below, values, drawn) if i else values
+            below = below + weight
+        return np.asarray(drawn)
+
+    def _mix(self, name: str, x: Floats) -> Floats:
+        return np.asarray(
+            sum(
+                weight * getattr(self.base.distribution(one), name)(x)
+                for weight, one in _components(self.parameters, self.k)
+            )
+        )
+
+
+def _numbered(values: Mapping[str, Floats], k: int) -> dict[str, Floats]:
+    return {f"{name}_{i + 1}": v[..., i] for i in range(k) for name, v in values.items()}
+
+
+def _components(parameters: Parameters, k: int) -> list[tuple[Floats, dict[str, Floats]]]:
+    """Return the weight and the parameters of each component."""
+    components = []
+    for i in range(1, k + 1):
+        mark = f"_{i}"
+        one = {n.removesuffix(mark): v for n, v in parameters.items() if n.endswith(mark)}
+        components.append((one.pop("weight"), one))
+    return components

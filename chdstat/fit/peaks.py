@@ -1,7 +1,7 @@
 """Peaks: the modes of fitted mixtures in log radiance, and how far they are separated.
 
 A component makes a mode of its own where its weight is at least `LEAST_WEIGHT` and, on the way to
-every higher mode, the density falls below `DEPTH` of its height; otherwise it belongs to the mode
+every higher mode, the density falls below `_DEPTH` of its height; otherwise it belongs to the mode
 that it is least separated from. Standard errors of the parameters give those of the separation.
 
 The peaks of a row are those of the mixture of 2 or more log-normal or gamma components that has the
@@ -18,21 +18,12 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat.fit import em
 from chdstat.fit.components import Cells, ComponentFamily
-from chdstat.fit.em import climb, log_density, responsibilities
-from chdstat.fit.search import Found, SampleRows, Solution, search
+from chdstat.fit.search import Found, Solution, score, search
 from chdstat.fit.unimodal import edge_scores, log_samples
 
-__all__ = [
-    "DEPTH",
-    "LEAST_WEIGHT",
-    "BestPeaks",
-    "Peaks",
-    "best_peaks",
-    "covariance",
-    "peaks_of",
-    "standard_errors",
-]
+__all__ = ["LEAST_WEIGHT", "best_peaks", "standard_errors"]
 
 _SMALLEST = 1e-150
 _WORST = 1e-12
@@ -47,7 +38,7 @@ def standard_errors(solution: Solution, cells: Cells) -> dict[str, Floats]:
     with the mean scores of the cells. NaN where it is singular.
     """
     k = solution.state.shape[1]
-    found = covariance(solution, cells)
+    found = _covariance(solution, cells)
     with np.errstate(invalid="ignore", over="ignore"):
         own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1))
         weights = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
@@ -61,14 +52,14 @@ def standard_errors(solution: Solution, cells: Cells) -> dict[str, Floats]:
     return errors | {"shape": first, "scale": second * scale}
 
 
-def covariance(solution: Solution, cells: Cells) -> Floats:
+def _covariance(solution: Solution, cells: Cells) -> Floats:
     """Return the covariance that the information gives, shape (row, parameter, parameter).
 
     Parameters are all weights but the last; mu of each component, then log sigma; or shape, then
     log scale.
     """
-    belonging = responsibilities(cells, solution.family, solution.state)
-    share = belonging / np.maximum(cells.count, 1)
+    shares = em.responsibilities(cells, solution.family, solution.state)
+    share = shares / np.maximum(cells.count, 1)
     scores = np.stack(
         [*_weight_scores(solution, share), *_parameter_scores(solution, cells, share)]
     )
@@ -109,7 +100,7 @@ def _inverse(information: Floats) -> Floats:
         return np.asarray(unscaled / size[:, :, np.newaxis] / size[:, np.newaxis, :])
 
 
-DEPTH = 0.98
+_DEPTH = 0.98
 """A valley is a valley where the density falls below this share of the lower peak."""
 LEAST_WEIGHT = 0.08
 """Least weight of a component that makes a mode: a few outliers are none."""
@@ -128,69 +119,44 @@ _EVEN = np.linspace(0, 1, 34)[1:-1, np.newaxis]
 _NEAR = np.array([0.5, 1.0, 2.0, 3.0, 4.0])[:, np.newaxis]
 
 
-@dataclass(frozen=True)
-class Peaks:
-    """Modes of the mixtures of some rows, the darkest first; NaN beyond those that there are.
+def _peaks_of(solution: Solution, cells: Cells) -> tuple[Counts, Floats]:
+    """Count the modes of mixtures, and measure their separation.
 
-    Attributes
-    ----------
-    count
+    Returns
+    -------
+    ndarray
         Modes, shape (row,).
-    place, weight
-        Log of radiance at the top of the mode, and its mass: of its component and of those that
-        belong to it; shape (row, component).
-    ashman_d, ashman_d_se
-        Separation of neighbouring modes and its standard error, shape (row, component - 1); the
-        latter is NaN where the information of the mixture is singular.
+    ndarray
+        The `_FIELDS` of each mode, shape (field, row, component), the darkest first; NaN beyond
+        those that there are. The last separation is not used.
     """
-
-    count: Counts
-    place: Floats
-    weight: Floats
-    ashman_d: Floats
-    ashman_d_se: Floats
-
-
-@dataclass(frozen=True)
-class _Lobes:
-    """Components by their place, shape (component, row); valleys between any two of them."""
-
-    place: Floats
-    weight: Floats
-    mean: Floats
-    spread: Floats
-    height: Floats
-    valley: Floats
-
-
-def peaks_of(solution: Solution, cells: Cells) -> Peaks:
-    """Count the modes of mixtures, and measure their separation."""
-    owner = _owners(_lobes(solution))
-    several = np.flatnonzero(_own(owner).sum(axis=0) > 1)
+    owner = _owners(solution)
+    several = np.flatnonzero((owner == np.arange(len(owner))[:, np.newaxis]).sum(axis=0) > 1)
     if several.size:
         # A few steps count modes, but their places and widths would still move.
-        solution = _further(solution, cells, several)
-    return _describe(_lobes(solution), owner, solution, cells)
-
-
-def _further(solution: Solution, cells: Cells, rows: Counts) -> Solution:
-    state = solution.state.copy()
-    state[..., rows] = climb(
-        cells.take(rows), solution.family, state[..., rows], cycles=_CYCLES, tolerance=_TOLERANCE
-    ).state
-    return replace(solution, state=state)
-
-
-def _own(owner: Counts) -> Mask:
-    """Say which components are modes of their own, shape (component, row)."""
-    return np.asarray(owner == np.arange(len(owner))[:, np.newaxis])
-
-
-def _lobes(solution: Solution) -> _Lobes:
-    _, place, _ = solution.state
-    weight, mean, spread = _moments(solution.family, solution.state)
-    height = _density(solution, place)
-    return _Lobes(place, weight, mean, spread, height, _valleys(solution, spread))
+        some, state = cells.take(several), solution.state.copy()
+        further = em.run(
+            some, solution.family, state[..., several], cycles=_CYCLES, tolerance=_TOLERANCE
+        )
+        state[..., several] = further.state
+        solution = replace(solution, state=state)
+    mean, variance, weight = _of_modes(owner, *_moments(solution.family, solution.state))
+    place = np.where(weight > 0, solution.state[1], np.nan)
+    order = np.argsort(place, axis=0)
+    place, used, mean, variance = (
+        np.take_along_axis(v, order, axis=0) for v in (place, weight, mean, variance)
+    )
+    fields = np.full((len(_FIELDS), *place.T.shape), np.nan)
+    fields[0] = (place + solution.origin).T
+    fields[1] = np.where(used > 0, used, np.nan).T
+    fields[2, :, :-1] = _ashman(mean, variance).T
+    modes = np.count_nonzero(weight > 0, axis=0)
+    several = np.flatnonzero(modes > 1)
+    if several.size:
+        chosen = solution.take(several), cells.take(several)
+        fields[3, several, :-1] = _errors(*chosen, owner[:, several], order[:, several]).T
+    fields[3, np.isnan(fields[2])] = np.nan
+    return modes, fields
 
 
 def _moments(family: ComponentFamily, state: Floats) -> Floats:
@@ -208,7 +174,7 @@ def _density(solution: Solution, y: Floats) -> Floats:
     with np.errstate(over="ignore"):
         statistic = solution.family.transform(y.T)
         coefficients = solution.family.coefficients(solution.state)
-        return log_density(y.T, statistic, coefficients).T
+        return em.log_density(y.T, statistic, coefficients).T
 
 
 def _valleys(solution: Solution, spread: Floats) -> Floats:
@@ -227,38 +193,21 @@ def _valleys(solution: Solution, spread: Floats) -> Floats:
     return valley
 
 
-def _owners(lobes: _Lobes) -> Counts:
+def _owners(solution: Solution) -> Counts:
     """Return to which component's mode each component belongs, shape (component, row)."""
-    small = lobes.weight < np.minimum(LEAST_WEIGHT, lobes.weight.max(axis=0))
-    rank = np.argsort(np.where(small, -np.inf, lobes.height), axis=0)[::-1]
+    weight, _, spread = _moments(solution.family, solution.state)
+    height, valley = _density(solution, solution.state[1]), _valleys(solution, spread)
+    small = weight < np.minimum(LEAST_WEIGHT, weight.max(axis=0))
+    rank = np.argsort(np.where(small, -np.inf, height), axis=0)[::-1]
     rows = np.arange(rank.shape[-1])
     owner = np.empty_like(rank)
     mode = np.zeros(rank.shape, dtype=bool)
     for j in rank:
-        saddle = np.where(mode, lobes.valley[j, :, rows].T, -np.inf)
-        apart = (saddle < lobes.height[j, rows] + np.log(DEPTH)).all(axis=0)
-        mode[j, rows] = apart & ~small[j, rows] | ~mode.any(axis=0)
+        saddle = np.where(mode, valley[j, :, rows].T, -np.inf)
+        separate = (saddle < height[j, rows] + np.log(_DEPTH)).all(axis=0)
+        mode[j, rows] = separate & ~small[j, rows] | ~mode.any(axis=0)
         owner[j, rows] = np.where(mode[j, rows], j, saddle.argmax(axis=0))
     return owner
-
-
-def _describe(lobes: _Lobes, owner: Counts, solution: Solution, cells: Cells) -> Peaks:
-    mean, variance, weight = _of_modes(owner, lobes.weight, lobes.mean, lobes.spread)
-    place = np.where(weight > 0, lobes.place, np.nan)
-    order = np.argsort(place, axis=0)
-    place, used, mean, variance = (
-        np.take_along_axis(v, order, axis=0) for v in (place, weight, mean, variance)
-    )
-    used = np.where(used > 0, used, np.nan)
-    ashman_d = _ashman(mean, variance)
-    modes = np.count_nonzero(weight > 0, axis=0)
-    error = np.full_like(ashman_d, np.nan)
-    several = np.flatnonzero(modes > 1)
-    if several.size:
-        chosen = solution.take(several), cells.take(several)
-        error[:, several] = _errors(*chosen, owner[:, several], order[:, several])
-    error[np.isnan(ashman_d)] = np.nan
-    return Peaks(modes, (place + solution.origin).T, used.T, ashman_d.T, error.T)
 
 
 def _of_modes(
@@ -294,13 +243,13 @@ def _errors(solution: Solution, cells: Cells, owner: Counts, order: Counts) -> F
     for step, above, below in _moves(solution):
         slopes.append((separation(above) - separation(below)) / (2 * step))
     with np.errstate(invalid="ignore"):
-        gradient, found = np.stack(slopes), covariance(solution, cells)
+        gradient, found = np.stack(slopes), _covariance(solution, cells)
         error = np.sqrt(np.einsum("ipr,rij,jpr->pr", gradient, found, gradient))
     return np.asarray(error * (1 + (_FEW / cells.n) ** 2))
 
 
 def _moves(solution: Solution) -> Iterator[tuple[Floats, Floats, Floats]]:
-    """Yield, for each parameter of `covariance`, a step, and the states above and below by it."""
+    """Yield, for each parameter of `_covariance`, a step, and the states above and below by it."""
     log_weight, location, log_scale = solution.state
     weight, k = np.exp(log_weight), len(log_weight)
     for j in range(k - 1):
@@ -317,23 +266,20 @@ def _moves(solution: Solution) -> Iterator[tuple[Floats, Floats, Floats]]:
         for j in range(k):
             # Of a gamma component, the first is the shape, and log mean = log shape + log scale.
             size = np.exp(log_scale[j]) if gamma and not second else np.ones_like(location[j])
-            states = []
-            for sign in (1, -1):
-                moved = solution.state.copy()
-                if gamma:
-                    moved[1, j] += sign * _STEP
-                    moved[2, j] += 0 if second else sign * _STEP
-                else:
-                    moved[2 if second else 1, j] += sign * _STEP
-                states.append(moved)
-            yield _STEP * size, *states
+            direction = np.zeros((3, k, 1))
+            direction[1, j] = _STEP if gamma or not second else 0
+            direction[2, j] = _STEP if gamma != second else 0
+            yield _STEP * size, solution.state + direction, solution.state - direction
 
 
 _FIELDS = ("place", "weight", "ashman_d", "ashman_d_se")
+"""What a mode has: its top in log radiance; its mass, that of its component and of those that
+belong to it; its separation from the next, and the standard error of that, which is NaN where the
+information of the mixture is singular."""
 
 
 @dataclass(frozen=True)
-class BestPeaks:
+class Peaks:
     """Modes of every row; NaN where there are none.
 
     Attributes
@@ -341,9 +287,9 @@ class BestPeaks:
     count
         Modes, shape (...); 0 where the row is not usable.
     place, weight, ashman_d, ashman_d_se
-        As of `Peaks`, shape (..., mode); the last entry of the two separations is not used.
+        As `_FIELDS` says, shape (..., mode); the last entry of the two separations is not used.
     delta_bic
-        Twice what the score of the best mixture is above that of the rival, shape (...).
+        Twice what the score of the best mixture is above that of one mode, shape (...).
     """
 
     count: npt.NDArray[np.int8]
@@ -357,59 +303,58 @@ class BestPeaks:
 def best_peaks(
     part: PositivePart,
     usable: Mask,
-    rival: Floats,
+    unimodal: Floats,
     max_k: int,
     *,
     doubtful: Mask,
     also: Callable[[Found], None] = lambda _: None,
-) -> BestPeaks:
+) -> Peaks:
     """Find the peaks of the usable rows.
 
-    `rival` is the best score of distributions of one mode, see `unimodal_scores`, shape (...).
+    `unimodal` is the best score of distributions of one mode, see `unimodal_scores`, shape (...).
     Where one mode is not out of the question, `doubtful`, a mixture of more has to beat those of
     `edge_scores`, too. `also` gets to see the log-normal mixtures as they are found.
     """
-    shape = part.n.shape
-    log_n = log_samples(part.n).reshape(-1)
-    count = np.zeros(part.n.size, dtype=np.int8)
-    table = np.full((len(_FIELDS), part.n.size, max_k), np.nan)
-    delta = np.full(part.n.size, np.nan)
-    for found in search(part, usable, "lognormal", max_k, effort="fast", rival=rival):
+    shape, size = part.n.shape, part.n.size
+    log_n, one_mode = log_samples(part.n).reshape(-1), unimodal.reshape(-1)
+    count, delta = np.zeros(size, dtype=np.int8), np.full(size, np.nan)
+    table = np.full((len(_FIELDS), size, max_k), np.nan)
+    for found in search(part, usable, "lognormal", max_k, effort="fast", unimodal=unimodal):
         rows = found.rows
         count[rows], table[:, rows], gain = _of_piece(
-            found, rival.reshape(-1)[rows], log_n[rows], max_k, doubtful.reshape(-1)[rows]
+            found, one_mode[rows], log_n[rows], max_k, doubtful.reshape(-1)[rows]
         )
         delta[rows] = np.where(np.isfinite(gain), 2 * gain, np.nan)
         also(found)
     place, weight, ashman_d, error = table.reshape(len(_FIELDS), *shape, max_k)
-    return BestPeaks(count.reshape(shape), place, weight, ashman_d, error, delta.reshape(shape))
+    return Peaks(count.reshape(shape), place, weight, ashman_d, error, delta.reshape(shape))
 
 
 def _of_piece(
-    found: Found, rival: Floats, log_n: Floats, max_k: int, doubtful: Mask
+    found: Found, unimodal: Floats, log_n: Floats, max_k: int, doubtful: Mask
 ) -> tuple[Counts, Floats, Floats]:
-    """Return modes, the fields of their peaks (4, row, mode), and the gain over the rival.
+    """Return modes, the fields of their peaks (4, row, mode), and the gain over one mode.
 
     Log-normal components come first. Where they make more than one mode, gamma components get the
     chance to make fewer, and distributions of one mode with hard edges that to make one.
     """
-    one = np.full((len(_FIELDS), len(rival), max_k), np.nan)
+    one = np.full((len(_FIELDS), len(unimodal), max_k), np.nan)
     one[0, :, 0] = found.solutions[0].state[1, 0] + found.cells.origin
     one[1, :, 0] = 1.0
-    count, table = np.ones(len(rival), dtype=np.int64), one.copy()
-    best = rival.copy()
-    everyone = np.arange(len(rival))
-    gain = _enter(found.solutions, found.cells, everyone, log_n, best, count, table) - rival
+    count, table = np.ones(len(unimodal), dtype=np.int64), one.copy()
+    best = unimodal.copy()
+    everyone = np.arange(len(unimodal))
+    gain = _enter(found.solutions, found.cells, everyone, log_n, best, count, table) - unimodal
     several = np.flatnonzero(count > 1)
     of_gamma = found.also("gamma", several)
-    also = _enter(of_gamma, found.cells, several, log_n, best, count, table) - rival[several]
+    also = _enter(of_gamma, found.cells, several, log_n, best, count, table) - unimodal[several]
     gain[several] = np.maximum(gain[several], also)
     several = several[doubtful[several] & (count[several] > 1)]
-    assert isinstance(found.objective, SampleRows)
-    edge = edge_scores(
-        found.objective.log_sorted[several], found.objective.n[several], best[several]
-    )
-    gain[several] -= np.maximum(edge - rival[several], 0)
+    samples, n = found.objective.samples, found.objective.n
+    assert samples is not None
+    assert n is not None
+    edge = edge_scores(samples[several], n[several], best[several])
+    gain[several] -= np.maximum(edge - unimodal[several], 0)
     beaten = several[edge >= best[several]]
     count[beaten], table[:, beaten] = 1, one[:, beaten]
     return count, table, gain
@@ -426,19 +371,12 @@ def _enter(
 ) -> Floats:
     """Enter the peaks of those of the rows whose best mixture raises `best`; return its score."""
     mixed = solutions[1:]
-    scores = np.stack([_score(solution, log_n[rows]) for solution in mixed])
+    scores = np.stack([score(solution, log_n[rows]) for solution in mixed])
     which, highest = scores.argmax(axis=0), scores.max(axis=0)
     for i, solution in enumerate(mixed):
         at = np.flatnonzero((which == i) & (highest > best[rows]))
-        peaks = peaks_of(solution.take(at), cells.take(rows[at]))
-        count[rows[at]] = peaks.count
+        count[rows[at]], fields = _peaks_of(solution.take(at), cells.take(rows[at]))
         table[:, rows[at]] = np.nan
-        for name, target in zip(_FIELDS, table, strict=True):
-            values = getattr(peaks, name)
-            target[rows[at], : values.shape[1]] = values
+        table[:, rows[at], : fields.shape[-1]] = fields
     best[rows] = np.maximum(best[rows], highest)
     return np.asarray(highest)
-
-
-def _score(solution: Solution, log_n: Floats) -> Floats:
-    return np.asarray(solution.log_likelihood - 1.5 * solution.state.shape[1] * log_n)

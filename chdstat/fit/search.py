@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
-from chdstat._core.arrays import spans
+from chdstat._core.arrays import spans, take_rows
 from chdstat._core.positive import Counts, Floats, Mask
+from chdstat.fit import em
 from chdstat.fit.components import (
     COMPONENTS,
     Cells,
@@ -25,28 +26,13 @@ from chdstat.fit.components import (
     cells_of_samples,
     single_cells,
 )
-from chdstat.fit.em import (
-    Climb,
-    bound_at,
-    climb,
-    insertions,
-    log_density,
-    maximise,
-    responsibilities,
-    segmentations,
-    single,
-    split,
-)
 from chdstat.summary.dispatch import Part
 from chdstat.summary.positive_histogram import BinnedPart
 
 __all__ = [
     "EFFORTS",
-    "Bins",
     "Effort",
     "Found",
-    "Objective",
-    "SampleRows",
     "Solution",
     "log_likelihood",
     "score",
@@ -56,6 +42,66 @@ __all__ = [
 _CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
 _TOLERANCE = 1e-6
+
+
+Effort = Literal["fast", "thorough"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How hard to search.
+
+    Attributes
+    ----------
+    rows
+        Rows worked on at once: many, so that calls are few, but no more than the cache holds.
+    cells
+        Most equally filled cells of a row.
+    windows
+        Groups of window lengths, in cells, for inserted components.
+    rounds
+        (cycles, starts kept after them) before the final climb.
+    cycles, tolerance
+        Of the final climb.
+    loss
+        Where cells lose more log-likelihood per sample than this, the climb ends on the samples.
+    sample_cycles
+        Cycles of that.
+    """
+
+    rows: int
+    cells: int
+    windows: tuple[tuple[int, ...], ...]
+    rounds: tuple[tuple[int, int], ...]
+    cycles: int
+    tolerance: float
+    loss: float
+    sample_cycles: int
+
+
+EFFORTS: dict[Effort, Plan] = {
+    "fast": Plan(
+        rows=4096,
+        cells=32,
+        windows=((1, 2, 4), (8, 16)),
+        rounds=((1, 1),),
+        cycles=6,
+        tolerance=2e-4,
+        loss=np.inf,
+        sample_cycles=0,
+    ),
+    "thorough": Plan(
+        rows=512,
+        cells=64,
+        windows=((1,), (2,), (4,), (8,), (16,), (32,)),
+        rounds=((4, 2), (8, 1)),
+        cycles=60,
+        tolerance=1e-6,
+        loss=3e-3,
+        sample_cycles=40,
+    ),
+}
+"""What `effort` stands for."""
 
 
 @dataclass(frozen=True)
@@ -92,105 +138,78 @@ class Solution:
             self.converged[rows],
         )
 
-    def put(self, rows: Counts, origin: Floats) -> Solution:
-        """Return the solution with these rows where they belong, and no others."""
-        if len(rows) == len(origin):
-            return self
-        state = np.zeros((*self.state.shape[:2], len(origin)))
-        value = np.full(len(origin), -np.inf)
-        converged = np.zeros(len(origin), dtype=bool)
-        state[..., rows], value[rows], converged[rows] = (
-            self.state,
-            self.log_likelihood,
-            self.converged,
-        )
-        return Solution(self.family, state, origin, value, converged)
 
+@dataclass(frozen=True)
+class Objective:
+    """What a search maximises: the likelihood of samples, or of bins.
 
-class Objective(Protocol):
-    """What a search climbs on."""
+    Attributes
+    ----------
+    plan
+        How hard to search.
+    cells
+        What EM works on: summaries of samples, or bins as they are. Their likelihood is one of
+        binned data: with corrected bins, EM would be rewarded for components that hide within one.
+    corrected
+        Cells as close to the samples as there are: bins with Sheppard's corrections.
+    samples, n
+        Logarithms of samples in ascending order, shape (row, sample), of which `n` count; None
+        where only bins are.
+    """
 
-    @property
-    def cells(self) -> Cells:
-        """What to climb on."""
-
-    @property
-    def sharp(self) -> Cells:
-        """Cells as close to the samples as there are."""
+    plan: Plan
+    cells: Cells
+    corrected: Cells
+    samples: Floats | None = None
+    n: Counts | None = None
 
     def take(self, rows: Counts) -> Objective:
         """Return some of the rows."""
+        some = {name: value for name, value in vars(self).items() if name != "plan"}
+        return Objective(self.plan, **take_rows(some, rows, axis=0))
 
-    def finish(self, family: ComponentFamily, end: Climb) -> Solution:
-        """Turn where a climb ended into a solution."""
+    def maximise(self, family: ComponentFamily, state: Floats) -> Solution:
+        """Run EM to the end of the plan, and judge where it ends by what is closest to the samples.
 
-
-@dataclass(frozen=True)
-class SampleRows:
-    """Logarithms of samples in ascending order, of which `n` count, and their cells.
-
-    Where the cells lose more than `loss` of log-likelihood per sample, the climb goes on for up to
-    `cycles` on the samples.
-    """
-
-    cells: Cells
-    log_sorted: Floats
-    n: Counts
-    loss: float
-    cycles: int
-
-    @property
-    def sharp(self) -> Cells:
-        """Cells as close to the samples as there are."""
-        return self.cells
-
-    def take(self, rows: Counts) -> SampleRows:
-        """Return some of the rows."""
-        cells, log_sorted, n = self.cells.take(rows), self.log_sorted[rows], self.n[rows]
-        return SampleRows(cells, log_sorted, n, self.loss, self.cycles)
-
-    def finish(self, family: ComponentFamily, end: Climb) -> Solution:
-        """Climb on where cells are too coarse, and return the solution."""
-        state, converged, origin = end.state.copy(), end.converged.copy(), self.cells.origin
+        Where cells lose more than the plan's `loss` per sample, EM goes on on the samples. Of bins,
+        the last maximisation takes Sheppard's corrections into account. Moving the samples to the
+        centres of bins costs all mixtures alike about the same, so the likelihoods are shifted by
+        what it costs one component.
+        """
+        cells, plan, origin = self.cells, self.plan, self.cells.origin
+        if state.shape[1] == 1:
+            # One component is at its maximum at once.
+            there = np.ones(state.shape[-1], dtype=bool)
+            end = em.Result(state, em.bound_at(cells, family, state), there)
+        else:
+            end = em.run(cells, family, state, cycles=plan.cycles, tolerance=plan.tolerance)
+        if self.samples is None or self.n is None:
+            shares = em.responsibilities(cells, family, end.state)
+            of_one, of_corrected = (
+                em.bound_at(c, family, em.single(c, family)) for c in (cells, self.corrected)
+            )
+            state = em.maximise(self.corrected, family, shares)
+            shifted = end.bound + (of_corrected - of_one)
+            return Solution(family, state, origin, shifted, end.converged)
+        state, converged = end.state.copy(), end.converged.copy()
         if state.shape[1] == 1:
             # Without a choice of component, sums over cells are those over samples.
             return Solution(family, state, origin, end.bound, converged)
-        value = log_likelihood(self.log_sorted, self.n, family, state, origin)
-        blurred = np.flatnonzero(value - end.bound > self.loss * self.n)
-        for piece in spans(len(blurred), _rows(self.log_sorted)):
+        value = log_likelihood(self.samples, self.n, family, state, origin)
+        blurred = np.flatnonzero(value - end.bound > plan.loss * self.n)
+        for piece in spans(len(blurred), _rows(self.samples)):
             rows = blurred[piece]
-            singles = single_cells(self.log_sorted[rows], self.n[rows])
-            further = climb(
-                singles, family, state[..., rows], cycles=self.cycles, tolerance=_TOLERANCE
+            singles = single_cells(self.samples[rows], self.n[rows])
+            further = em.run(
+                singles,
+                family,
+                state[..., rows],
+                cycles=plan.sample_cycles,
+                tolerance=_TOLERANCE,
             )
             state[..., rows], converged[rows] = further.state, further.converged
-            value[rows] = bound_at(singles, family, further.state)
+            value[rows] = em.bound_at(singles, family, further.state)
         return Solution(family, state, origin, value, converged)
-
-
-@dataclass(frozen=True)
-class Bins:
-    """Cells that are bins, and the same cells with Sheppard's corrections.
-
-    EM climbs on the bins as they are, whose likelihood is one of binned data: with corrected ones,
-    it would be rewarded for components that hide within a bin. The last maximisation takes the
-    corrected ones. Moving the samples to the centres of bins costs all mixtures alike about the
-    same, so the likelihoods are shifted by what it costs one component.
-    """
-
-    cells: Cells
-    sharp: Cells
-
-    def take(self, rows: Counts) -> Bins:
-        """Return some of the rows."""
-        return Bins(self.cells.take(rows), self.sharp.take(rows))
-
-    def finish(self, family: ComponentFamily, end: Climb) -> Solution:
-        """Take Sheppard's corrections into account, and return the solution."""
-        state = maximise(self.sharp, family, responsibilities(self.cells, family, end.state))
-        one, sharp_one = single(self.cells, family), single(self.sharp, family)
-        shift = bound_at(self.sharp, family, sharp_one) - bound_at(self.cells, family, one)
-        return Solution(family, state, self.cells.origin, end.bound + shift, end.converged)
 
 
 def log_likelihood(
@@ -203,73 +222,13 @@ def log_likelihood(
         valid = np.arange(log_sorted.shape[-1]) < n[part, np.newaxis]
         y = np.where(valid, log_sorted[part] - origin[part, np.newaxis], 0.0)
         with np.errstate(over="ignore"):
-            density = log_density(y, family.transform(y), coefficients[..., part])
+            density = em.log_density(y, family.transform(y), coefficients[..., part])
         values[part] = np.vecdot(density, valid)
     return values
 
 
 def _rows(samples: Floats) -> int:
     return max(1, _CHUNK // int(samples.shape[-1]))
-
-
-Effort = Literal["fast", "thorough"]
-
-
-@dataclass(frozen=True)
-class _Plan:
-    """How hard to search.
-
-    Attributes
-    ----------
-    rows
-        Rows worked on at once: many, so that calls are few, but no more than the cache holds.
-    cells
-        Most equally filled cells of a row.
-    windows
-        Groups of window lengths, in cells, for inserted components.
-    rounds
-        (cycles, starts kept after them) before the final climb.
-    cycles, tolerance
-        Of the final climb.
-    loss
-        Where cells lose more log-likelihood per sample than this, the climb ends on the samples.
-    sample_cycles
-        Cycles of that.
-    """
-
-    rows: int
-    cells: int
-    windows: tuple[tuple[int, ...], ...]
-    rounds: tuple[tuple[int, int], ...]
-    cycles: int
-    tolerance: float
-    loss: float
-    sample_cycles: int
-
-
-EFFORTS: dict[Effort, _Plan] = {
-    "fast": _Plan(
-        rows=4096,
-        cells=32,
-        windows=((1, 2, 4), (8, 16)),
-        rounds=((1, 1),),
-        cycles=6,
-        tolerance=2e-4,
-        loss=np.inf,
-        sample_cycles=0,
-    ),
-    "thorough": _Plan(
-        rows=512,
-        cells=64,
-        windows=((1,), (2,), (4,), (8,), (16,), (32,)),
-        rounds=((4, 2), (8, 1)),
-        cycles=60,
-        tolerance=1e-6,
-        loss=3e-3,
-        sample_cycles=40,
-    ),
-}
-"""What `effort` stands for."""
 
 
 @dataclass(frozen=True)
@@ -283,29 +242,25 @@ class Found:
     solutions
         From one component up.
     objective
-        What was climbed on.
-    plan
-        How hard it was searched.
+        What was maximised.
     """
 
     rows: Counts
     solutions: list[Solution]
     objective: Objective
-    plan: _Plan
 
     @property
     def cells(self) -> Cells:
-        """Cells of the rows."""
-        return self.objective.sharp
+        """Cells of the rows, as close to the samples as there are."""
+        return self.objective.corrected
 
     def also(self, family: MixtureFamily, rows: Counts) -> list[Solution]:
         """Fit another family to some of the rows, from where the solutions of this one are."""
         kind, objective, solutions = COMPONENTS[family], self.objective.take(rows), []
         for model in (solution.take(rows) for solution in self.solutions):
-            belonging = responsibilities(objective.cells, model.family, model.state)
-            solution = _climb(
-                objective, kind, maximise(objective.cells, kind, belonging), self.plan
-            )
+            shares = em.responsibilities(objective.cells, model.family, model.state)
+            start = em.maximise(objective.cells, kind, shares)
+            solution = objective.maximise(kind, start)
             value = np.where(np.isinf(model.log_likelihood), -np.inf, solution.log_likelihood)
             solutions.append(replace(solution, log_likelihood=value))
         return solutions
@@ -318,99 +273,90 @@ def search(
     max_k: int,
     *,
     effort: Effort = "thorough",
-    rival: Floats | None = None,
+    unimodal: Floats | None = None,
 ) -> Iterator[Found]:
     """Fit mixtures of 1 to `max_k` components to the usable rows, piece by piece.
 
-    `rival`, of the batch's shape, is the `score` that a mixture has to beat. With it, rows where
-    k >= 2 components beat neither the rival nor fewer components are not tried with more; the
+    `unimodal`, of the batch's shape, is the `score` of distributions of one mode. With it, rows
+    where k >= 2 components beat neither that nor fewer components are not tried with more; the
     log-likelihood of what was not tried is minus infinity.
     """
-    plan = EFFORTS[effort]
-    for rows, objective in _pieces(part, usable, plan):
-        bar = None if rival is None else rival.reshape(-1)[rows]
-        yield Found(rows, _fit(objective, COMPONENTS[family], max_k, plan, bar), objective, plan)
+    for rows, objective in _pieces(part, usable, EFFORTS[effort]):
+        bar = None if unimodal is None else unimodal.reshape(-1)[rows]
+        yield Found(rows, _fit(objective, COMPONENTS[family], max_k, bar), objective)
 
 
-def score(solution: Solution, n: Floats) -> Floats:
+def score(solution: Solution, log_n: Floats) -> Floats:
     """Return log-likelihood less half of log n for each parameter, shape (row,)."""
-    parameters = 3 * solution.state.shape[1]
-    return np.asarray(solution.log_likelihood - 0.5 * parameters * np.log(n))
+    return np.asarray(solution.log_likelihood - 1.5 * solution.state.shape[1] * log_n)
 
 
-def _pieces(part: Part, usable: Mask, plan: _Plan) -> Iterator[tuple[Counts, Objective]]:
-    chosen = np.flatnonzero(usable.reshape(-1))
-    if isinstance(part, BinnedPart):
-        yield from _binned_pieces(part, chosen, plan)
-        return
-    n = part.n.reshape(-1)
-    ascending = part.log_sorted.reshape(-1, part.x.shape[-1])
-    for rows in _similar_lengths(chosen, n[chosen], plan):
-        log_sorted = ascending[rows, : n[rows[-1]]]
-        cells = cells_of_samples(log_sorted, n[rows], plan.cells)
-        yield rows, SampleRows(cells, log_sorted, n[rows], plan.loss, plan.sample_cycles)
-
-
-def _binned_pieces(
-    part: BinnedPart, chosen: Counts, plan: _Plan
-) -> Iterator[tuple[Counts, Objective]]:
-    bins = part.counts.shape[-1]
-    counts = part.counts.reshape(-1, bins)
-    centers = np.broadcast_to(part.log_centers, part.counts.shape).reshape(-1, bins)
-    width = np.broadcast_to(part.width, part.n.shape).reshape(-1)
-    for rows in _similar_lengths(chosen, np.count_nonzero(counts[chosen], axis=-1), plan):
-        yield rows, Bins(*cells_of_bins(counts[rows], centers[rows], width[rows]))
-
-
-def _similar_lengths(rows: Counts, lengths: Counts, plan: _Plan) -> Iterator[Counts]:
+def _pieces(part: Part, usable: Mask, plan: Plan) -> Iterator[tuple[Counts, Objective]]:
     """Yield pieces of rows of about the same length: little padding, the longest row last."""
-    ordered = rows[np.argsort(lengths, kind="stable")]
+    chosen = np.flatnonzero(usable.reshape(-1))
+    n = part.n.reshape(-1)
+    if isinstance(part, BinnedPart):
+        counts, centers = (
+            np.broadcast_to(v, part.counts.shape).reshape(-1, part.counts.shape[-1])
+            for v in (part.counts, part.log_centers)
+        )
+        width = np.broadcast_to(part.width, part.n.shape).reshape(-1)
+        lengths = np.count_nonzero(counts[chosen], axis=-1)
+    else:
+        ascending, lengths = part.log_sorted.reshape(-1, part.x.shape[-1]), n[chosen]
+    ordered = chosen[np.argsort(lengths, kind="stable")]
     for piece in spans(len(ordered), plan.rows):
-        yield ordered[piece]
+        rows = ordered[piece]
+        if isinstance(part, BinnedPart):
+            yield rows, Objective(plan, *cells_of_bins(counts[rows], centers[rows], width[rows]))
+        else:
+            samples = ascending[rows, : n[rows[-1]]]
+            cells = cells_of_samples(samples, n[rows], plan.cells)
+            yield rows, Objective(plan, cells, cells, samples, n[rows])
 
 
 def _fit(
-    objective: Objective, family: ComponentFamily, max_k: int, plan: _Plan, rival: Floats | None
+    objective: Objective, family: ComponentFamily, max_k: int, unimodal: Floats | None
 ) -> list[Solution]:
-    solutions = [_climb(objective, family, single(objective.cells, family), plan)]
-    rows = np.arange(len(objective.cells.n))
+    cells, windows = objective.cells, objective.plan.windows
+    solutions = [objective.maximise(family, em.single(cells, family))]
+    rows, log_n = np.arange(len(cells.n)), np.log(cells.n)
     for k in range(2, max_k + 1):
-        if rival is not None and k > 2:
-            rows = _worth_it(solutions, rival, objective.cells.n)
-        here = objective if rows.size == len(objective.cells.n) else objective.take(rows)
+        if unimodal is not None and k > 2:
+            # One component more may pay where the last one did.
+            scores = [score(solution, log_n) for solution in solutions]
+            rows = np.flatnonzero(scores[-1] > np.maximum(unimodal, np.max(scores[:-1], axis=0)))
+        here = objective if rows.size == len(cells.n) else objective.take(rows)
+        last = solutions[-1].state[..., rows]
         starts = [
-            *segmentations(here.cells, family, k),
-            *insertions(here.cells, family, solutions[-1].state[..., rows], plan.windows),
-            split(here.cells, family, solutions[-1].state[..., rows]),
+            *em.segmentations(here.cells, family, k),
+            *em.insertions(here.cells, family, last, windows),
+            em.split(here.cells, family, last),
         ]
-        solution = _climb(here, family, _choose(here.cells, family, starts, plan), plan)
-        solutions.append(solution.put(rows, objective.cells.origin))
+        solution = here.maximise(family, _best_start(here, family, starts))
+        solutions.append(_put_back(solution, rows, cells.origin))
     return solutions
 
 
-def _climb(objective: Objective, family: ComponentFamily, state: Floats, plan: _Plan) -> Solution:
-    if state.shape[1] == 1:
-        # One component is at its maximum at once.
-        there = np.ones(state.shape[-1], dtype=bool)
-        return objective.finish(
-            family, Climb(state, bound_at(objective.cells, family, state), there)
-        )
-    end = climb(objective.cells, family, state, cycles=plan.cycles, tolerance=plan.tolerance)
-    return objective.finish(family, end)
+def _put_back(solution: Solution, rows: Counts, origin: Floats) -> Solution:
+    """Return a solution with its rows where they belong, and none in the others."""
+    if len(rows) == len(origin):
+        return solution
+    state = np.zeros((*solution.state.shape[:2], len(origin)))
+    value = np.full(len(origin), -np.inf)
+    converged = np.zeros(len(origin), dtype=bool)
+    state[..., rows] = solution.state
+    value[rows], converged[rows] = solution.log_likelihood, solution.converged
+    return Solution(solution.family, state, origin, value, converged)
 
 
-def _worth_it(solutions: list[Solution], rival: Floats, n: Floats) -> Counts:
-    """Return the rows where one component more may pay, given the scores so far."""
-    scores = [score(solution, n) for solution in solutions]
-    return np.flatnonzero(scores[-1] > np.maximum(rival, np.max(scores[:-1], axis=0)))
-
-
-def _choose(cells: Cells, family: ComponentFamily, states: list[Floats], plan: _Plan) -> Floats:
-    """Return the state that climbs highest in a few cycles, row by row."""
-    for cycles, kept in plan.rounds:
+def _best_start(objective: Objective, family: ComponentFamily, states: list[Floats]) -> Floats:
+    """Return the state that EM raises highest in a few cycles, row by row."""
+    cells, tolerance = objective.cells, objective.plan.tolerance
+    for cycles, kept in objective.plan.rounds:
         if len(states) == 1:
             break
-        ends = [climb(cells, family, s, cycles=cycles, tolerance=plan.tolerance) for s in states]
+        ends = [em.run(cells, family, s, cycles=cycles, tolerance=tolerance) for s in states]
         ranked = np.argsort([-end.bound for end in ends], axis=0, kind="stable")[:kept]
         reached = np.stack([end.state for end in ends])
         states = [

@@ -246,7 +246,7 @@ def mixture_and_modes_of_part(
     need 20 positive samples, as modes do; and three components are not tried, and have no BIC,
     where two are worse than one or than the best distribution of one mode.
     """
-    chosen = ChosenMixtures.of(part, part.reason(_MINIMUM), MODES)
+    chosen = ChosenMixtures(part, part.reason(_MINIMUM), MODES)
     modality = _modality(part, fits, chosen.enter)
     return chosen.result("lognormal"), modality
 

@@ -10,7 +10,7 @@ from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
 from chdstat.fit.components import COMPONENTS, cells_of_samples, single_cells
-from chdstat.fit.em import bound_at, climb, segmentations
+from chdstat.fit.em import bound_at, run, segmentations
 from chdstat.fit.mixtures import mixture
 
 FAMILIES = ("lognormal", "gamma")
@@ -162,7 +162,7 @@ def test_every_cycle_raises_the_bound(family):
         state = next(segmentations(cells, kind, 3))
         before = bound_at(cells, kind, state)
         for _ in range(10):
-            state = climb(cells, kind, state, cycles=1, tolerance=0.0).state
+            state = run(cells, kind, state, cycles=1, tolerance=0.0).state
             after = bound_at(cells, kind, state)
             assert (after >= before - 1e-7 * np.abs(before)).all()
             before = after
