@@ -1,25 +1,23 @@
-"""Simulate the null distribution of the dip; write chdstat/modes/_dip_table.py.
+"""Simulate the null distribution of the dip; print it for chdstat/inference/null_tables.py.
 
-    python tools/make_dip_table.py
+    python tools/make_dip_table.py > table.txt
 
 The null distribution of the dip test is that of uniform samples (Hartigan and Hartigan, "The dip
 test of unimodality", 1985, doi:10.1214/aos/1176346577). Quantiles of sqrt(n) times the dip are kept
 as polynomials in 1/sqrt(n), as those of the statistics of normality are: see
-make_normality_tables.py, whose levels and fits these are. About four minutes on one core.
+make_normality_tables.py, whose fits these are. About ten minutes on one core.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import textwrap
-from pathlib import Path
 
-import diptest
 import numpy as np
-from make_normality_tables import LEVELS, smooth, table
+from make_normality_tables import smooth, table
 
-from chdstat import modes
+from chdstat.inference.dip import dips
+from chdstat.inference.null_tables import LEVELS
 
 SEED = 20240611
 SIZES = (
@@ -33,23 +31,6 @@ LEAST = 20
 """Dips beyond a quantile, without which it is not used."""
 CHUNK = 2**15
 
-HEADER = '''"""Quantiles of the dip under the null: uniform samples.
-
-Written by tools/make_dip_table.py: change that.
-
-Of sqrt(n) times the dip, a row holds the coefficients of the quantile with one of `LEVELS` above
-it: a polynomial in 1 / sqrt(n), from 20 samples to any number.
-"""
-
-from __future__ import annotations
-
-import numpy as np
-
-__all__ = ["LEVELS", "QUANTILES"]
-
-# fmt: off
-'''
-
 
 def simulate(n: int, repeats: int) -> np.ndarray:
     """Return sqrt(n) times the dips of uniform samples of size `n`."""
@@ -60,30 +41,22 @@ def simulate(n: int, repeats: int) -> np.ndarray:
         count = min(step, repeats - start)
         # Partial sums of exponential numbers are, relative to the last, uniform ones in order.
         ascending = np.cumsum(rng.standard_exponential((count, n + 1)), axis=-1)[:, :-1]
-        found[start : start + count] = [diptest.dipstat(row, sort_x=False) for row in ascending]
+        found[start : start + count] = dips(ascending, np.full(count, n))
     return np.sqrt(n) * found
 
 
 def main() -> None:
-    """Simulate all, fit and write."""
+    """Simulate all, fit and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--work", type=float, default=5e8, help="samples for each size")
-    parser.add_argument("--out", type=Path, default=Path(modes.__file__).with_name("_dip_table.py"))
     arguments = parser.parse_args()
     repeats = [int(min(CAP, arguments.work / n)) for n in SIZES]
     quantiles = []
     for n, count in zip(SIZES, repeats, strict=True):
-        quantiles.append(np.quantile(simulate(n, count), 1 - np.array(LEVELS)))
+        quantiles.append(np.quantile(simulate(n, count), 1 - LEVELS))
         sys.stderr.write(f"{n} samples\n")
     fits = smooth(list(SIZES), repeats, np.array(quantiles), DEGREE, least=LEAST)
-    levels = textwrap.fill(
-        ", ".join(map(str, LEVELS)), 92, initial_indent="    ", subsequent_indent="    "
-    )
-    source = HEADER + f"LEVELS = np.array([\n{levels}\n])\n"
-    source += '"""Probabilities above the quantiles."""\n\n'
-    source += f"QUANTILES = np.array([\n{table(fits)}\n])\n"
-    source += '"""Coefficients, shape (level, power of 1 / sqrt(n))."""\n# fmt: on\n'
-    arguments.out.write_text(source.replace("\n        [", "\n    ["), encoding="utf-8")
+    sys.stdout.write(f"    [\n{table(fits)}\n    ]\n")
 
 
 if __name__ == "__main__":

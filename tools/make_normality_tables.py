@@ -1,26 +1,26 @@
-"""Simulate null distributions of statistics of normality; write chdstat/normality/_tables.py.
+"""Simulate null distributions of statistics of normality, for chdstat/inference/null_tables.py.
 
-    python tools/make_normality_tables.py
+    python tools/make_normality_tables.py > tables.txt
 
 For every sample size of a grid, Gaussian samples are drawn and the statistics computed by the
 library's own code. A quantile of a scaled statistic is a smooth function of the sample size: it is
 kept as a polynomial in 1/sqrt(n), fitted to the grid with the weights of its simulation errors,
-which is compact and averages the errors of neighbouring sizes. It prints how large the residuals
+which is compact and averages the errors of neighbouring sizes. It says how large the residuals
 are, relative to these errors: about 1 says that the polynomial follows. The same work writes the
-same table; 5e8 samples for each size take about seven minutes on one core.
+same tables; 5e8 samples for each size take about seven minutes on one core.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import textwrap
-from pathlib import Path
 
 import numpy as np
-from chdstat.normality import _statistics as statistics
-from chdstat.normality._statistics import SCALES
 from scipy import special
+
+from chdstat.inference import statistics
+from chdstat.inference.null_tables import LEVELS
+from chdstat.inference.statistics import SCALES
 
 SEED = 20240607
 SIZES = (
@@ -36,34 +36,11 @@ PLAN = {
 }
 """By statistic: for which sizes, and the degree of the polynomial."""
 
-LEVELS = (
-    *(0.9999, 0.999, 0.995, 0.99, 0.975, 0.95, 0.9, 0.85, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.25),
-    *(0.2, 0.15, 0.1, 0.075, 0.05, 0.035, 0.025, 0.0175, 0.01, 0.007, 0.005, 0.0035, 0.0025),
-    *(0.00175, 0.001, 0.0005, 0.00025, 0.0001),
-)
 LIMIT = 10**12
 """A size at which the sums of two squares are chi-square with 2 degrees of freedom."""
 CAP = 2_000_000
 """Samples drawn of the smallest sizes: the table need not be better than the others there."""
 CHUNK = 2**15
-TARGET = Path(statistics.__file__).with_name("_tables.py")
-
-HEADER = '''"""Quantiles of statistics of normality under the null.
-
-Written by tools/make_normality_tables.py: change that.
-
-Of each scaled statistic (`chdstat.normality._statistics.SCALES`), a row holds the coefficients of
-the quantile with one of `LEVELS` above it: a polynomial in 1 / sqrt(n).
-"""
-
-from __future__ import annotations
-
-import numpy as np
-
-__all__ = ["LEVELS", "QUANTILES"]
-
-# fmt: off
-'''
 
 
 def simulate(names: list[str], n: int, repeats: int) -> dict[str, np.ndarray]:
@@ -88,7 +65,7 @@ def smooth(
 
     Quantiles with fewer than `least` samples beyond them count for nothing.
     """
-    p = np.array(LEVELS)
+    p = LEVELS
     # The error of a quantile is that of its level over the density.
     slope = np.abs(np.gradient(quantiles, special.logit(p), axis=-1))
     error = slope / np.sqrt(np.array(repeats)[:, np.newaxis] * p * (1 - p))
@@ -99,7 +76,7 @@ def smooth(
     fits = [polynomial.polyfit(x, quantiles[:, j], degree, w=weight[:, j]) for j in range(len(p))]
     residual = (polynomial.polyval(x, np.array(fits).T).T - quantiles) * weight
     free = known.mean() - (degree + 1) / len(sizes)
-    sys.stdout.write(f"residuals over errors: {np.sqrt((residual**2).mean() / free):.2f}\n")
+    sys.stderr.write(f"residuals over errors: {np.sqrt((residual**2).mean() / free):.2f}\n")
     return np.array(fits)
 
 
@@ -117,33 +94,22 @@ def table(values: np.ndarray) -> str:
 
 
 def main() -> None:
-    """Simulate all, fit and write."""
+    """Simulate all, fit and print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--work", type=float, default=5e8, help="samples for each size")
-    parser.add_argument("--out", type=Path, default=TARGET)
     arguments = parser.parse_args()
     kept: dict[str, list[tuple[int, int, np.ndarray]]] = {name: [] for name in PLAN}
     for n in sorted({*SIZES, *LARGE}):
         repeats = int(min(CAP, arguments.work / n))
         names = [name for name, (sizes, _) in PLAN.items() if n in sizes]
         for name, values in simulate(names, n, repeats).items():
-            kept[name].append((n, repeats, np.quantile(values, 1 - np.array(LEVELS))))
+            kept[name].append((n, repeats, np.quantile(values, 1 - LEVELS)))
         sys.stderr.write(f"{n} samples\n")
-    levels = textwrap.fill(
-        ", ".join(map(str, LEVELS)), 92, initial_indent="    ", subsequent_indent="    "
-    )
-    source = [HEADER + f"LEVELS = np.array([\n{levels}\n])"]
-    source.append('"""Probabilities above the quantiles."""\n')
-    source.append("QUANTILES = {")
     for name, parts in kept.items():
         sizes, repeats_of, quantiles = zip(*parts, *limits(name), strict=True)
-        sys.stdout.write(f"{name}: ")
+        sys.stderr.write(f"{name}: ")
         fits = smooth(list(sizes), list(repeats_of), np.array(quantiles), PLAN[name][1])
-        source.append(f'    "{name}": np.array([\n{table(fits)}\n    ]),')
-    source.append(
-        '}\n"""Coefficients by statistic, shape (level, power of 1 / sqrt(n))."""\n# fmt: on'
-    )
-    arguments.out.write_text("\n".join(source) + "\n", encoding="utf-8")
+        sys.stdout.write(f'    "{name}": np.array([\n{table(fits)}\n    ]),\n')
 
 
 if __name__ == "__main__":

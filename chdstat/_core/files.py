@@ -405,7 +405,7 @@ def _refused(item: Any, kind: Any) -> Any:
     raise ValueError(message)
 
 
-_LIBRARIES = ("numpy", "scipy", "scikit-learn", "statsmodels", "diptest", "torch", "pyoidn")
+_LIBRARIES = ("numpy", "scipy", "scikit-learn", "statsmodels", "torch", "pyoidn")
 """Whose numbers are kept; without the last one, a denoiser, some are missing."""
 
 

@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, overload
 
-import diptest
 import numpy as np
 import numpy.typing as npt
 
@@ -34,6 +33,7 @@ from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
 from chdstat.fit.results import Fit, Mixture
 from chdstat.fit.search import Found
 from chdstat.fit.unimodal import unimodal_scores
+from chdstat.inference.dip import dips
 from chdstat.inference.null_tables import DIP_QUANTILES, LEVELS, interpolated_p
 from chdstat.samples import Mapped, Samples
 
@@ -374,6 +374,7 @@ def _tied(ascending: npt.NDArray[Any], n: Counts) -> Mask:
     return tied
 
 
+_DIPS_AT_ONCE = 2**18
 _FLOOR = 1e-5
 """Smallest p-value told: the table ends at 1e-4, where up to a million dips were simulated."""
 
@@ -388,17 +389,13 @@ def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats,
     ascending = part.sorted.reshape(-1, samples)
     log_sorted = part.log_sorted.reshape(-1, samples)
     rows = np.flatnonzero(usable)
-    for piece in spans(len(rows), max(1, _CHUNK // samples)):
+    for piece in spans(len(rows), max(1, _DIPS_AT_ONCE // samples)):
         at = rows[piece]
         log, move = log_sorted[at], tied[at]
         log[move] = np.log(
             _without_ties(ascending[at[move]], n[at[move]], np.zeros(move.sum(), bool))
         )
-        # The package has no batch form: the dip of a row is a sequential algorithm.
-        dip[at] = [
-            diptest.dipstat(row[:count], sort_x=False)
-            for row, count in zip(log, n[at], strict=True)
-        ]
+        dip[at] = dips(log, n[at])
     p[rows] = _dip_p(dip[rows], n[rows])
     return dip.reshape(part.n.shape), p.reshape(part.n.shape)
 

@@ -4,9 +4,8 @@ A table has a row for each of `LEVELS`, the probability above the quantile, with
 the quantile as a polynomial in 1 / sqrt(n): smooth in n, it holds for any number of samples.
 
 `QUANTILES` are those of the statistics of normality, scaled as in `chdstat.inference.statistics`
-(`SCALES`) and written by tools/make_normality_tables.py. `DIP_QUANTILES` are those of sqrt(n) times
-the dip of uniform samples, from 20 samples on, written by tools/make_dip_table.py. Change the
-tables there.
+(`SCALES`) and simulated by tools/make_normality_tables.py. `DIP_QUANTILES` are those of sqrt(n)
+times the dip of uniform samples, from 20 samples on, simulated by tools/make_dip_table.py.
 """
 
 from __future__ import annotations

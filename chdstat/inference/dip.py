@@ -1,0 +1,201 @@
+"""Dip: how far samples are from the closest distribution of one mode, for many rows at once.
+
+`dips` follows Hartigan and Hartigan 1985, section 6. The empirical distribution function F has a
+greatest convex minorant G and a least concave majorant L in an interval, at first that of all
+samples. They are farthest apart at a vertex of one of them; between it and the next vertex of the
+other lies the next interval. Outside of it, G on the left and L on the right are the closest
+distribution of one mode; F deviates from them by twice the dip.
+
+All rows take each of these steps together. Samples are known by their places in the array of all
+rows, which differ by 1 from one sample to the next, as n F does.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import spans
+from chdstat._core.positive import Counts, Floats, Mask
+
+__all__ = ["dips"]
+
+_STEPS = (1, 4, 16)
+"""A sample on or beyond a chord between samples so many places before and behind is no vertex."""
+_THINNING = 4
+_CHUNK = 2**13
+"""Samples worked on at once: they stay in the cache."""
+
+Places = npt.NDArray[np.int64]
+
+
+def dips(ascending: Floats, n: Counts) -> Floats:
+    """Return the dips of rows of samples, in [1 / (2 n), 1/4], shape (row,).
+
+    Parameters
+    ----------
+    ascending
+        Shape (row, sample), ascending; infinite behind the first `n` of a row.
+    n
+        Samples of each row, at least 1, shape (row,).
+
+    References
+    ----------
+    Hartigan and Hartigan, "The dip test of unimodality", 1985, doi:10.1214/aos/1176346577.
+
+    Examples
+    --------
+    >>> rows = np.array([[0.0, 1.0, 2.0, 3.0], [0.0, 0.1, 3.0, 3.1]])
+    >>> dips(rows, np.array([4, 4])).round(4)
+    array([0.125 , 0.2417])
+    """
+    x = ascending.reshape(-1)
+    low = np.arange(len(ascending)) * ascending.shape[-1]
+    high = low + n - 1
+    # Of n F, which rises by 1 at each sample: G lies below the step, L above it.
+    deviation = np.ones(len(ascending))
+    rows = np.flatnonzero(x[high] > x[low])
+    low, high = low[rows], high[rows]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ends = np.stack([low, high], axis=-1).reshape(-1)
+        minorant, majorant = (
+            _Curve(x, ends, candidates, sign)
+            for candidates, sign in zip(_candidates(ascending), (1, -1), strict=True)
+        )
+        while len(rows):
+            minorant.narrow(low, high)
+            majorant.narrow(low, high)
+            g, l = minorant.vertices, majorant.vertices  # noqa: E741 - as in the paper
+            at_g, g_place = _largest(majorant.above(g), g, low)
+            at_l, l_place = _largest(-minorant.above(l), l, low)
+            inner_low = np.where(at_g > at_l, g_place, g[np.searchsorted(g, l_place, "right") - 1])
+            inner_high = np.where(at_g > at_l, l[np.searchsorted(l, g_place)], l_place)
+            open_ = np.maximum(at_g, at_l) + 1 > deviation[rows]
+            rows, low, high, inner_low, inner_high = (
+                values[open_] for values in (rows, low, high, inner_low, inner_high)
+            )
+            if not len(rows):
+                break
+            left, right = _ranges(low, inner_low + 1), _ranges(inner_high, high + 1)
+            of_left = np.maximum.reduceat(-minorant.above(left), np.searchsorted(left, low))
+            of_right = np.maximum.reduceat(
+                majorant.above(right), np.searchsorted(right, inner_high)
+            )
+            deviation[rows] = np.maximum(deviation[rows], np.maximum(of_left, of_right) + 1)
+            shrunk = (inner_low > low) | (inner_high < high)
+            open_ = shrunk & (x[inner_high] > x[inner_low])
+            rows, low, high = rows[open_], inner_low[open_], inner_high[open_]
+    return deviation / (2 * n)
+
+
+class _Curve:
+    """The greatest convex minorant (sign 1) or least concave majorant (-1) of n F in each row.
+
+    Parameters
+    ----------
+    x
+        Samples of all rows.
+    vertices
+        Places of the vertices, ascending: at first those of the ends of each row.
+    candidates
+        Places of samples that may be vertices.
+    """
+
+    def __init__(
+        self, x: Floats, vertices: Places, candidates: Places, sign: Literal[1, -1]
+    ) -> None:
+        self._x, self._candidates, self._sign = x, candidates, sign
+        self.vertices = vertices
+
+    def narrow(self, low: Places, high: Places) -> None:
+        """Leave the curve of the samples from `low` to `high` of each row.
+
+        The first of them is a vertex of the minorant so far, and the last of the majorant. So the
+        vertices in between stay; there are new ones at the other end, behind the last that stays.
+        """
+        vertices, candidates = self.vertices, self._candidates
+        # At that end, chords reached beyond it: it takes some samples that are no candidates.
+        if self._sign > 0:
+            start, stop = vertices[np.searchsorted(vertices, high) - 1], high
+            near = _ranges(np.maximum(start, high - _STEPS[-1]), high)
+        else:
+            start, stop = low, vertices[np.searchsorted(vertices, low, "right")]
+            near = _ranges(low, np.minimum(stop, low + _STEPS[-1]))
+        new = _ranges(np.searchsorted(candidates, start), np.searchsorted(candidates, stop))
+        old = _ranges(np.searchsorted(vertices, low), np.searchsorted(vertices, high))
+        tried = np.zeros(len(self._x), dtype=bool)
+        for some in (low, vertices[old], candidates[new], near, high):
+            tried[some] = True
+        places = np.flatnonzero(tried)
+        fixed = np.zeros(len(places), dtype=bool)
+        fixed[np.searchsorted(places, np.concatenate([low, high]))] = True
+        self.vertices = places[_bends(places, self._x[places], fixed, self._sign)]
+
+    def above(self, places: Places) -> Floats:
+        """Return how far the curve is above samples, in places: at its vertices 0."""
+        vertices = self.vertices
+        x = self._x[vertices]
+        run = np.diff(x)
+        slope = np.append(np.where(run > 0, np.diff(vertices) / run, 0), 0)
+        left = np.searchsorted(vertices, places, "right") - 1
+        rise = (self._x[places] - x[left]) * slope[left]
+        return np.asarray(rise - (places - vertices[left]))
+
+
+def _candidates(ascending: Floats) -> tuple[Places, Places]:
+    """Return the places of samples that may be vertices of a minorant, and of a majorant."""
+    convex, concave = np.empty((2, *ascending.shape), dtype=bool)
+    for rows in spans(len(ascending), max(1, _CHUNK // ascending.shape[-1])):
+        x = ascending[rows]
+        # The least and the largest rise per place from before each sample, and to behind it.
+        before, behind = np.empty((2, 2, *x.shape))
+        before[0], before[1], behind[0], behind[1] = np.inf, -np.inf, np.inf, -np.inf
+        for step in _STEPS:
+            rise = x[:, step:] - x[:, :-step]
+            rise *= 1 / step
+            for ends in (before[..., step:], behind[..., :-step]):
+                np.minimum(ends[0], rise, out=ends[0])
+                np.maximum(ends[1], rise, out=ends[1])
+        np.greater(before[0], behind[1], out=convex[rows])
+        np.less(before[1], behind[0], out=concave[rows])
+    return np.flatnonzero(convex), np.flatnonzero(concave)
+
+
+def _bends(places: Places, x: Floats, fixed: Mask, sign: Literal[1, -1]) -> Places:
+    """Return the indices of those samples that are vertices; `fixed` ones are, whatever they are.
+
+    Samples on or beyond the chord of their neighbours are left out until there are none. Else a
+    smooth curve would lose its vertices one by one, so samples beyond the curve of every fourth are
+    left out before.
+    """
+    kept = np.arange(len(places))
+    if len(places) > 2 * _THINNING * np.count_nonzero(fixed):
+        thin = np.flatnonzero(fixed | (kept % _THINNING == 0))
+        coarse = thin[_bends(places[thin], x[thin], fixed[thin], sign)]
+        inside = sign * (x - np.interp(places, places[coarse], x[coarse])) > 0
+        inside[coarse] = True
+        kept = np.flatnonzero(inside)
+    while True:
+        slope = np.diff(x[kept]) / np.diff(places[kept])
+        stays = fixed[kept]
+        stays[1:-1] |= sign * (slope[:-1] - slope[1:]) > 0
+        if stays.all():
+            return kept
+        kept = kept[stays]
+
+
+def _largest(values: Floats, places: Places, low: Places) -> tuple[Floats, Places]:
+    """Return the largest value of each row, of which `low` is the first place, and its place."""
+    first = np.searchsorted(places, low)
+    largest = np.maximum.reduceat(values, first)
+    row = np.repeat(np.arange(len(first)), np.diff(first, append=len(values)))
+    equal = np.flatnonzero(values == largest[row])
+    return largest, places[equal[np.searchsorted(row[equal], np.arange(len(first)))]]
+
+
+def _ranges(start: Places, stop: Places) -> Places:
+    """Return all places from each `start` to before its `stop`, one after the other."""
+    count = np.maximum(stop - start, 0)
+    return np.repeat(start - np.cumsum(count) + count, count) + np.arange(count.sum())
