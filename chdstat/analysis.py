@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Result, is_bad, whole
+from chdstat._core.arrays import Result, Seed, is_bad, seed_number, whole
 from chdstat._core.files import replacing, unused
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
@@ -29,24 +29,13 @@ from chdstat.fit.goodness_of_fit import (
 from chdstat.fit.results import fit_variables, label_fit
 from chdstat.fit.selection import family_shares, finish_selection, selection_variables
 from chdstat.fit.tail_fits import finish_tail, tail_variables
-from chdstat.inference import (
-    MORE_THAN_TESTED,
-    N_MEANS,
-    UNTESTED,
-    finish_gaussianity,
-    finish_means,
-    finish_modality,
-    gaussianity_of_part,
-    gaussianity_variables,
-    means_of_block,
-    means_variables,
-    modality_variables,
-    sizes_of_means,
-)
+from chdstat.inference import modes, normality
+from chdstat.inference import normality_of_means as means
 from chdstat.inference.normality import TESTS, TestName, Transform
-from chdstat.patterns import PATTERNS, Thresholds, finish_patterns, patterns_variables
-from chdstat.patterns.classification import PixelFits
-from chdstat.samples import Mapped, Samples
+from chdstat.inference.normality_of_means import MORE_THAN_TESTED, N_MEANS, UNTESTED
+from chdstat.patterns import classification
+from chdstat.patterns.classification import PATTERNS, PixelFits, Thresholds
+from chdstat.samples import Image, Mapped, samples_of
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
@@ -64,12 +53,12 @@ _COMMENT = (
 
 
 def analyze(
-    samples: Samples,
+    samples: Image | npt.ArrayLike,
     *,
     thresholds: Thresholds | None = None,
     held_out: bool = True,
     resamples: int = 0,
-    seed: int = 0,
+    seed: Seed = 0,
     progress: bool | None = None,
 ) -> xr.Dataset:
     """Return everything per pixel: statistics, fits, tails, modes, normality, patterns.
@@ -80,7 +69,7 @@ def analyze(
     Parameters
     ----------
     samples
-        The image.
+        The image: `Samples`, an array (y, x, channel, sample), or the path of a store.
     thresholds
         When a pattern counts; None for the defaults.
     held_out
@@ -116,9 +105,9 @@ def analyze(
     import xarray as xr
 
     resamples = whole("resamples", resamples, least=0)
-    seed = whole("seed", seed, least=0)
+    samples = samples_of(samples)
     summary = summarize(samples, progress=progress)
-    stages = _stages(samples.spp, thresholds or Thresholds(), resamples, seed)
+    stages = _stages(samples.spp, thresholds or Thresholds(), resamples, seed_number(seed))
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         tile = _Tile(block, held_out=held_out)
@@ -204,27 +193,33 @@ def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list
             lambda t: fit_variables(t.of_channels(t.mixture)),
             lambda d: label_fit(d, "lognormal", mixture=True),
         ),
-        _Stage(lambda t: modality_variables(t.of_channels(t.modes)), finish_modality, "modality_"),
         _Stage(
-            lambda t: gaussianity_variables(
-                gaussianity_of_part(t.of_channels(t.part), _TRANSFORMS, _TESTS)
+            lambda t: modes.modality_variables(t.of_channels(t.modes)),
+            modes.finish_modality,
+            "modality_",
+        ),
+        _Stage(
+            lambda t: normality.gaussianity_variables(
+                normality.gaussianity_of_part(t.of_channels(t.part), _TRANSFORMS, _TESTS)
             ),
-            lambda d: finish_gaussianity(d, transform=_TRANSFORMS, test=_TESTS),
+            lambda d: normality.finish_gaussianity(d, transform=_TRANSFORMS, test=_TESTS),
             "normality_",
         ),
         _Stage(
-            lambda t: patterns_variables(t.patterns(thresholds)),
-            lambda d: finish_patterns(d, thresholds),
+            lambda t: classification.patterns_variables(t.patterns(thresholds)),
+            lambda d: classification.finish_patterns(d, thresholds),
         ),
     ]
     if spp >= N_MEANS:
-        sizes = sizes_of_means(spp, test=_TEST_OF_MEANS)
+        sizes = means.sizes_of_means(spp, test=_TEST_OF_MEANS)
         stages.append(
             _Stage(
-                lambda t: means_variables(
-                    means_of_block(t.block, sizes, test=_TEST_OF_MEANS, tail=t.of_channels(t.tail))
+                lambda t: means.means_variables(
+                    means.means_of_block(
+                        t.block, sizes, test=_TEST_OF_MEANS, tail=t.of_channels(t.tail)
+                    )
                 ),
-                lambda d: finish_means(d, sizes, n_means=N_MEANS, test=_TEST_OF_MEANS),
+                lambda d: means.finish_means(d, sizes, n_means=N_MEANS, test=_TEST_OF_MEANS),
                 "averages_",
             )
         )

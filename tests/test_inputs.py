@@ -11,10 +11,11 @@ import xarray as xr
 import chdstat as chd
 from chdstat import estimators, fit
 from chdstat.cli import main
-from chdstat.errors import InputError, LeftOutWarning
+from chdstat.errors import InputError, LeftOutWarning, StoreError
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive.profile import Profile
-from chdstat.inference.normality_of_means import gaussianity_of_means
+from chdstat.inference import gaussianity_of_means
+from chdstat.patterns import random_chds
 from chdstat.samples import Samples
 from chdstat.samples.store import Store
 from chdstat.summary.histograms import StreamingHistogram
@@ -28,6 +29,11 @@ DIMS = ("y", "x", "channel", "sample")
 def x():
     rng = np.random.default_rng(8)
     return rng.gamma(0.9, size=(HEIGHT, WIDTH, 3, SPP)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def large():
+    return np.random.default_rng(2).gamma(0.9, size=(12, 12, 3, SPP)).astype(np.float32)
 
 
 # --- axes ---------------------------------------------------------------------------------------
@@ -202,6 +208,82 @@ def test_learned_estimators_take_the_same_arrays(x):
         model.predict(image.astype(np.uint8))
 
 
+# --- images in every form ------------------------------------------------------------------------
+
+OF_IMAGES = {
+    "summarize": lambda s: chd.summarize(s)["mean"],
+    "classify": lambda s: chd.classify(s).label,
+    "gaussianity": lambda s: chd.gaussianity(s).p_value,
+    "gaussianity_of_means": lambda s: gaussianity_of_means(s, n_means=8).p_value,
+    "modality": lambda s: chd.modality(s).modes,
+    "difference": lambda s: chd.difference(s, s).p_value,
+    "atlas": lambda s: chd.atlas(s, clusters=1).labels,
+    "analyze": lambda s: chd.analyze(s, held_out=False, progress=False)["label"],
+    "compare": lambda s: chd.compare(s, ["mean"], n=4).measures["mse"].value,
+}
+
+
+@pytest.fixture(scope="module")
+def stored(x, tmp_path_factory):
+    path = tmp_path_factory.mktemp("stores") / "s.zarr"
+    store = Store.create(
+        path, height=HEIGHT, width=WIDTH, channels=3, spp=SPP, attrs={"scene": "a"}
+    )
+    for chunk in store.pending():
+        store.write(chunk, x[chunk.ys, chunk.xs, :, chunk.ss])
+    store.close()
+    return path
+
+
+@pytest.mark.parametrize("name", OF_IMAGES)
+def test_images_are_samples_arrays_or_stores(x, stored, name):
+    expected = np.asarray(OF_IMAGES[name](Samples.from_array(x)))
+    for given in (x, xr.DataArray(x, dims=DIMS), stored, str(stored)):
+        np.testing.assert_array_equal(np.asarray(OF_IMAGES[name](given)), expected)
+
+
+@pytest.mark.parametrize("name", OF_IMAGES)
+def test_a_path_without_a_store_and_what_is_no_image_are_refused_in_words(name):
+    with pytest.raises(StoreError, match="no store at nowhere.zarr"):
+        OF_IMAGES[name]("nowhere.zarr")
+    with pytest.raises(InputError):
+        OF_IMAGES[name]({})
+
+
+# --- seeds ---------------------------------------------------------------------------------------
+
+SEEDED = {
+    "difference": lambda s, seed: chd.difference(s.read(), s.read() ** 1.02, seed=seed).p_value,
+    "analyze": lambda s, seed: chd.analyze(s, held_out=False, resamples=9, seed=seed)[
+        "best_goodness_p_value"
+    ],
+    "atlas": lambda s, seed: chd.atlas(s, clusters=2, seed=seed).stability,
+    "goodness": lambda s, seed: fit.goodness(s, "gamma", resamples=9, seed=seed)[
+        "gamma_goodness_p_value"
+    ],
+    "compare": lambda s, seed: (
+        chd.compare(s, ["mean", "jung2015"], n=8, seed=seed).measures["mse"].value
+    ),
+    "simulate": lambda _, seed: chd.simulate("gamma", size=(2, 2), spp=4, seed=seed).read(),
+    "random_chds": lambda _, seed: [c.null_share for c in random_chds(9, seed=seed)],
+    "train_model": lambda s, seed: estimators.train_model(
+        s, reference=False, iterations=2, seed=seed, progress=False
+    ).predict(s.read()),
+}
+
+
+@pytest.mark.parametrize("name", SEEDED)
+def test_seeds_are_numbers_generators_or_none(large, name):
+    image, run = Samples.from_array(large[:6, :6]), SEEDED[name]
+    np.testing.assert_array_equal(run(image, 3), run(image, np.int64(3)))
+    drawn = [np.asarray(run(image, np.random.default_rng(3))) for _ in range(2)]
+    np.testing.assert_array_equal(*drawn)
+    assert np.shape(run(image, None)) == drawn[0].shape
+    for wrong in (-1, 0.5, "x"):
+        with pytest.raises(InputError, match="seed must be"):
+            run(image, wrong)
+
+
 # --- what is left out ---------------------------------------------------------------------------
 
 IMAGE = {
@@ -221,11 +303,6 @@ IMAGE = {
     ),
 }
 LOGARITHMIC = ("classify", "fit.gamma", "fit.tail_index", "modality", "gaussianity", "analyze")
-
-
-@pytest.fixture(scope="module")
-def large():
-    return np.random.default_rng(2).gamma(0.9, size=(12, 12, 3, SPP)).astype(np.float32)
 
 
 @pytest.mark.parametrize("name", IMAGE)
@@ -310,5 +387,5 @@ def test_what_is_no_array_is_refused_in_words(x, name):
     for nothing in (None, "x", [[1, 2], [3]], x > 1, x * 1j, xr.Dataset({"x": (DIMS, x)}), 3.0):
         if isinstance(nothing, xr.Dataset) and name.startswith("fit."):
             continue  # takes log histograms of an image
-        with pytest.raises(InputError):
+        with pytest.raises((InputError, StoreError)):  # a string may be the path of a store
             TAKING[name](nothing)

@@ -6,6 +6,7 @@ import ast
 import importlib
 import inspect
 import pkgutil
+import re
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator
@@ -16,6 +17,7 @@ import pytest
 import chdstat as chd
 
 ROOT = Path(chd.__file__).parent
+API = Path(__file__).parent.parent / "docs/api.rst"
 
 ORDER = (
     "errors",
@@ -110,6 +112,26 @@ def test_every_public_name_resolves():
     for name in chd.__all__:
         assert getattr(chd, name) is not None
     assert dir(chd) == sorted(chd.__all__)
+
+
+def test_the_names_are_few_and_each_is_described():
+    described = re.findall(r"^- `(\w+)`: ([A-Z][^.]*\.)$", API.read_text("utf-8"), re.MULTILINE)
+    assert sorted(dict(described)) == sorted({*chd.__all__} - {"__version__"})
+    assert len(dir(chd)) <= 30
+
+
+@pytest.mark.parametrize("name", sorted(m for m in chd.__all__ if m in ORDER))
+def test_a_folder_shows_what_users_need_and_is_there_at_once(name):
+    """In a fresh process: no other name was touched before."""
+    code = f"import chdstat as chd; print(*(n for n in dir(chd.{name}) if getattr(chd.{name}, n)))"
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    module = importlib.import_module(f"chdstat.{name}")
+    submodules = {m.name for m in pkgutil.iter_modules(getattr(module, "__path__", []))}
+    own = {m for m in submodules if inspect.ismodule(getattr(module, m, None))}
+    found = set(shown.stdout.split())
+    assert found
+    assert not found & own
+    assert name == "errors" or found <= set(module.__all__)
 
 
 def test_unknown_names_are_attribute_errors():

@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from types import FrameType
-from typing import Any, SupportsIndex, TypeVar, cast
+from typing import Any, SupportsIndex, TypeAlias, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from chdstat.errors import InputError, LeftOutWarning
 __all__ = [
     "LUMINANCE",
     "LeftOut",
+    "Seed",
     "all_good",
     "as_pixels",
     "as_samples",
@@ -32,6 +33,7 @@ __all__ = [
     "is_bad",
     "is_null",
     "luminance",
+    "seed_number",
     "spans",
     "take_rows",
     "warn_left_out",
@@ -41,11 +43,14 @@ __all__ = [
 LUMINANCE = np.array([0.212671, 0.715160, 0.072169], dtype=np.float32)
 """Weights of linear sRGB in luminance (ITU-R BT.709)."""
 
+Seed: TypeAlias = int | np.random.Generator | None
+"""What a random function takes: a whole number from 0, a generator, or None for a new one."""
+
 _TOLERATED = 0.01
 """Share of the samples that may be left out without a warning."""
 
 
-def generator(seed: int | Sequence[int] | np.random.Generator | None) -> np.random.Generator:
+def generator(seed: Seed | Sequence[int]) -> np.random.Generator:
     """Turn a seed into a random generator; a generator passes through.
 
     Raises
@@ -58,6 +63,21 @@ def generator(seed: int | Sequence[int] | np.random.Generator | None) -> np.rand
     except (TypeError, ValueError) as error:
         message = f"seed must be a whole number from 0, a generator or None, got {seed!r}"
         raise InputError(message) from error
+
+
+def seed_number(seed: Seed, *, span: int = 2**63) -> int:
+    """Return a seed as a whole number: itself, or one below `span` that is drawn.
+
+    Functions that draw the same numbers several times, or keep their seed, need a number.
+
+    Examples
+    --------
+    >>> seed_number(7), seed_number(np.random.default_rng(7))
+    (7, 5765488047046174021)
+    """
+    if seed is None or isinstance(seed, np.random.Generator):
+        return int(generator(seed).integers(span))
+    return whole("seed", seed, least=0)
 
 
 def whole(name: str, value: object, *, least: int) -> int:

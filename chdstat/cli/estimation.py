@@ -227,7 +227,7 @@ def compare(
     )
     errors = None
     if curve:
-        errors = chdstat.error_curve(
+        errors = chdstat.comparison.error_curve(
             samples,
             **settings,
             sizes=sizes,

@@ -26,3 +26,7 @@ __all__ = [
     "denoised",
     "error_curve",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import whole
+from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.resampling import Interval
 from chdstat.comparison.accumulate import MEASURES, ErrorAccumulator, Units, judge, stack_intervals
 from chdstat.comparison.candidates import (
@@ -37,7 +37,7 @@ from chdstat.comparison.tables import (
 from chdstat.errors import InputError
 from chdstat.estimators.registry import Model
 from chdstat.estimators.validation import check_spp
-from chdstat.samples import Samples, checked
+from chdstat.samples import Image, Samples, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -135,11 +135,11 @@ class ErrorCurve:
 
 
 def error_curve(
-    samples: Samples,
+    samples: Image | npt.ArrayLike,
     estimators: Sequence[str | Entry] = DEFAULT,
     *,
     sizes: Sequence[int] | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     max_batches: int | None = 16,
     model: Given = None,
     progress: bool | None = None,
@@ -155,7 +155,7 @@ def error_curve(
     Parameters
     ----------
     samples
-        The image, at least twice as many samples per pixel as the largest N.
+        The image, as `compare` takes it, at least twice as many samples per pixel as the largest N.
     estimators
         Names of registered estimators, or entries of your own. Where one does not take N samples,
         there is no number.
@@ -189,7 +189,7 @@ def error_curve(
     array([[ 1.,  2.],
            [ 1., 11.]])
     """
-    checked(samples)
+    samples, seed = samples_of(samples), seed_number(seed)
     if max_batches is not None:
         max_batches = whole("max_batches", max_batches, least=1)
     chosen = curve_sizes(samples, estimators, sizes=sizes)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import whole
+from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.reasons import flag_attributes
 from chdstat.comparison.accumulate import MEASURES, ErrorAccumulator, Units, judge, stack_intervals
 from chdstat.comparison.candidates import DEFAULT, Candidates, Entry, Given, resolve, totals_of
@@ -28,7 +28,7 @@ from chdstat.errors import InputError
 from chdstat.estimators.denoising import check_denoiser
 from chdstat.estimators.validation import Totals, check_spp
 from chdstat.patterns import Label, classify
-from chdstat.samples import Samples, checked
+from chdstat.samples import Image, Samples, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -111,11 +111,11 @@ def _checked(codes: npt.NDArray[np.int64], names: dict[int, str]) -> Labels:
 
 
 def compare(
-    samples: Samples,
+    samples: Image | npt.ArrayLike,
     estimators: Sequence[str | Entry] = DEFAULT,
     *,
     n: int = 32,
-    seed: int = 0,
+    seed: Seed = 0,
     max_batches: int | None = 16,
     model: Given = None,
     denoise: bool = False,
@@ -143,7 +143,8 @@ def compare(
     Parameters
     ----------
     samples
-        The image, at least 2 n samples per pixel.
+        The image, as `Samples`, an array (y, x, channel, sample) or the path of a store, at least
+        2 n samples per pixel.
     estimators
         Names of registered estimators, or entries of your own, such as `denoised` returns. Those
         that use neighbours come last in the result, and are marked: they see more than n samples.
@@ -194,7 +195,7 @@ def compare(
     mean 1.0 False
     median_of_means 1.5 True
     """
-    checked(samples)
+    samples, seed = samples_of(samples), seed_number(seed)
     n = whole("n", n, least=1)
     if max_batches is not None:
         max_batches = whole("max_batches", max_batches, least=1)

@@ -17,7 +17,9 @@ with a certainty and an interval, and without a reference as `self_trained`. The
 
 `mean_radiance` is the unit that `Progressive` measures an image in. `names` lists what is
 registered, the mean first, and `lookup` says where it comes from and what it needs;
-``estimators.<name>`` is the function of whatever is registered.
+``estimators.<name>`` is the function of whatever is registered. `train_model` trains one by name,
+and `load_model` reads one from its file; `estimate` is for whole images, and `write_estimates`
+keeps what it finds in an EXR file.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ from typing import Any
 import numpy.typing as npt
 
 from chdstat._core.image_scales import mean_radiance
+from chdstat.estimators.estimates import estimate, write_estimates
 from chdstat.estimators.mlp import MLP
+from chdstat.estimators.models import load_model, train_model
 from chdstat.estimators.neighbourhood import Fireflies
 from chdstat.estimators.outliers import Cascade
 from chdstat.estimators.progressive import Estimates, Profile, Progressive, Stream
@@ -58,12 +62,16 @@ __all__ = [
     "Profile",
     "Progressive",
     "Stream",
+    "estimate",
     "james_stein",
+    "load_model",
     "lookup",
     "mean_radiance",
     "names",
     "register",
     "register_learned",
+    "train_model",
+    "write_estimates",
 ]
 __all__ += [name for name in names() if isinstance(lookup(name), Estimator)]
 

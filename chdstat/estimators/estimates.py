@@ -12,24 +12,25 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-import chdstat
+from chdstat import __version__
+from chdstat._core.arrays import Seed, seed_number
 from chdstat._core.executor import check_memory
 from chdstat._core.files import checked_target
 from chdstat.errors import InputError
-from chdstat.estimators import Estimates, Progressive, Stream
 from chdstat.estimators.denoising import check_denoiser, through_denoiser
 from chdstat.estimators.models import AnyModel, first_samples, load_model, train_model
 from chdstat.estimators.order import mean_of_good
+from chdstat.estimators.progressive import Estimates, Progressive, Stream
 from chdstat.estimators.progressive.inputs import Input
 from chdstat.estimators.progressive.stream import follow
 from chdstat.estimators.validation import direct_of
 from chdstat.io import write_exr
-from chdstat.samples import Samples, checked
+from chdstat.samples import Image, Samples, samples_of
 
 if TYPE_CHECKING:
     from chdstat.rendering.live import Rendering
@@ -43,14 +44,14 @@ _USUAL_CHANNELS = (1, 3)
 
 
 def estimate(
-    samples: Samples | Rendering,
+    samples: Image | Rendering | npt.ArrayLike,
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
     balance: float = 0.5,
     level: float = 0.9,
     denoise: bool = False,
-    seed: int = 0,
+    seed: Seed = 0,
     iterations: int | None = None,
     progress: bool | None = None,
 ) -> Estimates:
@@ -63,8 +64,9 @@ def estimate(
     Parameters
     ----------
     samples
-        The image; or a rendering, as `chdstat.render_batches` makes it: then nothing is kept of
-        its batches but what the estimate needs, in memory that does not grow with `spp`.
+        The image, as `Samples`, an array (y, x, channel, sample) or the path of a store; or a
+        rendering, as `chdstat.rendering.render_batches` makes it: then nothing is kept of its
+        batches but what the estimate needs, in memory that does not grow with `spp`.
     model
         A trained estimator, or the file that one was saved to; None trains one. One of another
         scene is followed as far as it pays, which is measured on these samples.
@@ -125,7 +127,7 @@ def estimate(
 
 def write_estimates(
     path: str | Path,
-    samples: Samples | Rendering,
+    samples: Image | Rendering | npt.ArrayLike,
     model: AnyModel | str | Path | None = None,
     **options: Any,
 ) -> Path:
@@ -168,7 +170,7 @@ def write_estimates(
     return write_exr(
         target,
         found.final.radiance,
-        channels=None if count in _USUAL_CHANNELS else samples.channels,
+        channels=None if count in _USUAL_CHANNELS else found.channels,
         extra=found.layers(),
         attributes=found.header(),
     )
@@ -186,12 +188,15 @@ class _Improved:
         Of the same samples, shape (y, x, channel).
     provenance
         By the names of the header's attributes.
+    channels
+        Names of the channels.
     """
 
     first: Estimates
     final: Estimates
     mean: npt.NDArray[np.float32]
     provenance: Mapping[str, Any]
+    channels: tuple[str, ...]
 
     def layers(self) -> dict[str, npt.NDArray[Any]]:
         found: dict[str, npt.NDArray[Any]] = {"mean": self.mean}
@@ -210,14 +215,14 @@ class _Improved:
 
 
 def _improve(
-    samples: Samples | Rendering,
+    samples: Image | Rendering | npt.ArrayLike,
     model: AnyModel | str | Path | None,
     *,
     spp: int | None = None,
     balance: float = 0.5,
     level: float = 0.9,
     denoise: bool = False,
-    seed: int = 0,
+    seed: Seed = 0,
     iterations: int | None = None,
     progress: bool | None = None,
 ) -> _Improved:
@@ -227,9 +232,10 @@ def _improve(
         raise InputError(message)
     own = load_model(model) if isinstance(model, str | Path) else model
     asked: dict[str, float] = {"balance": balance, "level": level}
-    training: dict[str, Any] = {"seed": seed, "iterations": iterations}
+    training: dict[str, Any] = {"seed": seed_number(seed), "iterations": iterations}
     if not hasattr(samples, "batch"):  # a rendering has it; its class would need Mitsuba here
-        checked(samples)
+        samples = samples_of(samples)
+    samples = cast("Samples | Rendering", samples)
     if isinstance(samples, Samples):
         samples = first_samples(samples, spp)
         if denoise:
@@ -241,7 +247,7 @@ def _improve(
     if denoise:
         final = replace(final, radiance=through_denoiser(final.radiance, samples.features))
     provenance = {
-        "software": f"chdstat {chdstat.__version__}",
+        "software": f"chdstat {__version__}",
         "scene": samples.name,
         "spp": samples.spp,
         "estimator": start.model.name,
@@ -252,7 +258,9 @@ def _improve(
         "samples": samples.attrs,
         "model": start.told,
     }
-    return _Improved(start.found, final, start.mean.astype(np.float32), provenance)
+    return _Improved(
+        start.found, final, start.mean.astype(np.float32), provenance, samples.channels
+    )
 
 
 @dataclass(frozen=True)

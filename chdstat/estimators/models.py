@@ -1,6 +1,6 @@
 """Models: estimators that learn, trained by name, and read from files whatever they are.
 
->>> from chdstat.estimators.models import load_model, train_model
+>>> from chdstat.estimators import load_model, train_model
 >>> # train_model(samples, "elek2019").save("scene.safetensors"); load_model("scene.safetensors")
 """
 
@@ -10,11 +10,16 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeGuard
 
+import numpy.typing as npt
+
+from chdstat._core.arrays import Seed, seed_number
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators import MLP, Estimator, LearnedEstimator, Progressive, lookup, names
+from chdstat.estimators.mlp import MLP
 from chdstat.estimators.model_files import read_model
+from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.progressive.inputs import Input
-from chdstat.samples import Samples, checked
+from chdstat.estimators.registry import Estimator, LearnedEstimator, lookup, names
+from chdstat.samples import Image, Samples, samples_of
 
 __all__ = ["AnyModel", "check_choice", "first_samples", "load_model", "train_model"]
 
@@ -25,13 +30,13 @@ _KINDS: dict[str, type[AnyModel]] = {"mlp": MLP, "progressive": Progressive}
 
 
 def train_model(
-    samples: Samples,
+    samples: Image | npt.ArrayLike,
     name: str = "progressive",
     *,
     inputs: Collection[Input] = (),
     reference: bool = True,
     spp: int | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     iterations: int | None = None,
     progress: bool | None = None,
 ) -> AnyModel:
@@ -79,7 +84,11 @@ def train_model(
     """
     entry = check_choice(name, inputs=inputs, reference=reference)
     used = first_samples(samples, spp)
-    options: dict[str, Any] = {"seed": seed, "iterations": iterations, "progress": progress}
+    options: dict[str, Any] = {
+        "seed": seed_number(seed),
+        "iterations": iterations,
+        "progress": progress,
+    }
     if name == Progressive.name:
         around: tuple[Input, ...] = () if reference else ("neighbours",)
         model = Progressive(inputs=[*inputs, *around])
@@ -141,7 +150,7 @@ def load_model(path: str | Path) -> AnyModel:
     return _KINDS[kind].load(path)
 
 
-def first_samples(samples: Samples, spp: int | None) -> Samples:
+def first_samples(samples: Image | npt.ArrayLike, spp: int | None) -> Samples:
     """Return the first samples of each pixel, in memory; None returns all as they are.
 
     Raises
@@ -149,7 +158,5 @@ def first_samples(samples: Samples, spp: int | None) -> Samples:
     InputError
         If there are not so many, or less than one is wanted.
     """
-    checked(samples)
-    if spp is None or spp == samples.spp:
-        return samples
-    return samples.first(spp)
+    image = samples_of(samples)
+    return image if spp is None or spp == image.spp else image.first(spp)

@@ -24,8 +24,9 @@ from chdstat.explorer.sources import StoreSource
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part
-from chdstat.inference import MORE_THAN_TESTED, N_MEANS, means_of_block, sizes_of_means
-from chdstat.patterns import (
+from chdstat.inference import MORE_THAN_TESTED, N_MEANS, sizes_of_means
+from chdstat.inference.normality_of_means import means_of_block
+from chdstat.patterns.classification import (
     Label,
     finish_patterns,
     luminance_part,

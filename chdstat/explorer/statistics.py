@@ -23,15 +23,9 @@ from chdstat.fit import Fit, Mixture, Selection, Tail
 from chdstat.fit.families import FAMILIES, SELECTED, get_family
 from chdstat.fit.goodness_of_fit import FitTest, goodness_of_part
 from chdstat.fit.mle import fit_part
-from chdstat.inference import (
-    N_MEANS,
-    Gaussianity,
-    GaussianityOfMeans,
-    Modality,
-    gaussianity_of_part,
-    means_of_block,
-    sizes_of_means,
-)
+from chdstat.inference import N_MEANS, Gaussianity, GaussianityOfMeans, Modality, sizes_of_means
+from chdstat.inference.normality import gaussianity_of_part
+from chdstat.inference.normality_of_means import means_of_block
 from chdstat.patterns import Patterns
 from chdstat.patterns.classification import PixelFits
 from chdstat.summary.histograms import Histogram, histogram

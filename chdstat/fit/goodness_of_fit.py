@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, TypeAlias, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, whole
+from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import Reason, flag_attributes
 from chdstat._core.resampling import q_values, rejections
@@ -150,7 +150,7 @@ def goodness(
     *,
     tests: Sequence[FitTest] = ...,
     resamples: int = ...,
-    seed: int | None = ...,
+    seed: Seed = ...,
     alpha: float = ...,
     progress: bool | None = None,
 ) -> xr.Dataset: ...
@@ -161,7 +161,7 @@ def goodness(
     *,
     tests: Sequence[FitTest] = ...,
     resamples: int = ...,
-    seed: int | np.random.Generator | None = ...,
+    seed: Seed = ...,
     null: npt.ArrayLike | None = None,
 ) -> Goodness: ...
 def goodness(
@@ -170,7 +170,7 @@ def goodness(
     *,
     tests: Sequence[FitTest] = FIT_TESTS,
     resamples: int = 99,
-    seed: int | np.random.Generator | None = 0,
+    seed: Seed = 0,
     alpha: float = 0.05,
     null: npt.ArrayLike | None = None,
     progress: bool | None = None,
@@ -241,10 +241,10 @@ def goodness(
     """
     _check(tests, alpha)
     resamples = whole("resamples", resamples, least=0)
-    root = _root(seed)
+    root = seed_number(seed)
     image = isinstance(x, Samples) or hasattr(x, "data_vars")
-    if image and (not isinstance(fit, (str, Family)) or isinstance(seed, np.random.Generator)):
-        message = "an image needs the name of a family and an integer seed, got a fit or generator"
+    if image and not isinstance(fit, (str, Family)):
+        message = "an image needs the name of a family, got a fit"
         raise InputError(message)
 
     fit = get_family(fit) if isinstance(fit, (str, Family)) else fit
@@ -274,14 +274,14 @@ def goodness_of_part(
     *,
     tests: Sequence[FitTest] = FIT_TESTS,
     resamples: int = 0,
-    seed: int | np.random.Generator | None = 0,
+    seed: Seed = 0,
 ) -> Goodness:
     """Test samples that are already split; a `Family` is fitted to them first, a fit is theirs.
 
     Of a `Selection`, each row is tested for the family that is best there. Its p-value then is a
     little too large, as replicates are fitted with that family alone.
     """
-    root = _root(seed)
+    root = seed_number(seed)
     given = fit if isinstance(fit, Family) else None
     fit = fit_part(part, fit) if isinstance(fit, Family) else fit
     reason = fit.reason.copy()
@@ -308,13 +308,6 @@ def goodness_of_part(
         n=part.n,
         reason=reasons,
     )
-
-
-def _root(seed: int | np.random.Generator | None) -> int:
-    """Return a seed itself, and a number of a generator, or of a new one for None."""
-    if seed is None or isinstance(seed, np.random.Generator):
-        return int(generator(seed).integers(2**63))
-    return whole("seed", seed, least=0)
 
 
 def _check_fit(part: Part, fit: Fitted) -> None:

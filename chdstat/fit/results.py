@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator
+from chdstat._core.arrays import Seed, generator
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import wilson
@@ -120,7 +120,7 @@ class _ZeroInflated(ABC):
         return self._quantile(q, q.ndim)
 
     @abstractmethod
-    def rvs(self, size: int, *, seed: int | np.random.Generator | None = None) -> Floats:
+    def rvs(self, size: int, *, seed: Seed = None) -> Floats:
         """Draw samples of the zero-inflated model, shape (..., size)."""
 
     def mean(self) -> Floats:
@@ -186,7 +186,7 @@ class Fit(_ZeroInflated):
 
     error_reason: npt.NDArray[np.int8]
 
-    def rvs(self, size: int, *, seed: int | np.random.Generator | None = None) -> Floats:
+    def rvs(self, size: int, *, seed: Seed = None) -> Floats:
         """Draw samples of the zero-inflated model, shape (..., size)."""
         return self._quantile(generator(seed).random((*self.null_share.shape, size)), 1)
 
@@ -251,7 +251,7 @@ class Mixture(_ZeroInflated):
     bics: Floats
     held_out: Floats
 
-    def rvs(self, size: int, *, seed: int | np.random.Generator | None = None) -> Floats:
+    def rvs(self, size: int, *, seed: Seed = None) -> Floats:
         """Draw samples of the zero-inflated model, shape (..., size)."""
         rng = generator(seed)
         shape = (*self.null_share.shape, size)

@@ -12,9 +12,19 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import LeftOut, as_samples, generator, is_bad, spans, warn_left_out, whole
+from chdstat._core.arrays import (
+    LeftOut,
+    Seed,
+    as_samples,
+    generator,
+    is_bad,
+    seed_number,
+    spans,
+    warn_left_out,
+    whole,
+)
 from chdstat.errors import InputError
-from chdstat.samples import Samples
+from chdstat.samples import Image, Samples, opened
 
 __all__ = ["Difference", "difference"]
 
@@ -67,12 +77,12 @@ class Difference:
 
 
 def difference(
-    a: npt.ArrayLike | Samples,
-    b: npt.ArrayLike | Samples,
+    a: npt.ArrayLike | Image,
+    b: npt.ArrayLike | Image,
     *,
     paired: bool | None = None,
     replicates: int = _REPLICATES,
-    seed: int = 0,
+    seed: Seed = 0,
 ) -> Difference:
     """Compare two CHDs, each given by the samples of a pixel, or those of all pixels of two images.
 
@@ -89,9 +99,9 @@ def difference(
     Parameters
     ----------
     a, b
-        Linear radiance, shapes (..., channel, sample), with as many pixels; or two `Samples` of
-        one size. Bad samples are left out, with the other of their pair; distances look at 4096
-        samples at most, means at all.
+        Linear radiance, shapes (..., channel, sample), with as many pixels; or two images of
+        one size, as `Samples` or the paths of stores. Bad samples are left out, with the other of
+        their pair; distances look at 4096 samples at most, means at all.
     paired
         Whether sample i of both was drawn with the same random numbers. None reads the seeds of
         `Samples` (`Samples.shares_numbers_with`), of which then as many count as both have; arrays
@@ -138,13 +148,14 @@ def difference(
     (True, (2, 2))
     """
     replicates = whole("replicates", replicates, least=1)
-    if isinstance(a, Samples) and isinstance(b, Samples):
-        _check_equal_shapes(a.shape[:3], b.shape[:3])
-        return _of_images(a, b, paired, replicates, seed)
-    if isinstance(a, Samples) or isinstance(b, Samples):
+    first, second, seed = opened(a), opened(b), seed_number(seed)
+    if isinstance(first, Samples) and isinstance(second, Samples):
+        _check_equal_shapes(first.shape[:3], second.shape[:3])
+        return _of_images(first, second, paired, replicates, seed)
+    if isinstance(first, Samples) or isinstance(second, Samples):
         message = "expected two arrays or two Samples, got one of each; read() returns an array"
         raise InputError(message)
-    one, two = (np.atleast_2d(as_samples(x)).astype(np.float64) for x in (a, b))
+    one, two = (np.atleast_2d(as_samples(x)).astype(np.float64) for x in (first, second))
     _check_equal_shapes(one.shape[:-1], two.shape[:-1])
     if paired and one.shape != two.shape:
         message = f"pairs need as many samples of both, got {one.shape[-1]} and {two.shape[-1]}"

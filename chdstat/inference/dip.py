@@ -60,10 +60,8 @@ def dips(ascending: Floats, n: Counts) -> Floats:
     low, high = low[rows], high[rows]
     with np.errstate(invalid="ignore", divide="ignore"):
         ends = np.stack([low, high], axis=-1).reshape(-1)
-        minorant, majorant = (
-            _Curve(x, ends, candidates, sign)
-            for candidates, sign in zip(_candidates(ascending), (1, -1), strict=True)
-        )
+        convex, concave = _candidates(ascending)
+        minorant, majorant = _Curve(x, ends, convex, 1), _Curve(x, ends, concave, -1)
         while len(rows):
             minorant.narrow(low, high)
             majorant.narrow(low, high)

@@ -35,7 +35,7 @@ from chdstat.fit.search import Found
 from chdstat.fit.unimodal import unimodal_scores
 from chdstat.inference.dip import dips
 from chdstat.inference.null_tables import DIP_QUANTILES, LEVELS, interpolated_p
-from chdstat.samples import Mapped, Samples
+from chdstat.samples import Image, Mapped, Samples, opened
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -161,8 +161,8 @@ _CERTAIN = 0.01
 
 
 @overload
-def modality(
-    x: Samples,
+def modality(  # type: ignore[overload-overlap]  # a string is a path
+    x: Image,
     *,
     progress: bool | None = None,
 ) -> xr.Dataset: ...
@@ -173,7 +173,7 @@ def modality(
     null: npt.ArrayLike | None = None,
 ) -> Modality: ...
 def modality(
-    x: Samples | npt.ArrayLike,
+    x: Image | npt.ArrayLike,
     *,
     null: npt.ArrayLike | None = None,
     progress: bool | None = None,
@@ -209,17 +209,15 @@ def modality(
     >>> int(result.modes), float(result.dip_p_value), result.weights.round(2)
     (2, 1e-05, array([0.5, 0.5, nan]))
     """
-    if not isinstance(x, Samples):
-        part = PositivePart.given(x, null=null)
-        return modality_of_part(part)
+    given = opened(x)
+    if not isinstance(given, Samples):
+        return modality_of_part(PositivePart.given(given, null=null))
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        part = PositivePart.of_pixels(block)
-        result = modality_of_part(part)
-        return modality_variables(result)
+        return modality_variables(modality_of_part(PositivePart.of_pixels(block)))
 
     return finish_modality(
-        x.map(of_block, logarithms=True, description="counting modes", progress=progress)
+        given.map(of_block, logarithms=True, description="counting modes", progress=progress)
     )
 
 

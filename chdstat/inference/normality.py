@@ -27,7 +27,7 @@ from chdstat.errors import InputError
 from chdstat.inference import statistics
 from chdstat.inference import statistics as p_values
 from chdstat.inference.statistics import Rows, check_choice, check_level, finish, standardise
-from chdstat.samples import Mapped, Samples
+from chdstat.samples import Image, Mapped, Samples, opened
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -189,8 +189,8 @@ class Gaussianity:
 
 
 @overload
-def gaussianity(
-    x: Samples,
+def gaussianity(  # type: ignore[overload-overlap]  # a string is a path
+    x: Image,
     *,
     transform: Transform | Sequence[Transform] = ...,
     test: TestName | Sequence[TestName] = ...,
@@ -206,7 +206,7 @@ def gaussianity(
     null: npt.ArrayLike | None = None,
 ) -> Gaussianity: ...
 def gaussianity(
-    x: Samples | npt.ArrayLike,
+    x: Image | npt.ArrayLike,
     *,
     transform: Transform | Sequence[Transform] = "log",
     test: TestName | Sequence[TestName] = "anderson-darling",
@@ -276,13 +276,16 @@ def gaussianity(
     _check_names(transform, TRANSFORMS, "transform")
     _check_names(test, TESTS, "test")
     check_level(alpha)
-    if not isinstance(x, Samples):
-        return _of_part(PositivePart.given(x, null=null), transform, test)
+    given = opened(x)
+    if not isinstance(given, Samples):
+        return _of_part(PositivePart.given(given, null=null), transform, test)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         return gaussianity_variables(_of_part(PositivePart.of_pixels(block), transform, test))
 
-    dataset = x.map(of_block, logarithms=True, description="testing normality", progress=progress)
+    dataset = given.map(
+        of_block, logarithms=True, description="testing normality", progress=progress
+    )
     return finish_gaussianity(dataset, transform=transform, test=test, alpha=alpha)
 
 

@@ -29,7 +29,7 @@ from chdstat.inference.averages import (
 )
 from chdstat.inference.normality import TESTS, NormalityTest, TestName
 from chdstat.inference.statistics import check_choice, check_level, finish
-from chdstat.samples import Mapped, Samples
+from chdstat.samples import Image, Mapped, Samples, opened
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -112,8 +112,8 @@ class GaussianityOfMeans:
 
 
 @overload
-def gaussianity_of_means(
-    x: Samples,
+def gaussianity_of_means(  # type: ignore[overload-overlap]  # a string is a path
+    x: Image,
     *,
     sizes: Sequence[int] | None = None,
     n_means: int = ...,
@@ -131,7 +131,7 @@ def gaussianity_of_means(
     alpha: float = ...,
 ) -> GaussianityOfMeans: ...
 def gaussianity_of_means(
-    x: Samples | npt.ArrayLike,
+    x: Image | npt.ArrayLike,
     *,
     sizes: Sequence[int] | None = None,
     n_means: int = N_MEANS,
@@ -208,10 +208,11 @@ def gaussianity_of_means(
     """
     check_choice(test, TESTS, "test")
     check_level(alpha)
-    if isinstance(x, Samples):
-        chosen = sizes_of_means(x.spp, n_means, sizes=sizes, test=test)
-        return _of_image(x, chosen, n_means, test, alpha, progress)
-    array = as_samples(x)
+    given = opened(x)
+    if isinstance(given, Samples):
+        chosen = sizes_of_means(given.spp, n_means, sizes=sizes, test=test)
+        return _of_image(given, chosen, n_means, test, alpha, progress)
+    array = as_samples(given)
     warn_left_out(array)
     chosen = sizes_of_means(array.shape[-1], n_means, sizes=sizes, test=test)
     return _gaussianity_of_rows(array, is_bad(array), chosen, n_means, TESTS[test], alpha)

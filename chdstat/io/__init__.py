@@ -10,3 +10,7 @@ from chdstat.io.denoiser import denoise
 from chdstat.io.exr import ExrImage, read_exr, write_exr
 
 __all__ = ["ExrImage", "denoise", "read_exr", "write_exr"]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -24,10 +24,6 @@ from chdstat.patterns.classification import (
     Thresholds,
     agreement,
     classify,
-    finish_patterns,
-    luminance_part,
-    patterns_of_part,
-    patterns_variables,
 )
 from chdstat.patterns.simulation import (
     ALIKE,
@@ -68,13 +64,13 @@ __all__ = [
     "agreement",
     "atlas",
     "classify",
-    "finish_patterns",
     "flag_scores",
-    "luminance_part",
-    "patterns_of_part",
-    "patterns_variables",
     "random_chds",
     "simulate",
     "truth",
     "truth_of",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -7,19 +7,19 @@ which distributions it has. Pixels that differ only in brightness have the same 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator
+from chdstat._core.arrays import Seed, generator
 from chdstat._core.positive import Counts, Floats
 from chdstat._core.reasons import Reason, flag_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError
 from chdstat.patterns import atlas_shapes
 from chdstat.patterns.clusters import Groups, find_groups
-from chdstat.samples import Samples
+from chdstat.samples import Image, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -134,13 +134,13 @@ class Atlas:
 
 
 def atlas(
-    samples: Samples | xr.Dataset,
+    samples: Image | npt.ArrayLike | xr.Dataset,
     *,
     clusters: int | None = None,
     max_clusters: int = 12,
     min_share: float = 0.005,
     nulls: bool = False,
-    seed: int | np.random.Generator | None = 0,
+    seed: Seed = 0,
     progress: bool | None = None,
 ) -> Atlas:
     """Find the shapes of distributions that recur over an image.
@@ -161,7 +161,8 @@ def atlas(
     Parameters
     ----------
     samples
-        Samples of an image, of which the luminance is taken; or its log histograms, as
+        An image, of which the luminance is taken: `Samples`, an array (y, x, channel, sample), or
+        the path of a store; or its log histograms, as
         `chdstat.histogram` returns them, of which the channel in the middle is taken: green.
         Histograms lose where a sample lies within its bin, and what is outside their support.
     clusters
@@ -209,16 +210,11 @@ def atlas(
     """
     _check(clusters, max_clusters, min_share)
     rng = generator(seed)
-    if isinstance(samples, Samples):
-        shapes = atlas_shapes.of_samples(samples, rng, progress=progress)
-    elif hasattr(samples, "data_vars"):
-        shapes = atlas_shapes.of_histograms(samples, rng)
+    if hasattr(samples, "data_vars"):
+        shapes = atlas_shapes.of_histograms(cast("xr.Dataset", samples), rng)
     else:
-        message = (
-            "expected Samples or the dataset of chdstat.histogram(samples, scale='log'), "
-            f"got {type(samples).__name__}"
-        )
-        raise InputError(message)
+        image = samples_of(cast("npt.ArrayLike", samples))
+        shapes = atlas_shapes.of_samples(image, rng, progress=progress)
     ok = shapes.reason == Reason.OK
     whole, *halves = (_features(part, ok, nulls) for part in (shapes.whole, *shapes.halves))
     numbers = range(1, max_clusters + 1) if clusters is None else [clusters]

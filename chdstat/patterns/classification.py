@@ -25,11 +25,11 @@ from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.results import Mixture
 from chdstat.fit.selection import Selection, select_part
 from chdstat.fit.tail import Tail, tail_of_part
-from chdstat.inference import Modality, mixture_and_modes_of_part
+from chdstat.inference.modes import Modality, mixture_and_modes_of_part
 from chdstat.patterns.agreement import Agreement, agreement
 from chdstat.patterns.pixel_statistics import gather
 from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
-from chdstat.samples import Mapped, Samples
+from chdstat.samples import Image, Mapped, Samples, opened
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -126,8 +126,8 @@ class Patterns:
 
 
 @overload
-def classify(
-    x: Samples,
+def classify(  # type: ignore[overload-overlap]  # a string is a path
+    x: Image,
     *,
     thresholds: Thresholds | None = None,
     progress: bool | None = None,
@@ -139,7 +139,7 @@ def classify(
     thresholds: Thresholds | None = None,
 ) -> Patterns: ...
 def classify(
-    x: Samples | npt.ArrayLike,
+    x: Image | npt.ArrayLike,
     *,
     thresholds: Thresholds | None = None,
     progress: bool | None = None,
@@ -154,8 +154,8 @@ def classify(
     Parameters
     ----------
     x
-        Samples of an image, or an array of radiance, shape (..., channel, sample), with 1 or 3
-        channels. Nulls and bad samples are told by whole samples.
+        An image, as `Samples` or the path of a store; or an array of radiance, shape (..., channel,
+        sample), with 1 or 3 channels. Nulls and bad samples are told by whole samples.
     thresholds
         When a pattern counts; None for the defaults.
     progress
@@ -185,16 +185,16 @@ def classify(
     >>> [Label(code).name for code in classify(gray).label]
     ['GAMMA_LIKE', 'NULL_HEAVY', 'BIMODAL', 'CONSTANT']
     """
-    thresholds = thresholds or Thresholds()
-    if not isinstance(x, Samples):
-        pixels = as_pixels(x)
+    given, thresholds = opened(x), thresholds or Thresholds()
+    if not isinstance(given, Samples):
+        pixels = as_pixels(given)
         warn_left_out(pixels, channel_axis=-2, logarithms=True)
         return patterns_of_part(luminance_part(pixels), thresholds)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         return patterns_variables(patterns_of_part(luminance_part(block), thresholds))
 
-    dataset = x.map(of_block, logarithms=True, description="classifying", progress=progress)
+    dataset = given.map(of_block, logarithms=True, description="classifying", progress=progress)
     return finish_patterns(dataset, thresholds)
 
 

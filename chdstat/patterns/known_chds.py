@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.arrays import generator
+from chdstat._core.arrays import Seed, generator
 from chdstat._core.positive import Floats
 from chdstat.errors import InputError
 
@@ -258,7 +258,7 @@ class CHD:
         size: int | tuple[int, ...] = (),
         *,
         samples: int,
-        seed: int | np.random.Generator | None = None,
+        seed: Seed = None,
     ) -> Floats:
         """Draw radiance, shape ``(*size, samples)``, nulls among them."""
         rng = generator(seed)

@@ -17,7 +17,7 @@ from chdstat._core.positive import Floats, Mask, PositivePart
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import Selection, select_part
 from chdstat.fit.tail import Tail, tail_of_part
-from chdstat.inference import Modality, modality_of_part
+from chdstat.inference.modes import Modality, modality_of_part
 
 __all__ = ["PixelStatistics", "firefly_limit", "gather", "without_largest"]
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, spans
+from chdstat._core.arrays import Seed, generator, spans
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
 from chdstat.patterns.classification import PATTERNS, Label, Patterns, Thresholds, patterns_of_part
@@ -209,7 +209,7 @@ class FlagScore:
         return 2 * self.hits / total if total else math.nan
 
 
-def random_chds(count: int, *, seed: int | np.random.Generator | None = None) -> tuple[CHD, ...]:
+def random_chds(count: int, *, seed: Seed = None) -> tuple[CHD, ...]:
     """Draw CHDs from a population that has every pattern and their combinations.
 
     ===============  ===============================================================================
@@ -248,7 +248,7 @@ def flag_scores(
     samples: int,
     *,
     thresholds: Thresholds | None = None,
-    seed: int | np.random.Generator | None = 0,
+    seed: Seed = 0,
 ) -> Mapping[str, FlagScore]:
     """Draw one pixel of each CHD, classify it, and compare the flags with the truth.
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LUMINANCE, generator
+from chdstat._core.arrays import LUMINANCE, Seed, generator
 from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
 from chdstat.patterns.classification import Label
@@ -78,7 +78,7 @@ def simulate(
     *,
     size: tuple[int, int] = (64, 64),
     spp: int = 512,
-    seed: int | np.random.Generator | None = 0,
+    seed: Seed = 0,
 ) -> Samples:
     """Draw an image whose regions have given CHDs.
 

@@ -10,3 +10,7 @@ from chdstat.rendering.capture import render, render_pixels
 from chdstat.rendering.live import Rendering, render_batches
 
 __all__ = ["Rendering", "render", "render_batches", "render_pixels"]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import whole
+from chdstat._core.arrays import Seed, whole
 from chdstat._core.executor import track
 from chdstat.errors import InputError, RenderError
 from chdstat.rendering.backend import Backend, activate
@@ -52,7 +52,7 @@ def render(
     *,
     spp: int = 256,
     size: tuple[int, int] | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     max_depth: int | None = None,
     sensor: int = 0,
     direct: bool = False,
@@ -152,7 +152,7 @@ def render_pixels(
     *,
     spp: int = 2048,
     size: tuple[int, int] | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     max_depth: int | None = None,
     sensor: int = 0,
     backend: Backend = "scalar",
@@ -181,7 +181,7 @@ def render_pixels(
     Examples
     --------
     >>> import chdstat as chd
-    >>> chd.render_pixels("cornell-box", [(4, 4)], spp=16, size=(8, 8)).shape
+    >>> chd.rendering.render_pixels("cornell-box", [(4, 4)], spp=16, size=(8, 8)).shape
     (1, 3, 16)
     """
     spp = whole("spp", spp, least=1)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from chdstat._core.arrays import whole
+from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.executor import memory
 from chdstat._core.files import free_disk
 from chdstat.errors import InputError
@@ -33,7 +33,7 @@ def job_of(
     scene: str | Path | dict[str, Any] | Scene,
     backend: Backend,
     size: tuple[int, int] | None,
-    seed: int,
+    seed: Seed,
     max_depth: int | None,
     sensor: int = 0,
 ) -> Job:
@@ -52,7 +52,7 @@ def job_of(
         if max_depth == 0:
             message = "max_depth must be at least 1 segment, or -1 for no limit, got 0"
             raise InputError(message)
-    seed = whole("seed", seed, least=0)
+    seed = seed_number(seed, span=SEEDS)
     if seed >= SEEDS:
         message = f"seed must be below 2^31, the most that give samples of their own, got {seed}"
         raise InputError(message)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans, whole
+from chdstat._core.arrays import Seed, spans, whole
 from chdstat._core.executor import track
 from chdstat.rendering.backend import Backend, activate
 from chdstat.rendering.jobs import check_room, check_streams, job_of
@@ -39,7 +39,7 @@ def render_batches(
     spp: int = 256,
     batch: int = 16,
     size: tuple[int, int] | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     max_depth: int | None = None,
     sensor: int = 0,
     backend: Backend = "auto",
@@ -91,7 +91,7 @@ def render_batches(
 
 
 class Rendering:
-    """A scene that is rendered while one loops over it; made by `chdstat.render_batches`.
+    """A scene that is rendered while one loops over it; made by `chdstat.rendering.render_batches`.
 
     Each turn of the loop gives the next batch, shape (y, x, channel, sample), linear radiance; each
     loop starts anew with the same samples. A wavefront (llvm, cuda) draws 64 samples at once,

@@ -331,7 +331,7 @@ def save_comparison(
     folder
         Where to; nothing may be there.
     curve
-        What `chdstat.error_curve` found, to go with it.
+        What `chdstat.comparison.error_curve` found, to go with it.
 
     Returns
     -------

@@ -4,23 +4,27 @@ from __future__ import annotations
 
 from chdstat.samples.access import (
     Blocks,
+    Image,
     cache_key,
-    checked,
     inspect,
     is_store,
     open,  # noqa: A004 - chdstat.open reads like open
+    opened,
     reduce_tiles,
+    samples_of,
 )
 from chdstat.samples.samples import Mapped, Samples
 
 __all__ = [
     "Blocks",
+    "Image",
     "Mapped",
     "Samples",
     "cache_key",
-    "checked",
     "inspect",
     "is_store",
     "open",
+    "opened",
     "reduce_tiles",
+    "samples_of",
 ]

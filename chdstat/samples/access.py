@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -28,16 +28,20 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Blocks",
+    "Image",
     "cache_key",
-    "checked",
     "inspect",
     "is_store",
     "of_store",
     "open",
+    "opened",
     "reduce_tiles",
+    "samples_of",
 ]
 
 Blocks = Iterator[npt.NDArray[np.float32]]
+Image: TypeAlias = Samples | str | Path
+"""The samples of an image, or the path of the store that holds them."""
 
 
 def is_store(source: object) -> TypeGuard[str | Path]:
@@ -141,23 +145,31 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     return found
 
 
-def checked(samples: object) -> Samples:
-    """Return samples; what is none is refused, the path of a store with advice.
+def opened(x: Image | npt.ArrayLike) -> Samples | npt.ArrayLike:
+    """Return the samples of a store that is given by its path; everything else passes through."""
+    return open(x) if isinstance(x, str | Path) else x
+
+
+def samples_of(source: Image | npt.ArrayLike) -> Samples:
+    """Return the samples of an image, be they given as such, in an array or by a store's path.
 
     Raises
     ------
     InputError
-        If it is something else.
+        If it is none of these, or `Samples.from_array` refuses the array.
+    StoreError
+        If there is no store at the path, or `open` refuses it.
     """
-    if not isinstance(samples, Samples):
-        path = isinstance(samples, str | Path)
-        advice = "; chdstat.open opens a store" if path else ""
-        if isinstance(samples, np.ndarray) or hasattr(samples, "dims"):
-            advice = "; Samples.from_array makes them of an array"
-        got = repr(samples) if path else type(samples).__name__
-        message = f"expected Samples, got {got}{advice}"
-        raise InputError(message)
-    return samples
+    found = opened(source)
+    if isinstance(found, Samples):
+        return found
+    if isinstance(found, np.ndarray) or type(found).__name__ == "DataArray":
+        return Samples.from_array(found)
+    message = (
+        "expected Samples, an array (y, x, channel, sample) or the path of a store, "
+        f"got {type(source).__name__}"
+    )
+    raise InputError(message)
 
 
 def reduce_tiles(

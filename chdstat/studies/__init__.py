@@ -8,3 +8,7 @@ from __future__ import annotations
 from chdstat.studies.run import SceneStudy, Study, study
 
 __all__ = ["SceneStudy", "Study", "study"]
+
+
+def __dir__() -> list[str]:
+    return __all__

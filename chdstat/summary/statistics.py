@@ -16,7 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_pixels
 from chdstat._core.moments import Batches, Moments
 from chdstat.errors import InputError
-from chdstat.samples import Blocks, Mapped, Samples, checked, reduce_tiles
+from chdstat.samples import Blocks, Image, Mapped, reduce_tiles, samples_of
 from chdstat.summary.bins import (
     SCALES,
     Counts,
@@ -260,7 +260,7 @@ class Summary:
 
 
 def summarize(
-    samples: Samples,
+    samples: Image | npt.ArrayLike,
     *,
     batch_size: int = 32,
     max_batches: int = 64,
@@ -272,7 +272,8 @@ def summarize(
     Parameters
     ----------
     samples
-        The samples of an image.
+        Samples of an image, as `Samples`, as an array (y, x, channel, sample), or as the path of
+        a store.
     batch_size, max_batches, bins
         As for `Summary`.
     progress
@@ -299,9 +300,10 @@ def summarize(
     >>> dataset["mean"].dims, dataset["batch_means"].shape
     (('y', 'x', 'channel'), (2, 3, 3, 2))
     """
+    image = samples_of(samples)
 
     def of_tile(ys: slice, xs: slice, blocks: Blocks) -> Mapped:
-        support = tile_support(samples, ys, xs)
+        support = tile_support(image, ys, xs)
         summary = Summary(
             batch_size=batch_size, max_batches=max_batches, bins=bins, support=support
         )
@@ -309,11 +311,10 @@ def summarize(
             summary.update(block)
         return _variables(summary.read())
 
-    spp = checked(samples).spp
     # A run of the batches alone says how they will end, and refuses wrong options at once.
     batches = Batches((), size=batch_size, limit=max_batches)
-    batches.update(np.zeros(spp))
-    dataset = reduce_tiles(samples, of_tile, description="summarising", progress=progress)
+    batches.update(np.zeros(image.spp))
+    dataset = reduce_tiles(image, of_tile, description="summarising", progress=progress)
     return _label(dataset, batches)
 
 

@@ -179,7 +179,7 @@ def error_curves(
     Parameters
     ----------
     found
-        What `chdstat.error_curve` found.
+        What `chdstat.comparison.error_curve` found.
     measures
         One panel each.
     names

@@ -18,7 +18,7 @@ PIXELS = {"wall": (19, 112), "edge of the shadow": (141, 55)}
 
 def main() -> None:
     image = chd.render("bathroom", spp=256, size=SIZE, seed=1).read().mean(axis=-1)
-    x = chd.render_pixels("bathroom", list(PIXELS.values()), spp=65536, size=SIZE, seed=2)
+    x = chd.rendering.render_pixels("bathroom", list(PIXELS.values()), spp=65536, size=SIZE, seed=2)
     with viz.style():
         figure = Figure(figsize=(6.7, 2.7), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=[1, 1.25])

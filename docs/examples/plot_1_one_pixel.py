@@ -44,10 +44,10 @@ viz.with_marks(image, marks)
 # Thousands of samples of a few pixels
 # ------------------------------------
 #
-# A distribution shows itself with more samples than an image needs. `chdstat.render_pixels` draws
-# them for the pixels that we ask for, and for no others.
+# A distribution shows itself with more samples than an image needs.
+# `chdstat.rendering.render_pixels` draws them for the pixels that we ask for, and for no others.
 
-x = chd.render_pixels("bathroom", list(pixels.values()), spp=8192, size=(96, 96), seed=2)
+x = chd.rendering.render_pixels("bathroom", list(pixels.values()), spp=8192, size=(96, 96), seed=2)
 x.shape  # pixel, channel, sample
 
 # %%

@@ -19,7 +19,7 @@ from chdstat.inference import MORE_THAN_TESTED, gaussianity_of_means
 
 names = ["wall", "vanity", "below the vanity"]
 pixels = [(11, 67), (54, 43), (59, 37)]
-x = chd.render_pixels("bathroom", pixels, spp=16384, size=(96, 96), seed=3)
+x = chd.rendering.render_pixels("bathroom", pixels, spp=16384, size=(96, 96), seed=3)
 null = (x == 0).all(axis=1)
 green = x[:, 1]
 

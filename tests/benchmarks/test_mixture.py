@@ -13,7 +13,7 @@ from sklearn.mixture import GaussianMixture
 import chdstat as chd
 from chdstat._core.positive import PositivePart
 from chdstat.fit.mixtures import mixture_of_part
-from chdstat.inference import modality_of_part
+from chdstat.inference.modes import modality_of_part
 
 PIXELS = 150
 NATS = 1e-3

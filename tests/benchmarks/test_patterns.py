@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from chdstat._core.positive import PositivePart
-from chdstat.patterns import flag_scores, patterns_of_part, random_chds
+from chdstat.patterns import flag_scores, random_chds
+from chdstat.patterns.classification import patterns_of_part
 
 SAMPLES = (64, 128, 256, 512, 1024, 2048, 4096)
 DEFINITIONS = ("constant", "firefly_dominated")

@@ -314,7 +314,7 @@ def test_an_estimator_that_fails_has_no_measure_and_spoils_no_other():
 
 
 def test_by_default_the_published_network_and_ours_take_part():
-    for function in (chd.compare, chd.error_curve):
+    for function in (chd.compare, chd.comparison.error_curve):
         default = inspect.signature(function).parameters["estimators"].default
         assert default == (*THREE, "progressive")
 

@@ -118,7 +118,7 @@ def test_a_denoised_contestant_shares_the_training_of_its_own(network, monkeypat
 
 
 def test_curves_take_them_too(network):
-    curve = chd.error_curve(image(), [denoised("mean")], sizes=[8, 16])
+    curve = chd.comparison.error_curve(image(), [denoised("mean")], sizes=[8, 16])
     assert curve.estimators == ("mean + OIDN",)
 
 

@@ -328,7 +328,7 @@ def test_fits_are_tested_when_asked(person, store_path):
 
 
 def test_trained_estimators_are_among_the_others(person, store_path, tmp_path):
-    model = chd.train_model(chd.open(store_path), spp=16, iterations=5, progress=False)
+    model = chd.estimators.train_model(chd.open(store_path), spp=16, iterations=5, progress=False)
     path = model.save(tmp_path / "mine.safetensors") or tmp_path / "mine.safetensors"
     one = person(store_path, models=[path]).open("?p=20,10&n=16")
     one.page.wait_for_function(

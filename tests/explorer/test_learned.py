@@ -23,7 +23,7 @@ def samples():
 @pytest.fixture(scope="module")
 def model(samples):
     """Return an estimator that looks at one pixel."""
-    return chd.train_model(samples, iterations=5, progress=False)
+    return chd.estimators.train_model(samples, iterations=5, progress=False)
 
 
 def scored(model, samples, n=16, place=PLACE):
@@ -42,7 +42,7 @@ def test_one_that_looks_at_a_pixel_says_what_it_says_elsewhere(samples, model):
 
 
 def test_one_that_looks_around_is_asked_about_an_image(samples):
-    model = chd.train_model(samples, reference=False, iterations=5, progress=False)
+    model = chd.estimators.train_model(samples, reference=False, iterations=5, progress=False)
     (found,) = scored(model, samples)
     assert model.inputs.neighbours
     assert found.value.shape == (3,)
@@ -51,7 +51,7 @@ def test_one_that_looks_around_is_asked_about_an_image(samples):
 
 
 def test_one_for_another_number_of_samples_is_left_out(samples):
-    model = chd.train_model(samples, "elek2019", iterations=5, progress=False)
+    model = chd.estimators.train_model(samples, "elek2019", iterations=5, progress=False)
     assert scored(model, samples, n=16) == []
     (found,) = scored(model, samples, n=model.inputs)
     assert np.isnan(found.certainty)

@@ -26,7 +26,9 @@ from chdstat.explorer.images import (
 from chdstat.explorer.maps import MAPS, Map, _error_ratio, map_kind, of_overall, walk
 from chdstat.explorer.sources import StoreSource, pooled
 from chdstat.fit.tail import tail_of_part
-from chdstat.patterns import classify, luminance_part
+from chdstat.patterns import classify
+from chdstat.patterns.classification import luminance_part
+from chdstat.rendering import render_pixels
 
 
 def ignore(*_):
@@ -267,7 +269,7 @@ def test_more_samples_of_a_pixel_are_new_ones(scene):
 def test_samples_of_a_scene_have_the_mean_that_a_render_has(scene):
     """Two means of 4096 samples or more: 6 standard errors are exceeded once in 5e8 runs."""
     mine = scene.more(8, 12)[1]
-    theirs = chd.render_pixels("cornell-box", [(8, 12)], spp=4096, size=(24, 16), seed=7)[0, 1]
+    theirs = render_pixels("cornell-box", [(8, 12)], spp=4096, size=(24, 16), seed=7)[0, 1]
     error = np.hypot(*(x.std() / np.sqrt(x.size) for x in (mine, theirs)))
     assert abs(mine.mean() - theirs.mean()) < 6 * error
 

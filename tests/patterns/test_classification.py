@@ -10,7 +10,7 @@ from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part
-from chdstat.inference import modality_of_part
+from chdstat.inference.modes import modality_of_part
 from chdstat.patterns import (
     CHD,
     PATTERNS,
@@ -18,12 +18,11 @@ from chdstat.patterns import (
     Label,
     Thresholds,
     classify,
-    luminance_part,
-    patterns_of_part,
     simulate,
     truth_of,
 )
 from chdstat.patterns.agreement import agreement
+from chdstat.patterns.classification import luminance_part, patterns_of_part
 
 SPP = 1024
 FAMILY_FLAGS = ("gamma_like", "lognormal_like")

@@ -18,7 +18,7 @@ import zarr
 import chdstat as chd
 from chdstat._core.arrays import is_bad, luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
-from chdstat.rendering import jobs
+from chdstat.rendering import jobs, render_pixels
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import max_spp
@@ -412,17 +412,17 @@ def test_arguments_out_of_range(tmp_path, options, message):
 )
 def test_pixels_outside(pixels, message):
     with pytest.raises(InputError, match=message):
-        chd.render_pixels("cornell-box", pixels, spp=1, size=(8, 8))
+        render_pixels("cornell-box", pixels, spp=1, size=(8, 8))
 
 
 def test_single_pixels():
     pixels = [(0, 0), (7, 3), (0, 0)]
-    x = chd.render_pixels("cornell-box", pixels, spp=20, size=(8, 8))
+    x = render_pixels("cornell-box", pixels, spp=20, size=(8, 8))
     assert x.shape == (3, 3, 20)
     assert x.dtype == np.float32
     assert np.array_equal(x[0], x[2])
-    assert np.array_equal(x[1], chd.render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8))[0])
-    other = chd.render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8), seed=1)[0]
+    assert np.array_equal(x[1], render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8))[0])
+    other = render_pixels("cornell-box", (7, 3), spp=20, size=(8, 8), seed=1)[0]
     assert not np.array_equal(x[1], other)
 
 

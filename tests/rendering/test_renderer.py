@@ -19,7 +19,7 @@ import scipy.stats
 
 import chdstat as chd
 from chdstat._core.arrays import luminance
-from chdstat.rendering import seeds
+from chdstat.rendering import render_pixels, seeds
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import max_spp
@@ -186,7 +186,7 @@ def test_no_random_number_is_drawn_twice(streams):
         for seed in (0, 1)
     ]
     pixels = [(y, x) for y in range(10) for x in (0, 40, 71)]
-    single = chd.render_pixels(RANDOM_NUMBERS, pixels, spp=100, size=(72, 10), backend=streams)
+    single = render_pixels(RANDOM_NUMBERS, pixels, spp=100, size=(72, 10), backend=streams)
     rows = np.concatenate([vectors(x) for x in (*drawn, single)])
     assert repeats(rows.T) == 0
     assert repeats(np.concatenate([rows, rows[:1]]).T) == 1
@@ -300,7 +300,7 @@ PIXELS = [(0, 0), (3, 12), (8, 8), (12, 4), (15, 15)]
 def test_single_pixels_have_the_distribution_of_the_image(box, request, backend):
     if backend == "llvm":
         request.getfixturevalue("llvm")
-    single = chd.render_pixels("cornell-box", PIXELS, spp=1024, size=SIZE, backend=backend)
+    single = render_pixels("cornell-box", PIXELS, spp=1024, size=SIZE, backend=backend)
     stored = np.stack([box[pixel] for pixel in PIXELS])
     a, b = (luminance(x.astype(np.float64)) for x in (single, stored))
     assert agree(p_of_equal_means(a, b.mean(axis=-1), 1024))

@@ -17,6 +17,7 @@ import pytest
 import chdstat as chd
 from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
+from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.jobs import scene_integrator, scene_size
 from chdstat.scenes import load_scene
@@ -73,7 +74,7 @@ def test_a_crop_of_the_film_is_the_image(tmp_path):
 
 def test_single_pixels_of_a_crop_are_those_of_its_image():
     pixels = [(0, 0), (6, 8), (11, 15)]
-    single = chd.render_pixels(box(**CROP), pixels, spp=512)
+    single = render_pixels(box(**CROP), pixels, spp=512)
     image = by_mitsuba(box(**CROP), 4096)
     x = luminance(single.astype(np.float64))
     error = x.std(-1, ddof=1) / np.sqrt(512)

@@ -389,7 +389,7 @@ def test_before_a_denoiser_it_is_told_too(quick, monkeypatch):
         names = ["progressive_direct", denoised("progressive_direct", certainty=certainty)]
         found = chd.compare(samples, names, n=8)
         assert found.estimates[1] == pytest.approx(found.estimates[0])
-    curve = chd.error_curve(samples, ["mean", "progressive_direct"], sizes=[4, 8])
+    curve = chd.comparison.error_curve(samples, ["mean", "progressive_direct"], sizes=[4, 8])
     assert np.isfinite(curve.measures["mse"].value).all()
 
 
