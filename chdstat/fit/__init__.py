@@ -42,4 +42,4 @@ def __getattr__(name: str) -> FamilyFit:
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted(__all__)

@@ -13,4 +13,4 @@ __all__ = ["ExrImage", "denoise", "read_exr", "write_exr"]
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted(__all__)

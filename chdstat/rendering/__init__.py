@@ -13,4 +13,4 @@ __all__ = ["Rendering", "render", "render_batches", "render_pixels"]
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted(__all__)

@@ -11,4 +11,4 @@ __all__ = ["SceneStudy", "Study", "study"]
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return sorted(__all__)
