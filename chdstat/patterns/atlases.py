@@ -204,7 +204,7 @@ def atlas(
     >>> rng = np.random.default_rng(1)
     >>> x = rng.gamma(2.0, size=(12, 12, 1, 256))
     >>> x[:4] = rng.lognormal(sigma=1.5, size=(4, 12, 1, 256))
-    >>> found = atlas(Samples.from_array(x * rng.uniform(1, 100, size=(12, 12, 1, 1))))
+    >>> found = atlas(x * rng.uniform(1, 100, size=(12, 12, 1, 1)))
     >>> found.share.round(2), found.labels[:, 0]
     (array([0.67, 0.33]), array([1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0], dtype=int16))
     """
