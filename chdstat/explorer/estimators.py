@@ -1,14 +1,15 @@
 """Estimates of one place by fixed and trained estimators, and their errors.
 
-`scored` and `scored_around` take the fixed estimators, `scored_learners` the trained ones. An
-estimator that looks at the pixels around is given a part of the image, not all of it: its estimate
-is close to that of `chdstat.estimate`, not the same to the bit.
+`batches_of` cuts the samples of a place into batches; `scored` and `scored_around` let the fixed
+estimators estimate from them, `scored_learners` the trained ones. An estimator that looks at the
+pixels around is given a part of the image, not all of it: its estimate is close to that of
+`chdstat.estimate`, not the same to the bit.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -17,11 +18,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat import estimators
 from chdstat._core.arrays import is_bad
 from chdstat.comparison.accumulate import is_mean
 from chdstat.errors import InputError
-from chdstat.estimators import MLP, Estimates, Progressive, registry
-from chdstat.estimators import mean as _mean
+from chdstat.estimators import MLP, Progressive, registry
 from chdstat.estimators.models import AnyModel, load_model
 from chdstat.explorer.sources import StoreSource
 
@@ -31,10 +32,9 @@ __all__ = [
     "ScoredEstimate",
     "ScoringBatches",
     "batches_of",
-    "fixed_names",
+    "fixed",
     "learners",
     "quick_names",
-    "score",
     "scored",
     "scored_around",
     "scored_learners",
@@ -43,11 +43,16 @@ __all__ = [
 _MOST_BATCHES = 32
 """Batches that estimators are scored on."""
 BATCHES_AROUND = 4
-"""Batches of those that look at the pixels around."""
-
+"""Batches that estimators which look at the pixels around are scored on: they are slow."""
+_AROUND, _AROUND_LEARNED = 10, 24
+"""Pixels to each side that fixed and trained estimators look at."""
 _QUICK = 4e-3
+_PART = 256
+"""Side of the part of an image that the shrinkage of a model is measured on."""
 
 Floats = npt.NDArray[np.float64]
+Image = npt.NDArray[np.float32]
+Step = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -85,44 +90,138 @@ class ScoredEstimate:
 
 @dataclass(frozen=True)
 class ScoringBatches:
-    """Batches of one place, with the references of their estimates.
+    """Batches of samples, with the references of their estimates.
 
     Attributes
     ----------
     x
-        Shape (batch, channel, sample), float32; NaN where a sample is bad.
+        Shape (batch, ..., channel, sample), float32; NaN where a sample is bad.
     truth, mean
-        Reference and sample mean of each batch, shape (batch, channel).
+        Reference and sample mean of each batch, shape (batch, ..., channel).
     """
 
-    x: npt.NDArray[np.float32]
+    x: Image
     truth: Floats
     mean: Floats
+
+    @property
+    def n(self) -> int:
+        """Samples of a batch."""
+        return int(self.x.shape[-1])
 
     def first(self, count: int) -> ScoringBatches:
         """Return the first of them."""
         return ScoringBatches(self.x[:count], self.truth[:count], self.mean[:count])
 
 
-def scored(
-    x: npt.NDArray[np.float32],
-    n: int,
-    reference: npt.ArrayLike | None = None,
-    *,
-    names: Collection[str] | None = None,
-    step: Callable[[], None] = lambda: None,
-) -> list[ScoredEstimate]:
-    """Judge every fixed estimator that needs no neighbours on batches of n samples.
+def batches_of(
+    x: Image, n: int, reference: npt.ArrayLike | None = None, *, most: int = _MOST_BATCHES
+) -> ScoringBatches | None:
+    """Return batches of consecutive samples, None where there are too few.
 
     Parameters
     ----------
     x
-        Linear radiance, shape (channel, sample); a sample with a bad channel counts for none.
+        Linear radiance, shape (..., channel, sample); a sample with a bad channel is left out.
     n
         Samples of a batch.
     reference
-        True radiance, shape (channel,). Without, that of a batch is the mean of all other samples:
-        no reference contains the batch that is scored against it.
+        True radiance, shape (..., channel). Without, that of a batch is the mean of all other
+        samples, NaN where they are fewer than n: no reference contains the batch that is scored
+        against it.
+    most
+        Batches at most.
+    """
+    count = min(x.shape[-1] // n, most)
+    if count == 0:
+        return None
+    x = np.where(is_bad(x).any(axis=-2, keepdims=True), np.float32(np.nan), x)
+    batches = np.moveaxis(x[..., : count * n].reshape(*x.shape[:-1], count, n), -2, 0)
+    if reference is None:
+        total, good = np.nansum(x, axis=-1, dtype=np.float64), np.isfinite(batches)
+        sums = np.where(good, batches, 0).sum(axis=-1, dtype=np.float64)
+        rest = np.isfinite(x).sum(axis=-1) - np.count_nonzero(good, axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            truth = np.where(rest >= n, np.maximum(total - sums, 0) / rest, np.nan)
+    else:
+        truth = np.broadcast_to(np.asarray(reference, np.float64), batches.shape[:-1])
+    return ScoringBatches(batches, truth, np.asarray(estimators.mean(batches), np.float64))
+
+
+def _score(name: str, estimates: npt.ArrayLike, batches: ScoringBatches) -> ScoredEstimate:
+    """Compare the estimates of an estimator, shape (batch, channel), with the reference."""
+    estimates = np.asarray(estimates, np.float64)
+    truth, mean = batches.truth, batches.mean
+    known = np.isfinite(truth) & np.isfinite(estimates) & np.isfinite(mean)
+    found = ScoredEstimate(name, _average(estimates), *(float("nan"),) * 3)
+    if not known.any():
+        return found
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # In units of the reference, so that 1e30 squared stays a number.
+        scale = np.float64(truth[known].mean())
+        difference = (estimates - truth)[known] / scale
+        error, of_mean = difference**2, ((mean - truth)[known] / scale) ** 2
+        ratio = float(error.sum() / of_mean.sum())
+    found = replace(found, bias=float(difference.mean()))
+    if name == "mean":
+        return replace(found, mse_ratio=1.0)
+    improved = (error < of_mean) & ~is_mean(estimates[known], mean[known])
+    return replace(found, mse_ratio=ratio, improved=float(improved.mean()))
+
+
+def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:
+    known = np.isfinite(values)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        total = np.where(known, values, 0).sum(axis=0, dtype=np.float64)
+        return np.asarray(total / known.sum(axis=0))
+
+
+# --- fixed estimators ---------------------------------------------------------------------------
+
+
+def fixed(*, neighbours: bool = False) -> dict[str, registry.Estimator]:
+    """Return the fixed estimators of one pixel by name, or those that look at the pixels around.
+
+    Those that take first-hit features are left out: they learn from a whole image.
+    """
+    entries = {name: registry.lookup(name) for name in registry.names("fixed")}
+    return {
+        name: entry
+        for name, entry in entries.items()
+        if isinstance(entry, registry.Estimator)
+        and entry.uses_neighbours == neighbours
+        and not entry.uses_features
+    }
+
+
+@cache
+def quick_names() -> frozenset[str]:
+    """Return the estimators that are quick enough for a click: 4 ms for all batches, tried once."""
+    x = np.random.default_rng(0).gamma(0.5, size=(_MOST_BATCHES, 3, 32)).astype(np.float32)
+    quick = set()
+    for name, entry in fixed().items():
+        seconds = []
+        for _ in range(3):
+            start = time.perf_counter()
+            entry(x)
+            seconds.append(time.perf_counter() - start)
+        if min(seconds) < _QUICK:
+            quick.add(name)
+    return frozenset(quick)
+
+
+def scored(
+    batches: ScoringBatches,
+    *,
+    names: Collection[str] | None = None,
+    step: Step = lambda: None,
+) -> list[ScoredEstimate]:
+    """Score every fixed estimator of one pixel.
+
+    Parameters
+    ----------
+    batches
+        Batches of a place.
     names
         Which estimators; None for all.
     step
@@ -131,136 +230,59 @@ def scored(
     Examples
     --------
     >>> x = np.random.default_rng(1).gamma(2.0, size=(3, 512)).astype(np.float32)
-    >>> first = scored(x, 32)[0]
+    >>> first = scored(batches_of(x, 32))[0]
     >>> first.name, first.mse_ratio
     ('mean', 1.0)
     """
-    batches = batches_of(x, n, reference)
-    if batches is None:
-        return []
     found = []
-    for entry in _entries():
-        if n >= entry.minimum_samples and (names is None or entry.name in names):
+    for name, entry in fixed().items():
+        if batches.n >= entry.minimum_samples and (names is None or name in names):
             step()
-            found.append(score(entry.name, np.asarray(entry(batches.x), np.float64), batches))
+            found.append(_score(name, entry(batches.x), batches))
     return found
 
 
 def scored_around(
-    x: npt.NDArray[np.float32],
-    window: npt.NDArray[np.float32],
+    batches: ScoringBatches,
+    source: StoreSource,
     place: tuple[int, int],
-    n: int,
-    reference: npt.ArrayLike | None = None,
     *,
-    step: Callable[[], None] = lambda: None,
+    step: Step = lambda: None,
 ) -> list[ScoredEstimate]:
-    """Judge the estimators that look at the pixels around, on a few batches: they are slow.
-
-    Those that want first-hit features are left out: they learn from a whole image.
+    """Score the fixed estimators that look at the pixels around, on a few batches.
 
     Parameters
     ----------
-    x, n, reference, step
-        As for `scored`.
-    window
-        The first samples of the pixels around, shape (y, x, channel, sample).
+    batches
+        Batches of the pixel.
+    source
+        The store, of whose pixels those around are read.
     place
-        (y, x) of the pixel in the window.
+        (y, x) of the pixel.
+    step
+        As for `scored`.
     """
-    count = min(window.shape[-1] // n, BATCHES_AROUND)
-    batches = batches_of(x, n, reference, most=count)
-    if batches is None:
-        return []
-    cuts = [np.ascontiguousarray(window[..., i * n : (i + 1) * n]) for i in range(count)]
+    batches = batches.first(BATCHES_AROUND)
+    spp = len(batches.x) * batches.n
+    window, (y, x), _ = source.around(*place, spp, radius=_AROUND)
+    cuts = _cut(window, batches.n)
     found = []
-    for entry in _entries(neighbours=True):
-        if n >= entry.minimum_samples:
+    for name, entry in fixed(neighbours=True).items():
+        if batches.n >= entry.minimum_samples:
             step()
-            estimates = np.stack([np.asarray(entry(cut), np.float64)[place] for cut in cuts])
-            found.append(score(entry.name, estimates, batches))
+            estimates = np.stack([np.asarray(entry(cut), np.float64)[y, x] for cut in cuts])
+            found.append(_score(name, estimates, batches))
     return found
 
 
-def fixed_names() -> tuple[str, ...]:
-    """Return the names of the fixed estimators that look at one pixel alone."""
-    return tuple(entry.name for entry in _entries())
+def _cut(window: Image, n: int) -> list[Image]:
+    """Return the batches of an image (y, x, channel, sample)."""
+    return [
+        np.ascontiguousarray(window[..., i : i + n]) for i in range(0, window.shape[-1] - n + 1, n)
+    ]
 
 
-@cache
-def quick_names() -> frozenset[str]:
-    """Return the estimators that are quick enough for a click: 4 ms for all batches, tried once."""
-    x = np.random.default_rng(0).gamma(0.5, size=(_MOST_BATCHES, 3, 32)).astype(np.float32)
-    return frozenset(e.name for e in _entries() if min(_seconds(e, x) for _ in range(3)) < _QUICK)
-
-
-def _seconds(entry: registry.Estimator, x: npt.NDArray[np.float32]) -> float:
-    start = time.perf_counter()
-    entry(x)
-    return time.perf_counter() - start
-
-
-def _entries(*, neighbours: bool = False) -> list[registry.Estimator]:
-    entries = (registry.lookup(name) for name in registry.names("fixed"))
-    fixed = (e for e in entries if isinstance(e, registry.Estimator))
-    return [e for e in fixed if e.uses_neighbours == neighbours and not e.uses_features]
-
-
-def batches_of(
-    x: npt.NDArray[np.float32],
-    n: int,
-    reference: npt.ArrayLike | None = None,
-    *,
-    most: int = _MOST_BATCHES,
-) -> ScoringBatches | None:
-    """Return batches of n samples of a place, None for too few samples; options as of `scored`."""
-    count = min(x.shape[1] // n, most)
-    if count == 0:
-        return None
-    x = np.where(is_bad(x).any(axis=0), np.float32(np.nan), x)
-    batches = x[:, : count * n].reshape(len(x), count, n).swapaxes(0, 1)
-    if reference is None:
-        truth = _held_out(x, batches)
-    else:
-        truth = np.broadcast_to(np.asarray(reference, np.float64), batches.shape[:2])
-    return ScoringBatches(batches, truth, np.asarray(_mean(batches), np.float64))
-
-
-def _held_out(x: npt.NDArray[np.float32], batches: npt.NDArray[np.float32]) -> Floats:
-    """Return the mean of the samples outside each batch, NaN where they are fewer than in it."""
-    total, of_batch = np.nansum(x, axis=-1, dtype=np.float64), np.isfinite(batches)
-    sums = np.where(of_batch, batches, 0).sum(axis=-1, dtype=np.float64)
-    rest = np.isfinite(x).sum(axis=-1) - np.count_nonzero(of_batch, axis=-1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        means = np.maximum(total - sums, 0) / rest
-    return np.where(rest >= batches.shape[-1], means, np.nan)
-
-
-def score(name: str, estimates: Floats, batches: ScoringBatches) -> ScoredEstimate:
-    """Compare the estimates of an estimator, shape (batch, channel), with the reference."""
-    truth, mean = batches.truth, batches.mean
-    known = np.isfinite(truth) & np.isfinite(estimates) & np.isfinite(mean)
-    nan = float("nan")
-    if not known.any():
-        return ScoredEstimate(name, _average(estimates), nan, nan, nan)
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        # In units of the reference, so that 1e30 squared stays a number.
-        scale = np.float64(truth[known].mean())
-        difference = (estimates - truth)[known] / scale
-        error, of_mean = difference**2, ((mean - truth)[known] / scale) ** 2
-        ratio = float(error.sum() / of_mean.sum())
-    if name == "mean":
-        return ScoredEstimate(name, _average(estimates), 1.0, float(difference.mean()), nan)
-    improved = float(((error < of_mean) & ~is_mean(estimates[known], mean[known])).mean())
-    return ScoredEstimate(name, _average(estimates), ratio, float(difference.mean()), improved)
-
-
-_RADIUS = 24
-"""Pixels to each side that a model sees, where it looks around."""
-_PART = 256
-"""Side of the part of an image that tells how far a model is followed."""
-
-Image = npt.NDArray[np.float32]
+# --- trained estimators -------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -280,7 +302,7 @@ class Learner:
     _trust: dict[tuple[int, int], float] = field(default_factory=dict, repr=False)
 
     def trust(self, source: StoreSource, n: int) -> float:
-        """Return how far it pays on an image to follow it, from n samples of each pixel.
+        """Return the shrinkage of a model on an image, from n samples of each pixel.
 
         It is measured once, on a part of a large image: 1 where it was trained on the scene.
         """
@@ -293,19 +315,18 @@ class Learner:
                 slice((k - _PART) // 2, (k + _PART) // 2) if k > _PART else slice(None)
                 for k in samples.shape[:2]
             )
-            features = {name: own[ys, xs] for name, own in samples.features.items()}
-            self._trust[key] = self.model.trust(
-                samples.read(ys, xs, slice(n)),
-                features=features if self.model.inputs.features else None,
-            )
+            features = _features(self.model, source, ys, xs)
+            window = samples.read(ys, xs, slice(n))
+            self._trust[key] = self.model.trust(window, features=features)
         return self._trust[key]
 
-    @property
-    def looks_around(self) -> bool:
-        """Whether it wants an image, for first-hit features or for neighbours."""
-        return isinstance(self.model, Progressive) and (
-            self.model.inputs.features or self.model.inputs.neighbours
-        )
+
+def _features(
+    model: Progressive, source: StoreSource, ys: slice, xs: slice
+) -> Mapping[str, Image] | None:
+    if not model.inputs.features:
+        return None
+    return {name: own[ys, xs] for name, own in source.samples.features.items()}
 
 
 def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
@@ -341,9 +362,9 @@ def scored_learners(
     place: tuple[int, ...],
     unit: float | None,
     *,
-    step: Callable[[], None] = lambda: None,
+    step: Step = lambda: None,
 ) -> list[ScoredEstimate]:
-    """Judge trained estimators on the batches of a place.
+    """Score trained estimators on the batches of a place.
 
     Left out is what does not apply: a model for another number of samples or channels, and one
     that looks around where there is no image, as for a region.
@@ -353,9 +374,9 @@ def scored_learners(
     found
         The estimators.
     batches
-        Of the place, as `chdstat.explorer.estimators.batches_of` makes them.
+        Batches of the place.
     source
-        The store, whose samples lie around; None where there is none.
+        The store that has the pixels around; None where there is none.
     place
         (y, x), or the four numbers of a region.
     unit
@@ -366,85 +387,50 @@ def scored_learners(
     estimates = []
     for learner in found:
         step()
-        if learner.looks_around:
+        model, some = learner.model, batches
+        if isinstance(model, MLP):
+            if model.inputs == batches.n:
+                estimates.append(_score(learner.name, model.predict(batches.x), batches))
+            continue
+        if model.channels != batches.x.shape[-2]:
+            continue
+        if model.inputs.features or model.inputs.neighbours:
             if source is None or len(place) != 2:
                 continue
+            if model.inputs.features and not source.samples.features:
+                continue
             some = batches.first(BATCHES_AROUND)
-            estimated = _around(learner, some, source, (place[0], place[1]), unit)
+            fields = _around(learner, model, some, source, (place[0], place[1]), unit)
         else:
-            some = batches
-            estimated = _alone(learner, some.x, source, unit)
-        if estimated is not None:
-            estimates.append(_scored_learner(learner.name, estimated, some))
+            # Without an image, the batches of the place tell the shrinkage.
+            trust = (
+                learner.trust(source, batches.n) if source else model.trust(batches.x, unit=unit)
+            )
+            estimated = model.estimate(batches.x, unit=unit, trust=trust)
+            fields = {name: getattr(estimated, name) for name in _FIELDS}
+        one = _score(learner.name, fields["radiance"], some)
+        certainty, low, high = (_average(fields[name]) for name in _FIELDS[1:])
+        estimates.append(replace(one, certainty=float(certainty), low=low, high=high))
     return estimates
 
 
-def _alone(
-    learner: Learner, x: Image, source: StoreSource | None, unit: float | None
-) -> Estimates | None:
-    """Return estimates from batches (batch, channel, sample), each by itself."""
-    model = learner.model
-    if isinstance(model, MLP):
-        if x.shape[-1] != model.inputs:
-            return None
-        radiance = model.predict(x)
-        nothing = np.full_like(radiance, np.nan)
-        return Estimates(radiance, nothing[..., 0], nothing, nothing, float("nan"))
-    if x.shape[-2] != model.channels:
-        return None
-    # Without an image, what the place tells must do.
-    trust = model.trust(x, unit=unit) if source is None else learner.trust(source, x.shape[-1])
-    return model.estimate(x, unit=unit, trust=trust)
+_FIELDS = ("radiance", "certainty", "low", "high")
 
 
 def _around(
     learner: Learner,
+    model: Progressive,
     some: ScoringBatches,
     source: StoreSource,
     place: tuple[int, int],
     unit: float | None,
-) -> Estimates | None:
+) -> dict[str, npt.NDArray[Any]]:
     """Return estimates of a pixel from a part of the image around it, batch by batch."""
-    model = learner.model
-    known = set(source.samples.features)
-    if isinstance(model, MLP) or some.x.shape[-2] != model.channels:
-        return None
-    if model.inputs.features and not known:
-        return None
-    count, _, n = some.x.shape
-    window, (y, x), (ys, xs) = source.around(*place, count * n, radius=_RADIUS)
-    features = {name: field[ys, xs] for name, field in source.samples.features.items()}
-    trust = learner.trust(source, n)
+    spp = len(some.x) * some.n
+    window, (y, x), (ys, xs) = source.around(*place, spp, radius=_AROUND_LEARNED)
+    features, trust = _features(model, source, ys, xs), learner.trust(source, some.n)
     found = [
-        model.estimate(
-            np.ascontiguousarray(window[..., i * n : (i + 1) * n]),
-            features=features if model.inputs.features else None,
-            unit=unit,
-            trust=trust,
-        )
-        for i in range(count)
+        model.estimate(cut, features=features, unit=unit, trust=trust)
+        for cut in _cut(window, some.n)
     ]
-    return Estimates(
-        np.stack([e.radiance[y, x] for e in found]),
-        np.stack([e.certainty[y, x] for e in found]),
-        np.stack([e.low[y, x] for e in found]),
-        np.stack([e.high[y, x] for e in found]),
-        found[0].level,
-    )
-
-
-def _scored_learner(name: str, estimated: Estimates, some: ScoringBatches) -> ScoredEstimate:
-    found = score(name, np.asarray(estimated.radiance, np.float64), some)
-    return replace(
-        found,
-        certainty=float(_average(estimated.certainty)),
-        low=_average(estimated.low),
-        high=_average(estimated.high),
-    )
-
-
-def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:
-    known = np.isfinite(values)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        total = np.where(known, values, 0).sum(axis=0, dtype=np.float64)
-        return np.asarray(total / known.sum(axis=0))
+    return {name: np.stack([getattr(e, name)[y, x] for e in found]) for name in _FIELDS}

@@ -1,26 +1,25 @@
-"""Maps: one number or label per pixel in the place of the image, computed when asked for.
+"""Maps: one number or label per pixel in place of the image, and images as a browser shows them.
 
-`MAPS` is the table. The cheap ones come with the image (`chdstat.explorer.images`); the others
-walk the store tile by tile, show what they have so far, and are kept in the cache.
+`MAPS` is the table. Some come with the image (`of_overall`); for the others, `walk` goes through
+the store tile by tile and shows what it has so far.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat import viz
 from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.estimators import registry
-from chdstat.explorer.estimators import fixed_names
-from chdstat.explorer.images import Overall
-from chdstat.explorer.palette import label_colors
-from chdstat.explorer.sources import StoreSource
+from chdstat.explorer.estimators import batches_of, fixed
+from chdstat.explorer.sources import Overall, StoreSource, tiles
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part
@@ -33,8 +32,9 @@ from chdstat.patterns.classification import (
     patterns_of_part,
     patterns_variables,
 )
+from chdstat.samples.samples import Mapped
 
-__all__ = ["IMAGES", "MAPS", "Map", "MapKind", "map_kind", "of_overall", "walk", "with_sizes"]
+__all__ = ["IMAGES", "MAPS", "Map", "MapKind", "map_kind", "of_overall", "ramp", "rgba", "walk"]
 
 _ERROR = "error:"
 _BATCH = 32
@@ -43,6 +43,13 @@ _MOST_BATCHES = 16
 _DECADES = 8.0
 """Of a colour bar, at most."""
 _OVER_MEAN = "log10, luminance"
+
+_LABELS = (
+    *("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e", "#2f6fb7", "#8a5a9e"),
+    *("#8f9296", "#9c3b3b", "#5b7f2b", "#c8c9ca"),
+)
+_FILMIC = (0.15, 0.50, 0.10, 0.20, 0.02, 0.30)
+_WHITE = 11.2
 
 Image = npt.NDArray[np.float32]
 Step = Callable[[float, Image], None]
@@ -97,8 +104,11 @@ class Map:
 
     @property
     def colors(self) -> list[str]:
-        """Colours of the codes, in ascending order."""
-        return label_colors(self.kind.names, ordered=self.kind.ordered)
+        """Colours of the codes, in ascending order; those of `ramp` if the codes have an order."""
+        count = len(self.kind.names)
+        if self.kind.ordered:
+            return [ramp()[255 * i // max(1, count - 1)] for i in range(count)]
+        return [_LABELS[i % len(_LABELS)] for i in range(count)]
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -146,18 +156,24 @@ MAPS: dict[str, MapKind] = {
 }
 
 
-def map_kind(name: str) -> MapKind:
+def map_kind(name: str, spp: int = 0) -> MapKind:
     """Return what a map of that name shows; ``error:NAME`` is the error of an estimator.
+
+    The codes of N needed have names if there are enough samples per pixel to test averages.
 
     Raises
     ------
     InputError
         If there is no such map.
     """
+    if name == "n_needed" and spp >= N_MEANS:
+        sizes = sizes_of_means(spp)
+        names = {i: f"N = {n}" for i, n in enumerate(sizes)} | {len(sizes): f"N > {sizes[-1]}"}
+        return replace(MAPS[name], names=names, ordered=True)
     if name in MAPS:
         return MAPS[name]
     estimator = name.removeprefix(_ERROR)
-    if name.startswith(_ERROR) and estimator in fixed_names():
+    if name.startswith(_ERROR) and estimator in fixed():
         unit = f"log10 of MSE over that of the mean, N = {_BATCH}"
         return MapKind(name, f"Error of {estimator}", unit, limits=(-1, 1))
     message = f"no map is called {name!r}; there are {', '.join(MAPS)} and {_ERROR}ESTIMATOR"
@@ -186,34 +202,31 @@ def walk(source: StoreSource, name: str, step: Step) -> Map:
     name
         One of `MAPS`, or ``error:NAME``.
     step
-        Told the share that is done and what there is; whatever it raises ends the walk.
+        Called with the share that is done and the values so far; whatever it raises ends the walk.
     """
-    kind = with_sizes(map_kind(name), source)
     values = np.full(source.size, np.nan, np.float32)
-    tiles = list(source.tiles(16))
+    places = tiles(source.size, 16)
 
-    def parts() -> Iterator[tuple[slice, slice, dict[str, Any]]]:
-        for i, (ys, xs) in enumerate(tiles):
-            step(i / len(tiles), values)
+    def parts() -> Iterator[tuple[slice, slice, Mapped]]:
+        for i, (ys, xs) in enumerate(places):
+            step(i / len(places), values)
             block = source.read(ys, xs)
-            variables = _variables(name, block)
-            values[ys, xs] = variables["value"][1]
+            variables: Mapped = {"label": ((), np.empty(0))}
+            if name == "pattern":
+                variables = patterns_variables(patterns_of_part(luminance_part(block)))
+                values[ys, xs] = variables["label"][1]
+            else:
+                values[ys, xs] = _value(name, block)
             yield ys, xs, variables
 
-    if name != "pattern":
+    if name == "pattern":
+        # Over the image, flags are decided with p-values corrected for its size.
+        found = source.samples.assemble(parts(), progress=False)
+        values = finish_patterns(found)["label"].to_numpy().astype(np.float32)
+    else:
         for _ in parts():
             pass
-        return Map(kind, values)
-    # Over the image, flags are decided with p-values corrected for its size.
-    found = source.samples.assemble(parts(), progress=False)
-    return Map(kind, finish_patterns(found)["label"].to_numpy().astype(np.float32))
-
-
-def _variables(name: str, block: Image) -> dict[str, Any]:
-    if name == "pattern":
-        found = dict(patterns_variables(patterns_of_part(luminance_part(block))))
-        return {**found, "value": ((), found["label"][1])}
-    return {"value": ((), _value(name, block))}
+    return Map(map_kind(name, source.samples.spp), values)
 
 
 def _value(name: str, block: Image) -> npt.NDArray[Any]:
@@ -245,34 +258,71 @@ def _needed(block: Image) -> npt.NDArray[Any]:
     return np.where(needed == MORE_THAN_TESTED, len(sizes), np.where(needed > 0, place, np.nan))
 
 
-def with_sizes(kind: MapKind, source: StoreSource) -> MapKind:
-    """Name the codes of the map of N needed, which depend on how many samples there are."""
-    if kind.name != "n_needed" or source.samples.spp < N_MEANS:
-        return kind
-    sizes = sizes_of_means(source.samples.spp)
-    names = {i: f"N = {n}" for i, n in enumerate(sizes)} | {len(sizes): f"N > {sizes[-1]}"}
-    return replace(kind, names=names, ordered=True)
-
-
 def _error_ratio(name: str, block: Image) -> npt.NDArray[Any]:
     """Return log10 of an estimator's squared error over the mean's, against all other samples."""
-    estimator: Any = registry.lookup(name)
-    height, width, _, spp = block.shape
-    count = min(spp // _BATCH, _MOST_BATCHES)
-    if count < 2:
-        return np.full((height, width), np.nan)
-    block = np.where(is_bad(block).any(axis=-2, keepdims=True), np.float32(np.nan), block)
-    total, good = np.nansum(block, axis=-1, dtype=np.float64), np.isfinite(block).sum(axis=-1)
-    errors = np.zeros((2, height, width))
-    mean: Any = registry.lookup("mean")
-    for i in range(count):
-        batch = np.ascontiguousarray(block[..., i * _BATCH : (i + 1) * _BATCH])
-        own = np.isfinite(batch).sum(axis=-1)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            truth = (total - np.nansum(batch, axis=-1, dtype=np.float64)) / (good - own)
-            for k, method in enumerate((estimator, mean)):
-                difference = np.asarray(method(batch), np.float64) - truth
-                errors[k] += np.nansum(difference**2, axis=-1)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    batches = batches_of(block, _BATCH, most=_MOST_BATCHES)
+    if batches is None or len(batches.x) < 2:
+        return np.full(block.shape[:2], np.nan)
+    estimates = np.asarray(fixed()[name](np.ascontiguousarray(batches.x)), np.float64)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        errors = [
+            np.nansum((e - batches.truth) ** 2, axis=-1).sum(axis=0)
+            for e in (estimates, batches.mean)
+        ]
         ratio = np.log10(errors[0] / errors[1])
     return np.where(np.isfinite(ratio), ratio, np.nan)
+
+
+# --- on the screen ------------------------------------------------------------------------------
+
+
+@cache
+def ramp() -> tuple[str, ...]:
+    """Return 256 colours of magnitudes, dark to bright, distinct for the colour-blind: viridis."""
+    from matplotlib import colormaps
+    from matplotlib.colors import to_hex
+
+    return tuple(to_hex(color) for color in colormaps["viridis"](range(256)))
+
+
+def rgba(mean: Image, exposure: float, tone: str) -> npt.NDArray[np.uint32]:
+    """Return an image as a browser wants it: packed RGBA, shape (y, x).
+
+    Parameters
+    ----------
+    mean
+        Linear radiance, shape (y, x, channel); what is not finite becomes magenta.
+    exposure
+        Stops.
+    tone
+        'srgb' clips, 'reinhard' maps v to v / (1 + v), 'filmic' is Hable's curve.
+
+    References
+    ----------
+    Reinhard, Stark, Shirley and Ferwerda, "Photographic tone reproduction for digital images",
+    2002, doi:10.1145/566654.566575, equation 3. Hable, "Uncharted 2: HDR lighting", Game Developers
+    Conference 2010.
+
+    Examples
+    --------
+    >>> hex(rgba(np.ones((1, 1, 3), np.float32), 0, "srgb")[0, 0])
+    '0xffffffff'
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        value = mean * np.float32(2.0**exposure)
+        if tone == "reinhard":
+            value = np.where(np.isfinite(value), value / (1 + value), value)
+        elif tone == "filmic":
+            value = np.where(
+                np.isfinite(value), _hable(2 * value) / _hable(np.float32(_WHITE)), value
+            )
+    shown = viz.tonemap(value, exposure=0)
+    packed = np.full((*shown.shape[:2], 4), 255, np.uint8)
+    packed[..., :3] = np.round(255 * shown)
+    return packed.view(np.uint32)[..., 0]
+
+
+def _hable(v: npt.NDArray[np.float32] | np.float32) -> npt.NDArray[np.float32]:
+    a, b, c, d, e, f = _FILMIC
+    v = np.minimum(v, np.float32(1e15))  # v squared stays within float32
+    return np.asarray((v * (a * v + c * b) + d * e) / (v * (a * v + b) + d * f) - e / f, np.float32)

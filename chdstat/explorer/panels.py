@@ -3,28 +3,32 @@
 One place shows its channels, several places show luminance or one channel in a colour each. The
 density of a fit is that of the positive samples, as the histograms are. The ranges of the axes are
 computed here, since Bokeh's own data ranges send each of their changes to the server, eighteen
-messages a click.
+messages a click. Colours contrast with the dark ground by 4.5 to 1 or more (WCAG 2.2, AA).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from itertools import cycle
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat.explorer.palette import BLENDED, CHANNEL_COLORS, DASHES, PIXEL_COLORS
 from chdstat.explorer.statistics import PlaceStatistics
 from chdstat.explorer.view import View
+from chdstat.fit.families import FAMILIES
 from chdstat.reporting.typst import NAMES
 
 __all__ = [
+    "BLENDED",
+    "CHANNEL_COLORS",
+    "DASHES",
     "LOG_X",
     "LOG_Y",
-    "Extent",
+    "PIXEL_COLORS",
     "PanelData",
     "Series",
     "Trace",
@@ -33,7 +37,18 @@ __all__ = [
     "series_of",
 ]
 
+BLENDED = "#d0d3d6"
+"""Luminance, and whatever is no channel."""
+CHANNEL_COLORS = {"R": "#ff7b72", "G": "#56d18b", "B": "#79b8ff"}
+PIXEL_COLORS = ("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e")
+"""After Okabe and Ito (2008), lightened: colour-blind readers tell them apart."""
+_PATTERNS = ("solid", "6 6", "2 4 6 4", "2 4", "12 4", "6 4 2 4 2 4", "12 4 2 4")
+DASHES = {**dict(zip(FAMILIES, cycle(_PATTERNS), strict=False)), "mixture": "6 4 2 4"}
+"""Line dashes of fits by name: lengths of lines and gaps, as Bokeh and SVG read them."""
+
 Floats = npt.NDArray[Any]
+Scale = Literal["linear", "log"]
+Extent = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -50,8 +65,6 @@ class Trace:
         Line dash in Bokeh's words.
     width
         In screen pixels.
-    name
-        What it shows.
     """
 
     x: Floats
@@ -59,7 +72,6 @@ class Trace:
     color: str
     dash: str = "solid"
     width: float = 1.3
-    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -102,7 +114,12 @@ class Series:
     row: int
     color: str
     name: str
-    other: bool = field(default=False)
+    other: bool
+
+    @property
+    def dash(self) -> str:
+        """Dash of its lines."""
+        return "dashed" if self.other else "solid"
 
 
 def series_of(
@@ -110,33 +127,24 @@ def series_of(
 ) -> list[Series]:
     """Return what the panels show of the selected places, those of a second store beside them."""
     found = []
+    several = len(places) > 1
     for is_other, group in ((False, places), (True, others)):
         for i, place in enumerate(group):
-            if len(places) == 1 and view.channel == "all":
-                rows = range(len(place.channels))
-                colors = [CHANNEL_COLORS.get(c, BLENDED) for c in place.channels]
-            else:
-                row = place.row("luminance" if view.channel == "all" else view.channel)
-                rows = range(row, row + 1)
-                own = CHANNEL_COLORS.get(place.names[row], BLENDED)
-                colors = [PIXEL_COLORS[i] if len(places) > 1 else own]
-            found += [
-                Series(
-                    place,
-                    row,
-                    color,
-                    f"pixel {i + 1}" if len(places) > 1 else place.names[row],
-                    is_other,
-                )
-                for row, color in zip(rows, colors, strict=True)
-            ]
+            rows = [place.row("luminance" if view.channel == "all" else view.channel)]
+            if view.channel == "all" and not several:
+                rows = list(range(len(place.channels)))
+            for row in rows:
+                name, color = f"pixel {i + 1}", PIXEL_COLORS[i]
+                if not several:
+                    name = place.names[row]
+                    color = CHANNEL_COLORS.get(name, BLENDED)
+                found.append(Series(place, row, color, name, is_other))
     return found
 
 
 _POINTS = 160
 _QUANTILES = (np.arange(100) + 0.5) / 100
 _Z = float(special.ndtri(0.975))
-Scale = Literal["linear", "log"]
 
 
 def panels(view: View, series: Sequence[Series]) -> dict[str, PanelData]:
@@ -160,11 +168,10 @@ def _histogram(view: View, series: Sequence[Series], scale: Scale) -> PanelData:
         x, y = _steps(counted.edges, counted.density, s.row)
         if not x.size:
             continue
+        lines.append(Trace(x, y, s.color, s.dash, 1.2))
         if not s.other:
-            areas.append(Trace(x, y, s.color, name=s.name))
+            areas.append(Trace(x, y, s.color))
             marks.append((float(s.place.moments.mean[s.row]), s.color))
-        lines.append(Trace(x, y, s.color, "dashed" if s.other else "solid", 1.2, s.name))
-        if not s.other:
             lines += _fits(view, s, scale, x[0], x[-1], 1.3 * y.max())
     if scale == "log":
         marks = [mark for mark in marks if mark[0] > 0]
@@ -192,13 +199,13 @@ def _fits(view: View, s: Series, scale: Scale, low: float, high: float, top: flo
         found = s.place.positive(family, s.row)
         if found is None:
             continue
+        name, pdf, _ = found
         with np.errstate(all="ignore"):
-            y = found.pdf(x) * (x * np.log(10) if scale == "log" else 1)
+            y = pdf(x) * (x * np.log(10) if scale == "log" else 1)
         # A density may be infinite at 0: the histogram sets the height.
         y = np.where(np.isfinite(y), np.minimum(y, top), np.nan)
         if np.isfinite(y).any():
-            dash = DASHES.get(found.family, "solid")
-            lines.append(Trace(x, y, s.color, dash, 2.0, f"{s.name} {found.family}"))
+            lines.append(Trace(x, y, s.color, DASHES[name], 2.0))
     return lines
 
 
@@ -208,8 +215,10 @@ def _uncounted(series: Sequence[Series], scale: Scale) -> list[str]:
         list(dict.fromkeys(s.place for s in series if s.other is other)) for other in (False, True)
     ]
     if len(groups[0]) == 1 and not groups[1]:
-        place = groups[0][0]
-        return [f"{_counts(place)} · {_percent(_outside(series, scale))} outside"]
+        place, rows = groups[0][0], [s.row for s in series]
+        counted = place.log if scale == "log" else place.linear
+        outside = (counted.underflow + counted.overflow)[rows].sum() / (len(rows) * place.spp)
+        return [f"{_counts(place)} · {_percent(outside)} outside"]
     notes = []
     for i, place in enumerate(groups[0]):
         text = f"{i + 1}: {_counts(place)}" if len(groups[0]) > 1 else _counts(place)
@@ -219,14 +228,6 @@ def _uncounted(series: Sequence[Series], scale: Scale) -> list[str]:
 
 def _counts(place: PlaceStatistics) -> str:
     return f"{_percent(place.null_share)} null · {int(place.bad.sum())} bad"
-
-
-def _outside(rows: Sequence[Series], scale: Scale) -> float:
-    """Return the share of the samples that lie beyond the support of their histogram."""
-    place = rows[0].place
-    counted = place.log if scale == "log" else place.linear
-    outside = counted.underflow + counted.overflow
-    return float(outside[[s.row for s in rows]].sum() / (len(rows) * place.spp))
 
 
 def _percent(share: float) -> str:
@@ -247,32 +248,25 @@ def _qq(view: View, series: Sequence[Series]) -> PanelData:
     families: dict[str, None] = {}
     for s in series:
         found = s.place.positive(view.families[0] if view.families else "best", s.row)
-        part, n = s.place.part, int(s.place.part.n[s.row])
+        part = s.place.fits.part
+        n = int(part.n[s.row])
         if found is None or n < 2:
             continue
+        name, _, ppf = found
         levels = _QUANTILES if n >= 100 else (np.arange(n) + 0.5) / n
         with np.errstate(all="ignore"):
-            expected = np.asarray(found.ppf(levels), np.float64)
+            expected = np.asarray(ppf(levels), np.float64)
         ordered = part.sorted[s.row, :n].astype(np.float64)
         seen = ordered[np.minimum((levels * n).astype(int), n - 1)]
         keep = np.isfinite(expected) & (expected > 0) & (seen > 0)
         if keep.any():
-            families[found.family] = None
-            lines.append(
-                Trace(
-                    expected[keep],
-                    seen[keep],
-                    s.color,
-                    "dashed" if s.other else "solid",
-                    2.2,
-                    s.name,
-                )
-            )
+            families[name] = None
+            lines.append(Trace(expected[keep], seen[keep], s.color, s.dash, 2.2))
             ends += [seen[keep].min(), seen[keep].max()]
     if not lines:
         return PanelData(notes=["no family could be fitted"])
     diagonal = np.array([min(ends), max(ends)])
-    lines.insert(0, Trace(diagonal, diagonal, BLENDED, "dotted", 1.2, "equal"))
+    lines.insert(0, Trace(diagonal, diagonal, BLENDED, "dotted", 1.2))
     names = [NAMES.get(family, family) for family in families]
     return PanelData(lines=lines, notes=[f"against {', '.join(names)}"])
 
@@ -287,9 +281,9 @@ def _running(series: Sequence[Series]) -> PanelData:
         mean, error = means[s.row], _Z * errors[s.row]
         if not s.other:
             band = np.concatenate([mean - error, (mean + error)[::-1]])
-            areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color, name=s.name))
-        lines.append(Trace(at, mean, s.color, "dashed" if s.other else "solid", 1.6, s.name))
-        tails.append((s.place.tail, s.row))
+            areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color))
+        lines.append(Trace(at, mean, s.color, s.dash, 1.6))
+        tails.append((s.place.fits.tail, s.row))
     caution = ""
     if any(tail.variance_suspect[row] for tail, row in tails):
         caution = " · tail index ≥ ½: do not trust it"
@@ -310,15 +304,18 @@ def _averages(view: View, series: Sequence[Series]) -> PanelData:
         if averages.min() == averages.max():
             notes.append(f"{s.name}: all equal")
             continue
-        edges = _edges_of_averages(averages)
+        # Bins go up to the largest average, or to where few fireflies begin.
+        bins = int(np.clip(np.sqrt(len(averages)), 8, 40))
+        low, usual, high = averages.min(), np.quantile(averages, 0.99), averages.max()
+        end = min(high, usual + (usual - low)) if usual > low else high
+        edges = np.linspace(low, end, bins + 1)
         heights = np.histogram(averages, edges)[0] / (len(averages) * (edges[1] - edges[0]))
         beyond = max(beyond, float((averages > edges[-1]).mean()))
         x, y = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
+        lines.append(Trace(x, y, s.color, s.dash, 1.2))
         if not s.other:
-            areas.append(Trace(x, y, s.color, name=s.name))
-        lines.append(Trace(x, y, s.color, "dashed" if s.other else "solid", 1.2, s.name))
-        if not s.other:
-            lines.append(_gaussian(averages, edges, s))
+            areas.append(Trace(x, y, s.color))
+            lines.append(_gaussian(averages, edges, s.color))
             notes.append(_normality(s, view.batch))
     if not lines:
         notes = notes or [f"too few samples for averages of {view.batch}"]
@@ -327,20 +324,12 @@ def _averages(view: View, series: Sequence[Series]) -> PanelData:
     return PanelData(areas, lines, notes=[n for n in notes if n])
 
 
-def _edges_of_averages(averages: Floats) -> Floats:
-    """Return edges of bins up to the largest average, or to where few fireflies begin."""
-    bins = int(np.clip(np.sqrt(len(averages)), 8, 40))
-    low, usual, high = averages.min(), np.quantile(averages, 0.99), averages.max()
-    end = min(high, usual + (usual - low)) if usual > low else high
-    return np.linspace(low, end, bins + 1)
-
-
-def _gaussian(averages: Floats, edges: Floats, s: Series) -> Trace:
+def _gaussian(averages: Floats, edges: Floats, color: str) -> Trace:
     mean, sd = averages.mean(), averages.std(ddof=1)
     low, high = edges[0], edges[-1]
     x = np.linspace(max(low - sd, min(0.0, low)), min(high + sd, 2 * high - low), 120)
     y = np.exp(-(((x - mean) / sd) ** 2) / 2) / (sd * np.sqrt(2 * np.pi))
-    return Trace(x, y, s.color, "dotted", 1.8, f"{s.name} Gaussian")
+    return Trace(x, y, color, "dotted", 1.8)
 
 
 def _normality(s: Series, n: int) -> str:
@@ -359,16 +348,12 @@ _DENSITIES = frozenset({"linear", "log", "averages"})
 _MARGIN = 0.04
 _TINY = 1e-300
 
-Extent = tuple[float, float]
-Ends = npt.NDArray[np.float64]
-
 
 def extent(name: str, panel: PanelData) -> tuple[Extent, Extent] | None:
     """Return what a panel shows across and up: all that it draws, and a margin; None for nothing.
 
     Examples
     --------
-    >>> from chdstat.explorer.panels import Trace
     >>> line = Trace(np.array([0.0, 10.0]), np.array([1.0, 2.0]), "#ffffff")
     >>> extent("linear", PanelData(lines=[line]))
     ((-0.4, 10.4), (0.0, 2.08))
@@ -386,7 +371,7 @@ def extent(name: str, panel: PanelData) -> tuple[Extent, Extent] | None:
 
 def _span(parts: Iterable[npt.ArrayLike], *, log: bool) -> Extent | None:
     whole = np.concatenate([np.empty(0), *(np.asarray(part, np.float64) for part in parts)])
-    shown: Ends = whole[np.isfinite(whole) & ((whole > _TINY) if log else True)]
+    shown = whole[np.isfinite(whole) & ((whole > _TINY) if log else True)]
     return (float(shown.min()), float(shown.max())) if shown.size else None
 
 

@@ -1,40 +1,48 @@
-"""Results of a selection: panels, tables and estimates, computed without any page.
+"""Results of a selection, computed without any page: panels, tables, estimates and exported files.
 
-Panels come first, as images are looked at first; then tables; then what takes long.
+Panels come first, as images are looked at first; then tables; then what takes long. A selection is
+exported as its samples (CSV, npz), its figures (PNG, SVG) or a page (PDF).
 """
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chdstat.explorer import tables
-from chdstat.explorer.estimators import (
-    BATCHES_AROUND,
-    ScoredEstimate,
-    batches_of,
-    fixed_names,
-    quick_names,
-    scored,
-    scored_around,
-    scored_learners,
-)
-from chdstat.explorer.exports import Shown
-from chdstat.explorer.images import SceneSource
-from chdstat.explorer.palette import BLENDED
-from chdstat.explorer.panels import PanelData, panels, series_of
+from chdstat import viz
+from chdstat._core.arrays import take_rows
+from chdstat._core.files import scratch
+from chdstat.explorer import estimators, statistics
+from chdstat.explorer.panels import BLENDED, PanelData, panels, series_of
 from chdstat.explorer.shared import Shared
-from chdstat.explorer.sources import Box, Source, StoreSource
-from chdstat.explorer.statistics import PlaceStatistics, goodness
-from chdstat.explorer.view import Pixel, View
+from chdstat.explorer.sources import Overall, SceneSource, Source, StoreSource
+from chdstat.explorer.statistics import PlaceStatistics, Table
+from chdstat.explorer.view import Box, Pixel, View
 from chdstat.inference.differences import Difference, difference
+from chdstat.reporting.typst import NAMES, Document, percent, typeset
+from chdstat.viz.styling import spelt
 
-__all__ = ["SelectionPlots", "SelectionResults", "SelectionTables"]
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
+__all__ = ["EXPORTS", "SelectionPlots", "SelectionResults", "exported"]
+
+EXPORTS = {
+    "csv": "text/csv",
+    "npz": "application/octet-stream",
+    "png": "image/png",
+    "svg": "image/svg+xml",
+    "pdf": "application/pdf",
+}
+"""Media types of the formats of exports."""
 _KEPT_BYTES = 128 * 2**20
+_MOST_ROWS = 2**17
+"""Lines of a CSV file, as many as a spreadsheet takes."""
+_TEMPLATE = "selection.typ"
 
 
 @dataclass(frozen=True)
@@ -45,10 +53,12 @@ class SelectionPlots:
     ----------
     view
         The view.
-    shown
-        The places that are selected; none where nothing is.
+    keys
+        (y, x) of pixels, or (top, left, bottom, right) of a region; none where nothing is selected.
+    places
+        Statistics of each.
     others
-        The same places of the store that is compared with.
+        Statistics of the same places of the store that is compared with.
     panels
         What each panel draws, by name.
     legend
@@ -58,33 +68,33 @@ class SelectionPlots:
     """
 
     view: View
-    shown: Shown
+    keys: Sequence[Pixel | Box]
+    places: Sequence[PlaceStatistics]
     others: Sequence[PlaceStatistics]
     panels: Mapping[str, PanelData]
     legend: Sequence[tuple[str, str]]
     live_spp: int | None
 
+    @property
+    def key(self) -> Pixel | Box:
+        """Pixel or region that tables describe."""
+        return self.keys[self.view.active]
 
-@dataclass(frozen=True)
-class SelectionTables:
-    """Tables that describe the active place.
+    @property
+    def place(self) -> PlaceStatistics:
+        """Statistics of the place that tables describe."""
+        return self.places[self.view.active]
 
-    Attributes
-    ----------
-    tables
-        Ready for the page, by name.
-    estimates
-        Of the quick estimators.
-    """
-
-    tables: dict[str, tables.Table]
-    estimates: Sequence[ScoredEstimate]
+    @property
+    def n(self) -> int:
+        """Samples of an estimate: one alone is no estimate."""
+        return max(self.view.batch, 2)
 
 
 class SelectionResults:
-    """Computes results and remembers the places that were looked at.
+    """Computes results and keeps the statistics of the latest places.
 
-    `plots` is for one thread at a time; the others only read what it returned.
+    `plots` is for one thread at a time; the other methods only read what it returned.
 
     Parameters
     ----------
@@ -106,100 +116,69 @@ class SelectionResults:
         StoreError
             If a store is damaged or gone.
         """
+        source, other = self._shared.source, self._shared.other
         keys: list[Pixel | Box] = list(view.pixels) if view.region is None else [view.region]
-        places = [self._statistics(self._shared.source, 0, key) for key in keys]
-        other = self._shared.other
+        places = [self._statistics(source, 0, key) for key in keys]
         others = [] if other is None else [self._statistics(other, 1, key) for key in keys]
         series = series_of(view, places, others)
         legend = [(s.name, s.color) for s in series if not s.other]
-        live = isinstance(self._shared.source, SceneSource) and bool(view.pixels)
-        return SelectionPlots(
-            view=view,
-            shown=Shown(self._shared.source.name, keys, places, view.active),
-            others=others,
-            panels=panels(view, series),
-            legend=legend if other is None else [*legend, (f"dashed: {other.name}", BLENDED)],
-            live_spp=places[view.active].spp if live else None,
-        )
+        if other is not None:
+            legend.append((f"dashed: {other.name}", BLENDED))
+        live = isinstance(source, SceneSource) and bool(view.pixels)
+        live_spp = places[view.active].spp if live else None
+        return SelectionPlots(view, keys, places, others, panels(view, series), legend, live_spp)
 
-    def describe(self, plots: SelectionPlots) -> SelectionTables:
-        """Return what the tables tell of the active place."""
-        view, shown = plots.view, plots.shown
-        if not shown.places:
-            return SelectionTables({}, [])
-        place = shown.places[view.active]
-        reference = self._reference(shown.keys[view.active], place)
-        estimates = scored(_channels(place), _batch(view), reference, names=quick_names())
-        found = {
-            "statistics": tables.statistics(place),
-            "patterns": {**tables.patterns(place), "words": True},
-            "estimates": self._table(estimates, place, view),
+    def describe(
+        self, plots: SelectionPlots
+    ) -> tuple[dict[str, Table], list[estimators.ScoredEstimate]]:
+        """Return the tables of the active place by name, and the estimates of quick estimators."""
+        if not plots.places:
+            return {}, []
+        place, batches = plots.place, self._batches(plots)
+        quick = estimators.scored(batches, names=estimators.quick_names()) if batches else []
+        tables = {
+            "statistics": statistics.statistics_table(place),
+            "patterns": {**statistics.patterns_table(place), "words": True},
+            "estimates": self._estimates_table(plots, quick),
         }
         if self._shared.other is not None:
-            changes = self._difference(shown.keys[view.active], place, plots.others[view.active])
+            found = self._difference(plots.key, place, plots.others[plots.view.active])
             names = (self._shared.source.name, self._shared.other.name)
-            found["compared"] = tables.compared(changes, self._shared.source.channels, names)
-        return SelectionTables(found, estimates)
-
-    def _difference(
-        self, key: tuple[int, ...], place: PlaceStatistics, other: PlaceStatistics
-    ) -> Difference:
-        """Compare a place of the two stores, in pairs where these share random numbers."""
-        source, second = self._shared.source, self._shared.other
-        one, two = _channels(place), _channels(other)
-        if (
-            second is None
-            or not isinstance(source, StoreSource)
-            or not source.samples.shares_numbers_with(second.samples)
-        ):
-            return difference(one, two)
-        spp = min(source.samples.spp, second.samples.spp)
-        if len(key) == 2:
-            return difference(one[:, :spp], two[:, :spp], paired=True)
-        if one.shape != two.shape:  # as many of each pixel, so that pairs stay together
-            box = (key[0], key[1], key[2], key[3])
-            one, two = source.region(box, spp), second.region(box, spp)
-        return difference(one, two, paired=True)
+            tables["compared"] = statistics.compared_table(found, place.channels, names)
+        return tables, quick
 
     def slow_estimates(
-        self, plots: SelectionPlots, quick: SelectionTables, step: Callable[[], None]
-    ) -> tables.Table:
+        self,
+        plots: SelectionPlots,
+        quick: Sequence[estimators.ScoredEstimate],
+        step: Callable[[], None],
+    ) -> Table:
         """Return the table of estimates with the slow ones, and those that look around.
 
         `step` is called before each of them; whatever it raises ends the computation.
         """
-        view, shown = plots.view, plots.shown
-        key, place = shown.keys[view.active], shown.places[view.active]
-        x, n, reference = _channels(place), _batch(view), self._reference(key, place)
-        slow = frozenset(fixed_names()) - quick_names()
-        own = [*quick.estimates, *scored(x, n, reference, names=slow, step=step)]
-        own += self._learned(key, x, n, reference, step)
-        if not isinstance(self._shared.source, StoreSource) or len(key) != 2:
-            return self._table(own, place, view)
-        window, inside, _ = self._shared.source.around(key[0], key[1], n * BATCHES_AROUND)
-        found = scored_around(x, window, inside, n, reference, step=step)
-        more = f"; the last {len(found)} look at the pixels around, in {BATCHES_AROUND} batches"
-        return self._table([*own, *found], place, view, more)
-
-    def goodness(self, plots: SelectionPlots, step: Callable[[float], None]) -> tables.Table:
-        """Return the goodness of fit of every family; `step` is told how far it is."""
-        place = plots.shown.places[plots.view.active]
-        return tables.goodness(goodness(place, step), place.names)
-
-    def _learned(
-        self,
-        key: tuple[int, ...],
-        x: npt.NDArray[np.float32],
-        n: int,
-        reference: npt.NDArray[np.float64] | None,
-        step: Callable[[], None],
-    ) -> list[ScoredEstimate]:
-        shared = self._shared
-        batches = batches_of(x, n, reference) if shared.learners else None
+        shared, key, batches = self._shared, plots.key, self._batches(plots)
         if batches is None:
-            return []
-        source = shared.source if isinstance(shared.source, StoreSource) else None
-        return scored_learners(shared.learners, batches, source, key, shared.unit, step=step)
+            return self._estimates_table(plots, quick)
+        overall, store = shared.overall, None
+        known = overall is not None and np.isfinite(overall.mean).any()
+        unit = overall.unit if overall is not None and known else None
+        if isinstance(shared.source, StoreSource):
+            store = shared.source
+        slow = estimators.fixed().keys() - estimators.quick_names()
+        found = [*quick, *estimators.scored(batches, names=slow, step=step)]
+        learned = shared.learners
+        found += estimators.scored_learners(learned, batches, store, key, unit, step=step)
+        if store is None or len(key) != 2:
+            return self._estimates_table(plots, found)
+        around = estimators.scored_around(batches, store, key, step=step)
+        count = estimators.BATCHES_AROUND
+        more = f"; the last {len(around)} look at the pixels around, in {count} batches"
+        return self._estimates_table(plots, [*found, *around], more)
+
+    def goodness(self, plots: SelectionPlots, step: Callable[[float], None]) -> Table:
+        """Return the goodness of fit of every family; `step` is called with the share done."""
+        return statistics.goodness_table(plots.place, statistics.goodness(plots.place, step))
 
     def _statistics(self, source: Source, which: int, key: Pixel | Box) -> PlaceStatistics:
         x = source.pixel(*key) if len(key) == 2 else source.region(key)
@@ -210,43 +189,202 @@ class SelectionResults:
             if known is not None:
                 found.take_over(known)
         self._places[which, key] = found
-        while len(self._places) > 1 and self._held > _KEPT_BYTES:
-            self._places.pop(next(iter(self._places)))  # the one looked at longest ago
+        held = sum(place.rows.nbytes for place in self._places.values())
+        while len(self._places) > 1 and held > _KEPT_BYTES:  # the oldest goes
+            held -= self._places.pop(next(iter(self._places))).rows.nbytes
         return found
 
+    def _difference(
+        self, key: Pixel | Box, place: PlaceStatistics, other: PlaceStatistics
+    ) -> Difference:
+        """Compare a place of the two stores, in pairs where these share random numbers."""
+        source, second = self._shared.source, self._shared.other
+        one, two = place.samples, other.samples
+        if (
+            second is None
+            or not isinstance(source, StoreSource)
+            or not source.samples.shares_numbers_with(second.samples)
+        ):
+            return difference(one, two)
+        spp = min(source.samples.spp, second.samples.spp)
+        if len(key) == 2:
+            return difference(one[:, :spp], two[:, :spp], paired=True)
+        if one.shape != two.shape:  # as many of each pixel, so that pairs stay together
+            one, two = source.region(key, spp), second.region(key, spp)
+        return difference(one, two, paired=True)
+
     @property
-    def _held(self) -> int:
-        return sum(place.rows.nbytes for place in self._places.values())
+    def _first_of_reference(self) -> int:
+        """First sample of the reference that has random numbers of its own.
 
-    def _reference(
-        self, key: tuple[int, ...], place: PlaceStatistics
-    ) -> npt.NDArray[np.float64] | None:
-        reference = self._shared.reference
-        if reference is None or len(key) != 2:
-            return None
-        x = reference.pixel(key[0], key[1])[:, self._shared.first_of_reference :]
-        if not x.shape[1]:
-            return None
-        true = PlaceStatistics(x, place.channels)
-        return true.moments.seen(true.moments.mean)[: len(place.channels)]
+        In a reference of the seed of the source, the noise of those before is that of the source:
+        errors against them would be too small.
+        """
+        source, reference = self._shared.source, self._shared.reference
+        if reference is None or not isinstance(source, StoreSource):
+            return 0
+        shares = source.samples.shares_numbers_with(reference.samples)
+        return source.samples.spp if shares else 0
 
-    def _table(
-        self, found: Sequence[ScoredEstimate], place: PlaceStatistics, view: View, more: str = ""
-    ) -> tables.Table:
+    def _batches(self, plots: SelectionPlots) -> estimators.ScoringBatches | None:
+        """Return the batches of the active place, which are scored against the reference."""
+        place, key, reference = plots.place, plots.key, self._shared.reference
+        truth = None
+        if reference is not None and len(key) == 2:
+            x = reference.pixel(*key)[:, self._first_of_reference :]
+            if x.shape[1]:
+                moments = PlaceStatistics(x, place.channels).moments
+                truth = moments.seen(moments.mean)[: len(place.channels)]
+        return estimators.batches_of(place.samples, plots.n, truth)
+
+    def _estimates_table(
+        self, plots: SelectionPlots, found: Sequence[estimators.ScoredEstimate], more: str = ""
+    ) -> Table:
         note = "error against the mean of the other samples, which no batch contains"
-        reference, first = self._shared.reference, self._shared.first_of_reference
+        reference, first = self._shared.reference, self._first_of_reference
         if reference is not None and first < reference.samples.spp:
             note = f"error against {reference.name}"
             # The first ones share their random numbers with what is scored.
             note += f" from sample {first} on" if first else ""
-        return tables.estimates(found, place.channels, _batch(view), note + more)
+        return statistics.estimates_table(found, plots.place.channels, plots.n, note + more)
 
 
-def _channels(place: PlaceStatistics) -> npt.NDArray[np.float32]:
-    """Return the samples of a place without luminance."""
-    return place.rows[: len(place.channels)]
+# --- exports ------------------------------------------------------------------------------------
 
 
-def _batch(view: View) -> int:
-    """Return the samples of an estimate: one alone is no estimate."""
-    return max(view.batch, 2)
+def exported(
+    format: str,  # noqa: A002
+    source: str,
+    plots: SelectionPlots,
+    overall: Overall,
+    exposure: float,
+) -> tuple[str, bytes]:
+    """Return name and content of a file with the selection.
+
+    Parameters
+    ----------
+    format
+        One of `EXPORTS`.
+    source
+        Name of the store or scene.
+    plots
+        The selection.
+    overall, exposure
+        The image, and the stops that it is shown with.
+    """
+    kept = "".join(c if c.isalnum() or c in "._" else "-" for c in source)
+    keys = ("_".join(map(str, key)) for key in plots.keys)
+    stem = "-".join([kept.removesuffix(".zarr") or "selection", *keys])[:80]
+    stream = io.BytesIO()
+    if format == "csv":
+        stream.write(_csv(plots))
+    elif format == "npz":
+        arrays: dict[str, Any] = {"selection": np.array([str(key) for key in plots.keys])}
+        for i, p in enumerate(plots.places):
+            arrays |= {f"radiance_{i}": p.samples, f"null_{i}": p.null, f"bad_{i}": p.bad}
+        np.savez_compressed(stream, **arrays)
+    elif format == "pdf":
+        stream.write(_pdf(source, plots, overall, exposure))
+    else:
+        with viz.style(), spelt():
+            metadata = {"Date": None} if format == "svg" else None
+            _figure(plots).savefig(stream, format=format, metadata=metadata)
+    return f"{stem}.{format}", stream.getvalue()
+
+
+def _csv(plots: SelectionPlots) -> bytes:
+    """Return one line for each sample."""
+    lines = [",".join(["y", "x", "sample", *plots.place.channels, "null", "bad"])]
+    most = max(1, _MOST_ROWS // len(plots.places))
+    for key, place in zip(plots.keys, plots.places, strict=True):
+        start = f"{key[0]},{key[1]}" if len(key) == 2 else ","
+        for i, values in enumerate(place.samples[:, :most].T):
+            numbers = ",".join(np.format_float_scientific(v, trim="-") for v in values)
+            lines.append(f"{start},{i},{numbers},{int(place.null[i])},{int(place.bad[i])}")
+    return ("\n".join(lines) + "\n").encode("ascii")
+
+
+def _figure(plots: SelectionPlots) -> Figure:
+    family = plots.view.families[0] if plots.view.families else ""
+    drawn = [
+        _panel(_mark(key).name, place, family)
+        for key, place in zip(plots.keys, plots.places, strict=True)
+    ]
+    return viz.chd_grid(drawn, columns=1 if len(drawn) == 1 else 2)
+
+
+def _panel(name: str, place: PlaceStatistics, family: str) -> viz.Panel:
+    count = len(place.channels)
+    fits = [place.positive(family, row) if family else None for row in range(count)]
+    named = dict.fromkeys(NAMES.get(fit[0], fit[0]) for fit in fits if fit is not None)
+    return viz.Panel(
+        name=name,
+        linear=take_rows(place.linear, slice(count), axis=0),
+        log=take_rows(place.log, slice(count), axis=0),
+        channels=place.channels,
+        fits=[None if fit is None else fit[1] for fit in fits],
+        mean=place.moments.mean[:count].tolist(),
+        note=f"{percent(place.null_share)} null, {' / '.join(named) or 'no fit'}",
+    )
+
+
+def _mark(key: Pixel | Box) -> viz.Mark:
+    if len(key) == 2:
+        y, x = key
+        return viz.Mark(f"y {y}, x {x}", slice(y, y + 1), slice(x, x + 1), key)
+    top, left, bottom, right = key
+    center = ((top + bottom - 1) // 2, (left + right - 1) // 2)
+    name = f"y {top} to {bottom - 1}, x {left} to {right - 1}"
+    return viz.Mark(name, slice(top, bottom), slice(left, right), center)
+
+
+def _pdf(source: str, plots: SelectionPlots, overall: Overall, exposure: float) -> bytes:
+    image = np.nan_to_num(overall.mean, nan=0.0, posinf=0.0, neginf=0.0)
+    marks = [_mark(key) for key in plots.keys]
+    figures = {
+        "image": viz.with_marks(image, marks, exposure=exposure),
+        "chds": _figure(plots),
+    }
+    place, count = plots.place, len(plots.places)
+    content = {
+        "title": source,
+        "place": _mark(plots.key).name,
+        "rows": -(-count // (1 if count == 1 else 2)),
+        "tables": [statistics.statistics_table(place), statistics.patterns_table(place)],
+    }
+    with scratch() as folder:
+        (folder / _TEMPLATE).write_text(_SELECTION, encoding="utf-8")
+        target = folder / "selection.pdf"
+        typeset(Document(_TEMPLATE, content, figures), folder, target)
+        return target.read_bytes()
+
+
+_SELECTION = """\
+#let data = json("content.json")
+#set document(title: data.title, author: "chdstat")
+#set page(paper: "a4", margin: (x: 16mm, top: 12mm, bottom: 10mm))
+#set text(font: ("Libertinus Serif",), size: 8.5pt, lang: "en")
+#set table(stroke: none, inset: (x: 3pt, y: 1.4pt))
+#show table.cell.where(y: 0): set text(weight: "semibold")
+#let of(t) = [
+  #text(9.5pt, weight: "bold")[#t.title] \\
+  #text(6.5pt, t.note)
+  #set text(6.5pt)
+  #table(
+    columns: t.columns.len(),
+    table.hline(stroke: 0.4pt),
+    ..t.columns.map(c => [#c]),
+    table.hline(stroke: 0.4pt),
+    ..t.rows.map(r => r.slice(0, t.columns.len())).flatten().map(c => [#c]),
+    table.hline(stroke: 0.4pt),
+  )
+]
+#text(13pt, weight: "bold")[#data.title]
+#v(-2mm)
+#align(center, image("image.svg", height: 66mm, fit: "contain"))
+#let tall = calc.min(100mm, 36mm * data.rows + 8mm)
+#align(center, image("chds.svg", width: 100%, height: tall, fit: "contain"))
+#text(9pt)[What follows is about #data.place.]
+
+#grid(columns: (1.7fr, 1fr), column-gutter: 6mm, of(data.tables.at(0)), of(data.tables.at(1)))
+"""

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from chdstat.errors import ChdstatError, InputError
+from chdstat.errors import InputError
 from chdstat.estimators.models import AnyModel
 from chdstat.explorer.shared import Explored, Shared, opened
 from chdstat.explorer.sources import StoreSource
@@ -207,8 +207,7 @@ def explore(
     ...     print(explorer.url)
     http://127.0.0.1:38671/
     """
-    options = {"size": size, "seed": seed, "max_depth": max_depth}
-    shared = opened(source, other, reference, models, **options)
+    shared = opened(source, other, reference, models, size=size, seed=seed, max_depth=max_depth)
     shared.start()
     explorer = Explorer(shared, port).start()
     if browser:
@@ -313,18 +312,4 @@ def _open(document: Document, shared: Shared) -> None:
     Session(document, shared, arguments)
     source = shared.source
     if isinstance(source, StoreSource) and not source.complete:
-        document.add_periodic_callback(lambda: _refresh(shared), _EVERY)
-
-
-def _refresh(shared: Shared) -> None:
-    """Take what was rendered since into the page."""
-    source = shared.source
-    if not isinstance(source, StoreSource) or source.complete:
-        return
-    try:
-        grown = source.refreshed()
-    except ChdstatError:
-        return
-    if grown is not None:
-        shared.replace_source(grown)
-        shared.tell("source")
+        document.add_periodic_callback(shared.refresh, _EVERY)

@@ -1,109 +1,199 @@
-"""Sources: where the samples of a pixel come from, a store that is never loaded as a whole.
+"""Sources of samples: a store that is never loaded as a whole, or a scene sampled on demand.
 
-`chdstat.explorer.images` has the other kind, a scene that is sampled on demand.
+`preview` and `stream` make the image of a store in constant memory. `SceneSource` renders a scene
+that has no store: the image coarsely, tile by tile, and a pixel when it is picked, with more
+samples for as long as it stays selected. Only the thread that owns the renderer draws.
 """
 
 from __future__ import annotations
 
 import math
 import threading
-from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from typing import Protocol
+from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator, spans
-from chdstat.errors import ChdstatError, StoreError
-from chdstat.explorer.view import check_pixel
+from chdstat._core.arrays import generator, is_bad, is_null, luminance, spans
+from chdstat._core.image_scales import RadianceSums, display_stops, mean_of_pixels
+from chdstat._core.moments import Moments
+from chdstat.errors import ChdstatError, SceneError, StoreError
+from chdstat.explorer.view import Box, Pixel, check_pixel
+from chdstat.rendering.backend import activate
+from chdstat.rendering.jobs import job_of
+from chdstat.rendering.renderer import Renderer
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
-from chdstat.samples.layout import BLOCK
+from chdstat.samples.layout import BLOCK, TILE, Chunk
+from chdstat.scenes import Scene
 
-__all__ = ["Source", "StoreSource", "mixed", "pooled"]
-
-_BLOCK_BYTES = 16 * 2**20
-_KEPT_BYTES = 96 * 2**20
-_AROUND = 10
-"""Pixels to each side that estimators look at."""
-_MOST_POOLED = 2**15
-"""Samples of a region: as many as fits look at."""
+__all__ = [
+    "FIRST_SPP",
+    "MOST_SPP",
+    "ImageAccumulator",
+    "Overall",
+    "SceneSource",
+    "Source",
+    "StoreSource",
+    "pooled",
+    "preview",
+    "stream",
+    "tiles",
+]
 
 Image = npt.NDArray[np.float32]
-Box = tuple[int, int, int, int]
+
+_PREVIEW_SPP = 64
+_TILE = _BATCH = 64
+_BLOCK_BYTES = 16 * 2**20
+_KEPT_BYTES = 128 * 2**20
+_MOST_POOLED = 2**15
+"""Samples of a region: as many as fits look at."""
+FIRST_SPP = 2048
+MOST_SPP = 10**6
+_PIECE = 4096
+"""Samples drawn at once while a pixel is selected: a tenth of a second, which a click waits for."""
+_PASSES = (1, 1, 2, 2, 2, 2, 2, 2, 2)
+"""Samples per pixel of the passes over the image."""
 
 
-class Source(Protocol):
-    """Samples of an image, as the explorer reads them."""
+# --- the image ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Overall:
+    """The image, and maps that are by-products of its mean.
+
+    Attributes
+    ----------
+    mean
+        Mean radiance of the good samples, shape (y, x, channel), float32; NaN without any.
+    null_share
+        Share of nulls among the good samples, shape (y, x).
+    good_count, bad_count
+        Good and bad samples, shape (y, x): while an image is drawn, some pixels have more.
+    variance
+        Unbiased variance of luminance, squared radiance, shape (y, x).
+    variation
+        Standard deviation of luminance over its mean, shape (y, x).
+    extreme, others
+        The sample that is farthest from 0 and the sum of the others, averaged over channels,
+        radiance, shape (y, x).
+    """
+
+    mean: Image
+    null_share: Image
+    good_count: Image
+    bad_count: Image
+    variance: Image
+    variation: Image
+    extreme: Image
+    others: Image
 
     @property
-    def name(self) -> str:
-        """What the page is headed with."""
+    def relative_error(self) -> Image:
+        """Standard error of the mean luminance over that mean, shape (y, x)."""
+        good = np.where(self.good_count > 0, self.good_count, np.nan)
+        return np.asarray(self.variation / np.sqrt(good))
 
     @property
-    def size(self) -> tuple[int, int]:
-        """(height, width) in pixels."""
+    def unit(self) -> float:
+        """Mean radiance of the image, which a few fireflies do not move."""
+        return mean_of_pixels(self.extreme, self.others, self.good_count)
 
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels."""
+    @cached_property
+    def exposure(self) -> float:
+        """Stops that show the image well."""
+        return display_stops(self.mean)
 
-    def describe(self) -> str:
-        """Say in one line what there is to see."""
+    @classmethod
+    def empty(cls, height: int, width: int, channels: int) -> Overall:
+        """Return the image of no samples."""
+        mean = np.full((height, width, channels), np.nan, np.float32)
+        return cls(mean, *np.full((7, height, width), np.nan, np.float32))
 
-    def pixel(self, y: int, x: int) -> Image:
-        """Return samples, shape (channel, sample)."""
+    def put(self, ys: slice, xs: slice, part: Overall) -> None:
+        """Write a part of the image."""
+        for field in fields(self):
+            getattr(self, field.name)[ys, xs] = getattr(part, field.name)
 
-    def region(self, box: Box) -> Image:
-        """Return pooled samples of a region, shape (channel, sample)."""
+
+class ImageAccumulator:
+    """Sums over blocks (y, x, channel, sample) of the same pixels, in constant memory."""
+
+    def __init__(self, height: int, width: int) -> None:
+        self._moments: Moments | None = None
+        self._sums = RadianceSums((height, width))
+        self._nulls, self._bads = np.zeros((2, height, width), np.int64)
+
+    def add(self, block: Image) -> None:
+        """Count more samples."""
+        bad = np.asarray(is_bad(block).any(axis=-2))
+        self._sums.add(block)
+        self._nulls += np.count_nonzero(is_null(block) & ~bad, axis=-1)
+        self._bads += np.count_nonzero(bad, axis=-1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            rows = np.concatenate([block, luminance(block)[..., np.newaxis, :]], axis=-2)
+        found = Moments.of(rows, ~bad[..., np.newaxis, :] if bad.any() else None)
+        self._moments = found if self._moments is None else self._moments.merge(found)
+
+    def overall(self) -> Overall:
+        """Return the image of the samples so far."""
+        moments, sums = self._moments, self._sums
+        assert moments is not None, "add samples first"
+        mean, variance = moments.seen(moments.mean), moments.variance[..., -1]
+        count = moments.count[..., 0]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            variation = np.where(mean[..., -1] > 0, np.sqrt(variance) / mean[..., -1], np.nan)
+            share = self._nulls / count
+            found = (mean[..., :-1], share, count, self._bads, variance, variation)
+            maps = [part.astype(np.float32) for part in (*found, sums.extreme, sums.others)]
+        return Overall(*maps)
+
+
+# --- a store ------------------------------------------------------------------------------------
 
 
 class StoreSource:
-    """Samples of an image, read where they are looked at.
+    """Samples of an image in a store or in memory; only the selected parts are read.
 
-    Blocks of 16 x 16 pixels are kept for a while, as neighbours are often looked at next.
+    Blocks of 16 x 16 pixels are kept for a while, as neighbours are often selected next.
+
+    Attributes
+    ----------
+    samples
+        The samples.
+    size
+        (height, width) in pixels.
+    channels
+        Names of the channels.
+    name
+        Name of the store, or of the scene where it is in memory.
     """
 
     def __init__(self, samples: Samples) -> None:
         self.samples = samples
-        self._blocks: OrderedDict[tuple[int, int], Image] = OrderedDict()
-        self._reading: dict[tuple[int, int], Future[Image]] = {}
+        self.size = samples.shape[:2]
+        self.channels = samples.channels
+        self.name = samples.path.name if samples.path else samples.name
+        self._asked_spp = int(samples.attrs.get("spp", samples.spp))
+        self._block_bytes = 4 * BLOCK**2 * samples.shape[2] * samples.spp
+        self._blocks: dict[Pixel, Future[Image]] = {}
         self._lock = threading.Lock()
-
-    @property
-    def name(self) -> str:
-        """Name of the store, or of the scene where it is in memory."""
-        return self.samples.path.name if self.samples.path else self.samples.name
-
-    @property
-    def size(self) -> tuple[int, int]:
-        """(height, width) in pixels."""
-        return self.samples.shape[:2]
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels."""
-        return self.samples.channels
-
-    @property
-    def asked_spp(self) -> int:
-        """Samples per pixel that the rendering was asked for."""
-        return int(self.samples.attrs.get("spp", self.samples.spp))
 
     @property
     def complete(self) -> bool:
         """Whether every pixel has as many samples as were asked for."""
-        return self.samples.spp >= self.asked_spp
+        return self.samples.spp >= self._asked_spp
 
     def describe(self) -> str:
-        """Say in one line what there is to see."""
+        """Return size, samples per pixel, integrator and depth in one line."""
         height, width, _, spp = self.samples.shape
-        of = "" if self.complete else f" of {self.asked_spp} (not finished)"
-        attrs = self.samples.attrs
-        depth = attrs.get("max_depth")
-        integrator = attrs.get("integrator")
+        of = "" if self.complete else f" of {self._asked_spp} (not finished)"
+        depth, integrator = (self.samples.attrs.get(name) for name in ("max_depth", "integrator"))
         kind = integrator.get("type") if isinstance(integrator, dict) else integrator
         parts = [f"{width} × {height} px", f"{spp}{of} spp"]
         parts += [str(kind)] if kind else []
@@ -112,11 +202,10 @@ class StoreSource:
 
     def refreshed(self) -> StoreSource | None:
         """Return the source with the samples that were added since, None where there are none."""
-        path = self.samples.path
-        if path is None:
+        if self.samples.path is None:
             return None
         try:
-            samples = open_store(path)
+            samples = open_store(self.samples.path)
         except ChdstatError:
             return None
         return StoreSource(samples) if samples.spp > self.samples.spp else None
@@ -131,27 +220,21 @@ class StoreSource:
         StoreError
             If the store is damaged or gone.
         """
-        height, width, channels, spp = self.samples.shape
-        check_pixel(y, x, height, width)
-        if BLOCK**2 * channels * spp * 4 > _BLOCK_BYTES:
-            found: Image = self.read(slice(y, y + 1), slice(x, x + 1))[0, 0]
-            return found
-        block = self._block(y // BLOCK, x // BLOCK)
+        check_pixel(y, x, *self.size)
+        if self._block_bytes > _BLOCK_BYTES:
+            return np.asarray(self.read(slice(y, y + 1), slice(x, x + 1))[0, 0])
+        block = self._block((y // BLOCK, x // BLOCK))
         self._check()
         return np.asarray(block[y % BLOCK, x % BLOCK])
 
     def around(
-        self, y: int, x: int, spp: int, *, radius: int = _AROUND
-    ) -> tuple[Image, tuple[int, int], tuple[slice, slice]]:
-        """Return the first samples of the pixels around one.
-
-        With them come the place of the pixel among them, and theirs in the image.
-        """
+        self, y: int, x: int, spp: int, *, radius: int
+    ) -> tuple[Image, Pixel, tuple[slice, slice]]:
+        """Return the first samples of the pixels within `radius` of one, its place, and theirs."""
         height, width = self.size
-        top, left = max(0, y - radius), max(0, x - radius)
-        ys = slice(top, min(height, y + radius + 1))
-        xs = slice(left, min(width, x + radius + 1))
-        return self.read(ys, xs, slice(0, spp)), (y - top, x - left), (ys, xs)
+        ys = slice(max(0, y - radius), min(height, y + radius + 1))
+        xs = slice(max(0, x - radius), min(width, x + radius + 1))
+        return self.read(ys, xs, slice(0, spp)), (y - ys.start, x - xs.start), (ys, xs)
 
     def region(self, box: Box, spp: int | None = None) -> Image:
         """Return pooled samples of a region, as many of each pixel, shape (channel, sample).
@@ -177,51 +260,58 @@ class StoreSource:
         self._check()
         return found
 
-    def tiles(self, edge: int | None = None) -> Iterator[tuple[slice, slice]]:
-        """Yield rows and columns of tiles that are small enough to be read with all samples."""
-        height, width, channels, spp = self.samples.shape
-        if edge is None:
-            edge = 64
-            while edge > BLOCK and edge * edge * channels * spp * 4 > _BLOCK_BYTES:
-                edge //= 2
-        for ys in spans(height, edge):
-            for xs in spans(width, edge):
-                yield ys, xs
-
-    def _block(self, row: int, column: int) -> Image:
-        """Return the block of 16 x 16 pixels, read once even if two threads ask for it."""
-        key = (row, column)
+    def _block(self, key: Pixel) -> Image:
+        """Return a block of 16 x 16 pixels, read once even if two threads ask for it."""
         with self._lock:
-            if key in self._blocks:
-                return self._blocks[key]
-            coming = self._reading.get(key)
-            mine = coming is None
-            if coming is None:
-                coming = self._reading[key] = Future()
+            mine = key not in self._blocks
+            block = self._blocks.setdefault(key, Future())
         if mine:
-            top, left = row * BLOCK, column * BLOCK
+            ys, xs = (slice(BLOCK * i, BLOCK * (i + 1)) for i in key)
             try:
-                block = self.read(slice(top, top + BLOCK), slice(left, left + BLOCK))
-                self._keep(key, block)
-                coming.set_result(block)
-            except StoreError as error:
-                coming.set_exception(error)
-            finally:
-                with self._lock:
-                    del self._reading[key]
-        return coming.result()
-
-    def _keep(self, key: tuple[int, int], block: Image) -> None:
-        with self._lock:
-            self._blocks[key] = block
-            while sum(b.nbytes for b in self._blocks.values()) > _KEPT_BYTES:
-                self._blocks.popitem(last=False)
+                block.set_result(self.read(ys, xs))
+            except Exception as error:  # noqa: BLE001 - raised in all threads that wait for it
+                block.set_exception(error)
+            with self._lock:
+                if block.exception():
+                    self._blocks.pop(key, None)
+                while len(self._blocks) * self._block_bytes > _KEPT_BYTES:
+                    del self._blocks[next(iter(self._blocks))]
+        return block.result()
 
     def _check(self) -> None:
         path = self.samples.path
         if path is not None and not is_store(path):
             message = f"the store {path} is gone: it was deleted or moved; open it again"
             raise StoreError(message)
+
+
+def tiles(size: tuple[int, int], edge: int) -> list[tuple[slice, slice]]:
+    """Return rows and columns of the tiles of an image, row by row."""
+    return [(ys, xs) for ys in spans(size[0], edge) for xs in spans(size[1], edge)]
+
+
+def preview(source: StoreSource) -> Overall:
+    """Return the image of the first samples, which takes a second where all take minutes."""
+    return stream(source, lambda _: None, spp=min(source.samples.spp, _PREVIEW_SPP))
+
+
+def stream(
+    source: StoreSource, step: Callable[[float], None], *, spp: int | None = None
+) -> Overall:
+    """Return the image of the first `spp` samples, None for all, in constant memory.
+
+    `step` is called with the share that is done; whatever it raises ends the pass.
+    """
+    spp = source.samples.spp if spp is None else spp
+    whole = Overall.empty(*source.size, len(source.channels))
+    places, batches = tiles(source.size, _TILE), list(spans(spp, _BATCH))
+    for i, (ys, xs) in enumerate(places):
+        sums = ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start)
+        for j, ss in enumerate(batches):
+            step((i + j / len(batches)) / len(places))
+            sums.add(source.read(ys, xs, ss))
+        whole.put(ys, xs, sums.overall())
+    return whole
 
 
 def mixed(x: Image) -> Image:
@@ -251,3 +341,108 @@ def pooled(height: int, width: int, spp: int) -> tuple[int, int]:
     step = max(1, math.ceil(math.sqrt(height * width / (_MOST_POOLED / 2))))
     pixels = -(-height // step) * -(-width // step)
     return max(1, min(spp, _MOST_POOLED // pixels)), step
+
+
+# --- a scene ------------------------------------------------------------------------------------
+
+
+class SceneSource:
+    """A scene, sampled on demand.
+
+    Parameters
+    ----------
+    scene
+        What `chdstat.load_scene` returns.
+    size, seed, max_depth
+        As for `chdstat.render`.
+    """
+
+    channels = ("R", "G", "B")
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        size: tuple[int, int] | None = None,
+        seed: int = 0,
+        max_depth: int | None = None,
+    ) -> None:
+        self._job = job_of(scene, "scalar", size, seed, max_depth)
+        with activate(self._job.verdict):
+            self._renderer = Renderer(self._job)
+        width, height = self._renderer.size
+        self.size = (height, width)
+        self.name = scene.name
+        self._pixels: dict[Pixel, Image] = {}
+        self._tiles = [
+            (ys, xs, ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start))
+            for ys, xs in tiles(self.size, TILE)
+        ]
+        self._drawn = 0
+
+    def describe(self) -> str:
+        """Return size and integrator in one line."""
+        height, width = self.size
+        kind = self._renderer.integrator["type"]
+        return f"{width} × {height} px · {kind} · sampled where you click"
+
+    def pixel(self, y: int, x: int) -> Image:
+        """Return the samples that a pixel has; the first of them are drawn on the first call."""
+        check_pixel(y, x, *self.size)
+        if (y, x) not in self._pixels:
+            self._draw(y, x, FIRST_SPP)
+        return self._pixels[y, x]
+
+    def more(self, y: int, x: int) -> Image:
+        """Draw as many samples again, a limited piece at a time, up to `MOST_SPP`."""
+        spp = self.pixel(y, x).shape[1]
+        if spp < MOST_SPP:
+            self._draw(y, x, min(_PIECE, spp, MOST_SPP - spp))
+        return self._pixels[y, x]
+
+    def region(self, box: Box) -> Image:
+        """Return pooled samples of a region, as many of each pixel, shape (channel, sample)."""
+        top, left, bottom, right = box
+        each, step = pooled(bottom - top, right - left, 64)
+        at = [(y, x) for y in range(top, bottom, step) for x in range(left, right, step)]
+        with activate(self._job.verdict):
+            return mixed(self._renderer.pixels(np.array(at), each))
+
+    def passes(self) -> Iterator[float]:
+        """Draw the image better and better; yield the share that is done after each tile."""
+        columns, total = -(-self.size[1] // TILE), len(self._tiles) * len(_PASSES)
+        start = 0
+        for spp in _PASSES:
+            samples = slice(start, start + spp)
+            start += spp
+            for i, (ys, xs, sums) in enumerate(self._tiles):
+                chunk = Chunk(0, i // columns, i % columns, ys, xs, samples)
+                with activate(self._job.verdict):
+                    sums.add(self._renderer.chunk(chunk))
+                self._drawn += 1
+                yield self._drawn / total
+        if not np.nan_to_num(self.overall().mean).any():
+            message = f"the image of {self.name!r} is black: does it have an emitter?"
+            raise SceneError(message)
+
+    def overall(self) -> Overall:
+        """Return the image as far as it is drawn."""
+        whole = Overall.empty(*self.size, len(self.channels))
+        for ys, xs, sums in self._tiles[: self._drawn]:
+            whole.put(ys, xs, sums.overall())
+        return whole
+
+    def _draw(self, y: int, x: int, spp: int) -> None:
+        there = self._pixels.get((y, x), np.empty((len(self.channels), 0), np.float32))
+        # The seed moves a pixel's stream by a golden section: its pieces never meet.
+        seed = self._job.seed + -(-there.shape[1] // FIRST_SPP)
+        with activate(self._job.verdict):
+            drawn: Image = self._renderer.pixels(np.array([[y, x]]), spp, seed=seed)[0]
+        self._pixels.pop((y, x), None)
+        self._pixels[y, x] = np.concatenate([there, drawn], axis=1)
+        held = sum(x.nbytes for x in self._pixels.values())
+        while len(self._pixels) > 1 and held > _KEPT_BYTES:
+            held -= self._pixels.pop(next(iter(self._pixels))).nbytes
+
+
+Source = StoreSource | SceneSource

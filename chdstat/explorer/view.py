@@ -9,10 +9,8 @@ followed nevertheless.
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 from urllib.parse import urlencode
 
@@ -21,11 +19,11 @@ from chdstat.fit.families import FAMILIES
 
 __all__ = [
     "BATCH_SIZES",
-    "CHANNELS",
     "FITS",
     "MOST_PIXELS",
-    "OPTIONS",
     "TONES",
+    "Box",
+    "Pixel",
     "View",
     "box_between",
     "check_pixel",
@@ -36,10 +34,14 @@ MOST_PIXELS = 6
 FITS = ("best", *FAMILIES, "mixture")
 """What can be drawn over the histograms."""
 TONES = ("srgb", "reinhard", "filmic")
-CHANNELS = ("all", "luminance")
-"""Further ones are the numbers of single channels, as text."""
 BATCH_SIZES = (1, 2, 4, 8, 16, 32, 64, 128, 256)
 """N of the averages whose distribution is shown."""
+_CHOICES: Mapping[str, Sequence[object]] = {
+    "families": FITS,
+    "batch": BATCH_SIZES,
+    "tone": TONES,
+    "channel": ("all", "luminance", "0", "1", "2"),
+}
 _MOST_STOPS = 32.0
 _MAP_CHARACTERS = set("abcdefghijklmnopqrstuvwxyz0123456789_:")
 
@@ -75,7 +77,7 @@ class View:
 
     Examples
     --------
-    >>> view = View().pick(3, 5).pick(4, 9, add=True).move(1, 0)
+    >>> view = View().pick(3, 5).pick(4, 9, add=True).move(1, 0, 32, 32)
     >>> view.pixels, view.active
     (((3, 5), (5, 9)), 1)
     >>> view.query()
@@ -127,36 +129,39 @@ class View:
             return self.pick(top, left)
         return replace(self, pixels=(), active=0, region=region)
 
-    def move(self, dy: int, dx: int) -> View:
-        """Move the active pixel; a move onto another selected one leaves it where it is."""
+    def move(self, dy: int, dx: int, height: int, width: int) -> View:
+        """Move the active pixel inside the image, but not onto another selected one."""
         if not self.pixels:
             return self
         y, x = self.pixels[self.active]
-        moved = (y + dy, x + dx)
+        moved = min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)
         if moved in self.pixels:
             return self
         pixels = tuple(moved if i == self.active else p for i, p in enumerate(self.pixels))
         return replace(self, pixels=pixels)
 
-    def clipped(self, height: int, width: int) -> View:
-        """Return the view with its selection inside the image."""
-
-        def inside(pixel: Pixel) -> Pixel:
-            return min(max(pixel[0], 0), height - 1), min(max(pixel[1], 0), width - 1)
-
-        pixels = tuple(dict.fromkeys(inside(p) for p in self.pixels))
-        return replace(self, pixels=pixels, active=min(self.active, max(0, len(pixels) - 1)))
-
-    def changed(self, **options: Any) -> View:
-        """Set options by name.
+    def changed(self, option: str, value: Any) -> View:
+        """Set the map, the channel, the families, the batch, the exposure or the tone.
 
         Raises
         ------
         InputError
-            If one is unknown or out of range.
+            If there is no such option, or the value is out of range.
         """
-        checked = {name: _checked(name, value) for name, value in options.items()}
-        return replace(self, **checked)
+        if option in _CHOICES:
+            known, many = _CHOICES[option], option == "families"
+            if not (set(value) <= set(known) if many else value in known):
+                message = f"{option} must be one of {', '.join(map(str, known))}; got {value!r}"
+                raise InputError(message)
+            value = tuple(family for family in FITS if family in value) if many else value
+        elif option == "exposure":
+            if value is not None and not -_MOST_STOPS <= value <= _MOST_STOPS:
+                message = f"exposure must be within {_MOST_STOPS:g} stops of 0, got {value}"
+                raise InputError(message)
+        elif option != "map" or not set(value) <= _MAP_CHARACTERS:
+            message = f"there is no option {option!r} with the value {value!r}"
+            raise InputError(message)
+        return replace(self, **{option: value})
 
     def query(self) -> str:
         """Return the part of the address after '?', without what is the default."""
@@ -218,35 +223,7 @@ OPTIONS = {
     "ev": "exposure",
     "tone": "tone",
 }
-"""Names in an address, and what they are here."""
-
-
-def _checked(name: str, value: Any) -> Any:
-    if name == "families":
-        chosen = tuple(f for f in FITS if f in value)
-        _require(len(chosen) == len(set(value)), name, FITS, value)
-        return chosen
-    if name == "batch":
-        _require(value in BATCH_SIZES, name, BATCH_SIZES, value)
-    elif name == "tone":
-        _require(value in TONES, name, TONES, value)
-    elif name == "channel":
-        numbered = isinstance(value, str) and re.fullmatch("[0-9]{1,2}", value) is not None
-        _require(value in CHANNELS or numbered, name, (*CHANNELS, "0", "1", "2"), value)
-    elif name == "exposure":
-        if value is not None and not -_MOST_STOPS <= value <= _MOST_STOPS:
-            message = f"exposure must be within {_MOST_STOPS:g} stops of 0, got {value}"
-            raise InputError(message)
-    elif name != "map" or not set(value) <= _MAP_CHARACTERS:
-        message = f"there is no option {name!r} with the value {value!r}"
-        raise InputError(message)
-    return value
-
-
-def _require(holds: bool, name: str, known: Iterable[object], value: object) -> None:
-    if not holds:
-        message = f"{name} must be one of {', '.join(map(str, known))}; got {value!r}"
-        raise InputError(message)
+"""Names in an address, and the options that they set."""
 
 
 def parse_view(
@@ -267,50 +244,45 @@ def parse_view(
     ['pixel (y=99, x=2) is outside the image of 8 x 8 pixels']
     """
     view, notes = View(), list[str]()
-    for step in _steps(arguments, height, width):
-        try:
-            view = step(view)
-        except InputError as error:
-            notes.append(str(error))
-    unknown = arguments.keys() - OPTIONS.keys() - {"p", "r", "a"}
-    notes += [f"the address has {name!r}, which means nothing here" for name in sorted(unknown)]
+    keys = ("p", "r", "a", *sorted(OPTIONS))
+    for key in keys:
+        texts = arguments.get(key, ())
+        for text in texts if key == "p" else texts[:1]:
+            try:
+                view = _followed(view, key, text, height, width)
+            except InputError as error:
+                notes.append(str(error))
+    unknown = sorted(arguments.keys() - set(keys))
+    notes += [f"the address has {name!r}, which means nothing here" for name in unknown]
     return view, notes
 
 
-def _steps(
-    arguments: Mapping[str, Sequence[str]], height: int, width: int
-) -> Iterator[Callable[[View], View]]:
-    """Yield the steps that lead to the view of an address; each may refuse."""
-    for text in arguments.get("p", ()):
-        yield partial(_picked, text=text, height=height, width=width)
-    for text in arguments.get("r", ())[:1]:
-        yield partial(_boxed, text=text, height=height, width=width)
-    for text in arguments.get("a", ())[:1]:
-        yield partial(_activated, text=text)
-    for key in sorted(arguments.keys() & OPTIONS.keys()):
-        yield partial(_set, name=OPTIONS[key], text=arguments[key][0])
-
-
-def _picked(view: View, *, text: str, height: int, width: int) -> View:
-    y, x = _integers(text, 2)
-    check_pixel(y, x, height, width)
-    return view if (y, x) in view.pixels else view.pick(y, x, add=True)
-
-
-def _boxed(view: View, *, text: str, height: int, width: int) -> View:
-    top, left, bottom, right = _integers(text, 4)
-    if not (0 <= top < bottom <= height and 0 <= left < right <= width):
-        message = f"region {text} is not inside the image of {width} x {height} pixels"
-        raise InputError(message)
-    return view.box((top, left, bottom, right))
-
-
-def _activated(view: View, *, text: str) -> View:
-    return view.activate(_integers(text, 1)[0])
-
-
-def _set(view: View, *, name: str, text: str) -> View:
-    return view.changed(**{name: _read(name, text)})
+def _followed(view: View, key: str, text: str, height: int, width: int) -> View:
+    """Return the view after one part of an address."""
+    if key == "p":
+        y, x = _integers(text, 2)
+        check_pixel(y, x, height, width)
+        return view if (y, x) in view.pixels else view.pick(y, x, add=True)
+    if key == "r":
+        top, left, bottom, right = _integers(text, 4)
+        if not (0 <= top < bottom <= height and 0 <= left < right <= width):
+            message = f"region {text} is not inside the image of {width} x {height} pixels"
+            raise InputError(message)
+        return view.box((top, left, bottom, right))
+    if key == "a":
+        return view.activate(_integers(text, 1)[0])
+    value: Any = text
+    if key == "f":
+        value = tuple(part for part in text.split(",") if part)
+    elif key == "n":
+        value = _integers(text, 1)[0]
+    elif key == "ev":
+        try:
+            value = float(text)
+        except ValueError:
+            message = f"exposure must be a number of stops, got {text!r}"
+            raise InputError(message) from None
+    return view.changed(OPTIONS[key], value)
 
 
 def _integers(text: str, count: int) -> tuple[int, ...]:
@@ -322,17 +294,3 @@ def _integers(text: str, count: int) -> tuple[int, ...]:
         message = f"expected numbers of at most 9 digits in the address, got {text!r}"
         raise InputError(message)
     return tuple(int(p) for p in parts)
-
-
-def _read(name: str, text: str) -> Any:
-    if name == "families":
-        return tuple(part for part in text.split(",") if part)
-    if name == "batch":
-        return _integers(text, 1)[0]
-    if name == "exposure":
-        try:
-            return float(text)
-        except ValueError:
-            message = f"exposure must be a number of stops, got {text!r}"
-            raise InputError(message) from None
-    return text

@@ -44,7 +44,7 @@ def session(store_path: Path) -> Iterator[Session]:
 def said(session: Session, monkeypatch: pytest.MonkeyPatch, text: str) -> list[str]:
     """Send a text as a page would, and return the alerts."""
     alerts: list[str] = []
-    monkeypatch.setattr(session._connection, "alert", alerts.append)
+    monkeypatch.setattr(session._page, "alert", alerts.append)
     session._received("value", "", text)
     return alerts
 

@@ -10,12 +10,14 @@ import pytest
 
 import chdstat as chd
 from chdstat.estimators import registry
-from chdstat.explorer import tables
-from chdstat.explorer.estimators import fixed_names, quick_names, scored, scored_around
+from chdstat.explorer import statistics
+from chdstat.explorer.estimators import batches_of, fixed, quick_names, scored, scored_around
 from chdstat.explorer.page import encode_panels
 from chdstat.explorer.panels import PanelData, Trace, extent, panels, series_of
+from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.statistics import MOST_FITTED, PlaceStatistics, goodness
 from chdstat.explorer.view import FITS, View
+from chdstat.fit.families import SELECTED
 from chdstat.inference.differences import difference
 
 RGB = ("R", "G", "B")
@@ -56,16 +58,17 @@ def hard():
 @pytest.mark.parametrize("channel", ["all", "luminance", "1"])
 def test_no_sample_breaks_panels_or_tables(name, channel):
     place = PlaceStatistics(hard()[name], RGB)
-    view = View().changed(families=FITS, batch=4, channel=channel)
+    view = View(families=FITS, batch=4, channel=channel)
     drawn = panels(view, series_of(view, [place, place]))
     drawn |= panels(view, series_of(view, [place], [place]))
     for panel in drawn.values():
         for trace in (*panel.areas, *panel.lines):
             assert len(trace.x) == len(trace.y)
     encode_panels(drawn)
-    shown = [tables.statistics(place), tables.patterns(place)]
-    shown.append(tables.estimates(scored(place.rows[:3], 8), RGB, 8, ""))
-    shown.append(tables.compared(difference(place.rows[:3], place.rows[:3]), RGB, ("a", "b")))
+    shown = [statistics.statistics_table(place), statistics.patterns_table(place)]
+    shown.append(statistics.estimates_table(estimates(place.samples, 8), RGB, 8, ""))
+    found = difference(place.samples, place.samples)
+    shown.append(statistics.compared_table(found, RGB, ("a", "b")))
     for table in shown:
         assert all(isinstance(cell, str) for row in table["rows"] for cell in row)
         assert not [c for row in table["rows"] for c in row if re.search(r"\b(nan|inf)\b", c)]
@@ -94,8 +97,8 @@ def test_the_place_says_what_the_library_says():
     x = gamma()
     place = PlaceStatistics(x, RGB)
     null = np.broadcast_to((x == 0).all(axis=0), x.shape)
-    assert place.selection.best[:3].tolist() == chd.fit.select(x, null=null).best.tolist()
-    np.testing.assert_allclose(place.tail.xi[:3], chd.fit.tail_index(x, null=null).xi)
+    assert place.fits.selection.best[:3].tolist() == chd.fit.select(x, null=null).best.tolist()
+    np.testing.assert_allclose(place.fits.tail.xi[:3], chd.fit.tail_index(x, null=null).xi)
     np.testing.assert_allclose(place.moments.mean[:3], x.mean(axis=-1), rtol=1e-6)
     assert int(place.patterns.label) == int(chd.classify(x).label)
 
@@ -119,19 +122,19 @@ def test_averages_leave_bad_samples_out():
 def test_later_samples_keep_what_was_found_of_the_first():
     x = gamma(MOST_FITTED + 64)
     first, second = PlaceStatistics(x[:, :-32], RGB), PlaceStatistics(x, RGB)
-    selection = first.selection
+    selection = first.fits.selection
     second.take_over(first)
-    assert second.selection is selection
+    assert second.fits.selection is selection
     assert second.moments.count[0] == x.shape[1]
     grown = PlaceStatistics(x[:, :100], RGB)
     grown.take_over(first)
-    assert grown.selection is not selection
+    assert grown.fits.selection is not selection
 
 
 def test_quantiles_of_the_true_family_lie_on_the_diagonal():
     """Quantiles of 4096 gamma samples; 20 % is beyond 6 standard errors away from the ends."""
     place = PlaceStatistics(gamma(4096, null=0.4), RGB)
-    view = View().changed(families=("gamma",))
+    view = View(families=("gamma",))
     _, *lines = panels(view, series_of(view, [place]))["qq"].lines
     for line in lines:
         middle = slice(20, 80)
@@ -156,13 +159,11 @@ def test_averages_that_are_nearly_all_null_keep_their_range():
 
 
 def test_a_p_value_below_all_floats_is_said_to_be():
-    assert [tables._p(v) for v in (0.0, 2e-5, 0.02, 0.5, np.nan)] == [
-        "≈\u00a00",
-        "2e−5",
-        "0.020",
-        "0.50",
-        "—",
-    ]
+    p = np.array([0.0, 2e-5, 0.02, 0.5, np.nan])
+    place = PlaceStatistics(gamma(), RGB)
+    (row,) = statistics.goodness_table(place, {"gamma": (p, np.ones(5))})["rows"]
+    cells = [cell.partition(" (D")[0] for cell in row[1:]]
+    assert cells == ["≈\u00a00", "2e−5", "0.020", "0.50", "—"]
 
 
 def test_cargo_holds_what_panels_hold():
@@ -182,9 +183,8 @@ def test_p_values_of_the_true_family_are_not_small():
     told = []
     place = PlaceStatistics(gamma(256), RGB)
     found = goodness(place, told.append, resamples=40)
-    by_name = dict(zip(found.families, found.p_value, strict=True))
-    assert (by_name["gamma"] > 1.5 / 41).all()
-    assert by_name["lognormal"].min() == pytest.approx(1 / 41)  # the control
+    assert (found["gamma"][0] > 1.5 / 41).all()
+    assert found["lognormal"][0].min() == pytest.approx(1 / 41)  # the control
     assert told == sorted(told)
     assert told[0] == 0
     assert max(told) < 1
@@ -192,11 +192,13 @@ def test_p_values_of_the_true_family_are_not_small():
 
 @pytest.mark.parametrize("name", ["null", "bad", "constant", "one", "few", "huge", "subnormal"])
 def test_no_sample_breaks_the_test_of_fits(name):
-    found = goodness(PlaceStatistics(hard()[name], RGB), lambda _: None, resamples=2)
-    assert found.p_value.shape == (4, 4)
-    known = found.p_value[np.isfinite(found.p_value)]
+    place = PlaceStatistics(hard()[name], RGB)
+    found = goodness(place, lambda _: None, resamples=2)
+    p_values = np.stack([p for p, _ in found.values()])
+    assert p_values.shape == (len(SELECTED), 4)
+    known = p_values[np.isfinite(p_values)]
     assert ((known > 0) & (known <= 1)).all()
-    assert len(tables.goodness(found, ("R", "G", "B", "luminance"))["rows"]) == 4
+    assert len(statistics.goodness_table(place, found)["rows"]) == len(SELECTED)
 
 
 def test_extents_hold_all_that_is_drawn():
@@ -220,10 +222,16 @@ def test_extents_hold_all_that_is_drawn():
 # --- estimators ---------------------------------------------------------------------------------
 
 
+def estimates(x, n, reference=None, names=None):
+    """Score the fixed estimators on batches of n samples."""
+    batches = batches_of(x, n, reference)
+    return [] if batches is None else scored(batches, names=names)
+
+
 def test_the_mean_has_no_bias_against_the_other_samples():
     """The held-out references of all batches average to nearly the mean itself."""
-    found = {e.name: e for e in scored(gamma(1024), 32)}
-    assert set(found) == set(fixed_names())
+    found = {e.name: e for e in estimates(gamma(1024), 32)}
+    assert set(found) == set(fixed())
     assert found["mean"].mse_ratio == 1
     assert abs(found["mean"].bias) < 1e-3
     assert found["median"].bias < -0.1  # skewed: the control
@@ -231,29 +239,29 @@ def test_the_mean_has_no_bias_against_the_other_samples():
 
 def test_the_quick_and_the_slow_are_all():
     x = gamma(256)
-    quick, slow = scored(x, 32, names=quick_names()), set(fixed_names()) - quick_names()
-    assert [e.name for e in scored(x, 32) if e.name not in slow] == [e.name for e in quick]
+    quick, slow = estimates(x, 32, names=quick_names()), fixed().keys() - quick_names()
+    assert [e.name for e in estimates(x, 32) if e.name not in slow] == [e.name for e in quick]
     assert "mean" in quick_names()
 
 
 def test_estimators_that_look_around_are_judged_like_the_others():
     rng = np.random.default_rng(1)
-    window = rng.gamma(2.0, size=(21, 21, 3, 128)).astype(np.float32)
-    found = scored_around(window[10, 10], window, (10, 10), 32, reference=[2.0, 2.0, 2.0])
-    fixed = (registry.lookup(name) for name in registry.names("fixed"))
-    around = {e.name for e in fixed if e.uses_neighbours and not e.uses_features}
+    x = rng.gamma(2.0, size=(21, 21, 3, 128)).astype(np.float32)
+    batches = batches_of(x[10, 10], 32, [2.0, 2.0, 2.0])
+    found = scored_around(batches, StoreSource(chd.Samples.from_array(x)), (10, 10))
+    entries = (registry.lookup(name) for name in registry.names("fixed"))
+    around = {e.name for e in entries if e.uses_neighbours and not e.uses_features}
     assert {e.name for e in found} == around
     by_name = {e.name: e for e in found}
     # All pixels share one distribution: averaging over them must help.
     assert by_name["shared_patches"].mse_ratio < 0.5
-    assert scored_around(window[0, 0], window[..., :16], (0, 0), 32) == []
 
 
 def test_a_reference_is_what_errors_are_measured_against():
-    found = {e.name: e for e in scored(gamma(1024), 32, reference=[1.0, 1.0, 1.0])}
+    found = {e.name: e for e in estimates(gamma(1024), 32, [1.0, 1.0, 1.0])}
     assert found["mean"].bias == pytest.approx(float(found["mean"].value.mean()) - 1, abs=1e-6)
 
 
 def test_too_few_samples_have_no_error():
-    assert scored(gamma(16), 32) == []
-    assert all(np.isnan(e.mse_ratio) for e in scored(gamma(40), 32))
+    assert batches_of(gamma(16), 32) is None
+    assert all(np.isnan(e.mse_ratio) for e in estimates(gamma(40), 32))

@@ -29,7 +29,7 @@ def told():
     def asked(view, source, other=None, reference=None):
         shared.append(opened(source, other, reference))
         results = SelectionResults(shared[-1])
-        return results.describe(results.plots(view)).tables
+        return results.describe(results.plots(view))[0]
 
     yield asked
     for one in shared:

@@ -12,6 +12,7 @@ import sys
 import threading
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
+from importlib import resources
 
 import numpy as np
 import pytest
@@ -19,17 +20,11 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.explorer import explore, server
-from chdstat.explorer.page import _web
-from chdstat.explorer.palette import (
-    BLENDED,
-    CHANNEL_COLORS,
-    FAINT,
-    GROUND,
-    PIXEL_COLORS,
-    TEXT,
-    contrast,
-)
+from chdstat.explorer.page import FAINT, GROUND, TEXT
+from chdstat.explorer.panels import BLENDED, CHANNEL_COLORS, PIXEL_COLORS
 from chdstat.samples.store import Store
+
+STYLE = resources.files("chdstat.explorer") / "web" / "page.css"
 
 
 def page(url):
@@ -202,6 +197,22 @@ def test_an_incomplete_store_tells_how_much_there_is(tmp_path):
 # --- the look -----------------------------------------------------------------------------------
 
 
+def contrast(one, other):
+    """Return the contrast ratio of two colours (WCAG 2.2, relative luminance)."""
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def luminance(color):
+    parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return sum(w * p for w, p in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+def test_black_and_white_have_the_largest_contrast():
+    assert contrast("#000000", "#ffffff") == pytest.approx(21)
+
+
 @pytest.mark.parametrize("color", [TEXT, FAINT, BLENDED, *CHANNEL_COLORS.values(), *PIXEL_COLORS])
 def test_colors_contrast_with_the_ground(color):
     assert contrast(color, GROUND) >= 4.5
@@ -210,7 +221,7 @@ def test_colors_contrast_with_the_ground(color):
 def test_text_contrasts_with_what_is_behind_it():
     rules = dict(
         part.strip().removeprefix("--").split(": ")
-        for part in _web("page.css").split("{")[1].split("}")[0].split(";")
+        for part in STYLE.read_text().split("{")[1].split("}")[0].split(";")
         if part.strip().startswith("--")
     )
     for text in ("text", "faint", "accent", "alert"):

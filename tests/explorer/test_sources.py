@@ -5,8 +5,10 @@ from __future__ import annotations
 import shutil
 import tracemalloc
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 import chdstat as chd
@@ -14,21 +16,23 @@ from chdstat._core import files
 from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
-from chdstat.explorer.images import (
+from chdstat.explorer.maps import MAPS, Map, map_kind, of_overall, rgba, walk
+from chdstat.explorer.sources import (
     FIRST_SPP,
     ImageAccumulator,
     Overall,
     SceneSource,
+    StoreSource,
+    pooled,
     preview,
-    rgba,
     stream,
 )
-from chdstat.explorer.maps import MAPS, Map, _error_ratio, map_kind, of_overall, walk
-from chdstat.explorer.sources import StoreSource, pooled
 from chdstat.fit.tail import tail_of_part
 from chdstat.patterns import classify
 from chdstat.patterns.classification import luminance_part
 from chdstat.rendering import render_pixels
+
+ARRAYS = dict[str, npt.NDArray[Any]]
 
 
 def ignore(*_):
@@ -131,7 +135,6 @@ def test_the_streamed_image_is_the_summary(flames):
     np.testing.assert_allclose(found.mean, expected["mean"], rtol=1e-5)
     np.testing.assert_allclose(found.null_share, expected["null_share"], rtol=1e-6)
     np.testing.assert_array_equal(found.bad_count, expected["bad_count"])
-    assert found.spp == 256
     assert np.isnan(found.mean[0, 0]).all()
 
 
@@ -139,7 +142,6 @@ def test_the_preview_is_the_image_of_the_first_samples(flames):
     first = chd.Samples.from_array(flames.read(ss=slice(0, 64)))
     found, expected = preview(StoreSource(flames)), stream(StoreSource(first), ignore)
     np.testing.assert_array_equal(found.mean, expected.mean)
-    assert found.spp == 64
 
 
 @pytest.mark.parametrize("name", [n for n in MAPS if n != "pattern"] + ["error:huber"])
@@ -199,29 +201,29 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
         return {"v": np.arange(3)}
 
     for _ in range(2):
-        np.testing.assert_array_equal(shared.kept(samples, "x", compute)["v"], np.arange(3))
+        np.testing.assert_array_equal(shared.kept(samples, "x", ARRAYS, compute)["v"], np.arange(3))
     assert len(calls) == 1
-    shared.kept(samples, "y", compute)
+    shared.kept(samples, "y", ARRAYS, compute)
     shutil.rmtree(own_store)
     again = chd.render("cornell-box", spp=samples.spp, size=(8, 8), seed=9, out=own_store)
-    shared.kept(again, "x", compute)
+    shared.kept(again, "x", ARRAYS, compute)
     assert len(calls) == 3
     with monkeypatch.context() as patch:
         patch.setattr(files, "code_digest", lambda: "another")
-        shared.kept(samples, "x", compute)
+        shared.kept(samples, "x", ARRAYS, compute)
     assert len(calls) == 4
     in_memory = chd.Samples.from_array(np.ones((2, 2, 3, 4)))
-    shared.kept(in_memory, "x", compute)
-    shared.kept(in_memory, "x", compute)
+    shared.kept(in_memory, "x", ARRAYS, compute)
+    shared.kept(in_memory, "x", ARRAYS, compute)
     assert len(calls) == 6
 
 
 def test_a_broken_cache_is_computed_anew(own_store):
     samples = chd.open(own_store)
-    shared.kept(samples, "broken", lambda: {"v": np.zeros(2)})
+    shared.kept(samples, "broken", ARRAYS, lambda: {"v": np.zeros(2)})
     for file in (files.user_cache() / "explorer").iterdir():
         file.write_bytes(b"PK no archive")
-    assert shared.kept(samples, "broken", lambda: {"v": np.ones(2)})["v"].tolist() == [1, 1]
+    assert shared.kept(samples, "broken", ARRAYS, lambda: {"v": np.ones(2)})["v"].tolist() == [1, 1]
 
 
 @pytest.mark.parametrize("tone", ["srgb", "reinhard", "filmic"])
@@ -277,7 +279,6 @@ def test_samples_of_a_scene_have_the_mean_that_a_render_has(scene):
 def test_the_image_of_a_scene_gets_better(scene):
     shares = list(scene.passes())
     assert shares[-1] == 1
-    assert scene.overall().spp == 16
     assert np.isfinite(scene.overall().mean).all()
 
 
@@ -301,7 +302,8 @@ def test_errors_of_a_map_are_those_of_compare():
         truth = (x.sum(axis=-1, dtype=float) - batch.sum(axis=-1)) / 480
         for k, estimate in enumerate((chd.estimators.median_of_means, chd.estimators.mean)):
             squared[k] += ((estimate(batch) - truth) ** 2).sum()
-    found = _error_ratio("median_of_means", x[np.newaxis, np.newaxis]).item()
+    source = StoreSource(chd.Samples.from_array(x[np.newaxis, np.newaxis]))
+    found = walk(source, "error:median_of_means", ignore).values.item()
     assert found == pytest.approx(np.log10(squared[0] / squared[1]), rel=1e-4)
 
 
@@ -309,10 +311,10 @@ def test_pixels_of_a_half_drawn_image_have_the_errors_of_their_own_samples():
     x = np.random.default_rng(0).gamma(2.0, size=(1, 2, 3, 64)).astype(np.float32)
     whole = Overall.empty(1, 2, 3)
     for i, n in enumerate((64, 16)):
-        accumulator = ImageAccumulator()
+        accumulator = ImageAccumulator(1, 1)
         accumulator.add(x[:, i : i + 1, :, :n])
         whole.put(slice(0, 1), slice(i, i + 1), accumulator.overall())
     light = luminance(x.astype(float))[0]
     own = light[0], light[1, :16]
     expected = [y.std(ddof=1) / y.mean() / np.sqrt(len(y)) for y in own]
-    assert replace(whole, spp=64).relative_error[0] == pytest.approx(expected, rel=1e-5)
+    assert whole.relative_error[0] == pytest.approx(expected, rel=1e-5)
