@@ -9,10 +9,9 @@ same for many n, and returns an `ErrorCurve`. `denoised` puts a denoiser after a
 from __future__ import annotations
 
 from chdstat.comparison.accumulate import MEASURES
-from chdstat.comparison.curves import ErrorCurve, curve_sizes, error_curve
-from chdstat.comparison.side_by_side import compare
-from chdstat.comparison.tables import Breakdown, Comparison, PixelEstimates
-from chdstat.estimators.denoising import Denoised, denoised
+from chdstat.comparison.candidates import Denoised, denoised
+from chdstat.comparison.side_by_side import compare, curve_sizes, error_curve
+from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve, PixelEstimates
 
 __all__ = [
     "MEASURES",

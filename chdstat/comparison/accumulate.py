@@ -1,18 +1,19 @@
-"""Errors of many estimators on the same batches, added up, and the measures they come to.
+"""Errors of many estimators on the same batches, added up, and the measures that follow from them.
 
 `judge` lets every estimator estimate from each batch and returns an `ErrorAccumulator`. Every
 measure is a ratio of sums over units, so that one bootstrap over the units serves them all. A unit
 is a block of pixels with all their batches, or a batch with all its pixels. Neighbours see the same
-light and gain or lose together, so that blocks, not pixels, tell how sure a measure is (Künsch
-1989, doi:10.1214/aos/1176347265).
+light and gain or lose together, so that intervals are over blocks, not pixels (Künsch 1989,
+doi:10.1214/aos/1176347265).
 
 Memory is bounded: one batch of the image, one estimate of it, and sums over blocks of pixels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -25,19 +26,16 @@ from chdstat._core.resampling import Interval
 from chdstat.comparison.metrics import bootstrap, relative_squared_error
 from chdstat.errors import InputError
 from chdstat.estimators.order import mean
-from chdstat.estimators.validation import Totals, batches, direct_of
+from chdstat.estimators.validation import Totals, batches
 from chdstat.samples import Samples
 
 __all__ = [
     "MEASURES",
     "SUMS",
-    "Directed",
     "ErrorAccumulator",
     "ErrorSums",
     "EstimateImages",
-    "Function",
     "Units",
-    "asked",
     "errors_of",
     "is_mean",
     "judge",
@@ -165,6 +163,7 @@ def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Arr
     """
     # An estimate without end would make NaN of all pixels that are drawn 0 times.
     p = np.where(np.isfinite(estimate), estimate, np.nan).astype(np.float64)
+    mean = mean.astype(np.float64)
     error = p - reference
     relative = relative_squared_error(p, reference, scene_mean=scene_mean)
     unchanged = is_mean(p, mean)
@@ -201,21 +200,6 @@ def _measure(sums: Array, reference: Array, count: Array) -> Array:
 def _with_average(values: Array) -> Array:
     return np.concatenate([values, values.mean(axis=-1, keepdims=True)], axis=-1)
 
-
-@dataclass(frozen=True)
-class Directed:
-    """An estimator that is to be told the direct part of its samples.
-
-    Attributes
-    ----------
-    function
-        Takes samples, and their direct part as ``direct=``.
-    """
-
-    function: Callable[..., Array]
-
-
-Function = Callable[[npt.ArrayLike], Array] | Directed
 
 _ACROSS = 8
 """Blocks along each side of the image."""
@@ -287,6 +271,13 @@ class EstimateImages:
     mean: npt.NDArray[np.float32]
     reference: npt.NDArray[np.float64]
 
+    @classmethod
+    def of(cls, estimates: Sequence[Array], mean: Array, reference: Array) -> EstimateImages:
+        """Add the squared errors; float32 is what an image holds, and 1e30 squared is beyond it."""
+        with np.errstate(over="ignore"):
+            squared = [np.square(one - reference).astype(np.float32) for one in estimates]
+        return cls(np.stack(estimates), np.stack(squared), mean.astype(np.float32), reference)
+
 
 @dataclass(frozen=True)
 class ErrorAccumulator:
@@ -301,129 +292,94 @@ class ErrorAccumulator:
     excluded
         Batches of test pixels without a reference.
     images
-        What the first batch looks like; None where nobody asked.
+        Images of the first batch.
     """
 
     by_unit: ErrorSums
     by_block: ErrorSums
     by_batch: ErrorSums
     excluded: int
-    images: EstimateImages | None
-
-
-@dataclass(frozen=True)
-class _Batch:
-    """One batch of the image, and what the estimates of it are judged by."""
-
-    samples: npt.NDArray[np.float32]
-    direct: npt.NDArray[np.float32] | None
-    mean: npt.NDArray[np.float32]
-    reference: npt.NDArray[np.float64]
-
-    def estimates(self, functions: Mapping[str, Function]) -> Iterator[Array]:
-        """Yield the sample mean, then what each estimator says."""
-        yield self.mean
-        for name, function in functions.items():
-            found = asked(function, self.direct, self.samples)
-            if found.shape != self.mean.shape:
-                message = (
-                    f"{name} must return one estimate for each pixel and channel, shape "
-                    f"{self.mean.shape}, got {found.shape}"
-                )
-                raise InputError(message)
-            yield found
-
-
-def asked(function: Function, direct: Array | None, samples: npt.ArrayLike) -> Array:
-    """Return what an estimator makes of samples, with their direct part where it wants that."""
-    if isinstance(function, Directed):
-        return np.asarray(function.function(samples, direct=direct))
-    return np.asarray(function(samples))
+    images: EstimateImages
 
 
 def judge(
-    functions: Mapping[str, Function],
+    functions: Mapping[str, Callable[[Array, Array | None], Array]],
     samples: Samples,
     totals: Totals,
     units: Units,
     *,
+    direct: Samples | None,
     n: int,
     limit: int | None,
-    images: bool = True,
     progress: bool | None = None,
 ) -> ErrorAccumulator:
     """Let every estimator estimate from the same batches and add up its errors.
 
     The image is read with n samples at a time and estimated by one estimator at a time.
+
+    Parameters
+    ----------
+    functions
+        Estimates of samples (y, x, channel, n) and of their direct part, by name.
+    samples, totals, units
+        The image, the sums over its samples, and the pixels that judge.
+    direct
+        Direct part of the samples; None where no estimator takes it.
+    n, limit
+        Samples per batch, and batches at most.
+    progress
+        Show a progress bar; None shows it on a terminal.
+
+    Raises
+    ------
+    InputError
+        If an estimator returns another shape, or no batch has a reference.
     """
     height, width, channels, spp = samples.shape
     rounds = spp // n if limit is None else min(limit, spp // n)
     by_unit = ErrorSums.empty(len(units.starts), len(functions), channels)
     by_batch = ErrorSums.empty(rounds, len(functions), channels)
     scene_mean = totals.mean()[totals.count > 0].mean(axis=0)
-    shown, excluded = None, 0
+    first: list[Array] = []
+    excluded = 0
+    parts = repeat(None) if direct is None else batches(direct, n, limit=limit)
     work = rounds * height * width * len(functions)
     with track(f"comparing at N = {n}", work, unit="px", show=progress) as advance:
-        for index, (image, direct) in enumerate(_read(samples, n, limit, functions)):
-            batch = _Batch(image, direct, mean(image), totals.mean_without(image))
-            if index == 0 and images:
-                shown = _empty_images(batch, len(functions))
-            excluded += _add_references(batch, units, by_unit, by_batch[index : index + 1])
-            for k, estimate in enumerate(batch.estimates(functions)):
-                sums = units.sum(_errors(estimate, batch, units, scene_mean))
+        images = batches(samples, n, limit=limit)
+        for index, (x, part) in enumerate(zip(images, parts, strict=False)):
+            average, reference = mean(x), totals.mean_without(x)
+            truth, of_mean = units(reference), units(average)
+            usable = np.asarray(np.isfinite(truth).all(axis=-1))
+            excluded += int((~usable).sum())
+            total = units.sum(np.where(usable[:, np.newaxis], truth, 0))
+            count = units.sum(usable.astype(np.int64))
+            by_unit.reference[:] += total
+            by_unit.count[:] += count
+            by_batch.reference[index], by_batch.count[index] = total.sum(axis=0), count.sum()
+            if index == 0:
+                first_mean, first_reference = average, reference
+            for k, name in enumerate(["mean", *functions]):
+                estimate = average if k == 0 else np.asarray(functions[name](x, part))
+                if estimate.shape != average.shape:
+                    message = (
+                        f"{name} must return one estimate for each pixel and channel, shape "
+                        f"{average.shape}, got {estimate.shape}"
+                    )
+                    raise InputError(message)
+                found = np.zeros((len(usable), len(SUMS), channels))
+                found[usable] = errors_of(
+                    units(estimate)[usable], of_mean[usable], truth[usable], scene_mean=scene_mean
+                )
+                sums = units.sum(found)
                 by_unit.sums[:, :, k] += sums
                 by_batch.sums[index, :, k] = sums.sum(axis=0)
-                if shown is not None and index == 0 and k > 0:
-                    _keep(shown, k - 1, estimate)
+                if index == 0 and k > 0:
+                    first.append(estimate.astype(np.float32))
                 advance(height * width if k > 0 else 0)
+    if by_unit.count.sum() == 0:
+        message = (
+            f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
+        )
+        raise InputError(message)
+    shown = EstimateImages.of(first, first_mean, first_reference)
     return ErrorAccumulator(by_unit, by_unit.joined(units.block), by_batch, excluded, shown)
-
-
-def _read(
-    samples: Samples, n: int, limit: int | None, functions: Mapping[str, Function]
-) -> Iterator[tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]]:
-    """Yield the image with n samples at a time, and their direct part where it is asked for."""
-    images = batches(samples, n, limit=limit)
-    if not any(isinstance(function, Directed) for function in functions.values()):
-        return ((image, None) for image in images)
-    return zip(images, batches(direct_of(samples), n, limit=limit), strict=True)
-
-
-def _add_references(batch: _Batch, units: Units, by_unit: ErrorSums, by_batch: ErrorSums) -> int:
-    """Add what all estimators share; return how many pixels have no reference."""
-    reference = units(batch.reference)
-    usable = np.asarray(np.isfinite(reference).all(axis=-1))
-    total = units.sum(np.where(usable[:, np.newaxis], reference, 0))
-    count = units.sum(usable.astype(np.int64))
-    by_unit.reference[:] += total
-    by_unit.count[:] += count
-    by_batch.reference[0] = total.sum(axis=0)
-    by_batch.count[0] = count.sum()
-    return int((~usable).sum())
-
-
-def _errors(estimate: Array, batch: _Batch, units: Units, scene_mean: Array) -> Array:
-    """Return the errors of the pixels that judge, 0 where they have no reference."""
-    reference = units(batch.reference)
-    usable = np.asarray(np.isfinite(reference).all(axis=-1))
-    judged, mean_of_it = (units(a)[usable].astype(np.float64) for a in (estimate, batch.mean))
-    found = errors_of(judged, mean_of_it, reference[usable], scene_mean=scene_mean)
-    if usable.all():
-        return found
-    whole = np.zeros((len(usable), *found.shape[1:]))
-    whole[usable] = found
-    return whole
-
-
-def _empty_images(batch: _Batch, estimators: int) -> EstimateImages:
-    estimates = np.empty((estimators, *batch.mean.shape), np.float32)
-    return EstimateImages(
-        estimates, np.empty_like(estimates), batch.mean.astype(np.float32), batch.reference
-    )
-
-
-def _keep(images: EstimateImages, k: int, estimate: Array) -> None:
-    """Keep an estimate; float32 is what an image holds, and 1e30 squared is beyond it."""
-    images.estimates[k] = estimate
-    with np.errstate(over="ignore"):
-        images.squared_error[k] = np.square(images.estimates[k] - images.reference)

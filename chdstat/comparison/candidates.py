@@ -1,4 +1,9 @@
-"""Candidates: the estimators of a comparison, looked up, checked, and trained where they learn."""
+"""Candidates: the estimators of a comparison, looked up, checked, and trained where they learn.
+
+`Denoised` is an estimator followed by Open Image Denoise: use it to see whether a denoiser does
+better from a better start. ``compare(..., denoise=True)`` adds every estimator so; `denoised` makes
+one.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.comparison.accumulate import Directed, Function
 from chdstat.errors import InputError
-from chdstat.estimators.denoising import Denoised, variants
+from chdstat.estimators.estimates import check_denoiser, through_denoiser
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup, names
 from chdstat.estimators.validation import Totals, direct_of, draw_pixels, judging_pixels
@@ -21,20 +25,98 @@ from chdstat.samples import Samples
 __all__ = [
     "DEFAULT",
     "Candidates",
+    "Denoised",
     "Entry",
     "Given",
-    "learned_of",
+    "denoised",
     "least_taken",
     "looked_up",
-    "looks_around",
     "options_of",
-    "own_of",
     "resolve",
     "takes",
-    "totals_of",
 ]
 
+Array = npt.NDArray[Any]
+
+
+@dataclass(frozen=True)
+class Denoised:
+    """An estimator followed by Open Image Denoise.
+
+    Attributes
+    ----------
+    entry
+        What estimates.
+    with_features
+        Whether the denoiser is given albedo and normal of the first hit.
+    with_certainty
+        Whether an estimate is kept as far as its model is certain of it.
+    """
+
+    entry: Estimator | LearnedEstimator
+    with_features: bool = False
+    with_certainty: bool = False
+
+    @property
+    def name(self) -> str:
+        """What it is called by, such as "progressive + OIDN features"."""
+        features = " features" if self.with_features else ""
+        return f"{self.entry.name} + OIDN{features}{' certainty' if self.with_certainty else ''}"
+
+    @property
+    def uses_neighbours(self) -> bool:
+        """Whether it looks across pixels: a denoiser always does."""
+        return True
+
+
+def denoised(
+    estimator: str | Estimator | LearnedEstimator,
+    *,
+    with_features: bool = False,
+    with_certainty: bool = False,
+) -> Denoised:
+    """Return an estimator followed by Open Image Denoise, for `chdstat.compare`.
+
+    Where it learns, it shares the training of the estimator itself. Negative estimates count as 0.
+
+    Parameters
+    ----------
+    estimator
+        Name of a registered estimator, or an entry.
+    with_features
+        Give the denoiser albedo and normal of the first hit; the image must have them.
+    with_certainty
+        Mix with the estimate as far as it is certain, ``c estimate + (1 - c) denoised``; only for
+        learned estimators whose models predict a certainty.
+
+    Raises
+    ------
+    InputError
+        If there is no such estimator, or a certainty is wanted of one that does not learn.
+
+    References
+    ----------
+    A. T. Afra, "Intel Open Image Denoise", https://www.openimagedenoise.org. The blend: Firmino,
+    Frisvad and Jensen 2022, "Progressive denoising of Monte Carlo rendered images", Computer
+    Graphics Forum 41(2), doi:10.1111/cgf.14454.
+
+    Examples
+    --------
+    >>> denoised("mean").name
+    'mean + OIDN'
+    >>> denoised("progressive", with_features=True, with_certainty=True).name
+    'progressive + OIDN features certainty'
+    """
+    entry = lookup(estimator) if isinstance(estimator, str) else estimator
+    if with_certainty and not isinstance(entry, LearnedEstimator):
+        message = f"with_certainty=True is for estimators that learn, and {entry.name!r} does not"
+        raise InputError(message)
+    return Denoised(entry, with_features, with_certainty)
+
+
 Entry = Estimator | LearnedEstimator | Denoised
+Given = Model | Mapping[str, Model] | None
+"""A trained model, or several by the name of the estimator that they are trained for."""
 
 DEFAULT = tuple(name for name in names() if lookup(name).default)
 """Estimators of a comparison that names none."""
@@ -49,11 +131,11 @@ def resolve(estimators: Sequence[str | Entry], sizes: Sequence[int]) -> dict[str
         If one is unknown, named twice, or takes none of the `sizes`.
     """
     found = looked_up(estimators)
-    entries = {entry.name: entry for entry in sorted(found, key=looks_around)}
+    entries = {e.name: e for e in sorted(found, key=lambda entry: entry.uses_neighbours)}
     if not entries or len(entries) < len(found):
         message = f"estimators must be one or more different names, got {[e.name for e in found]}"
         raise InputError(message)
-    for entry in map(own_of, found):
+    for entry in map(_without_denoiser, found):
         if not any(takes(entry, n) for n in sizes):
             exact = isinstance(entry, LearnedEstimator)
             least = f"{'exactly' if exact else 'at least'} {least_taken(entry)}"
@@ -82,68 +164,59 @@ def looked_up(estimators: Sequence[str | Entry]) -> list[Entry]:
     return found
 
 
-def looks_around(entry: Entry) -> bool:
-    """Say whether one looks at the pixels around."""
-    return entry.uses_neighbours
-
-
-def own_of(entry: Entry) -> Estimator | LearnedEstimator:
-    """Return what estimates, without a denoiser after it."""
-    return entry.entry if isinstance(entry, Denoised) else entry
-
-
 def takes(entry: Entry, n: int) -> bool:
-    """Say whether one takes n samples."""
-    own = own_of(entry)
+    """Return whether an estimator takes n samples."""
+    own = _without_denoiser(entry)
     if isinstance(own, LearnedEstimator):
         return own.inputs is None or n == own.inputs
     return n >= own.minimum_samples
 
 
 def least_taken(entry: Entry) -> int:
-    """Return the fewest samples that one takes."""
-    own = own_of(entry)
+    """Return the fewest samples that an estimator takes."""
+    own = _without_denoiser(entry)
     return (own.inputs or 1) if isinstance(own, LearnedEstimator) else own.minimum_samples
 
 
-def learned_of(entries: Mapping[str, Entry]) -> dict[str, LearnedEstimator]:
-    """Return those that learn, be it before a denoiser, by their own name."""
-    found = map(own_of, entries.values())
-    return {entry.name: entry for entry in found if isinstance(entry, LearnedEstimator)}
+def options_of(
+    entry: Estimator | LearnedEstimator, features: Mapping[str, Array]
+) -> dict[str, Any]:
+    """Return what an estimator is called with beside the samples, on whatever scene."""
+    options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
+    return options | ({"features": features} if entry.uses_features and features else {})
 
 
-Array = npt.NDArray[Any]
-Given = Model | Mapping[str, Model] | None
-"""A trained model, or several by the name of the estimator that they are trained for."""
+def _without_denoiser(entry: Entry) -> Estimator | LearnedEstimator:
+    return entry.entry if isinstance(entry, Denoised) else entry
 
 
 @dataclass(frozen=True)
 class Candidates:
-    """Estimators that are ready to estimate.
+    """Estimators that are ready to estimate an image.
 
     Attributes
     ----------
+    samples
+        The image.
+    totals
+        Sums over its samples, which references are made of.
     entries
         By name: those that look at one pixel in the order asked for, then those that use
         neighbours.
     models
         Those that were trained, by name; entries that share a training share a model.
-    features
-        First-hit features of the image, for those who look at them.
     judging
         Pixels that no training draws, shape (y, x), whoever takes part.
-    direct
-        Whether the direct part of the samples is known.
     foreign
         Those of the models that did not train on this scene, by name.
     """
 
+    samples: Samples
+    totals: Totals
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
-    features: Mapping[str, Array]
     judging: npt.NDArray[np.bool_]
-    direct: bool
-    foreign: frozenset[str] = frozenset()
+    foreign: frozenset[str]
 
     @classmethod
     def of(
@@ -156,40 +229,62 @@ class Candidates:
         model: Given,
         progress: bool | None,
     ) -> Candidates:
-        """Train what learns, each on as many pixels as it wants, except for the models at hand."""
+        """Train what learns, each on as many pixels as it wants, except for the models at hand.
+
+        Raises
+        ------
+        InputError
+            If no sample is good, the denoiser is missing, a model is given that no estimator is,
+            or an estimator needs what the image lacks.
+        """
+        totals = Totals.of(samples)
+        if not totals.count.any():
+            message = "every sample of the image is bad (NaN or infinite); none can judge"
+            raise InputError(message)
+        # What cannot be done is refused before the training.
         for entry in entries.values():
             if isinstance(entry, Denoised):
-                entry.check(samples)
-        learned = learned_of(entries)
+                _check_denoised(entry, samples)
+        own = [_without_denoiser(entry) for entry in entries.values()]
+        learned = {e.name: e for e in own if isinstance(e, LearnedEstimator)}
         if any(entry.uses_direct for entry in learned.values()):
-            direct_of(samples)  # refused before the training, not after
+            direct_of(samples)
         given = _given(model, learned)
-        models = _train(learned, samples, given, sizes=sizes, seed=seed, progress=progress)
-        _check_certainty(entries, models)
-        direct = samples.direct
-        known = direct is not None and direct.spp >= samples.spp
-        judging = judging_pixels(samples.shape[:2], seed=seed)
+        trained = dict(given)
+        for entry in learned.values():
+            if entry.train not in trained:
+                # What takes any number of samples is trained for those that it is judged at.
+                options = {} if entry.inputs else {"sizes": tuple(sizes)}
+                pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=seed)
+                trained[entry.train] = entry.train(
+                    samples, seed=seed, pixels=pixels, progress=progress, **options
+                )
+        models = {name: trained[entry.train] for name, entry in learned.items()}
+        for name, entry in entries.items():
+            certain = isinstance(entry, Denoised) and entry.with_certainty
+            if certain and not hasattr(models[_without_denoiser(entry).name], "estimate"):
+                message = f"{_without_denoiser(entry).name} says no certainty; leave {name!r} out"
+                raise InputError(message)
         foreign = frozenset(
             name
             for name, entry in learned.items()
             if entry.train in given and not _trained_on(given[entry.train], samples)
         )
-        return cls(entries, models, samples.features, judging, known, foreign)
+        judging = judging_pixels(samples.shape[:2], seed=seed)
+        return cls(samples, totals, entries, models, judging, foreign)
 
     def with_denoised(self) -> Candidates:
-        """Enter all of them once more, followed by the denoiser, at the end."""
-        added = [
-            found
-            for entry in self.entries.values()
-            if not isinstance(entry, Denoised)
-            for found in variants(
-                entry,
-                certain=_says_certainty(self.models.get(entry.name)),
-                features=self.features,
-            )
-        ]
-        own = dict(self.entries)
-        return replace(self, entries=own | {e.name: e for e in added if e.name not in own})
+        """Add every way to denoise each of them that the image and its model allow, at the end."""
+        entries = dict(self.entries)
+        guided = (False, True) if "albedo" in self.samples.features else (False,)
+        for entry in self.entries.values():
+            if not isinstance(entry, Denoised):
+                certain = hasattr(self.models.get(entry.name), "estimate")
+                for kept in (False, True) if certain else (False,):
+                    for with_features in guided:
+                        added = Denoised(entry, with_features, kept)
+                        entries.setdefault(added.name, added)
+        return replace(self, entries=entries)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -199,57 +294,50 @@ class Candidates:
     @property
     def uses_neighbours(self) -> npt.NDArray[np.bool_]:
         """Which of them look at the pixels around, shape (estimator,)."""
-        return np.array([looks_around(entry) for entry in self.entries.values()], bool)
+        return np.array([entry.uses_neighbours for entry in self.entries.values()], bool)
 
     @property
-    def provenance(self) -> dict[str, Any]:
-        """What the trained ones say of their training."""
-        return {name: getattr(model, "provenance", {}) for name, model in self.models.items()}
+    def direct(self) -> Samples | None:
+        """Direct part of the samples; None where no estimator takes it."""
+        used = any(_without_denoiser(entry).uses_direct for entry in self.entries.values())
+        return direct_of(self.samples) if used else None
 
-    def taking(self, n: int) -> dict[str, Function]:
-        """Return those that take n samples, as functions of the samples of the image."""
+    def provenance(self, *, seed: int, max_batches: int | None) -> dict[str, Any]:
+        """Return scene, samples and settings of a comparison, and what is known of the models."""
         return {
-            name: self._function(entry) for name, entry in self.entries.items() if takes(entry, n)
+            "scene": self.samples.name,
+            "samples": self.samples.attrs,
+            "samples_shape": list(self.samples.shape),
+            "seed": seed,
+            "max_batches": max_batches,
+            "models": {n: getattr(model, "provenance", {}) for n, model in self.models.items()},
         }
 
-    def _function(self, entry: Entry) -> Function:
-        function = self._called(entry)
-        return Directed(function) if self.direct and own_of(entry).uses_direct else function
+    def taking(self, n: int) -> dict[str, Callable[[Array, Array | None], Array]]:
+        """Return those that take n samples, as functions of samples and of their direct part."""
+        return {
+            name: partial(self._estimate, entry)
+            for name, entry in self.entries.items()
+            if takes(entry, n)
+        }
 
-    def _called(self, entry: Entry) -> Callable[..., Array]:
-        """Return a function from samples, and options of one estimate, to estimates."""
-        if isinstance(entry, Denoised):
-            estimate = (
-                self._certain(entry.entry)
-                if entry.certainty
-                else _uncertain(self._called(entry.entry))
-            )
-            return partial(entry, estimate, self.features)
-        options = self._options(entry)
-        if isinstance(entry, LearnedEstimator):
-            return partial(self.models[entry.name].predict, **options)
-        return partial(entry, **options)
-
-    def _options(self, entry: Estimator | LearnedEstimator) -> dict[str, Any]:
-        """Return what an estimator is called with beside the samples."""
-        options = options_of(entry, self.features)
-        own = entry.name not in self.foreign
-        if own and isinstance(self.models.get(entry.name), Progressive):
+    def _estimate(self, entry: Entry, x: Array, direct: Array | None) -> Array:
+        """Estimate from samples (y, x, channel, sample) and their direct part."""
+        own, features = _without_denoiser(entry), self.samples.features
+        model: Any = self.models.get(own.name)
+        options = options_of(own, features)
+        if own.uses_direct:
+            options["direct"] = direct
+        if isinstance(model, Progressive) and own.name not in self.foreign:
             options["trust"] = 1.0
-        return options
+        guides = features if isinstance(entry, Denoised) and entry.with_features else {}
+        if isinstance(entry, Denoised) and entry.with_certainty:
+            found = model.estimate(x, **options)
+            return through_denoiser(found.radiance, guides, certainty=found.certainty)
+        radiance = own(x, **options) if isinstance(own, Estimator) else model.predict(x, **options)
+        return through_denoiser(radiance, guides) if isinstance(entry, Denoised) else radiance
 
-    def _certain(self, entry: Estimator | LearnedEstimator) -> Callable[..., tuple[Array, Array]]:
-        """Return a function from samples to estimates and their certainty."""
-        model: Any = self.models[entry.name]
-        options = self._options(entry)
-
-        def estimate(x: npt.ArrayLike, **more: Any) -> tuple[Array, Array]:
-            found = model.estimate(x, **options, **more)
-            return found.radiance, found.certainty
-
-        return estimate
-
-    def test_pixels(self, shape: tuple[int, int]) -> npt.NDArray[np.bool_]:
+    def test_pixels(self) -> npt.NDArray[np.bool_]:
         """Return the pixels that judge: all where no model was trained on an image of this shape.
 
         Raises
@@ -257,6 +345,7 @@ class Candidates:
         InputError
             If there are none.
         """
+        shape = self.samples.shape[:2]
         seen = [_seen(model, shape) for model in self.models.values()]
         test = self.judging.copy() if any(map(len, seen)) else np.ones(shape, bool)
         for pixels in seen:
@@ -269,19 +358,15 @@ class Candidates:
         return test
 
 
-def totals_of(samples: Samples) -> Totals:
-    """Return the sums that references are made of.
-
-    Raises
-    ------
-    InputError
-        If no sample is good.
-    """
-    totals = Totals.of(samples)
-    if not totals.count.any():
-        message = "every sample of the image is bad (NaN or infinite); none can judge"
+def _check_denoised(entry: Denoised, samples: Samples) -> None:
+    """Refuse an image that lacks what the denoiser is given, and a missing denoiser."""
+    check_denoiser(samples.shape[2])
+    if entry.with_features and "albedo" not in samples.features:
+        message = (
+            f"{entry.name!r} needs the albedo of the first hit, which this image lacks; it has "
+            f"{sorted(samples.features) or 'none'}. Give denoised(..., with_features=False)"
+        )
         raise InputError(message)
-    return totals
 
 
 def _given(model: Given, learned: Mapping[str, LearnedEstimator]) -> dict[Any, Model]:
@@ -303,27 +388,6 @@ def _given(model: Given, learned: Mapping[str, LearnedEstimator]) -> dict[Any, M
     return found
 
 
-def _train(
-    learned: Mapping[str, LearnedEstimator],
-    samples: Samples,
-    given: Mapping[Any, Model],
-    *,
-    sizes: Sequence[int],
-    seed: int,
-    progress: bool | None,
-) -> dict[str, Model]:
-    trained = dict(given)
-    for entry in learned.values():
-        if entry.train not in trained:
-            # Whoever takes any number of samples learns those that it is judged at.
-            options = {} if entry.inputs else {"sizes": tuple(sizes)}
-            pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=seed)
-            trained[entry.train] = entry.train(
-                samples, seed=seed, pixels=pixels, progress=progress, **options
-            )
-    return {name: trained[entry.train] for name, entry in learned.items()}
-
-
 def _seen(model: Model, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     """Return the pixels of an image of this shape that trained a model, rows (y, x)."""
     if hasattr(model, "seen"):  # it may have been trained on several images
@@ -331,29 +395,5 @@ def _seen(model: Model, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     return model.train_pixels if model.train_shape == shape else np.zeros((0, 2), np.int64)
 
 
-def options_of(
-    entry: Estimator | LearnedEstimator, features: Mapping[str, Array]
-) -> dict[str, Any]:
-    """Return what an estimator is called with beside the samples, on whatever scene."""
-    options = dict(entry.options) if isinstance(entry, LearnedEstimator) else {}
-    return options | ({"features": features} if entry.uses_features and features else {})
-
-
 def _trained_on(model: Model, samples: Samples) -> bool:
     return isinstance(model, Progressive) and model.trained_on(samples.attrs)
-
-
-def _uncertain(function: Callable[..., Array]) -> Callable[..., tuple[Array, None]]:
-    return lambda x, **more: (function(x, **more), None)
-
-
-def _says_certainty(model: Model | None) -> bool:
-    return hasattr(model, "estimate")
-
-
-def _check_certainty(entries: Mapping[str, Entry], models: Mapping[str, Model]) -> None:
-    asked = (e for e in entries.values() if isinstance(e, Denoised) and e.certainty)
-    for entry in asked:
-        if not _says_certainty(models.get(entry.entry.name)):
-            message = f"{entry.entry.name} says no certainty; leave {entry.name!r} out"
-            raise InputError(message)

@@ -3,111 +3,51 @@
 `compare` cuts the samples of every pixel into batches of n, lets each estimator estimate from each
 batch, and measures against the mean of all *other* samples of the pixel. Estimators that learn are
 trained first, each on as many pixels as it wants of those that do not judge. Which pixels judge
-depends on the image and the seed alone, so that no row of the table depends on who else is in it;
-only where nobody was trained on an image of this size, all pixels judge. `error_curve` in
-`chdstat.comparison.curves` does the same for many n.
+depends on the image and the seed alone, so that no row of the table depends on the other
+estimators; only where none was trained on an image of this size, all pixels judge.
 
-`labels_of` names the pixels by which a comparison is broken down.
+`error_curve` does the same for many n: use it to see up to which size an estimator pays. Where it
+has a bias that does not fall, its error does not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.reasons import flag_attributes
-from chdstat.comparison.accumulate import MEASURES, ErrorAccumulator, Units, judge, stack_intervals
-from chdstat.comparison.candidates import DEFAULT, Candidates, Entry, Given, resolve, totals_of
-from chdstat.comparison.tables import Breakdown, Comparison
+from chdstat._core.resampling import Interval
+from chdstat.comparison.accumulate import MEASURES, ErrorSums, Units, judge, stack_intervals
+from chdstat.comparison.candidates import (
+    DEFAULT,
+    Candidates,
+    Entry,
+    Given,
+    least_taken,
+    looked_up,
+    resolve,
+    takes,
+)
+from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
 from chdstat.errors import InputError
-from chdstat.estimators.denoising import check_denoiser
-from chdstat.estimators.validation import Totals, check_spp
+from chdstat.estimators.estimates import check_denoiser
+from chdstat.estimators.validation import check_spp
 from chdstat.patterns import Label, classify
 from chdstat.samples import Image, Samples, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["GivenLabels", "Labels", "compare", "labels_of"]
+__all__ = ["compare", "curve_sizes", "error_curve"]
 
-GivenLabels = npt.ArrayLike | Literal["classify"] | None
-"""Codes (y, x), a labelled map or dataset of `chdstat.classify`, or the order to classify."""
+Array = npt.NDArray[Any]
 
-
-@dataclass(frozen=True)
-class Labels:
-    """Codes of pixels and what they mean.
-
-    Attributes
-    ----------
-    codes
-        Shape (y, x).
-    names
-        By code.
-    """
-
-    codes: npt.NDArray[np.int64]
-    names: dict[int, str]
-
-
-def labels_of(given: Any, samples: Samples, *, progress: bool | None = None) -> Labels | None:
-    """Return the labels of an image; None stays None.
-
-    Parameters
-    ----------
-    given
-        Codes of `Label`, shape (y, x); a labelled map of other codes with the attributes
-        ``flag_values`` and ``flag_meanings``; a dataset with such a map as ``label``; or
-        "classify".
-
-    Raises
-    ------
-    InputError
-        If it is neither, has another shape, or holds codes without a name.
-    """
-    if given is None:
-        return None
-    if isinstance(given, str):
-        if given != "classify":
-            message = f"labels must be a map of labels or 'classify', got {given!r}"
-            raise InputError(message)
-        given = classify(samples, progress=progress)
-    if hasattr(given, "data_vars"):
-        given = _label_of(given)
-    codes = np.asarray(given)
-    if codes.shape != samples.shape[:2] or codes.dtype.kind not in "iu":
-        message = (
-            f"labels must be integers of shape {samples.shape[:2]}, one for each pixel; "
-            f"got {codes.dtype} of shape {codes.shape}"
-        )
-        raise InputError(message)
-    return _checked(codes.astype(np.int64), _names(getattr(given, "attrs", {})))
-
-
-def _label_of(dataset: Any) -> Any:
-    if "label" not in dataset:
-        message = f"a dataset of labels has a variable 'label'; this one has {list(dataset)}"
-        raise InputError(message)
-    return dataset["label"]
-
-
-def _names(attrs: dict[str, Any]) -> dict[int, str]:
-    flags = attrs if "flag_meanings" in attrs else flag_attributes(Label)
-    values = np.atleast_1d(flags["flag_values"]).tolist()
-    return dict(zip(values, flags["flag_meanings"].split(), strict=True))
-
-
-def _checked(codes: npt.NDArray[np.int64], names: dict[int, str]) -> Labels:
-    unknown = set(np.unique(codes).tolist()) - set(names)
-    if unknown:
-        message = f"labels must be among {names}, got {sorted(unknown)} too"
-        raise InputError(message)
-    return Labels(codes, names)
+_SMALLEST, _SHARE = 4, 8
+"""By default, sizes double from 4 to an eighth of the samples: the rest is the reference."""
 
 
 def compare(
@@ -196,91 +136,57 @@ def compare(
     median_of_means 1.5 True
     """
     samples, seed = samples_of(samples), seed_number(seed)
-    n = whole("n", n, least=1)
-    if max_batches is not None:
-        max_batches = whole("max_batches", max_batches, least=1)
+    n, max_batches = whole("n", n, least=1), _limit(max_batches)
     entries = resolve(estimators, [n])
     check_spp(samples, n)
     if denoise:
-        check_denoiser(samples)  # before the training, not after
-    totals = totals_of(samples)
-    named = labels_of(labels, samples, progress=progress)
-    candidates = Candidates.of(
-        entries, samples, sizes=[n], seed=seed, model=model, progress=progress
-    )
-    candidates = candidates.with_denoised() if denoise else candidates
-    functions = candidates.taking(n)
-    test = candidates.test_pixels(samples.shape[:2])
-    units = Units.of(test, None if named is None else named.codes)
-    errors = judge(functions, samples, totals, units, n=n, limit=max_batches, progress=progress)
-    if errors.by_unit.count.sum() == 0:
-        message = (
-            f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
-        )
-        raise InputError(message)
-    return _comparison(
+        check_denoiser(samples.shape[2])  # before the training, not after
+    codes, names = (None, {}) if labels is None else _labels_of(labels, samples, progress=progress)
+    found = Candidates.of(entries, samples, sizes=[n], seed=seed, model=model, progress=progress)
+    found = found.with_denoised() if denoise else found
+    test = found.test_pixels()
+    units = Units.of(test, codes)
+    errors = judge(
+        found.taking(n),
         samples,
-        candidates,
-        totals=totals,
-        test=test,
-        errors=errors,
-        breakdown=None if named is None else _breakdown(named, units, errors, candidates, seed),
+        found.totals,
+        units,
+        direct=found.direct,
         n=n,
-        settings={"seed": seed, "max_batches": max_batches},
+        limit=max_batches,
+        progress=progress,
     )
-
-
-def _comparison(
-    samples: Samples,
-    candidates: Candidates,
-    *,
-    totals: Totals,
-    test: npt.NDArray[np.bool_],
-    errors: ErrorAccumulator,
-    breakdown: Breakdown | None,
-    n: int,
-    settings: Mapping[str, Any],
-) -> Comparison:
     images = errors.images
-    if images is None:
-        message = "a comparison needs the images of its first batch"
-        raise InputError(message)
     return Comparison(
-        estimators=candidates.names,
-        uses_neighbours=candidates.uses_neighbours,
+        estimators=found.names,
+        uses_neighbours=found.uses_neighbours,
         channels=samples.channels,
-        measures=errors.by_block.measures(seed=settings["seed"]),
-        over_batches=errors.by_batch.measures(seed=settings["seed"]),
+        measures=errors.by_block.measures(seed=seed),
+        over_batches=errors.by_batch.measures(seed=seed),
         estimates=images.estimates,
         squared_error=images.squared_error,
         first_mean=images.mean,
         first_reference=images.reference,
-        reference=totals.mean(),
+        reference=found.totals.mean(),
         test_pixels=test,
         n=n,
         batches=int(errors.by_unit.count.sum()),
         excluded=errors.excluded,
-        breakdown=breakdown,
-        models=candidates.models,
-        provenance={
-            "scene": samples.name,
-            "samples": samples.attrs,
-            "samples_shape": list(samples.shape),
-            **settings,
-            "models": candidates.provenance,
-        },
+        breakdown=None if codes is None else _breakdown(names, units, errors.by_unit, found, seed),
+        models=found.models,
+        provenance=found.provenance(seed=seed, max_batches=max_batches),
     )
 
 
 def _breakdown(
-    named: Labels, units: Units, errors: ErrorAccumulator, candidates: Candidates, seed: int
+    names: Mapping[int, str], units: Units, sums: ErrorSums, candidates: Candidates, seed: int
 ) -> Breakdown:
     """Measure the pixels of each label separately."""
-    judged = errors.by_unit.count > 0
+    judged = sums.count > 0
     codes = np.unique(units.label[judged])
-    parts = [errors.by_unit[units.label == code].measures(seed=seed) for code in codes]
+    parts = [sums[units.label == code].measures(seed=seed) for code in codes]
     return Breakdown(
-        labels=tuple(named.names[code] for code in codes.tolist()),
+        labels=tuple(names[code] for code in codes.tolist()),
         estimators=candidates.names,
         uses_neighbours=candidates.uses_neighbours,
         pixels=np.array([units.pixels[judged & (units.label == code)].sum() for code in codes]),
@@ -288,3 +194,187 @@ def _breakdown(
             name: stack_intervals([part[name][:, -1] for part in parts]) for name in MEASURES
         },
     )
+
+
+def error_curve(
+    samples: Image | npt.ArrayLike,
+    estimators: Sequence[str | Entry] = DEFAULT,
+    *,
+    sizes: Sequence[int] | None = None,
+    seed: Seed = 0,
+    max_batches: int | None = 16,
+    model: Given = None,
+    progress: bool | None = None,
+) -> ErrorCurve:
+    r"""Measure the error of estimators at many numbers of samples, N.
+
+    At every N, batches of N samples estimate, and the mean of the other samples of the pixel is the
+    reference, as in `chdstat.compare`. The variance of a sample is :math:`\sigma^2`; the sample
+    mean shows :math:`\sigma^2 / N + \sigma^2 / (\text{spp} - N)`, of which the second part is the
+    noise of the reference. It is N/spp of the whole, which is how it is known without knowing
+    :math:`\sigma^2`; for relMSE, the same share is an approximation.
+
+    Parameters
+    ----------
+    samples
+        The image, as `compare` takes it, at least twice as many samples per pixel as the largest N.
+    estimators
+        Names of registered estimators, or entries of your own. Where one does not take N samples,
+        there is no number.
+    sizes
+        N, in any order; None doubles from 4 to an eighth of the samples, and adds the fewest that
+        an estimator takes where these are none.
+    seed, max_batches, model, progress
+        As for `chdstat.compare`. Pixels that trained a model count at no N. Small batches are
+        read one by one: `Samples.load` a store first.
+
+    Returns
+    -------
+    ErrorCurve
+
+    Raises
+    ------
+    InputError
+        If `sizes` are not different whole numbers from 1, there are too few samples for them, an
+        estimator takes none of them, or nothing is left to judge by.
+
+    Examples
+    --------
+    The bias of a median stays, so that its error stops falling:
+
+    >>> import chdstat as chd
+    >>> import numpy as np
+    >>> rng = np.random.default_rng(0)
+    >>> samples = chd.Samples.from_array(rng.exponential(size=(16, 16, 1, 1024)))
+    >>> curve = error_curve(samples, ["mean", "median"], sizes=[16, 128])
+    >>> curve.measures["mse_ratio"].value.round()
+    array([[ 1.,  2.],
+           [ 1., 11.]])
+    """
+    samples, seed = samples_of(samples), seed_number(seed)
+    max_batches = _limit(max_batches)
+    chosen = curve_sizes(samples, estimators, sizes=sizes)
+    entries = resolve(estimators, chosen)
+    found = Candidates.of(entries, samples, sizes=chosen, seed=seed, model=model, progress=progress)
+    units = Units.of(found.test_pixels())
+    parts, noise, counts = [], [], []
+    for n in chosen:
+        functions = found.taking(n)
+        errors = judge(
+            functions,
+            samples,
+            found.totals,
+            units,
+            direct=found.direct,
+            n=n,
+            limit=max_batches,
+            progress=progress,
+        )
+        taken = list(functions)
+        place = [taken.index(name) if name in taken else len(taken) for name in found.names]
+        measures = errors.by_block.measures(seed=seed)
+        parts.append({name: _placed(part[:, -1], place) for name, part in measures.items()})
+        counts.append(errors.by_unit.count.sum())
+        # The reference adds the share N / spp of the sample mean's own error.
+        of_mean = errors.by_unit.sums[:, :2, 0].sum(axis=0).mean(axis=-1) / counts[-1]
+        noise.append(of_mean * (n / samples.spp))
+    return ErrorCurve(
+        estimators=found.names,
+        uses_neighbours=found.uses_neighbours,
+        sizes=chosen,
+        measures={name: stack_intervals([part[name] for part in parts]) for name in MEASURES},
+        reference_noise=dict(zip(("mse", "relmse"), np.transpose(noise), strict=True)),
+        batches=np.array(counts),
+        test_pixels=len(units.ys),
+        models=found.models,
+        provenance=found.provenance(seed=seed, max_batches=max_batches),
+    )
+
+
+def curve_sizes(
+    samples: Samples,
+    estimators: Sequence[str | Entry] = DEFAULT,
+    *,
+    sizes: Sequence[int] | None = None,
+) -> tuple[int, ...]:
+    """Return the N of an error curve in ascending order, checked before any work.
+
+    Raises
+    ------
+    InputError
+        As `error_curve` does.
+    """
+    if sizes is None:
+        largest = max(_SMALLEST, samples.spp // _SHARE)
+        doubled = [2**k for k in range(_SMALLEST.bit_length() - 1, largest.bit_length())]
+        entries = looked_up(estimators)
+        fewest = {least_taken(e) for e in entries if not any(takes(e, n) for n in doubled)}
+        sizes = [*doubled, *(n for n in fewest if 2 * n <= samples.spp)]
+    if np.ndim(sizes) != 1:
+        message = f"sizes must be several numbers, got {sizes!r}"
+        raise InputError(message)
+    chosen = tuple(sorted(whole("a size", n, least=1) for n in sizes))
+    if not chosen or len(set(chosen)) < len(chosen):
+        message = f"sizes must be one or more different numbers from 1, got {chosen}"
+        raise InputError(message)
+    check_spp(samples, chosen[-1])
+    resolve(estimators, chosen)
+    return chosen
+
+
+def _placed(interval: Interval[Array], place: list[int]) -> Interval[Array]:
+    """Put estimators in their place; beyond the last, which took no such samples, there is NaN."""
+    return interval.map(lambda part: np.append(part, np.nan)[place])
+
+
+def _limit(max_batches: int | None) -> int | None:
+    return None if max_batches is None else whole("max_batches", max_batches, least=1)
+
+
+def _labels_of(
+    given: npt.ArrayLike | xr.DataArray | xr.Dataset | str,
+    samples: Samples,
+    *,
+    progress: bool | None = None,
+) -> tuple[npt.NDArray[np.int64], dict[int, str]]:
+    """Return the labels of an image as codes (y, x), and the names of the codes.
+
+    Parameters
+    ----------
+    given
+        Codes of `Label`, shape (y, x); a labelled map of other codes with the attributes
+        ``flag_values`` and ``flag_meanings``; a dataset with such a map as ``label``; or
+        "classify".
+
+    Raises
+    ------
+    InputError
+        If it is neither, has another shape, or holds codes without a name.
+    """
+    found: Any = given
+    if isinstance(given, str):
+        if given != "classify":
+            message = f"labels must be a map of labels or 'classify', got {given!r}"
+            raise InputError(message)
+        found = classify(samples, progress=progress)
+    if hasattr(found, "data_vars"):
+        if "label" not in found:
+            message = f"a dataset of labels has a variable 'label'; this one has {list(found)}"
+            raise InputError(message)
+        found = found["label"]
+    codes = np.asarray(found)
+    if codes.shape != samples.shape[:2] or codes.dtype.kind not in "iu":
+        message = (
+            f"labels must be integers of shape {samples.shape[:2]}, one for each pixel; "
+            f"got {codes.dtype} of shape {codes.shape}"
+        )
+        raise InputError(message)
+    attrs = getattr(found, "attrs", {})
+    flags = attrs if "flag_meanings" in attrs else flag_attributes(Label)
+    values = np.atleast_1d(flags["flag_values"]).tolist()
+    names = dict(zip(values, flags["flag_meanings"].split(), strict=True))
+    unknown = set(np.unique(codes).tolist()) - set(names)
+    if unknown:
+        message = f"labels must be among {names}, got {sorted(unknown)} too"
+        raise InputError(message)
+    return codes.astype(np.int64), names

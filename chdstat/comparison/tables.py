@@ -1,7 +1,7 @@
 """Results of a comparison as tables, dictionaries, datasets and JSON.
 
-`Comparison` holds every measure with its interval, `Breakdown` the measures of each pattern, and
-`PixelEstimates` the estimates of a few pixels.
+`Comparison` holds every measure with its interval, `Breakdown` the measures of each pattern,
+`ErrorCurve` those of many numbers of samples, and `PixelEstimates` the estimates of a few pixels.
 """
 
 from __future__ import annotations
@@ -23,27 +23,15 @@ from chdstat.estimators.registry import Model
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "ALL_CHANNELS",
-    "OVER_BATCHES",
-    "Breakdown",
-    "Comparison",
-    "PixelEstimates",
-    "about_of",
-    "dataset_of",
-    "interval_variables",
-    "names_array",
-    "parts_of",
-    "ready_for_json",
-    "row_of",
-]
+__all__ = ["Breakdown", "Comparison", "ErrorCurve", "PixelEstimates"]
 
 Array = npt.NDArray[Any]
 
-ALL_CHANNELS = -1
+_ALL_CHANNELS = -1
 """Last place of the channel axis of a measure: the average over channels."""
-OVER_BATCHES = "_over_batches"
+_OVER_BATCHES = "_over_batches"
 """What follows the suffix of an interval over batches, in place of pixels."""
+_LOOKS = "whether it looks at the pixels around"
 _SUFFIXES = {
     "": "",
     "_se": ", standard error",
@@ -52,33 +40,52 @@ _SUFFIXES = {
 }
 
 
-def parts_of(interval: Interval[Array]) -> dict[str, Array]:
+def _parts(interval: Interval[Array]) -> dict[str, Array]:
     """Return value, standard error and ends of an interval, by the suffix of their name."""
     values = interval.value, interval.standard_error, interval.low, interval.high
     return dict(zip(_SUFFIXES, values, strict=True))
 
 
-def interval_variables(
+def _row(
+    measures: Mapping[str, Interval[Array]], index: tuple[int, int], *, over_batches: bool = False
+) -> dict[str, float]:
+    """Return one place of all measures as a flat row; over batches, without the values."""
+    return {
+        measure + suffix + over_batches * _OVER_BATCHES: float(values[index])
+        for measure, interval in measures.items()
+        for suffix, values in _parts(interval).items()
+        if suffix or not over_batches
+    }
+
+
+def _variables(
     measures: Mapping[str, Interval[Array]],
     dims: tuple[str, ...],
     *,
     prefix: str = "",
-    infix: str = "",
-    about: str = "",
-    skip_value: bool = False,
+    over_batches: bool = False,
 ) -> dict[str, Any]:
-    """Return measures as variables of a dataset, with long names and units."""
-    variables = {}
-    for measure, interval in measures.items():
-        long_name, units = MEASURES[measure]
-        for suffix, values in parts_of(interval).items():
-            if suffix or not skip_value:
-                attrs = about_of(f"{long_name}{_SUFFIXES[suffix]}{about}", units)
-                variables[prefix + measure + suffix + infix] = (dims, values, attrs)
-    return variables
+    """Return measures as variables of a dataset; over batches, without the values."""
+    return {
+        prefix + measure + suffix + over_batches * _OVER_BATCHES: (
+            dims,
+            values,
+            _about(
+                MEASURES[measure][0] + _SUFFIXES[suffix] + over_batches * " over batches",
+                MEASURES[measure][1],
+            ),
+        )
+        for measure, interval in measures.items()
+        for suffix, values in _parts(interval).items()
+        if suffix or not over_batches
+    }
 
 
-def dataset_of(
+def _about(long_name: str, units: str = "1") -> dict[str, str]:
+    return {"long_name": long_name, "units": units}
+
+
+def _dataset(
     variables: Mapping[str, Any], coordinates: Mapping[str, Any], attrs: Mapping[str, Any]
 ) -> xr.Dataset:
     """Return a dataset whose attributes a file can hold: what is neither text nor whole is JSON."""
@@ -90,39 +97,22 @@ def dataset_of(
     return xr.Dataset(dict(variables), dict(coordinates), plain)
 
 
-def names_array(names: Iterable[str]) -> npt.NDArray[np.object_]:
+def _names(names: Iterable[str]) -> npt.NDArray[np.object_]:
     """Return names as a coordinate: zarr v3 has no stable type for text of fixed length."""
     return np.array(list(names), dtype=object)
 
 
-def ready_for_json(value: Any) -> Any:
-    """Replace what JSON cannot say."""
+def _ready_for_json(value: Any) -> Any:
+    """Replace what JSON cannot hold."""
     if isinstance(value, Mapping):
-        return {str(key): ready_for_json(part) for key, part in value.items()}
+        return {str(key): _ready_for_json(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [ready_for_json(part) for part in value]
+        return [_ready_for_json(part) for part in value]
     if isinstance(value, np.generic | np.ndarray):
-        return ready_for_json(value.tolist())
+        return _ready_for_json(value.tolist())
     if isinstance(value, float) and not np.isfinite(value):
         return None
     return value
-
-
-def row_of(
-    measures: Mapping[str, Interval[Array]], index: tuple[int, int], *, infix: str = ""
-) -> dict[str, float]:
-    """Return one place of all measures as a flat row; with an infix, without the values."""
-    return {
-        measure + suffix + infix: float(values[index])
-        for measure, interval in measures.items()
-        for suffix, values in parts_of(interval).items()
-        if suffix or not infix
-    }
-
-
-def about_of(long_name: str, units: str) -> dict[str, str]:
-    """Return the attributes of a variable."""
-    return {"long_name": long_name, "units": units}
 
 
 @dataclass(frozen=True)
@@ -230,7 +220,7 @@ class Breakdown:
                 "pixels": int(self.pixels[row]),
                 "estimator": name,
                 "uses_neighbours": bool(self.uses_neighbours[k]),
-                **row_of(self.measures, (row, k)),
+                **_row(self.measures, (row, k)),
             }
             for row, label in enumerate(self.labels)
             for k, name in enumerate(self.estimators)
@@ -320,8 +310,8 @@ class Comparison:
             {
                 "estimator": name,
                 "uses_neighbours": bool(self.uses_neighbours[index]),
-                **row_of(self.measures, (index, ALL_CHANNELS)),
-                **row_of(self.over_batches, (index, ALL_CHANNELS), infix=OVER_BATCHES),
+                **_row(self.measures, (index, _ALL_CHANNELS)),
+                **_row(self.over_batches, (index, _ALL_CHANNELS), over_batches=True),
             }
             for index, name in enumerate(self.estimators)
         ]
@@ -385,7 +375,7 @@ class Comparison:
             "per_label": [] if self.breakdown is None else self.breakdown.table(),
             "provenance": dict(self.provenance),
         }
-        return {key: ready_for_json(value) for key, value in content.items()}
+        return {key: _ready_for_json(value) for key, value in content.items()}
 
     def to_dataset(self) -> xr.Dataset:
         """Return measures and images with named dims.
@@ -394,47 +384,117 @@ class Comparison:
         ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``. Those by label
         have dims (label, estimator) and the prefix ``label_``.
         """
-        dims = ("estimator", "part")
-        variables = interval_variables(self.measures, dims)
-        variables |= interval_variables(
-            self.over_batches, dims, infix=OVER_BATCHES, about=" over batches", skip_value=True
-        )
+        measured = ("estimator", "part")
         height, width = self.test_pixels.shape
         coordinates: dict[str, Any] = {
-            "estimator": names_array(self.estimators),
-            "part": names_array([*self.channels, "mean"]),
-            "channel": names_array(self.channels),
+            "estimator": _names(self.estimators),
+            "part": _names([*self.channels, "mean"]),
+            "channel": _names(self.channels),
             "y": np.arange(height),
             "x": np.arange(width),
         }
-        variables |= self._images()
-        looks = about_of("whether it looks at the pixels around", "1")
-        variables["uses_neighbours"] = (("estimator",), self.uses_neighbours, looks)
-        if self.breakdown is not None:
-            coordinates["label"] = names_array(self.breakdown.labels)
-            variables |= _breakdown_variables(self.breakdown)
-        return dataset_of(variables, coordinates, {"n": self.n, **self.provenance})
-
-    def _images(self) -> dict[str, Any]:
-        dims = ("estimator", "y", "x", "channel")
-        radiance, squared = "W sr-1 m-2", "(W sr-1 m-2)^2"
-        return {
-            "estimate": (dims, self.estimates, about_of("estimate", radiance)),
-            "squared_error": (dims, self.squared_error, about_of("squared error", squared)),
-            "reference": (dims[1:], self.reference, about_of("reference", radiance)),
-            "first_mean": (dims[1:], self.first_mean, about_of("mean of the first n", radiance)),
+        dims, radiance = ("estimator", "y", "x", "channel"), "W sr-1 m-2"
+        images = {
+            "estimate": (dims, self.estimates, "estimate", radiance),
+            "squared_error": (dims, self.squared_error, "squared error", f"({radiance})^2"),
+            "reference": (dims[1:], self.reference, "reference", radiance),
+            "first_mean": (dims[1:], self.first_mean, "mean of the first n", radiance),
             "first_reference": (
                 dims[1:],
                 self.first_reference,
-                about_of("mean of all but the first n", radiance),
+                "mean of all but the first n",
+                radiance,
             ),
-            "test_pixel": (dims[1:3], self.test_pixels, about_of("pixel counts", "1")),
+            "test_pixel": (dims[1:3], self.test_pixels, "pixel counts", "1"),
         }
+        variables = {
+            **_variables(self.measures, measured),
+            **_variables(self.over_batches, measured, over_batches=True),
+            **{k: (where, v, _about(*about)) for k, (where, v, *about) in images.items()},
+            "uses_neighbours": (dims[:1], self.uses_neighbours, _about(_LOOKS)),
+        }
+        if self.breakdown is not None:
+            found = self.breakdown
+            coordinates["label"] = _names(found.labels)
+            about = _about("pixels with the label that judge")
+            variables["label_pixels"] = (("label",), found.pixels, about)
+            variables |= _variables(found.measures, ("label", "estimator"), prefix="label_")
+        return _dataset(variables, coordinates, {"n": self.n, **self.provenance})
 
 
-def _breakdown_variables(found: Breakdown) -> dict[str, Any]:
-    about = about_of("pixels with the label that judge", "1")
-    return {
-        "label_pixels": (("label",), found.pixels, about),
-        **interval_variables(found.measures, ("label", "estimator"), prefix="label_"),
-    }
+@dataclass(frozen=True)
+class ErrorCurve:
+    """What `error_curve` has found.
+
+    Attributes
+    ----------
+    estimators
+        Names, those that use neighbours last.
+    uses_neighbours
+        Which of them look at the pixels around, shape (estimator,).
+    sizes
+        Samples per estimate, ascending.
+    measures
+        By the names of `chdstat.comparison.MEASURES`: intervals over blocks, averaged over
+        channels, shape (size, estimator); NaN where an estimator does not take so many samples.
+    reference_noise
+        For "mse" and "relmse": the error that even a perfect estimator would show, since the
+        reference is noisy; the same unit, shape (size,).
+    batches
+        Estimates that count, over all test pixels, shape (size,).
+    test_pixels
+        How many pixels count.
+    models
+        Trained estimators by name.
+    provenance
+        Scene, samples, seed and settings, ready for JSON.
+    """
+
+    estimators: tuple[str, ...]
+    uses_neighbours: npt.NDArray[np.bool_]
+    sizes: tuple[int, ...]
+    measures: Mapping[str, Interval[Array]]
+    reference_noise: Mapping[str, npt.NDArray[np.float64]]
+    batches: npt.NDArray[np.int64]
+    test_pixels: int
+    models: Mapping[str, Model]
+    provenance: Mapping[str, Any]
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per size and estimator that takes it, with every measure."""
+        return [
+            {
+                "n": size,
+                "estimator": name,
+                "uses_neighbours": bool(self.uses_neighbours[k]),
+                **_row(self.measures, (row, k)),
+            }
+            for row, size in enumerate(self.sizes)
+            for k, name in enumerate(self.estimators)
+            if np.isfinite(self.measures["mse"].value[row, k])
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return everything but the models, ready for JSON (NaN becomes None)."""
+        content = {
+            "sizes": self.sizes,
+            "batches": self.batches,
+            "test_pixels": self.test_pixels,
+            "reference_noise": dict(self.reference_noise),
+            "table": self.table(),
+            "provenance": dict(self.provenance),
+        }
+        return {key: _ready_for_json(value) for key, value in content.items()}
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return the measures with dims (n, estimator), each with ``_se``, ``_low``, ``_high``."""
+        variables = _variables(self.measures, ("n", "estimator"))
+        for measure, noise in self.reference_noise.items():
+            long_name, units = MEASURES[measure]
+            about = _about(f"{long_name} of a perfect estimator", units)
+            variables[f"{measure}_reference_noise"] = (("n",), noise, about)
+        variables["uses_neighbours"] = (("estimator",), self.uses_neighbours, _about(_LOOKS))
+        variables["batches"] = (("n",), self.batches, _about("estimates that count"))
+        sizes = ("n", np.array(self.sizes), _about("samples per estimate"))
+        coordinates = {"n": sizes, "estimator": _names(self.estimators)}
+        return _dataset(variables, coordinates, self.provenance)

@@ -11,8 +11,9 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,20 +23,19 @@ from chdstat._core.arrays import Seed, seed_number
 from chdstat._core.executor import check_memory
 from chdstat._core.files import checked_target
 from chdstat.errors import InputError
-from chdstat.estimators.denoising import check_denoiser, through_denoiser
+from chdstat.estimators.progressive import Estimates, Progressive, Stream
 from chdstat.estimators.models import AnyModel, first_samples, load_model, train_model
 from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.progressive import Estimates, Progressive, Stream
-from chdstat.estimators.progressive.inputs import Input
 from chdstat.estimators.progressive.stream import follow
+from chdstat.estimators.rows import check_probability
 from chdstat.estimators.validation import direct_of
-from chdstat.io import write_exr
+from chdstat.io import denoise, write_exr
 from chdstat.samples import Image, Samples, samples_of
 
 if TYPE_CHECKING:
     from chdstat.rendering.live import Rendering
 
-__all__ = ["estimate", "write_estimates"]
+__all__ = ["check_denoiser", "estimate", "through_denoiser", "write_estimates"]
 
 _COPIES = 1.6
 """Memory that an estimate takes, over that of its samples (measured: 1.55)."""
@@ -112,24 +112,24 @@ def estimate(
     >>> found.radiance.shape, found.certainty.shape
     ((16, 16, 3), (16, 16))
     """
-    return _improve(
-        samples,
-        model,
-        spp=spp,
-        balance=balance,
-        level=level,
-        denoise=denoise,
-        seed=seed,
-        iterations=iterations,
-        progress=progress,
-    ).final
+    options = _Options(
+        spp, balance, level, denoise, seed_number(seed), iterations, progress
+    )
+    return _Image.of(samples, model, options).final
 
 
 def write_estimates(
     path: str | Path,
     samples: Image | Rendering | npt.ArrayLike,
     model: AnyModel | str | Path | None = None,
-    **options: Any,
+    *,
+    spp: int | None = None,
+    balance: float = 0.5,
+    level: float = 0.9,
+    denoise: bool = False,
+    seed: Seed = 0,
+    iterations: int | None = None,
+    progress: bool | None = None,
 ) -> Path:
     """Estimate the radiance of every pixel and write it to an EXR file.
 
@@ -140,7 +140,7 @@ def write_estimates(
     ----------
     path
         The file, ending in .exr; one that is there already is replaced at the end.
-    samples, model, **options
+    samples, model, spp, balance, level, denoise, seed, iterations, progress
         As for `estimate`.
 
     Returns
@@ -165,225 +165,206 @@ def write_estimates(
     ['certainty', 'high', 'low', 'mean']
     """
     target = checked_target(path, ".exr")
-    found = _improve(samples, model, **options)
-    count = found.mean.shape[-1]
+    options = _Options(
+        spp, balance, level, denoise, seed_number(seed), iterations, progress
+    )
+    image = _Image.of(samples, model, options)
     return write_exr(
         target,
-        found.final.radiance,
-        channels=None if count in _USUAL_CHANNELS else found.channels,
-        extra=found.layers(),
-        attributes=found.header(),
+        image.final.radiance,
+        channels=None if image.mean.shape[-1] in _USUAL_CHANNELS else image.source.channels,
+        extra=image.layers(),
+        attributes=image.header(),
     )
 
 
 @dataclass(frozen=True)
-class _Improved:
-    """An estimate with all that a file of it says.
+class _Options:
+    """Options of `estimate`."""
+
+    spp: int | None
+    balance: float
+    level: float
+    denoise: bool
+    seed: int
+    iterations: int | None
+    progress: bool | None
+
+
+@dataclass(frozen=True)
+class _Image:
+    """An estimate with all that a file of it holds.
 
     Attributes
     ----------
-    first, final
-        Before the denoiser, and after it where there is one.
+    source, options
+        The samples or the rendering, and how they were estimated from.
+    model, about, training
+        The estimator, its provenance, and what it was trained on.
+    first
+        Before the denoiser.
     mean
         Of the same samples, shape (y, x, channel).
-    provenance
-        By the names of the header's attributes.
-    channels
-        Names of the channels.
     """
 
+    source: Samples | Rendering
+    options: _Options
+    model: AnyModel
+    about: Mapping[str, Any]
+    training: str
     first: Estimates
-    final: Estimates
     mean: npt.NDArray[np.float32]
-    provenance: Mapping[str, Any]
-    channels: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls,
+        source: Any,
+        model: AnyModel | str | Path | None,
+        options: _Options,
+    ) -> _Image:
+        if not 0 <= options.balance <= 1:
+            message = f"balance must lie between 0 (MSE) and 1 (relMSE), got {options.balance}"
+            raise InputError(message)
+        check_probability(level=options.level)
+        if model is not None and options.iterations is not None:
+            message = (
+                f"iterations={options.iterations} is for training; with a model, nothing is trained"
+            )
+            raise InputError(message)
+        own = load_model(model) if isinstance(model, str | Path) else model
+        # A rendering has batches; to test for its class would load Mitsuba here.
+        of = cls._of_rendering if hasattr(source, "batch") else cls._of_samples
+        return of(source, own, options)
+
+    @classmethod
+    def _of_samples(cls, source: Any, model: AnyModel | None, options: _Options) -> _Image:
+        samples = first_samples(samples_of(source), options.spp)
+        if options.denoise:
+            check_denoiser(samples.shape[2])  # refused before the training, not after
+        check_memory(
+            _COPIES * samples.nbytes,
+            f"the {samples.spp} spp of an estimate and what it computes of them",
+            "use fewer, by spp or --spp, or estimate from render_batches or with --while-rendering",
+        )
+        own = model
+        if own is None:
+            own = train_model(
+                samples,
+                inputs=["features"] if samples.features else [],
+                reference=False,
+                seed=options.seed,
+                iterations=options.iterations,
+                progress=options.progress,
+            )
+        x = samples.read()
+        if isinstance(own, Progressive):
+            known = model is None or own.trained_on(samples.attrs)
+            found = own.estimate(
+                x,
+                features=samples.features if own.inputs.features else None,
+                direct=direct_of(samples).read() if own.inputs.direct else None,
+                balance=options.balance,
+                level=options.level,
+                trust=1.0 if known else None,
+            )
+        else:
+            radiance = own.predict(x)
+            unknown = np.full_like(radiance, np.nan)
+            found = Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)
+        training = "on these samples, without a reference" if model is None else "before"
+        mean = mean_of_good(x).astype(np.float32)
+        return cls(samples, options, own, own.provenance, training, found, mean)
+
+    @classmethod
+    def _of_rendering(cls, rendering: Any, model: AnyModel | None, options: _Options) -> _Image:
+        # What could not be estimated after the rendering is refused before it.
+        channels = rendering.shape[2]
+        if options.spp not in (None, rendering.spp):
+            message = (
+                f"spp of a rendering is set where it is made: {rendering.spp}, "
+                f"got {options.spp} here"
+            )
+            raise InputError(message)
+        if options.denoise:
+            check_denoiser(channels)
+        own = Progressive(inputs=["features"]) if model is None else model
+        if not isinstance(own, Progressive) or own.inputs.neighbours or own.inputs.direct:
+            message = (
+                "while rendering, a model must be 'progressive' and look at no neighbours, since "
+                f"no samples are kept, nor at direct light, which is rendered apart; got {own!r}"
+            )
+            raise InputError(message)
+        if model is not None and own.channels != channels:
+            message = f"the model takes {own.channels} channels, got a rendering of {channels}"
+            raise InputError(message)
+        stream = Stream(
+            own,
+            features=rendering.features if own.inputs.features else None,
+            learns=model is None,
+            seed=options.seed,
+            attrs=rendering.attrs,
+        )
+        if model is None:
+            follow(stream, rendering, spp=rendering.spp, iterations=options.iterations)
+        else:
+            for batch in rendering:
+                stream.update(batch)
+        found = stream.estimate(balance=options.balance, level=options.level)
+        # Where no sample varied nothing was learned.
+        about = stream.model.provenance if model is not None or stream.iterations else {}
+        training = "while rendering, without a reference" if model is None else "before"
+        mean = stream.mean().astype(np.float32)
+        return cls(rendering, options, stream.model, about, training, found, mean)
+
+    @cached_property
+    def final(self) -> Estimates:
+        """The estimate, after the denoiser where there is one."""
+        if not self.options.denoise:
+            return self.first
+        radiance = through_denoiser(self.first.radiance, self.source.features)
+        return replace(self.first, radiance=radiance)
 
     def layers(self) -> dict[str, npt.NDArray[Any]]:
         found: dict[str, npt.NDArray[Any]] = {"mean": self.mean}
-        if not np.isnan(self.final.level):
-            known = self.final
-            found |= {"certainty": known.certainty, "low": known.low, "high": known.high}
-        if self.final is not self.first:
-            found["estimate"] = self.first.radiance
-        return found
+        if not np.isnan(self.first.level):
+            found |= {name: getattr(self.first, name) for name in ("certainty", "low", "high")}
+        return found | ({"estimate": self.first.radiance} if self.options.denoise else {})
 
     def header(self) -> dict[str, str]:
+        about = {
+            "software": f"chdstat {__version__}",
+            "scene": self.source.name,
+            "spp": self.source.spp,
+            "estimator": self.model.name,
+            "training": self.training,
+            "balance": self.options.balance if isinstance(self.model, Progressive) else "none",
+            "level": "none" if np.isnan(self.first.level) else self.first.level,
+            "denoiser": "Open Image Denoise" if self.options.denoise else "none",
+            "samples": self.source.attrs,
+            "model": self.about,
+        }
         return {
-            name: value if isinstance(value, str) else json.dumps(value, default=str)
-            for name, value in self.provenance.items()
+            k: v if isinstance(v, str) else json.dumps(v, default=str) for k, v in about.items()
         }
 
 
-def _improve(
-    samples: Image | Rendering | npt.ArrayLike,
-    model: AnyModel | str | Path | None,
-    *,
-    spp: int | None = None,
-    balance: float = 0.5,
-    level: float = 0.9,
-    denoise: bool = False,
-    seed: Seed = 0,
-    iterations: int | None = None,
-    progress: bool | None = None,
-) -> _Improved:
-    _check_options(balance, level)
-    if model is not None and iterations is not None:
-        message = f"iterations={iterations} is for training; with a model, nothing is trained"
-        raise InputError(message)
-    own = load_model(model) if isinstance(model, str | Path) else model
-    asked: dict[str, float] = {"balance": balance, "level": level}
-    training: dict[str, Any] = {"seed": seed_number(seed), "iterations": iterations}
-    if not hasattr(samples, "batch"):  # a rendering has it; its class would need Mitsuba here
-        samples = samples_of(samples)
-    samples = cast("Samples | Rendering", samples)
-    if isinstance(samples, Samples):
-        samples = first_samples(samples, spp)
-        if denoise:
-            check_denoiser(samples)  # refused before the training, not after
-        start = _of_samples(samples, own, asked, training | {"progress": progress})
-    else:
-        start = _of_rendering(samples, _checked_model(samples, own, spp, denoise), asked, training)
-    final = start.found
-    if denoise:
-        final = replace(final, radiance=through_denoiser(final.radiance, samples.features))
-    provenance = {
-        "software": f"chdstat {__version__}",
-        "scene": samples.name,
-        "spp": samples.spp,
-        "estimator": start.model.name,
-        "training": start.training if model is None else "before",
-        "balance": balance if isinstance(start.model, Progressive) else "none",
-        "level": "none" if np.isnan(final.level) else final.level,
-        "denoiser": "Open Image Denoise" if denoise else "none",
-        "samples": samples.attrs,
-        "model": start.told,
-    }
-    return _Improved(
-        start.found, final, start.mean.astype(np.float32), provenance, samples.channels
-    )
-
-
-@dataclass(frozen=True)
-class _Start:
-    """An estimate before the denoiser, with what gave it.
-
-    Attributes
-    ----------
-    model, told, training
-        The estimator, its provenance, and what it was trained on where it was trained here.
-    found
-        The estimate.
-    mean
-        Of the same samples, shape (y, x, channel).
-    """
-
-    model: AnyModel
-    told: Mapping[str, Any]
-    training: str
-    found: Estimates
-    mean: npt.NDArray[np.floating[Any]]
-
-
-def _of_samples(
-    samples: Samples, model: AnyModel | None, asked: Mapping[str, float], training: dict[str, Any]
-) -> _Start:
-    own = model
-    check_memory(
-        _COPIES * samples.nbytes,
-        f"the {samples.spp} spp of an estimate and what it computes of them",
-        "use fewer, by spp or --spp, or estimate from render_batches or with --while-rendering",
-    )
-    if own is None:
-        seen: tuple[Input, ...] = ("features",) if samples.features else ()
-        own = train_model(samples, inputs=seen, reference=False, **training)
-    image = samples.read()
-    direct = (
-        direct_of(samples).read() if isinstance(own, Progressive) and own.inputs.direct else None
-    )
-    known = model is None or (isinstance(own, Progressive) and own.trained_on(samples.attrs))
-    trust = 1.0 if known else None
-    found = _ask(own, image, samples.features, direct, trust=trust, **asked)
-    where = "on these samples, without a reference"
-    return _Start(own, own.provenance, where, found, mean_of_good(image))
-
-
-def _of_rendering(
-    rendering: Rendering,
-    model: Progressive | None,
-    asked: Mapping[str, float],
-    training: Mapping[str, Any],
-) -> _Start:
-    own = Progressive(inputs=["features"]) if model is None else model
-    stream = Stream(
-        own,
-        features=rendering.features if own.inputs.features else None,
-        learns=model is None,
-        seed=training["seed"],
-        attrs=rendering.attrs,
-    )
-    if model is None:
-        follow(stream, rendering, spp=rendering.spp, iterations=training["iterations"])
-    else:
-        for batch in rendering:
-            stream.update(batch)
-    found, where = stream.estimate(**asked), "while rendering, without a reference"
-    # Where no sample varied nothing was learned.
-    told = stream.model.provenance if model is not None or stream.iterations else {}
-    return _Start(stream.model, told, where, found, stream.mean())
-
-
-def _checked_model(
-    rendering: Rendering, model: AnyModel | None, spp: int | None, denoise: bool
-) -> Progressive | None:
-    """Return the model; what could not be estimated after the rendering is refused before it."""
-    channels = rendering.shape[2]
-    if spp not in (None, rendering.spp):
-        message = f"spp of a rendering is set where it is made: {rendering.spp}, got {spp} here"
-        raise InputError(message)
-    if denoise:
-        check_denoiser(Samples.from_array(np.zeros((1, 1, channels, 1)), axes="yxcs"))
-    if model is None:
-        return None
-    if not isinstance(model, Progressive) or model.inputs.neighbours or model.inputs.direct:
-        message = (
-            "while rendering, a model must be 'progressive' and look at no neighbours, since no "
-            f"samples are kept, nor at direct light, which is rendered apart; got {model!r}"
-        )
-        raise InputError(message)
-    if model.channels != channels:
-        message = f"the model takes {model.channels} channels, got a rendering of {channels}"
-        raise InputError(message)
-    return model
-
-
-def _check_options(balance: float, level: float) -> None:
-    if not 0 <= balance <= 1:
-        message = f"balance must lie between 0 (MSE) and 1 (relMSE), got {balance}"
-        raise InputError(message)
-    if not 0 < level < 1:
-        message = f"level must lie between 0 and 1, got {level}"
-        raise InputError(message)
-
-
-def _ask(
-    model: AnyModel,
-    image: npt.NDArray[np.float32],
+def through_denoiser(
+    radiance: npt.NDArray[Any],
     features: Mapping[str, npt.NDArray[Any]],
-    direct: npt.NDArray[Any] | None,
     *,
-    balance: float,
-    level: float,
-    trust: float | None,
-) -> Estimates:
-    if isinstance(model, Progressive):
-        return model.estimate(
-            image,
-            features=features if model.inputs.features else None,
-            direct=direct,
-            balance=balance,
-            level=level,
-            trust=trust,
-        )
-    radiance = model.predict(image)
-    unknown = np.full_like(radiance, np.nan)
-    return Estimates(radiance, unknown[..., 0], unknown, unknown, np.nan)
+    certainty: npt.NDArray[Any] | None = None,
+) -> npt.NDArray[Any]:
+    """Return estimates denoised, with albedo and normal where `features` have an albedo.
+
+    Estimates of signed samples, and those of a network, may be negative. The denoiser takes no
+    negative radiance: it counts as 0.
+    """
+    start = np.where(radiance < 0, 0, radiance)
+    albedo = features.get("albedo")
+    normal = None if albedo is None else features.get("normal")
+    return denoise(start, albedo=albedo, normal=normal, certainty=certainty)
+
+
+def check_denoiser(channels: int) -> None:
+    """Raise InputError where the denoiser is missing or takes no such image: before the work."""
+    denoise(np.zeros((1, 1, channels)))

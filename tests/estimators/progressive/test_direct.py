@@ -386,7 +386,7 @@ def test_before_a_denoiser_it_is_told_too(quick, monkeypatch):
         direct=np.repeat(lit(12, 32).samples.direct.read(), 3, axis=2),
     )
     for certainty in (False, True):
-        names = ["progressive_direct", denoised("progressive_direct", certainty=certainty)]
+        names = ["progressive_direct", denoised("progressive_direct", with_certainty=certainty)]
         found = chd.compare(samples, names, n=8)
         assert found.estimates[1] == pytest.approx(found.estimates[0])
     curve = chd.comparison.error_curve(samples, ["mean", "progressive_direct"], sizes=[4, 8])
