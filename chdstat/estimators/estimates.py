@@ -23,9 +23,9 @@ from chdstat._core.arrays import Seed, seed_number
 from chdstat._core.executor import check_memory
 from chdstat._core.files import checked_target
 from chdstat.errors import InputError
-from chdstat.estimators.progressive import Estimates, Progressive, Stream
 from chdstat.estimators.models import AnyModel, first_samples, load_model, train_model
 from chdstat.estimators.order import mean_of_good
+from chdstat.estimators.progressive import Estimates, Progressive, Stream
 from chdstat.estimators.progressive.stream import follow
 from chdstat.estimators.rows import check_probability
 from chdstat.estimators.validation import direct_of
@@ -112,9 +112,7 @@ def estimate(
     >>> found.radiance.shape, found.certainty.shape
     ((16, 16, 3), (16, 16))
     """
-    options = _Options(
-        spp, balance, level, denoise, seed_number(seed), iterations, progress
-    )
+    options = _Options(spp, balance, level, denoise, seed_number(seed), iterations, progress)
     return _Image.of(samples, model, options).final
 
 
@@ -165,9 +163,7 @@ def write_estimates(
     ['certainty', 'high', 'low', 'mean']
     """
     target = checked_target(path, ".exr")
-    options = _Options(
-        spp, balance, level, denoise, seed_number(seed), iterations, progress
-    )
+    options = _Options(spp, balance, level, denoise, seed_number(seed), iterations, progress)
     image = _Image.of(samples, model, options)
     return write_exr(
         target,

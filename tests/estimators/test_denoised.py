@@ -45,9 +45,7 @@ def model():
 def test_names_say_what_the_denoiser_is_given():
     assert denoised("mean").name == "mean + OIDN"
     assert denoised("progressive", with_features=True).name == "progressive + OIDN features"
-    assert (
-        denoised(lookup("progressive"), with_certainty=True).name.endswith("OIDN certainty")
-    )
+    assert denoised(lookup("progressive"), with_certainty=True).name.endswith("OIDN certainty")
     assert denoised("mean").uses_neighbours
 
 
