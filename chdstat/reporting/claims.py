@@ -49,7 +49,7 @@ def with_others(found: Mapping[str, Finding]) -> dict[str, Finding]:
     rows = {}
     for scene, finding in found.items():
         rows[scene] = finding
-        rows |= {f"{scene}, {NAMES.get(n, n)}": other for n, other in finding.beside.items()}
+        rows |= {f"{scene}, {NAMES.get(n, n)}": other for n, other in finding.other_models.items()}
     return rows
 
 
@@ -103,18 +103,18 @@ def finding_content(finding: Finding) -> dict[str, Any]:
         "claim": finding.claim,
         "about": next(f"About {c.about}." for c in FINDINGS if c.number == finding.number),
         "verdict": finding.verdict,
-        "parts": [_test_content(test) for test in finding.parts],
+        "parts": [_test_content(test) for test in finding.tests],
         "needs": finding.reason if finding.verdict == "cannot tell" else "",
         "p": f"{_p_value(finding)} Null hypothesis: {hypothesis}." if hypothesis else "",
         "beside": [
             {**finding_content(other), "name": NAMES.get(name, name)}
-            for name, other in finding.beside.items()
+            for name, other in finding.other_models.items()
         ],
     }
 
 
 def _test_content(test: ClaimTest) -> dict[str, str]:
-    unit, least, most = test.statistic.unit, test.least, test.most
+    unit, least, most = test.unit, test.least, test.most
     written = f"√{unit.removesuffix('^1/2')}" if unit.endswith("^1/2") else unit
     claimed = f"{number(least)} to {number(most)}"
     if math.isinf(least):
@@ -122,8 +122,8 @@ def _test_content(test: ClaimTest) -> dict[str, str]:
     elif math.isinf(most):
         claimed = f"at least {number(least)}"
     return {
-        "name": test.statistic.name + ("" if unit == "1" else f" ({written})"),
-        "value": number(test.statistic.value),
+        "name": test.name + ("" if unit == "1" else f" ({written})"),
+        "value": number(test.interval.value),
         "interval": test.between(number) or "—",
         "claimed": claimed,
         "verdict": test.verdict,
@@ -136,7 +136,7 @@ def _test_content(test: ClaimTest) -> dict[str, str]:
 def claim_figures(claim: int, found: Mapping[str, Finding]) -> dict[str, Figure]:
     """Draw findings on one claim, by scene: intervals, and what the findings show."""
     drawn = {}
-    tests = {name: finding.parts for name, finding in with_others(found).items() if finding.parts}
+    tests = {name: finding.tests for name, finding in with_others(found).items() if finding.tests}
     if tests:
         drawn[f"claim{claim}"] = viz.claim_intervals(tests)
     # What is about all scenes, or the only one, needs no title.

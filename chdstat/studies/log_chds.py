@@ -14,8 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator, spans
+from chdstat._core.positive import Floats
+from chdstat.studies.outcomes import PlotData
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     import xarray as xr
 
 __all__ = [
@@ -25,11 +29,10 @@ __all__ = [
     "LogChds",
     "aligned",
     "of_histograms",
+    "shape_plot",
     "squared_distance",
     "visible",
 ]
-
-Floats = npt.NDArray[np.float64]
 
 WIDTH = 0.05
 """Width of a bin in decades."""
@@ -74,6 +77,11 @@ class LogChds:
     def known(self) -> npt.NDArray[np.bool_]:
         """Return where there is one, shape (...)."""
         return np.asarray(np.isfinite(self.halves[..., 0]).all(axis=-1))
+
+    @property
+    def flat(self) -> LogChds:
+        """Return those of an image (y, x) by pixel, in reading order."""
+        return LogChds(self.halves.reshape(-1, *self.halves.shape[2:]))
 
     def __getitem__(self, index: Any) -> LogChds:
         """Return some of them."""
@@ -122,17 +130,12 @@ def of_histograms(dataset: xr.Dataset, *, seed: int = 0) -> LogChds:
         # What is zero in this channel alone is as dark as a null sample.
         dark = np.maximum(good[ys] - inside[ys].sum(axis=-1) - above[ys], below[ys])
         counts = np.concatenate([dark[..., None], inside[ys], above[ys, :, None]], axis=-1)
-        found[ys] = _halved(counts, rng)
+        half = rng.binomial(counts, 0.5)
+        halves = np.stack([half, counts - half], axis=-2)
+        n = halves.sum(axis=-1, keepdims=True)
+        shares = np.cumsum(halves[..., :-1], axis=-1) / np.maximum(n, 1)
+        found[ys] = np.where(n >= LEAST, shares, np.nan)
     return LogChds(found)
-
-
-def _halved(counts: npt.NDArray[np.integer[Any]], rng: np.random.Generator) -> Floats:
-    """Return distribution functions of two random halves of what was counted, (..., 2, bin - 1)."""
-    half = rng.binomial(counts, 0.5)
-    halves = np.stack([half, counts - half], axis=-2)
-    n = halves.sum(axis=-1, keepdims=True)
-    shares = np.cumsum(halves[..., :-1], axis=-1) / np.maximum(n, 1)
-    return np.where(n >= LEAST, shares, np.nan)
 
 
 def visible(x: npt.NDArray[np.floating[Any]]) -> Floats:
@@ -165,6 +168,12 @@ def squared_distance(one: LogChds, two: LogChds, *, width: float = WIDTH) -> Flo
     difference = one.halves - two.halves
     product = difference[..., 0, :] * difference[..., 1, :]
     return np.asarray(product.sum(axis=-1, dtype=np.float64) * width)
+
+
+def shape_plot(shapes: Mapping[str, Floats]) -> PlotData:
+    """Return curves of shapes (edge,) around their means, by name."""
+    series = {name: (EDGES, shape) for name, shape in shapes.items()}
+    return PlotData("curves", series, "log10 radiance around its mean", "share below")
 
 
 def _cumulative(rows: Floats) -> Floats:

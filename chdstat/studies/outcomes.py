@@ -1,11 +1,12 @@
 """Outcomes: how tests of a claim, each with an interval, become its verdict and the reason.
 
-A claim consists of one part or several; a `ClaimTest` compares the interval of a statistic with the
-range that the claim states. A part is supported where the whole interval lies in that range, not
+A claim has one test or several; a `ClaimTest` compares the interval of a statistic with the range
+that the claim states. A test is supported where the whole interval lies in that range, not
 supported where all of it lies outside, and otherwise undecided. A claim is supported where all of
-its parts are, not supported where any is not, and otherwise undecided ("cannot tell").
+its tests are, not supported where any is not, and otherwise undecided ("cannot tell").
 
-What measures a claim returns an `Outcome`; `conclude` makes it a `Finding`, the public result.
+What measures a claim returns an `Outcome`, or raises `MissingDataError`; the registry of claims
+makes it a `Finding`, the public result.
 """
 
 from __future__ import annotations
@@ -23,163 +24,45 @@ from chdstat._core.resampling import LEVEL, Interval
 __all__ = [
     "ClaimTest",
     "Finding",
+    "MissingDataError",
     "Outcome",
     "PlotData",
-    "Statistic",
     "Verdict",
-    "conclude",
     "level_of",
-    "number",
     "plain",
+    "require",
 ]
+
+Verdict = Literal["supported", "not supported", "cannot tell"]
 
 _MOST_SPP = 2**20
 """More samples than these are no advice."""
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What was measured of a claim; the registry adds number, name and claim.
-
-    Attributes
-    ----------
-    parts, missing
-        What was measured, and what could not be, each as a sentence.
-    p_value, details, plot_data
-        As for `Finding`.
-    subject
-        What was measured, where it could be one thing or another: the reason names it.
-    beside
-        The same of others, by name; the verdict does not rest on it.
-    few
-        What there are too few of where an interval is wide, if it is not samples.
-    """
-
-    parts: tuple[ClaimTest, ...] = ()
-    missing: tuple[str, ...] = ()
-    p_value: float | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
-    plot_data: PlotData = field(default_factory=lambda: PlotData("curves"))
-    subject: str = ""
-    beside: Mapping[str, Outcome] = field(default_factory=dict)
-    few: str = ""
-
-    @property
-    def verdict(self) -> Verdict:
-        """The verdict of the weakest part; nothing is supported while something is missing."""
-        verdicts = {part.verdict for part in self.parts}
-        if "not supported" in verdicts:
-            return "not supported"
-        if self.missing or not self.parts or "cannot tell" in verdicts:
-            return "cannot tell"
-        return "supported"
-
-    @property
-    def deciding(self) -> ClaimTest | None:
-        """The part that the verdict rests on: the first of the weakest."""
-        for verdict in ("not supported", "cannot tell", "supported"):
-            for part in self.parts:
-                if part.verdict == verdict:
-                    return part
-        return None
+class MissingDataError(Exception):
+    """A claim cannot be tested: the message says what it needs."""
 
 
-def conclude(
-    found: Outcome,
-    *,
-    number: int,
-    name: str,
-    claim: str,
-    scene: str,
-    spp: int,
-    about: str = "",
-) -> Finding:
-    """Make a finding of what was measured."""
-    part = found.deciding
-    asked: Any = {"number": number, "name": name, "claim": claim, "scene": scene, "about": about}
-    return Finding(
-        **asked,
-        statistic=part.statistic if part else Statistic(name, math.nan),
-        interval=(part.low, part.high, part.level) if part else (math.nan, math.nan, LEVEL),
-        p_value=found.p_value,
-        verdict=found.verdict,
-        reason=_reason(found, spp),
-        parts=found.parts,
-        details=found.details,
-        plot_data=found.plot_data,
-        beside={other: conclude(c, spp=spp, **asked) for other, c in found.beside.items()},
-    )
+def require(present: object, needed: str) -> None:
+    """Raise `MissingDataError` where what is needed is not present."""
+    if not present:
+        message = f"needs {needed}"
+        raise MissingDataError(message)
 
 
-def level_of(parts: int, level: float = LEVEL) -> float:
+def level_of(tests: int, level: float = LEVEL) -> float:
     """Return the level of each of several intervals that hold together (Bonferroni).
 
-    A claim is supported only if all of its parts are, which alone would need no correction (Berger
+    A claim is supported only if all of its tests are, which alone would need no correction (Berger
     1982, "Multiparameter hypothesis testing and acceptance sampling", doi:10.2307/1267823); it is
-    not supported if any part is not, which does.
+    not supported if any test is not, which does.
 
     Examples
     --------
     >>> level_of(5)
     0.99
     """
-    return 1 - (1 - level) / parts
-
-
-def _reason(found: Outcome, spp: int) -> str:
-    part, verdict = found.deciding, found.verdict
-    if verdict == "cannot tell" and found.missing:
-        return _sentence("; ".join(found.missing))
-    if part is None:
-        return "Nothing was measured."
-    said = {
-        "supported": "; ".join(str(part) for part in found.parts),
-        "not supported": str(part),
-        "cannot tell": f"{part}; {_needed(part, spp, found.few)}",
-    }[verdict]
-    return _sentence(f"{found.subject}: {said}" if found.subject else said)
-
-
-def _needed(part: ClaimTest, spp: int, few: str) -> str:
-    """Say how many samples would decide, if the interval shrinks with their square root."""
-    if few:
-        return f"more {few} would decide"
-    if not math.isfinite(part.low):
-        return "there are too few pixels or samples for an interval"
-    margin = part.margin
-    if math.isinf(part.high) and part.statistic.value < part.least:
-        return f"{spp} spp do not show how far its tail reaches, many more would decide"
-    needed = spp * (1.2 / margin) ** 2 if margin > 0 else math.inf
-    if not needed < _MOST_SPP:
-        return "the value is too near the border for any number of samples, or needs more pixels"
-    rounded = 2 ** math.ceil(math.log2(needed))
-    return f"about {rounded} spp would decide if noise makes it wide, more pixels if these differ"
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}."
-
-
-Verdict = Literal["supported", "not supported", "cannot tell"]
-
-
-@dataclass(frozen=True)
-class Statistic:
-    """A number with its name and unit.
-
-    Attributes
-    ----------
-    name
-        What it is, in words.
-    value
-        NaN where it could not be computed.
-    unit
-        "1" for pure numbers.
-    """
-
-    name: str
-    value: float
-    unit: str = "1"
+    return 1 - (1 - level) / tests
 
 
 @dataclass(frozen=True)
@@ -188,46 +71,30 @@ class ClaimTest:
 
     Attributes
     ----------
-    statistic
-        The number.
-    low, high
-        Its interval, in the same unit; NaN where there is none, infinite where it is open.
-    level
-        Coverage of the interval.
+    name
+        What the statistic is, in words.
+    interval
+        Its value with an interval, in the same unit; NaN where there is none, infinite where it is
+        open.
     least, most
         Range of the claim; infinite where it is open.
+    unit
+        "1" for pure numbers.
     """
 
-    statistic: Statistic
-    low: float
-    high: float
-    level: float
+    name: str
+    interval: Interval[float]
     least: float = -math.inf
     most: float = math.inf
-
-    @classmethod
-    def of(
-        cls,
-        name: str,
-        found: Interval[float],
-        *,
-        least: float = -math.inf,
-        most: float = math.inf,
-        unit: str = "1",
-    ) -> ClaimTest:
-        """Make a part of a number with its interval."""
-        return cls(
-            Statistic(name, found.value, unit), found.low, found.high, found.level, least, most
-        )
+    unit: str = "1"
 
     @property
     def verdict(self) -> Verdict:
         """Whether the interval lies inside the range, outside, or neither."""
-        if self.low >= self.least and self.high <= self.most:
+        low, high = self.interval.low, self.interval.high
+        if low >= self.least and high <= self.most:
             return "supported"
-        if self.high < self.least or self.low > self.most:
-            return "not supported"
-        return "cannot tell"
+        return "not supported" if high < self.least or low > self.most else "cannot tell"
 
     @property
     def margin(self) -> float:
@@ -236,49 +103,51 @@ class ClaimTest:
         Of the end that is less sure; above 1, the interval does not reach it. 0 where the interval
         is open to that side, NaN without an interval.
         """
-        value = self.statistic.value
+        found = self.interval
         ends = [end for end in (self.least, self.most) if math.isfinite(end)]
-        arms = [value - self.low if end < value else self.high - value for end in ends]
+        arms = [
+            found.value - found.low if e < found.value else found.high - found.value for e in ends
+        ]
         if not ends or not min(arms) > 0:
             return math.nan
-        return min(abs(value - end) / arm for end, arm in zip(ends, arms, strict=True))
+        return min(abs(found.value - end) / arm for end, arm in zip(ends, arms, strict=True))
 
     def between(self, write: Callable[[float], str]) -> str:
         """Return the interval in words, each of its ends as `write` has it; "" without one."""
-        if math.isnan(self.low) or math.isnan(self.high):
+        low, high = self.interval.low, self.interval.high
+        if math.isnan(low) or math.isnan(high):
             return ""
-        rest = "or more" if math.isinf(self.high) else f"to {write(self.high)}"
-        return f"{write(self.low)} {rest}"
+        return f"{write(low)} or more" if math.isinf(high) else f"{write(low)} to {write(high)}"
 
     def __str__(self) -> str:
-        value = f"{self.statistic.name} is {number(self.statistic.value)}"
-        return f"{value} ({self.between(number) or 'no interval'}), claimed {self._range()}"
-
-    def _range(self) -> str:
         if math.isinf(self.least):
-            return f"at most {number(self.most)}"
-        if math.isinf(self.most):
-            return f"at least {number(self.least)}"
-        return f"{number(self.least)} to {number(self.most)}"
+            claimed = f"at most {_number(self.most)}"
+        elif math.isinf(self.most):
+            claimed = f"at least {_number(self.least)}"
+        else:
+            claimed = f"{_number(self.least)} to {_number(self.most)}"
+        interval = self.between(_number) or "no interval"
+        return f"{self.name} is {_number(self.interval.value)} ({interval}), claimed {claimed}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
-        return {
-            "name": self.statistic.name,
-            "value": plain(self.statistic.value),
-            "unit": self.statistic.unit,
-            "low": plain(self.low),
-            "high": plain(self.high),
-            "level": self.level,
-            "least": plain(self.least),
-            "most": plain(self.most),
+        fields = {
+            "name": self.name,
+            "value": self.interval.value,
+            "unit": self.unit,
+            "low": self.interval.low,
+            "high": self.interval.high,
+            "level": self.interval.level,
+            "least": self.least,
+            "most": self.most,
             "verdict": self.verdict,
         }
+        return {name: plain(value) for name, value in fields.items()}
 
 
 @dataclass(frozen=True)
 class PlotData:
-    """What the figure of a finding draws.
+    """What a small figure shows.
 
     Attributes
     ----------
@@ -286,15 +155,98 @@ class PlotData:
         "curves": a line for each series; "points": a mark for each place; "bars": one value each,
         named by the series; "map": one image (y, x), named by the series.
     series
-        By name: x and y, each of shape (point,); for a map, (an empty array, the image).
+        By name: x and y, each of shape (point,); a bar has its value in y; a map its image (y, x).
     x_label, y_label
         What the axes show, with the unit.
     """
 
-    kind: Literal["curves", "points", "bars", "map"]
+    kind: Literal["curves", "points", "bars", "map"] = "curves"
     series: Mapping[str, tuple[npt.NDArray[Any], npt.NDArray[Any]]] = field(default_factory=dict)
     x_label: str = ""
     y_label: str = ""
+
+    @classmethod
+    def bars(cls, values: Mapping[str, float], y_label: str) -> PlotData:
+        """Return bars of values by name."""
+        series = {name: (np.zeros(1), np.array([value])) for name, value in values.items()}
+        return cls("bars", series, y_label=y_label)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What was measured of a claim; the registry adds number, name and claim.
+
+    Attributes
+    ----------
+    tests, missing
+        What was measured, and what could not be, each as a sentence.
+    p_value, details, plot_data
+        As for `Finding`.
+    model
+        Name of the model that was tested, where there are several: the reason names it.
+    other_models
+        The same of other models, by name; the verdict does not rest on them.
+    few
+        What there are too few of where an interval is wide, if it is not samples.
+    """
+
+    tests: tuple[ClaimTest, ...] = ()
+    missing: tuple[str, ...] = ()
+    p_value: float | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
+    plot_data: PlotData = field(default_factory=PlotData)
+    model: str = ""
+    other_models: Mapping[str, Outcome] = field(default_factory=dict)
+    few: str = ""
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict of the weakest test; nothing is supported while something is missing."""
+        deciding = self.deciding
+        if deciding is not None and deciding.verdict == "not supported":
+            return "not supported"
+        return "cannot tell" if self.missing or deciding is None else deciding.verdict
+
+    @property
+    def deciding(self) -> ClaimTest | None:
+        """The test that the verdict rests on: the first of the weakest."""
+        order: tuple[Verdict, ...] = ("not supported", "cannot tell", "supported")
+        return min(self.tests, key=lambda test: order.index(test.verdict), default=None)
+
+    def reason(self, spp: int) -> str:
+        """Return what led to the verdict, in one sentence, for samples of `spp` per pixel."""
+        test, verdict = self.deciding, self.verdict
+        if verdict == "cannot tell" and self.missing:
+            text = "; ".join(self.missing)
+        elif test is None:
+            text = "nothing was measured"
+        else:
+            text = {
+                "supported": "; ".join(str(test) for test in self.tests),
+                "not supported": str(test),
+                "cannot tell": f"{test}; {self._advice(test, spp)}",
+            }[verdict]
+            text = f"for {self.model}: {text}" if self.model else text
+        return f"{text[:1].upper()}{text[1:]}."
+
+    def _advice(self, test: ClaimTest, spp: int) -> str:
+        """Return how many samples would decide, if the interval shrinks with their square root."""
+        if self.few:
+            return f"more {self.few} would decide"
+        interval = test.interval
+        if not math.isfinite(interval.low):
+            return "there are too few pixels or samples for an interval"
+        if math.isinf(interval.high) and interval.value < test.least:
+            return f"{spp} spp do not show how far its tail reaches, many more would decide"
+        needed = spp * (1.2 / test.margin) ** 2 if test.margin > 0 else math.inf
+        if not needed < _MOST_SPP:
+            return (
+                "the value is too near the border for any number of samples, or needs more pixels"
+            )
+        rounded = 2 ** math.ceil(math.log2(needed))
+        return (
+            f"about {rounded} spp would decide if noise makes it wide, more pixels if these differ"
+        )
 
 
 @dataclass(frozen=True)
@@ -306,65 +258,63 @@ class Finding:
     number, name
         Which claim, 1 to 16.
     scene
-        Of which scene, or which scenes.
+        Name of the scene, or of the scenes.
     claim
         One sentence.
-    statistic
-        Of the part that decides.
-    interval
-        Low end, high end and level, in the unit of the statistic; NaN where there is none.
-    p_value
-        Of a null hypothesis that the details name; None where it would mean nothing.
+    about
+        What the verdict is about, in sentences: this image or this model, and not the scene; and
+        which scenes are remakes of the paper's.
     verdict
         "supported", "not supported" or "cannot tell".
     reason
         One sentence; for "cannot tell" with what would be needed.
-    parts
-        All that the claim says, each with its own verdict; their intervals hold together.
+    test
+        The test that decides; None where nothing was measured.
+    tests
+        Tests of all that the claim says, each with its own verdict; their intervals hold together.
+    p_value
+        Of a null hypothesis that the details name; None where it would mean nothing.
     details
         Further numbers by region or channel, ready for JSON.
     plot_data
         What its figure draws.
-    beside
-        The same asked of what the claim is not about, by name, such as of another estimator; the
-        verdict does not rest on it.
-    about
-        What the verdict is about, in sentences: this image or this model, and not the scene; and
-        which scenes are remakes of the paper's.
+    other_models
+        The same claim tested for models that it is not about, by name; the verdict does not rest on
+        them.
     """
 
     number: int
     name: str
     scene: str
     claim: str
-    statistic: Statistic
-    interval: tuple[float, float, float]
-    p_value: float | None
+    about: str
     verdict: Verdict
     reason: str
-    parts: tuple[ClaimTest, ...] = ()
+    test: ClaimTest | None = None
+    tests: tuple[ClaimTest, ...] = ()
+    p_value: float | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
-    plot_data: PlotData = field(default_factory=lambda: PlotData("curves"))
-    beside: Mapping[str, Finding] = field(default_factory=dict)
-    about: str = ""
+    plot_data: PlotData = field(default_factory=PlotData)
+    other_models: Mapping[str, Finding] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the plot data, ready for JSON; what is not finite is None."""
-        low, high, level = self.interval
+        test = self.test or ClaimTest(self.name, Interval.unknown())
+        interval = test.interval
         return {
             "number": self.number,
             "name": self.name,
             "scene": self.scene,
             "claim": self.claim,
             "about": self.about,
-            "statistic": plain(vars(self.statistic)),
-            "interval": {"low": plain(low), "high": plain(high), "level": plain(level)},
+            "statistic": plain({"name": test.name, "value": interval.value, "unit": test.unit}),
+            "interval": plain({n: getattr(interval, n) for n in ("low", "high", "level")}),
             "p_value": plain(self.p_value),
             "verdict": self.verdict,
             "reason": self.reason,
-            "parts": [part.to_dict() for part in self.parts],
+            "parts": [test.to_dict() for test in self.tests],
             "details": plain(self.details),
-            "beside": {name: found.to_dict() for name, found in self.beside.items()},
+            "beside": {name: other.to_dict() for name, other in self.other_models.items()},
         }
 
 
@@ -381,6 +331,6 @@ def plain(value: Any) -> Any:
     return float(value) if math.isfinite(value) else None
 
 
-def number(value: float) -> str:
+def _number(value: float) -> str:
     """Return a number in three digits."""
     return "unknown" if math.isnan(value) else f"{value:.3g}"

@@ -1,12 +1,13 @@
 """Data of one scene, as the claims read them.
 
 `SceneData` holds samples, regions, and what else a claim compares them with; `PixelSet` holds the
-pixels of regions. `slope_of` and `correlation_of` relate two quantities over such pixels, with
-intervals; use an instrument where the explaining quantity is noisy.
+pixels of regions. `ratio_of`, `slope_of` and `correlation_of` relate two quantities over such
+pixels, with intervals; use an instrument where the explaining quantity is noisy.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,11 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator, is_bad, luminance
-from chdstat._core.resampling import Blocks, Interval, interval_of
+from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.resampling import LEVEL, Blocks, Interval, interval_of
 from chdstat.analysis import analyze
 from chdstat.rendering.recipes import Region
 from chdstat.samples import Samples
 from chdstat.studies.log_chds import LogChds, of_histograms
+from chdstat.studies.outcomes import require
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
@@ -28,9 +31,24 @@ if TYPE_CHECKING:
 
     from chdstat.comparison import Comparison
 
-__all__ = ["PixelSet", "SceneData", "correlation_of", "fold_of", "logs", "slope_of"]
+__all__ = ["PixelSet", "SceneData", "correlation_of", "fold_of", "logs", "ratio_of", "slope_of"]
 
-Floats = npt.NDArray[np.float64]
+
+def ratio_of(
+    x: Floats,
+    y: Floats,
+    blocks: Blocks,
+    *,
+    level: float = LEVEL,
+    bounds: tuple[float, float] = (-math.inf, math.inf),
+) -> Interval[float]:
+    """Return the sum of x over that of y, shapes (pixel,), of the pixels that have both."""
+    known = np.isfinite(x + y)
+    if not known.any():
+        return Interval.unknown(level=level)
+    used = blocks if known.all() else blocks[known]
+    above, below = used.sums(x[known]), used.sums(y[known])
+    return interval_of(lambda w: (w @ above) / (w @ below), used, level=level, bounds=bounds)
 
 
 def slope_of(
@@ -83,14 +101,22 @@ def correlation_of(x: Floats, y: Floats, blocks: Blocks, *, level: float) -> Int
     return interval_of(correlate, blocks, level=level, bounds=(-1.0, 1.0))
 
 
-def logs(values: npt.NDArray[np.float64]) -> Floats:
+def _sums(x: Floats, y: Floats, z: Floats, blocks: Blocks) -> Floats:
+    """Return number and sums of x, y, z, xz, yz, yy of each block, where all are known."""
+    known = np.isfinite(x + y + z)
+    x, y, z = (np.where(known, v, 0) for v in (x, y, z))
+    columns = np.stack([known, x, y, z, x * z, y * z, y * y], axis=-1)
+    return blocks.sums(columns.reshape(len(x), -1, columns.shape[-1]).sum(axis=1))
+
+
+def logs(values: Floats) -> Floats:
     """Return logarithms to base 10; NaN where they are not finite."""
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.log10(values)
     return np.asarray(np.where(np.isfinite(found), found, np.nan))
 
 
-def fold_of(blocks: Blocks, *, across: int, folds: int) -> npt.NDArray[np.int64]:
+def fold_of(blocks: Blocks, *, across: int, folds: int) -> Counts:
     """Return the fold of each pixel for cross-validation; blocks of one fold do not touch.
 
     Parameters
@@ -103,14 +129,6 @@ def fold_of(blocks: Blocks, *, across: int, folds: int) -> npt.NDArray[np.int64]
         How many folds.
     """
     return np.asarray((blocks.of_pixel % across + 2 * (blocks.of_pixel // across)) % folds)
-
-
-def _sums(x: Floats, y: Floats, z: Floats, blocks: Blocks) -> Floats:
-    """Return number and sums of x, y, z, xz, yz, yy of each block, where all are known."""
-    known = np.isfinite(x + y + z)
-    x, y, z = (np.where(known, v, 0) for v in (x, y, z))
-    columns = np.stack([known, x, y, z, x * z, y * z, y * y], axis=-1)
-    return blocks.sums(columns.reshape(len(x), -1, columns.shape[-1]).sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -130,25 +148,19 @@ class PixelSet:
     """
 
     names: tuple[str, ...]
-    y: npt.NDArray[np.int64]
-    x: npt.NDArray[np.int64]
-    region: npt.NDArray[np.int64]
+    y: Counts
+    x: Counts
+    region: Counts
     blocks: Blocks
 
     @classmethod
     def of(cls, regions: tuple[Region, ...], height: int, width: int) -> PixelSet:
         """Return the pixels of regions."""
-        ys, xs, numbers, blocks = [], [], [], []
-        for i, region in enumerate(regions):
-            rows, columns = region.pixels(height, width)
-            y, x = np.mgrid[rows, columns]
-            ys.append(y.ravel())
-            xs.append(x.ravel())
-            numbers.append(np.full(y.size, i))
-            blocks.append(Blocks.grid(*y.shape))
-        names = tuple(region.name for region in regions)
-        y, x, number = (np.concatenate(v) for v in (ys, xs, numbers))
-        return cls(names, y, x, number, Blocks.join(blocks))
+        grids = [np.mgrid[region.pixels(height, width)] for region in regions]
+        y, x = np.concatenate([grid.reshape(2, -1) for grid in grids], axis=1)
+        region = np.repeat(np.arange(len(grids)), [grid[0].size for grid in grids])
+        blocks = Blocks.join([Blocks.grid(*grid.shape[1:]) for grid in grids])
+        return cls(tuple(region.name for region in regions), y, x, region, blocks)
 
     def __len__(self) -> int:
         """Return the number of pixels."""
@@ -160,12 +172,10 @@ class PixelSet:
 
     def by_region(self, values: npt.NDArray[Any]) -> dict[str, float]:
         """Return the mean of values (pixel, ...) over each region, NaN left out."""
-        found = {}
-        for i, name in enumerate(self.names):
-            here = values[self.region == i]
-            here = here[np.isfinite(here)]
-            found[name] = float(here.mean()) if here.size else float("nan")
-        return found
+        of_region = [values[self.region == i] for i in range(len(self.names))]
+        known = [here[np.isfinite(here)] for here in of_region]
+        means = [float(here.mean()) if here.size else float("nan") for here in known]
+        return dict(zip(self.names, means, strict=True))
 
 
 @dataclass(frozen=True)
@@ -200,7 +210,7 @@ class SceneData:
     >>> from chdstat.rendering.recipes import Region
     >>> samples = chd.simulate("gamma", size=(8, 8), spp=64)
     >>> wall = Region("wall", "diffuse", (0, 0, 0.5, 0.5))
-    >>> len(SceneData("simulated", samples, (wall,)).patch("diffuse"))
+    >>> len(SceneData("simulated", samples, (wall,)).patch("diffuse", "of diffuse objects"))
     16
     """
 
@@ -238,34 +248,40 @@ class SceneData:
         """Distribution functions of all pixels, nulls counted, of the channel in the middle."""
         return of_histograms(self.summary)
 
-    def patch(self, *phenomena: str) -> PixelSet | None:
-        """Return the pixels of all regions that show one of the phenomena; None without any."""
-        chosen = tuple(region for region in self.regions if region.phenomenon in phenomena)
-        return PixelSet.of(chosen, *self.samples.shape[:2]) if chosen else None
+    def patch(self, phenomenon: str, which: str) -> PixelSet:
+        """Return the pixels of all regions that show a phenomenon.
+
+        Raises
+        ------
+        MissingDataError
+            If there is none; it says `which` region is needed.
+        """
+        chosen = tuple(region for region in self.regions if region.phenomenon == phenomenon)
+        require(chosen, f"a region {which}")
+        return PixelSet.of(chosen, *self.samples.shape[:2])
 
     def whole(self, across: int = 8) -> PixelSet:
         """Return all pixels of the image, in reading order, in `across` x `across` blocks."""
         height, width = self.samples.shape[:2]
         y, x = np.mgrid[:height, :width].reshape(2, -1)
-        region = np.zeros(len(y), dtype=np.int64)
-        return PixelSet(("image",), y, x, region, Blocks.grid(height, width, across=across))
+        blocks = Blocks.grid(height, width, across=across)
+        return PixelSet(("image",), y, x, np.zeros_like(y), blocks)
 
     def scattered(
-        self, pixels: int, *, across: int = 8, able: npt.NDArray[np.bool_] | None = None
+        self, pixels: int, *, across: int = 8, allowed: Mask | None = None
     ) -> Iterator[PixelSet]:
-        """Yield pixels drawn from each of `across` x `across` blocks, a patch a block.
+        """Yield pixels drawn from each of `across` x `across` blocks, separately by block.
 
-        About `pixels` in all, of those that are `able`, shape (y, x); None draws from all.
+        About `pixels` in all, of those that are `allowed`, shape (y, x); None draws from all.
         """
         rng, whole = generator(0), self.whole(across)
         each = max(1, pixels // len(whole.blocks))
-        taking_part = np.ones(len(whole), dtype=bool) if able is None else able.ravel()
+        possible = np.ones(len(whole), dtype=bool) if allowed is None else allowed.ravel()
         for block in range(len(whole.blocks)):
-            here = np.flatnonzero((whole.blocks.of_pixel == block) & taking_part)
+            here = np.flatnonzero((whole.blocks.of_pixel == block) & possible)
             some = np.sort(rng.permutation(here)[:each])
             if len(some):
-                number = np.full(len(some), block)
-                blocks = Blocks(number, whole.blocks.region)
+                blocks = Blocks(np.full(len(some), block), whole.blocks.region)
                 yield PixelSet((f"block {block}",), whole.y[some], whole.x[some], 0 * some, blocks)
 
     def radiance(self, patch: PixelSet) -> Floats:
@@ -273,15 +289,14 @@ class SceneData:
 
         A sample with a bad channel is NaN in all channels.
         """
-        parts = []
+        x = np.empty((len(patch), *self.samples.shape[2:]))
         for i in range(len(patch.names)):
-            y, x = patch.y[patch.region == i], patch.x[patch.region == i]
-            top, left = int(y.min()), int(x.min())
-            block = self.samples.read(slice(top, int(y.max()) + 1), slice(left, int(x.max()) + 1))
-            parts.append(block[y - top, x - left].astype(np.float64))
-        found = np.concatenate(parts)
-        bad = is_bad(found).any(axis=-2, keepdims=True)
-        return np.where(bad, np.nan, found)
+            here = patch.region == i
+            ys, xs = patch.y[here], patch.x[here]
+            top, left = int(ys.min()), int(xs.min())
+            block = self.samples.read(slice(top, int(ys.max()) + 1), slice(left, int(xs.max()) + 1))
+            x[here] = block[ys - top, xs - left]
+        return np.where(is_bad(x).any(axis=-2, keepdims=True), np.nan, x)
 
     def light(self, patch: PixelSet) -> Floats:
         """Return the luminance of the samples of a patch, shape (pixel, sample); bad: NaN."""
@@ -289,5 +304,5 @@ class SceneData:
 
     def feature(self, name: str) -> Floats | None:
         """Return a first-hit feature (y, x) or (y, x, component); None without it."""
-        found = self.samples.features.get(name)
-        return None if found is None else np.asarray(found, dtype=np.float64)
+        image = self.samples.features.get(name)
+        return None if image is None else np.asarray(image, dtype=np.float64)

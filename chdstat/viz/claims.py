@@ -127,10 +127,7 @@ def claim_intervals(
     InputError
         If there is no test.
     """
-    known = {
-        scene: {(t.statistic.name, t.least, t.most): t for t in found}
-        for scene, found in tests.items()
-    }
+    known = {scene: {(t.name, t.least, t.most): t for t in found} for scene, found in tests.items()}
     kinds = list(dict.fromkeys(kind for row in known.values() for kind in row))
     columns = min(2, len(kinds))
     rows = -(-len(kinds) // 2)
@@ -148,27 +145,29 @@ def claim_intervals(
 def _draw_intervals(ax: Axes, tests: Sequence[ClaimTest | None]) -> None:
     """Draw the intervals of one statistic; the colour of each is that of its verdict."""
     test = next(t for t in tests if t is not None)
-    span = _span([v for t in tests if t for v in (t.statistic.value, t.low, t.high)], test)
+    span = _span(
+        [v for t in tests if t for v in (t.interval.value, t.interval.low, t.interval.high)], test
+    )
     inside = max(test.least, span[0]), min(test.most, span[1])
     ax.axvspan(*inside, color=PALETTE[1], alpha=0.2, linewidth=0)
     for end in (test.least, test.most):
         if np.isfinite(end):
             ax.axvline(end, color=PALETTE[4], linewidth=0.7)
     for i, found in enumerate(tests):
-        if found is None or not np.isfinite(found.statistic.value):
+        if found is None or not np.isfinite(found.interval.value):
             where: Any = ("axes fraction", "data")
             ax.annotate("—", (0.02, i), xycoords=where, va="center", color="#999999")
         if found is not None:
             undecided = found.verdict == "cannot tell"
             color = "#777777" if undecided else VERDICTS[found.verdict][0]
-            ends = np.clip([found.low, found.high], *span)  # one may be open
+            ends = np.clip([found.interval.low, found.interval.high], *span)  # one may be open
             ax.plot(ends, [i, i], color=color, linewidth=1.6, solid_capstyle="butt")
             look: Any = {"markersize": 3.6, "fillstyle": "none" if np.isnan(ends).any() else "full"}
-            ax.plot(found.statistic.value, i, "o", color=color, **look)
+            ax.plot(found.interval.value, i, "o", color=color, **look)
     ax.set_xlim(*span)
-    unit = test.statistic.unit
+    unit = test.unit
     written = "" if unit == "1" else f" ({unit.replace('^1/2', '$^{1/2}$')})"
-    ax.set_title(test.statistic.name + written, loc="left", fontsize=7.5, wrap=True)
+    ax.set_title(test.name + written, loc="left", fontsize=7.5, wrap=True)
 
 
 def _span(values: Sequence[float], test: ClaimTest) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """
-The paper's claims, asked of a scene
-====================================
+The paper's claims, tested in a scene
+=====================================
 
 Elek, Thomas and Forbes (2019) looked at distributions and described them. `chdstat.studies.claims`
 turns each description into statistics with intervals, and says whether they bear it out.
@@ -20,19 +20,19 @@ from chdstat.studies import claims
 
 samples = chd.render("bathroom", spp=512, size=(64, 64), seed=1, backend="scalar")
 regions = recipes.regions_of(samples)
-evidence = claims.SceneData("bathroom", samples, regions)
+data = claims.SceneData("bathroom", samples, regions)
 for region in regions[:6]:
     print(f"{region.name:12} {region.phenomenon:16} {region.note}")
 
 # %%
-# Ask
-# ---
+# Test
+# ----
 #
-# A claim is supported where the intervals of all its parts lie in the range that it states, and not
-# supported where one lies wholly outside. Else there is no telling, and the reason says what is
-# lacking: here another scene, another path length, and a comparison of estimators.
+# A claim is supported where the intervals of all its tests lie in the range that it states, and not
+# supported where one lies wholly outside. Otherwise it is undecided, and the reason says what is
+# missing: here another scene, another path length, and a comparison of estimators.
 
-found = claims.find(evidence)
+found = claims.find(data)
 for finding in found:
     print(f"{finding.number:2} {finding.name:20} {finding.verdict}")
 
@@ -40,12 +40,12 @@ for finding in found:
 # One of them in numbers
 # ----------------------
 #
-# Every part of a claim has a statistic, its interval, and the range that was claimed.
+# Every test of a claim has a statistic, its interval, and the range that was claimed.
 
 indirect = found[4]
 print(indirect.claim)
-for part in indirect.parts:
-    print(" ", part)
+for test in indirect.tests:
+    print(" ", test)
 
 # %%
 # What they rest on

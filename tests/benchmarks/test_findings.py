@@ -139,12 +139,12 @@ def test_reduction_to_the_mean():
     compared = chd.compare(samples, ["mean", "median_of_means"], progress=False)
     compared = replace(compared, estimators=("mean", *models, "self_trained"), models=models)
     found = BY_NUMBER[16].find(SceneData("cornell-box", samples, comparison=compared))
-    for name, one in {"elek2019": found, **found.beside}.items():
-        values = [part.statistic.value for part in one.parts]
+    for name, one in {"elek2019": found, **found.other_models}.items():
+        values = [test.interval.value for test in one.tests]
         row = "constants {:.2g}, order {:.2g}, unit {:.2g}".format(*values)
         print(f"\n  16, {name}: {one.verdict}; largest deviation: {row}", end="")
         print(
             f"; reversed, {one.details['change_over_step_by_order']['reversed']:.2g} steps", end=""
         )
     assert found.verdict == "not supported"
-    assert {one.verdict for one in found.beside.values()} == {"supported"}
+    assert {one.verdict for one in found.other_models.values()} == {"supported"}

@@ -39,8 +39,8 @@ def test_findings_come_back_with_all_that_they_show(samples, tmp_path):
     assert [f.to_dict() for f in back] == [f.to_dict() for f in found]
     for one, other in zip(found, back, strict=True):
         same(one.plot_data, other.plot_data)
-        assert [part.verdict for part in one.parts] == [part.verdict for part in other.parts]
-        assert math.isinf(one.parts[0].most) == math.isinf(other.parts[0].most) if one.parts else 1
+        assert [test.verdict for test in one.tests] == [test.verdict for test in other.tests]
+        assert math.isinf(one.tests[0].most) == math.isinf(other.tests[0].most) if one.tests else 1
 
 
 def test_atlases_and_comparisons_come_back(samples, tmp_path):

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from chdstat._core.resampling import Interval
 from chdstat.reporting.claims import (
     claim_content,
     claim_figures,
@@ -15,28 +16,29 @@ from chdstat.reporting.claims import (
     plot_findings,
     with_others,
 )
-from chdstat.studies.claims import FINDINGS, ClaimTest, Finding, Statistic
-from chdstat.studies.outcomes import PlotData
+from chdstat.studies.claims import FINDINGS, ClaimTest, Finding, PlotData
 
 CLAIM = FINDINGS[14]
 
 
 def part(low, high, unit="1"):
-    return ClaimTest(Statistic("share", (low + high) / 2, unit), low, high, 0.95, least=0.5)
+    return ClaimTest("share", Interval((low + high) / 2, low, high), least=0.5, unit=unit)
 
 
 def finding(verdict, *parts, **more):
-    statistic, level = Statistic("share", 0.7), (0.6, 0.8, 0.95)
-    reason = f"It is {verdict}."
     return Finding(
-        15, CLAIM.name, "box", CLAIM.claim, statistic, level, None, verdict, reason, parts, **more
+        *(15, CLAIM.name, "box", CLAIM.claim, "About this image."),
+        verdict,
+        f"It is {verdict}.",
+        tests=parts,
+        **more,
     )
 
 
 @pytest.fixture
 def both():
     other = finding("not supported", part(0.1, 0.2))
-    return finding("supported", part(0.6, 0.8), beside={"progressive": other})
+    return finding("supported", part(0.6, 0.8), other_models={"progressive": other})
 
 
 def test_each_part_has_its_number_and_what_was_claimed(both):

@@ -9,8 +9,9 @@ from matplotlib.colors import to_hex
 from matplotlib.patches import Rectangle
 
 from chdstat import viz
+from chdstat._core.resampling import Interval
 from chdstat.errors import InputError
-from chdstat.studies.claims import ClaimTest, PlotData, Statistic
+from chdstat.studies.claims import ClaimTest, PlotData
 from chdstat.summary.histograms import histogram
 
 
@@ -28,7 +29,7 @@ def panel(name):
 
 
 def claim_test(value, low, high, *, name="share", unit="1", least=-np.inf, most=np.inf):
-    return ClaimTest(Statistic(name, value, unit), low, high, 0.95, least, most)
+    return ClaimTest(name, Interval(value, low, high), least, most, unit)
 
 
 @pytest.fixture

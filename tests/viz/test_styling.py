@@ -11,7 +11,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from chdstat import viz
-from chdstat.studies.claims import ClaimTest, PlotData, Statistic
+from chdstat._core.resampling import Interval
+from chdstat.studies.claims import ClaimTest, PlotData
 from chdstat.summary.histograms import histogram
 from chdstat.viz import styling
 from chdstat.viz.styling import families, spelt, verbatim
@@ -45,7 +46,7 @@ def one_channel():
         lambda: viz.averages([1, 2], {NAME: [1, 0.5]}, np.ones((3, 2)), [2, 1], alpha=0.05),
         lambda: viz.verdict_matrix({"nulls": {NAME: "supported"}}).figure,
         lambda: viz.claim_intervals(
-            {NAME: [ClaimTest(Statistic("share", 0.5), 0.4, 0.6, 0.95, least=0.3)]}
+            {NAME: [ClaimTest("share", Interval(0.5, 0.4, 0.6), least=0.3)]}
         ),
         lambda: viz.finding_plots({NAME: PlotData("curves", SERIES)}),
         lambda: viz.finding_plots({"": PlotData("points", SERIES)}),

@@ -7,16 +7,7 @@ for each; `FINDINGS` lists the claims, each with the function that measures it.
 from __future__ import annotations
 
 from chdstat.studies.claims.registry import FINDINGS, Claim, find
-from chdstat.studies.outcomes import ClaimTest, Finding, PlotData, Statistic
+from chdstat.studies.outcomes import ClaimTest, Finding, PlotData
 from chdstat.studies.scene_data import SceneData
 
-__all__ = [
-    "FINDINGS",
-    "Claim",
-    "ClaimTest",
-    "Finding",
-    "PlotData",
-    "SceneData",
-    "Statistic",
-    "find",
-]
+__all__ = ["FINDINGS", "Claim", "ClaimTest", "Finding", "PlotData", "SceneData", "find"]

@@ -9,20 +9,18 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
+from chdstat._core.positive import Floats
 from chdstat._core.resampling import Interval, mean_of
 from chdstat.inference import modality
 from chdstat.studies.claims.scene_shapes import common_count, drawn
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, require
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["LEAST", "measure", "rank_correlation", "scene_complexity"]
+__all__ = ["measure", "rank_correlation", "scene_complexity"]
 
-Floats = npt.NDArray[np.float64]
-
-LEAST = 5
+_LEAST = 5
 """Scenes that a rank correlation needs: of fewer, even perfect order has p above 1/100."""
 _LEAST_SAMPLES = 64
 """Positive samples of a pixel among which modes are looked for, at least:"""
@@ -34,34 +32,32 @@ _TURN, _STEP, _PAINT = 0.9, 0.1, 0.1
 
 def measure(scenes: Sequence[SceneData]) -> Outcome:
     """Correlate the mean number of modes of the scenes with their complexity."""
-    if len(scenes) < LEAST:
-        return Outcome(missing=(f"needs {LEAST} scenes to rank, there are {len(scenes)}",))
-    complexity = np.array([scene_complexity(e) for e in scenes])
+    require(len(scenes) >= _LEAST, f"{_LEAST} scenes to rank, there are {len(scenes)}")
+    complexity = np.array([scene_complexity(data) for data in scenes])
     n = common_count(scenes, least=_LEAST_SAMPLES)
-    spreads = [_modes(e, n) for e in scenes]
-    modes = np.array([s.value for s in spreads])
+    means = [_mean_modes(data, n) for data in scenes]
+    modes = np.array([mean.value for mean in means])
     known = np.isfinite(complexity + modes)
-    if np.count_nonzero(known) < LEAST:
-        return Outcome(missing=(f"needs first-hit features or a complexity of {LEAST} scenes",))
-    found, p = rank_correlation(complexity[known], modes[known])
+    enough = np.count_nonzero(known) >= _LEAST
+    require(enough, f"first-hit features or a complexity of {_LEAST} scenes")
+    correlation, p_value = rank_correlation(complexity[known], modes[known])
+    names = [data.name for data in scenes]
+    points = np.stack([complexity, modes], axis=-1)[..., np.newaxis]
     return Outcome(
-        (ClaimTest.of("rank correlation of modes with scene complexity", found, least=0.0),),
-        p_value=p,
+        (ClaimTest("rank correlation of modes with scene complexity", correlation, least=0.0),),
+        p_value=p_value,
         details={
             "positive_samples": n,
             "modes": {
-                e.name: {"value": s.value, "low": s.low, "high": s.high}
-                for e, s in zip(scenes, spreads, strict=True)
+                name: {"value": mean.value, "low": mean.low, "high": mean.high}
+                for name, mean in zip(names, means, strict=True)
             },
-            "complexity": {e.name: c for e, c in zip(scenes, complexity, strict=True)},
+            "complexity": dict(zip(names, complexity, strict=True)),
             "null_hypothesis": "modes and complexity have no common order (one-sided)",
         },
         plot_data=PlotData(
             "points",
-            {
-                e.name: (np.array([c]), np.array([m]))
-                for e, c, m in zip(scenes, complexity, modes, strict=True)
-            },
+            {name: (x, y) for name, (x, y) in zip(names, points, strict=True)},
             "complexity of the scene",
             "mean number of modes",
         ),
@@ -82,8 +78,7 @@ def scene_complexity(data: SceneData) -> float:
     with np.errstate(divide="ignore", invalid="ignore"):
         log_depth = np.nan_to_num(np.log(depth), posinf=0, neginf=0)
     differ = []
-    for axis in (0, 1):
-        one, two = (np.s_[:-1], np.s_[1:]) if axis == 0 else (np.s_[:, :-1], np.s_[:, 1:])
+    for one, two in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
         turned = (normal[one] * normal[two]).sum(axis=-1) < _TURN
         behind = np.abs(log_depth[one] - log_depth[two]) > _STEP
         painted = np.abs(albedo[one] - albedo[two]).max(axis=-1) > _PAINT
@@ -123,8 +118,7 @@ def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Inte
     return Interval(round(r, 12), math.tanh(z - half), math.tanh(z + half), level), float(p)
 
 
-def _modes(data: SceneData, n: int) -> Interval[float]:
+def _mean_modes(data: SceneData, n: int) -> Interval[float]:
     x, blocks = drawn(data, n, pixels=_PIXELS)
     modes = modality(x).modes.astype(np.float64)
-    known = modes > 0
-    return mean_of(modes[known], blocks[known])
+    return mean_of(modes[modes > 0], blocks[modes > 0])

@@ -3,29 +3,26 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy import ndimage, special
 
-from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of
+from chdstat._core.positive import Floats
+from chdstat._core.resampling import interval_of, mean_of
 from chdstat.fit._gamma import gamma_shape
 from chdstat.studies.log_chds import visible
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["DISTANCE", "SYMMETRIC", "log_skewness", "measure"]
+__all__ = ["log_skewness", "measure"]
 
-Floats = npt.NDArray[np.float64]
-
-SYMMETRIC = 0.5
+_SYMMETRIC = 0.5
 """Skewness up to which a distribution is fairly symmetric (Bulmer, "Principles of Statistics",
 1979, page 63)."""
-DISTANCE = 0.1
+_DISTANCE = 0.1
 """Kolmogorov's distance to a family that counts as near: no probability is wrong by more than 10
 points. That is twice the misfit that `chdstat.classify` allows: the paper says "close to" and
 "resembling", not "is"."""
-LEAST = 32
+_LEAST = 32
 """Positive samples that the shape of a pixel needs."""
-_PARTS = 4
 _Z = np.linspace(-8, 8, 641)
 _RATIO = np.linspace(0, 8, 641)
 """Edges of bins of standardised logarithms, and of radiance over the mean of its pixel."""
@@ -35,19 +32,55 @@ _SMOOTH = 17
 
 def measure(data: SceneData) -> Outcome:
     """Measure skewness and distance to Gaussian of logarithms, and likeness to gamma."""
-    patch = data.patch("diffuse")
-    if patch is None:
-        return Outcome(missing=("needs a region of diffuse objects",))
+    patch = data.patch("diffuse", "of diffuse objects")
     x = visible(data.light(patch))
-    enough = np.isfinite(log_skewness(x))
-    if not enough.any():
-        return Outcome(missing=(f"needs {LEAST} different positive samples in a pixel",))
-    x, blocks = x[enough], patch.blocks[enough]
-    z, skewness = blocks.sums(_counts(_standard_logs(x), _Z)), log_skewness(x)
+    skewness = log_skewness(x)
+    known = np.isfinite(skewness)
+    require(known.any(), f"{_LEAST} different positive samples in a pixel")
+    x, blocks, level = x[known], patch.blocks[known], level_of(4)
+    ratio = _ratios(x)
+    with np.errstate(divide="ignore"):
+        log_ratio = np.log(np.where(ratio > 0, ratio, np.nan))
+    gaps = np.stack([np.nansum(log_ratio, axis=-1), np.isfinite(log_ratio).sum(axis=-1)], axis=-1)
+    logs, ratios, log_ratios = (
+        blocks.sums(of_pixel)
+        for of_pixel in (_counts(_standard_logs(x), _Z), _counts(ratio, _RATIO), gaps)
+    )
+
+    def to_gaussian(weights: Floats) -> Floats:
+        return _distance(weights @ logs, special.ndtr(_Z[1:-1]))
+
+    def to_gamma(weights: Floats) -> Floats:
+        """Return the distance to the gamma distribution of maximum likelihood, of mean 1."""
+        sums = weights @ log_ratios
+        k = gamma_shape(-sums[:, 0] / sums[:, 1])[0][:, np.newaxis]
+        return _distance(weights @ ratios, special.gammainc(k, k * _RATIO[1:-1]))
+
+    def mode(weights: Floats) -> Floats:
+        """Return the highest place of the smoothed histogram of radiance over the mean."""
+        # The last bin holds all that lies beyond, and is no mode.
+        smooth = ndimage.uniform_filter1d((weights @ ratios)[:, :-1], _SMOOTH, axis=1)
+        return np.asarray(((_RATIO[1:] + _RATIO[:-1]) / 2)[smooth.argmax(axis=1)])
+
+    unit, positive = (0.0, 1.0), (0.0, np.inf)
+    gaussian = interval_of(to_gaussian, blocks, level=level, bounds=unit)
+    gamma = interval_of(to_gamma, blocks, level=level, bounds=unit)
+    highest = interval_of(mode, blocks, level=level, bounds=positive)
+    mean = mean_of(skewness[known], blocks, level=level)
+    counts, centers = logs.sum(axis=0), (_Z[1:] + _Z[:-1]) / 2
+    curves = {
+        "diffuse": (centers, counts / (counts.sum() * (_Z[1] - _Z[0]))),
+        "Gaussian": (centers, np.exp(-(centers**2) / 2) / np.sqrt(2 * np.pi)),
+    }
     return Outcome(
-        (*_in_logs(skewness, z, blocks), *_in_radiance(x, blocks)),
-        details={"log_skewness": patch.by_region(_spread(skewness, enough))},
-        plot_data=_plot_data(z.sum(axis=0)),
+        (
+            ClaimTest("skewness of log radiance", mean, least=-_SYMMETRIC, most=_SYMMETRIC),
+            ClaimTest("distance of log radiance to a Gaussian", gaussian, most=_DISTANCE),
+            ClaimTest("distance of radiance to a gamma distribution", gamma, most=_DISTANCE),
+            ClaimTest("mode over mean", highest, most=1.0),
+        ),
+        details={"log_skewness": patch.by_region(skewness)},
+        plot_data=PlotData("curves", curves, "standardised log radiance", "density"),
     )
 
 
@@ -58,39 +91,7 @@ def log_skewness(x: Floats) -> Floats:
     """
     z = _standard_logs(visible(x))
     n = np.isfinite(z).sum(axis=-1)
-    return np.asarray(np.where(n >= LEAST, np.nansum(z**3, axis=-1) / np.maximum(n, 1), np.nan))
-
-
-def _in_logs(skewness: Floats, z: Floats, blocks: Blocks) -> tuple[ClaimTest, ...]:
-    level = level_of(_PARTS)
-    return (
-        ClaimTest.of(
-            "skewness of log radiance",
-            mean_of(skewness, blocks, level=level),
-            least=-SYMMETRIC,
-            most=SYMMETRIC,
-        ),
-        ClaimTest.of(
-            "distance of log radiance to a Gaussian",
-            interval_of(lambda w: _to_gaussian(w @ z), blocks, level=level, bounds=(0.0, 1.0)),
-            most=DISTANCE,
-        ),
-    )
-
-
-def _in_radiance(x: Floats, blocks: Blocks) -> tuple[ClaimTest, ...]:
-    level = level_of(_PARTS)
-    ratio, gaps = blocks.sums(_counts(_ratios(x), _RATIO)), blocks.sums(_log_ratios(x))
-    return (
-        ClaimTest.of(
-            "distance of radiance to a gamma distribution",
-            interval_of(
-                lambda w: _to_gamma(w @ ratio, w @ gaps), blocks, level=level, bounds=(0.0, 1.0)
-            ),
-            most=DISTANCE,
-        ),
-        ClaimTest.of("mode over mean", _mode(ratio, blocks, level), most=1.0),
-    )
+    return np.asarray(np.where(n >= _LEAST, np.nansum(z**3, axis=-1) / np.maximum(n, 1), np.nan))
 
 
 def _standard_logs(x: Floats) -> Floats:
@@ -105,20 +106,13 @@ def _standard_logs(x: Floats) -> Floats:
 
 
 def _ratios(x: Floats) -> Floats:
+    """Return positive samples over their mean, shape (..., sample); NaN for others."""
     positive = np.where(x > 0, x, np.nan)
     n = np.maximum((x > 0).sum(axis=-1, keepdims=True), 1)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         scale = np.nanmax(positive, axis=-1, keepdims=True)
         unit = positive / scale
         return np.asarray(unit / (np.nansum(unit, axis=-1, keepdims=True) / n))
-
-
-def _log_ratios(x: Floats) -> Floats:
-    """Return sums of log ratios and their number; their mean is minus the gap of `gamma_shape`."""
-    ratio = _ratios(x)
-    with np.errstate(divide="ignore"):
-        log = np.log(np.where(ratio > 0, ratio, np.nan))
-    return np.stack([np.nansum(log, axis=-1), np.isfinite(log).sum(axis=-1)], axis=-1)
 
 
 def _counts(values: Floats, edges: Floats) -> Floats:
@@ -130,44 +124,10 @@ def _counts(values: Floats, edges: Floats) -> Floats:
     return np.asarray(counts.reshape(len(values), -1), dtype=np.float64)
 
 
-def _below(counts: Floats) -> Floats:
-    """Return the distribution function at the inner edges, shape (replicate, bin - 1)."""
+def _distance(counts: Floats, distribution: Floats) -> Floats:
+    """Return the largest distance of counts (replicate, bin) to a distribution function.
+
+    That is given at the inner edges, shape (bin - 1,) or (replicate, bin - 1).
+    """
     total = np.cumsum(counts, axis=1)
-    return np.asarray(total[:, :-1] / total[:, -1:])
-
-
-def _to_gaussian(counts: Floats) -> Floats:
-    return np.asarray(np.abs(_below(counts) - special.ndtr(_Z[1:-1])).max(axis=1))
-
-
-def _to_gamma(counts: Floats, gaps: Floats) -> Floats:
-    """Return the distance to the gamma distribution of maximum likelihood, of mean 1."""
-    k = gamma_shape(-gaps[:, 0] / gaps[:, 1])[0][:, np.newaxis]
-    return np.asarray(np.abs(_below(counts) - special.gammainc(k, k * _RATIO[1:-1])).max(axis=1))
-
-
-def _mode(counts: Floats, blocks: Blocks, level: float) -> Interval[float]:
-    """Return the highest place of the smoothed histogram of radiance over the mean."""
-    centers = (_RATIO[1:] + _RATIO[:-1]) / 2
-
-    def highest(weights: Floats) -> Floats:
-        # The last bin holds all that lies beyond, and is no mode.
-        smooth = ndimage.uniform_filter1d((weights @ counts)[:, :-1], _SMOOTH, axis=1)
-        return np.asarray(centers[smooth.argmax(axis=1)])
-
-    return interval_of(highest, blocks, level=level, bounds=(0.0, np.inf))
-
-
-def _spread(values: Floats, where: npt.NDArray[np.bool_]) -> Floats:
-    found = np.full(len(where), np.nan)
-    found[where] = values
-    return found
-
-
-def _plot_data(counts: Floats) -> PlotData:
-    centers, width = (_Z[1:] + _Z[:-1]) / 2, _Z[1] - _Z[0]
-    series = {
-        "diffuse": (centers, counts / (counts.sum() * width)),
-        "Gaussian": (centers, np.exp(-(centers**2) / 2) / np.sqrt(2 * np.pi)),
-    }
-    return PlotData("curves", series, "standardised log radiance", "density")
+    return np.asarray(np.abs(total[:, :-1] / total[:, -1:] - distribution).max(axis=1))

@@ -2,93 +2,84 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import permutations
 
 import numpy as np
-import numpy.typing as npt
 
+from chdstat._core.positive import Floats
 from chdstat._core.resampling import Blocks, Interval, interval_of, largest_of
-from chdstat.studies.log_chds import EDGES, SAME_SHAPE, LogChds, aligned, squared_distance
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
-from chdstat.studies.scene_data import PixelSet, SceneData
+from chdstat.studies.log_chds import SAME_SHAPE, LogChds, aligned, shape_plot, squared_distance
+from chdstat.studies.outcomes import ClaimTest, Outcome, level_of, require
+from chdstat.studies.scene_data import SceneData, ratio_of
 
-__all__ = ["FOLLOWS", "SHIFT", "channel_shift", "measure", "pooled_distance", "spread_slope"]
-
-Floats = npt.NDArray[np.float64]
+__all__ = ["SHIFT", "channel_shift", "measure", "pooled_distance"]
 
 SHIFT = 0.1
 """Decades between the channels' log CHDs that count as a shift: a factor of 1.26 in radiance, the
 width of a bin of the paper's log histograms."""
-FOLLOWS = 0.5
+_FOLLOWS = 0.5
 """Slope of log deviation on log mean: 0 for additive noise, 1 for multiplicative; from half way on,
 the spread is a function of radiance."""
-_PARTS = 3
 
 
 def measure(data: SceneData) -> Outcome:
     """Compare glossy with diffuse shapes, and the channels with each other."""
-    glossy, diffuse = data.patch("glossy"), data.patch("diffuse")
-    if glossy is None or diffuse is None:
-        return Outcome(missing=("needs a region of glossy and one of diffuse objects",))
-    if data.samples.shape[2] < 2:
-        return Outcome(missing=("needs several channels",))
+    which = "of glossy and one of diffuse objects"
+    patches = {name: data.patch(name, which) for name in ("glossy", "diffuse")}
+    require(data.samples.shape[2] > 1, "several channels")
+    glossy, level = patches["glossy"], level_of(3)
     x = data.radiance(glossy)
-    shapes = aligned(data.light(glossy)), aligned(data.light(diffuse))
-    level = level_of(_PARTS)
-    parts = (
-        ClaimTest.of(
-            "distance between glossy and diffuse shapes",
-            pooled_distance(*shapes, glossy.blocks, diffuse.blocks, level=level),
-            most=SAME_SHAPE,
-            unit="decade^1/2",
-        ),
-        ClaimTest.of(
-            "shift between channels",
-            channel_shift(x, glossy.blocks, level=level),
-            least=SHIFT,
-            unit="decade",
-        ),
-        ClaimTest.of(
-            "slope of log deviation on log mean over channels",
-            spread_slope(x, glossy.blocks, level=level),
-            least=FOLLOWS,
-        ),
-    )
+    shapes = {name: aligned(data.light(patch)) for name, patch in patches.items()}
+    blocks = [patch.blocks for patch in patches.values()]
+    distance = pooled_distance(list(shapes.values()), blocks, level=level)
+    shift, slope = (f(x, glossy.blocks, level=level) for f in (channel_shift, _spread_slope))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        log_mean = np.log10(_mean(x))
+    known = {name: chds[chds.known].whole for name, chds in shapes.items() if chds.known.any()}
     return Outcome(
-        parts,
-        details={"log_mean": _by_channel(data, glossy, x)},
-        plot_data=_plot_data(*shapes),
+        (
+            ClaimTest(
+                "distance between glossy and diffuse shapes",
+                distance,
+                most=SAME_SHAPE,
+                unit="decade^1/2",
+            ),
+            ClaimTest("shift between channels", shift, least=SHIFT, unit="decade"),
+            ClaimTest("slope of log deviation on log mean over channels", slope, least=_FOLLOWS),
+        ),
+        details={
+            "log_mean": {
+                channel: glossy.by_region(log_mean[:, i])
+                for i, channel in enumerate(data.samples.channels)
+            }
+        },
+        plot_data=shape_plot({name: shape.mean(axis=0) for name, shape in known.items()}),
     )
 
 
 def pooled_distance(
-    one: LogChds, two: LogChds, blocks: Blocks, others: Blocks, *, level: float
+    shapes: Sequence[LogChds], blocks: Sequence[Blocks], *, level: float
 ) -> Interval[float]:
     """Return the distance between the mean shapes of two patches, with halves against noise."""
-    both = (
-        Blocks.join([blocks[one.known], others[two.known]])
-        if one.known.any() and two.known.any()
-        else None
-    )
-    if both is None:
+    if not all(chds.known.any() for chds in shapes):
         return Interval.unknown(level=level)
-    first = len(blocks[one.known])
-    sums = both.sums(np.concatenate([one.halves[one.known], two.halves[two.known]]))
+    known = [of_patch[chds.known] for chds, of_patch in zip(shapes, blocks, strict=True)]
+    both, first = Blocks.join(known), len(known[0])
+    sums = both.sums(np.concatenate([chds.halves[chds.known] for chds in shapes]))
     count = both.sums(np.ones(len(both.of_pixel)))
 
     def distance(weights: Floats) -> Floats:
-        means = [
-            np.tensordot(weights[:, s], sums[s], 1) / (weights[:, s] @ count[s])[:, None, None]
+        one, two = (
+            LogChds(
+                np.tensordot(weights[:, s], sums[s], 1) / (weights[:, s] @ count[s])[:, None, None]
+            )
             for s in (slice(None, first), slice(first, None))
-        ]
-        return _root(LogChds(means[0]), LogChds(means[1]))
+        )
+        # Noise may make the square negative.
+        return np.sqrt(np.maximum(squared_distance(one, two), 0))
 
     return interval_of(distance, both, level=level, bounds=(0.0, np.inf))
-
-
-def _root(one: LogChds, two: LogChds) -> Floats:
-    """Return Cramér distances; 0 where noise makes the square negative."""
-    return np.sqrt(np.maximum(squared_distance(one, two), 0))
 
 
 def channel_shift(x: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
@@ -105,7 +96,7 @@ def channel_shift(x: Floats, blocks: Blocks, *, level: float) -> Interval[float]
     return largest_of(shifts, blocks, level=level)
 
 
-def spread_slope(x: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
+def _spread_slope(x: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
     """Return the slope of log deviation on log mean over the channels of each pixel.
 
     Means are noisy, and noise in what explains flattens a slope. The mean of the one half of the
@@ -122,14 +113,9 @@ def spread_slope(x: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
         logs = np.log([f(h) for f in (_mean, _deviation) for h in halves])
     logs = np.where(np.isfinite(logs), logs, np.nan)
     centered = logs - logs.mean(axis=-1, keepdims=True)
-    known = np.isfinite(centered).all(axis=(0, 2))
-    m1, m2, s1, s2 = (v[known] for v in centered)
-    if not known.any():
-        return Interval.unknown(level=level)
-    kept = blocks[known]
-    above = kept.sums((s1 * m2 + s2 * m1).sum(axis=1))
-    below = kept.sums((2 * m1 * m2).sum(axis=1))
-    return interval_of(lambda w: (w @ above) / (w @ below), kept, level=level)
+    m1, m2, s1, s2 = centered
+    above, below = (s1 * m2 + s2 * m1).sum(axis=1), (2 * m1 * m2).sum(axis=1)
+    return ratio_of(above, below, blocks, level=level)
 
 
 def _mean(x: Floats) -> Floats:
@@ -141,19 +127,3 @@ def _deviation(x: Floats) -> Floats:
     good = np.isfinite(x)
     square = np.where(good, x - _mean(x)[..., np.newaxis], 0) ** 2
     return np.asarray(np.sqrt(square.sum(axis=-1) / (good.sum(axis=-1) - 1)))
-
-
-def _by_channel(data: SceneData, patch: PixelSet, x: Floats) -> dict[str, dict[str, float]]:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        logs = np.log10(_mean(x))
-    names = data.samples.channels
-    return {name: patch.by_region(logs[:, c]) for c, name in enumerate(names)}
-
-
-def _plot_data(glossy: LogChds, diffuse: LogChds) -> PlotData:
-    series = {
-        name: (EDGES, chds.whole[chds.known].mean(axis=0))
-        for name, chds in (("glossy", glossy), ("diffuse", diffuse))
-        if chds.known.any()
-    }
-    return PlotData("curves", series, "log10 radiance around its mean", "share below")

@@ -1,95 +1,108 @@
-"""Learning: what the learned model is worth, and to whom (finding 15).
+"""Learning: what the learned model is worth, and whether it is the mean where there is no pattern.
 
-The claim is about the model of the paper, `PAPER`, and so is the verdict. Other estimators that
-learned are asked the same, and stand beside it.
+The claims (findings 15 and 16) are about the model of the paper, `PAPER`, and so are the verdicts;
+other estimators that learned are tested in the same way. Elek et al. 2019, section 6: without
+identifiable patterns, such a model "should gracefully reduce to the baseline solution", the sample
+average.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.resampling import Interval, interval_of
+from chdstat._core.arrays import generator, is_bad
+from chdstat._core.positive import Floats
+from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison
+from chdstat.comparison.candidates import options_of
 from chdstat.comparison.metrics import relative_squared_error
 from chdstat.errors import ChdstatError
+from chdstat.estimators import Progressive, lookup, names
 from chdstat.io.denoiser import denoise
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
-from chdstat.studies.scene_data import SceneData
+from chdstat.studies.outcomes import ClaimTest, MissingDataError, Outcome, PlotData, level_of
+from chdstat.studies.scene_data import SceneData, ratio_of
 
-__all__ = ["EARLY", "GAINED", "MAJORITY", "PAPER", "SUPPRESSED", "measure"]
+__all__ = ["FACTORS", "LEVELS", "ROUNDING", "early_gain", "measure", "measure_reduction"]
 
-Floats = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
+Estimate = Callable[[Array, Array | None], Floats]
 
 PAPER = "elek2019"
-"""Name of the estimator that the claim is about."""
-MAJORITY = 0.5
+"""Name of the estimator that the claims are about."""
+_MAJORITY = 0.5
 """Share of estimates that a majority exceeds."""
-SUPPRESSED = 0.5
+_SUPPRESSED = 0.5
 """Fireflies left, below which a majority of them is suppressed, as the paper says."""
-EARLY = 0.1
+_EARLY = 0.1
 """Share of the iterations that is early; the paper's curves are flat after the first records."""
-GAINED = 0.5
+_GAINED = 0.5
 """Share of the final gain that early training has to reach: most of it."""
-_PARTS = 4
 _RECORDS = 10
 """Records of a training that say how far its losses scatter, at least."""
 
 
 def measure(data: SceneData) -> Outcome:
     """Read majority, fireflies, training and denoising off a comparison."""
-    comparison = data.comparison
-    if comparison is None:
-        return Outcome(missing=("needs a comparison of estimators",))
-    found = {
-        name: _of_model(data, comparison, name)
-        for name in comparison.estimators
-        if name in comparison.models
-    }
-    asked = found.pop(PAPER, None)
-    if asked is None:
-        asked = Outcome(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
-    return replace(asked, beside=found)
+    comparison = _comparison(data)
+    learned = [name for name in comparison.estimators if name in comparison.models]
+    return _papers({name: _worth(data, comparison, name) for name in learned})
 
 
-def _of_model(data: SceneData, comparison: Comparison, name: str) -> Outcome:
-    """Ask one estimator that learned."""
-    index, level = comparison.estimators.index(name), level_of(_PARTS)
-    parts = [
-        ClaimTest.of(
-            "share of improved estimates",
-            _read(comparison, "improved", index, level),
-            least=MAJORITY,
-        ),
-        ClaimTest.of(
-            "share of fireflies left",
-            _read(comparison, "fireflies_left", index, level),
-            most=SUPPRESSED,
-        ),
+def _comparison(data: SceneData) -> Comparison:
+    if data.comparison is None:
+        message = "needs a comparison of estimators"
+        raise MissingDataError(message)
+    return data.comparison
+
+
+def _papers(outcomes: dict[str, Outcome]) -> Outcome:
+    """Return the outcome of the paper's model, with those of the others."""
+    missing = Outcome(missing=(f"needs the paper's model, {PAPER}, in the comparison",))
+    return replace(outcomes.pop(PAPER, missing), other_models=outcomes)
+
+
+def _worth(data: SceneData, comparison: Comparison, name: str) -> Outcome:
+    """Test what one estimator that learned is worth."""
+    index, level = comparison.estimators.index(name), level_of(4)
+    improved, left = (_read(comparison, m, index, level) for m in ("improved", "fireflies_left"))
+    tests = [
+        ClaimTest("share of improved estimates", improved, least=_MAJORITY),
+        ClaimTest("share of fireflies left", left, most=_SUPPRESSED),
     ]
+    missing, plot_data = list[str](), PlotData()
     history: Any = getattr(comparison.models[name], "history", None)
-    missing = [] if history is not None else ["needs the history of a training"]
-    if history is not None:
-        gain = f"share of the gain after {EARLY:.0%} of the training"
-        parts.append(ClaimTest.of(gain, early_gain(history, level=level), least=GAINED))
+    if history is None:
+        missing.append("needs the history of a training")
+    else:
+        gain = f"share of the gain after {_EARLY:.0%} of the training"
+        tests.append(ClaimTest(gain, early_gain(history, level=level), least=_GAINED))
+        series = {
+            "validation": (history.iteration, history.validation_loss),
+            "sample mean": (history.iteration, history.validation_baseline),
+        }
+        plot_data = PlotData("curves", series, "iteration", "squared error in (W sr-1 m-2)^2")
     try:
         start = _better_start(data, comparison, index, level)
-        parts.append(
-            ClaimTest.of("error of its denoised estimates over that of the mean's", start, most=1.0)
+        tests.append(
+            ClaimTest("error of its denoised estimates over that of the mean's", start, most=1.0)
         )
     except ChdstatError as error:
         missing.append(f"needs a denoiser: {error}")
+    bias = float(comparison.measures["bias"].value[index, -1])
     return Outcome(
-        tuple(parts),
+        tuple(tests),
         tuple(missing),
-        details={"estimator": name, "n": comparison.n, "bias": _value(comparison, "bias", index)},
-        plot_data=_plot_data(history),
-        subject=f"for {name}",
+        details={"estimator": name, "n": comparison.n, "bias": bias},
+        plot_data=plot_data,
+        model=name,
     )
 
 
@@ -116,13 +129,9 @@ def early_gain(history: Any, *, level: float) -> Interval[float]:
         return Interval(0.0, 0.0, 0.0, level)
     if end <= noise:
         return Interval.unknown(level=level)
-    share = float(gain[int((iterations >= EARLY * iterations[-1]).argmax())]) / end
+    share = float(gain[int((iterations >= _EARLY * iterations[-1]).argmax())]) / end
     half = reach * deviation / end * math.sqrt(1 + share**2 / last)
     return Interval(share, share - half, share + half, level)
-
-
-def _value(comparison: Comparison, measure: str, index: int) -> float:
-    return float(comparison.measures[measure].value[index, -1])
 
 
 def _read(comparison: Comparison, measure: str, index: int, level: float) -> Interval[float]:
@@ -131,7 +140,7 @@ def _read(comparison: Comparison, measure: str, index: int, level: float) -> Int
     A single batch has no spread of its own: that of the blocks holds most of it. What has none over
     blocks, such as fireflies that all lie in one, is not known.
     """
-    value = _value(comparison, measure, index)
+    value = float(comparison.measures[measure].value[index, -1])
     over_blocks, over_batches = (
         float(intervals[measure].standard_error[index, -1])
         for intervals in (comparison.measures, comparison.over_batches)
@@ -149,31 +158,163 @@ def _better_start(
     """Return relMSE of the denoised learned estimates over that of the denoised means."""
     albedo = data.feature("albedo")
     normal = None if albedo is None else data.feature("normal")
-    reference = comparison.first_reference
     scene_mean = np.nanmean(comparison.reference, axis=(0, 1))
-    denoised = (
-        denoise(start, albedo=albedo, normal=normal)
+    ours, theirs = (
+        relative_squared_error(
+            denoise(start, albedo=albedo, normal=normal),
+            comparison.first_reference,
+            scene_mean=scene_mean,
+        )
+        .mean(axis=-1)
+        .ravel()
         for start in (comparison.estimates[index], comparison.first_mean)
     )
-    ours, theirs = (
-        relative_squared_error(d, reference, scene_mean=scene_mean).mean(axis=-1).ravel()
-        for d in denoised
-    )
-    used = comparison.test_pixels.ravel() & np.isfinite(ours + theirs)
-    if not used.any():
-        return Interval.unknown(level=level)
-    blocks = data.whole().blocks[used]
-    above, below = blocks.sums(ours[used]), blocks.sums(theirs[used])
-    return interval_of(
-        lambda w: (w @ above) / (w @ below), blocks, level=level, bounds=(0.0, np.inf)
-    )
+    ours = np.where(comparison.test_pixels.ravel(), ours, np.nan)
+    return ratio_of(ours, theirs, data.whole().blocks, level=level, bounds=(0.0, np.inf))
 
 
-def _plot_data(history: Any) -> PlotData:
-    if history is None:
-        return PlotData("curves")
-    series = {
-        "validation": (history.iteration, history.validation_loss),
-        "sample mean": (history.iteration, history.validation_baseline),
+# --- reduction to the mean ----------------------------------------------------------------------
+
+LEVELS = tuple(float(f"1e{power}") for power in range(-4, 5))
+"""Radiance of the constant images."""
+FACTORS = (2.0**-10, 2.0**10)
+"""Units of radiance: powers of two, which round no sample."""
+ROUNDING = 1e-4
+"""Relative change up to which estimates are the same: single precision leaves 1e-7 to 1e-6."""
+_EDGE, _EDGE_OF_CONSTANTS, _EDGE_TO_LEARN = 64, 16, 16
+"""Edge in pixels of what is estimated, at most: of the image, of constant ones, and by those that
+learn anew with every call, which takes them minutes."""
+_FEWER_LEVELS = (LEVELS[0], 1.0, LEVELS[-1])
+_DARK = 0.01
+"""Share of the squared mean of the image that counts in the scale of a pixel, as in relMSE."""
+_LEAST_SHOWN = -8.0
+
+
+def measure_reduction(data: SceneData) -> Outcome:
+    """Give the model constant images, the samples in another order, and in another unit."""
+    comparison = _comparison(data)
+    learned = [n for n in comparison.estimators if n in comparison.models or n in names("learned")]
+    outcomes = {name: _reduction(data, comparison, name) for name in learned}
+    series = {k: v for outcome in outcomes.values() for k, v in outcome.plot_data.series.items()}
+    labels = "log10 radiance in W sr-1 m-2", "log10 of the relative deviation"
+    return replace(_papers(outcomes), plot_data=PlotData("curves", series, *labels))
+
+
+def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
+    """Test whether one estimator that learned is the mean where there is no pattern."""
+    anew = name not in comparison.models
+    edge, levels = (_EDGE_TO_LEARN, _FEWER_LEVELS) if anew else (_EDGE, LEVELS)
+    middle = [max(0, (length - edge) // 2) for length in data.samples.shape[:2]]
+    ys, xs = (slice(start, start + edge) for start in middle)
+    first_n, direct = slice(0, comparison.n), None
+    x = data.samples.read(ys, xs, first_n)
+    if data.samples.direct is not None and data.samples.direct.spp >= comparison.n:
+        direct = data.samples.direct.read(ys, xs, first_n)
+    features = {name: image[ys, xs] for name, image in data.samples.features.items()}
+    estimate = _function(comparison, name, features)
+    small = min(_EDGE_OF_CONSTANTS, *x.shape[:2])
+    few = _function(comparison, name, {k: v[:small, :small] for k, v in features.items()})
+    constants = {level: _of_constants(few, (small, small, *x.shape[2:]), level) for level in levels}
+    good = ~is_bad(x).any(axis=(-2, -1))
+    if not good.any():
+        return Outcome(missing=("needs pixels without bad samples",))
+    first = estimate(x, direct)[good]
+
+    def changes(convert: Callable[[Array], Array], factor: float = 1.0) -> Floats:
+        """Return by how much estimates change with the samples, in their own unit."""
+        other = estimate(convert(x), None if direct is None else convert(direct))[good]
+        return other / factor - first
+
+    orders = {"reversed": _reversed} if anew else {"reversed": _reversed, "drawn": _shuffled}
+    moved = {name: changes(convert) for name, convert in orders.items()}
+    # What falls out of single precision is no other unit any more.
+    factors = [factor for factor in FACTORS if _fits(x, factor)]
+    scaled = {f: changes(partial(np.multiply, np.float32(f)), f) for f in factors}
+    # As in relMSE, a pixel counts as no darker than a tenth of the image.
+    means = np.abs(x[good]).mean(axis=-1, dtype=np.float64)
+    bright = np.maximum(means, np.nan_to_num(np.abs(first))).max(axis=-1, keepdims=True)
+    scale = np.sqrt(bright**2 + _DARK * bright.mean() ** 2)
+    largest = {
+        "deviation of the estimate of equal samples, over their value": list(constants.values()),
+        "change of an estimate with the order of its samples, over the pixel's scale": [
+            _largest(change, scale) for change in moved.values()
+        ],
+        "change of an estimate with the unit of radiance, over the pixel's scale": [
+            _largest(change, scale) for change in scaled.values()
+        ],
     }
-    return PlotData("curves", series, "iteration", "squared error in (W sr-1 m-2)^2")
+    # These are known exactly: nothing is drawn in them.
+    exact = {
+        name: Interval(max(v), max(v), max(v), level_of(3)) for name, v in largest.items() if v
+    }
+    step = first - x[good].mean(axis=-1, dtype=np.float64)
+    # What is exact lies at the lower border.
+    shown = np.log10(np.maximum(list(constants.values()), 10**_LEAST_SHOWN))
+    return Outcome(
+        tuple(ClaimTest(f"largest {n}", known, most=ROUNDING) for n, known in exact.items()),
+        () if scaled else ("needs radiance that may be 1024 times as bright or dark",),
+        details={
+            "estimator": name,
+            "n": comparison.n,
+            "deviation_by_radiance": {f"{level:g}": v for level, v in constants.items()},
+            "change_over_step_by_order": {k: _over(v, step) for k, v in moved.items()},
+            "change_over_step_by_factor": {f"{k:g}": _over(v, step) for k, v in scaled.items()},
+        },
+        plot_data=PlotData("curves", {name: (np.log10(list(constants)), shown)}),
+        model=name,
+    )
+
+
+def _function(
+    comparison: Comparison, name: str, features: dict[str, npt.NDArray[np.float32]]
+) -> Estimate:
+    """Return an estimator as a function of samples (y, x, channel, sample) and direct light."""
+    entry = lookup(name) if name in names() else None
+    model = comparison.models.get(name)
+    function: Any = entry if model is None else model.predict
+    options = {} if entry is None else options_of(entry, features)
+    if isinstance(model, Progressive):
+        options["trust"] = 1.0  # of the network itself
+
+    def estimate(x: Array, direct: Array | None) -> Floats:
+        more = {"direct": direct} if entry is not None and entry.uses_direct else {}
+        return np.asarray(function(x, **options, **more), dtype=np.float64)
+
+    return estimate
+
+
+def _of_constants(estimate: Estimate, shape: tuple[int, ...], level: float) -> float:
+    """Return the largest deviation of estimates from a constant image, over its radiance."""
+    x = np.full(shape, level, np.float32)
+    return _largest(estimate(x, x) - float(np.float32(level)), np.full(shape[:-1], level))
+
+
+def _reversed(x: Array) -> Array:
+    return np.ascontiguousarray(x[..., ::-1])
+
+
+def _shuffled(x: Array) -> Array:
+    """Return the samples of each pixel in an order drawn at random, the same for all channels."""
+    height, width, _, n = x.shape
+    places = generator(0).random((height, width, 1, n)).argsort(axis=-1)
+    return np.take_along_axis(x, places, axis=-1)
+
+
+def _fits(x: Array, factor: float) -> bool:
+    """Say whether all samples, times a factor, are normal numbers of single precision."""
+    size = np.abs(x[np.isfinite(x) & (x != 0)]).astype(np.float64) * factor
+    bounds = np.finfo(np.float32)
+    return bool(((size >= bounds.tiny) & (size <= bounds.max)).all())
+
+
+def _largest(change: Floats, scale: Floats) -> float:
+    """Return the largest change over its scale: of no change 0, of a lost estimate infinity."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(change == 0, 0, np.abs(change) / np.broadcast_to(scale, change.shape))
+    return float(np.where(np.isnan(relative), np.inf, relative).max(initial=0))
+
+
+def _over(change: Floats, step: Floats) -> float:
+    """Return the root mean square of changes over that of the way from mean to estimate."""
+    size = float(np.sqrt(np.mean(step**2)))
+    return float(np.sqrt(np.mean(change**2))) / size if size > 0 else float("nan")

@@ -3,81 +3,74 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
+from chdstat._core.positive import Floats
 from chdstat._core.resampling import mean_of
 from chdstat.inference import modality
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
-from chdstat.studies.scene_data import PixelSet, SceneData, correlation_of
+from chdstat.studies.scene_data import SceneData, correlation_of
 
-__all__ = ["FOLLOWS", "MAJORITY", "measure"]
+__all__ = ["measure"]
 
-Floats = npt.NDArray[np.float64]
-
-MAJORITY = 0.5
+_MAJORITY = 0.5
 """Share of bimodal pixels from which a penumbra is bimodal; its ends are fully lit, or not."""
-FOLLOWS = 0.7
+_FOLLOWS = 0.7
 """Rank correlation of position and weight from which one follows the other: half of the variance of
 the ranks."""
-_PARTS = 2
 _BINS = 400
 _DISTINCT = 1e-3
 """Range of log radiance below which there are no two modes to be parted."""
 
 
 def measure(data: SceneData) -> Outcome:
-    """Count bimodal pixels, and correlate the weight of the bright mode with the position."""
-    patch = data.patch("penumbra")
-    if patch is None:
-        return Outcome(missing=("needs a region in a penumbra",))
-    x, level = data.light(patch), level_of(_PARTS)
-    modes = modality(x).modes
-    several = np.where(modes > 0, modes > 1, np.nan)
-    places, weights = _across(patch, x)
-    ranks = (_ranks(patch, places), _ranks(patch, weights))
-    parts = (
-        ClaimTest.of(
-            "share of bimodal pixels",
-            mean_of(several, patch.blocks, level=level),
-            least=MAJORITY,
-        ),
-        ClaimTest.of(
-            "rank correlation of the weight of the bright mode with position",
-            correlation_of(*ranks, patch.blocks, level=level),
-            least=FOLLOWS,
-        ),
-    )
-    return Outcome(
-        parts,
-        details={"bright_weight": patch.by_region(weights)},
-        plot_data=PlotData(
-            "points",
-            {
-                name: (places[patch.region == i], weights[patch.region == i])
-                for i, name in enumerate(patch.names)
-            },
-            "position across the penumbra in pixels",
-            "weight of the bright mode",
-        ),
-    )
-
-
-def _across(patch: PixelSet, x: Floats) -> tuple[Floats, Floats]:
-    """Return position along the gradient, and weight of the bright mode, of every pixel.
+    """Count bimodal pixels, and correlate the weight of the bright mode with the position.
 
     One half of the samples says where the border between the modes is and which way the penumbra
     runs, the other half what the weights are: noise cannot make them agree.
     """
+    patch = data.patch("penumbra", "in a penumbra")
+    x, level = data.light(patch), level_of(2)
+    modes = modality(x).modes
+    several = np.where(modes > 0, modes > 1, np.nan)
+    ranks = np.full((2, len(patch)), np.nan)
     places, weights = np.full((2, len(patch)), np.nan)
     for i in range(len(patch.names)):
         here = patch.region == i
         one, two = x[here, 0::2], x[here, 1::2]
         border = _border(one)
-        y, x_ = patch.y[here].astype(np.float64), patch.x[here].astype(np.float64)
-        places[here] = _along(_bright(one, border), y - y.mean(), x_ - x_.mean())
+        yx = np.stack([patch.y[here], patch.x[here]], axis=1).astype(np.float64)
+        places[here] = _along(_bright(one, border), yx - yx.mean(axis=0))
         weights[here] = _bright(two, border)
-    return places, weights
+        for rank, values in zip(ranks, (places, weights), strict=True):
+            known = np.flatnonzero(here & np.isfinite(values))
+            rank[known] = stats.rankdata(values[known]) / max(len(known), 1)
+    follows = correlation_of(ranks[0], ranks[1], patch.blocks, level=level)
+    points = {
+        name: (places[patch.region == i], weights[patch.region == i])
+        for i, name in enumerate(patch.names)
+    }
+    return Outcome(
+        (
+            ClaimTest(
+                "share of bimodal pixels",
+                mean_of(several, patch.blocks, level=level),
+                least=_MAJORITY,
+            ),
+            ClaimTest(
+                "rank correlation of the weight of the bright mode with position",
+                follows,
+                least=_FOLLOWS,
+            ),
+        ),
+        details={"bright_weight": patch.by_region(weights)},
+        plot_data=PlotData(
+            "points",
+            points,
+            "position across the penumbra in pixels",
+            "weight of the bright mode",
+        ),
+    )
 
 
 def _border(x: Floats) -> float:
@@ -105,21 +98,12 @@ def _bright(x: Floats, border: float) -> Floats:
         return np.asarray((x > border).sum(axis=1) / good)
 
 
-def _along(values: Floats, y: Floats, x: Floats) -> Floats:
-    """Return positions along the direction in which values rise, in pixels."""
-    design, known = np.stack([y, x], axis=1), np.isfinite(values)
+def _along(values: Floats, yx: Floats) -> Floats:
+    """Return positions along the direction in which values rise, in pixels, from (y, x)."""
+    known = np.isfinite(values)
     if not known.any():
         return np.full(len(values), np.nan)
     rise = values[known] - values[known].mean()
-    slope = np.linalg.lstsq(design[known] - design[known].mean(axis=0), rise, rcond=None)[0]
+    slope = np.linalg.lstsq(yx[known] - yx[known].mean(axis=0), rise, rcond=None)[0]
     length = float(np.linalg.norm(slope))
-    return np.asarray(design @ slope / length if length > 0 else np.zeros(len(values)))
-
-
-def _ranks(patch: PixelSet, values: Floats) -> Floats:
-    """Return ranks within each region over the number of its pixels; NaN where a value is."""
-    found = np.full(len(patch), np.nan)
-    for i in range(len(patch.names)):
-        here = np.flatnonzero((patch.region == i) & np.isfinite(values))
-        found[here] = stats.rankdata(values[here]) / max(len(here), 1)
-    return found
+    return np.asarray(yx @ slope / length if length > 0 else np.zeros(len(values)))

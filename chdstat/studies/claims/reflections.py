@@ -3,49 +3,46 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from chdstat._core.moments import Moments
+from chdstat._core.positive import Floats
 from chdstat._core.resampling import Blocks, Interval, interval_of, median_of
-from chdstat.studies.log_chds import EDGES, SAME_SHAPE, WIDTH, LogChds, aligned
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.log_chds import SAME_SHAPE, WIDTH, LogChds, aligned, shape_plot
+from chdstat.studies.outcomes import ClaimTest, Outcome, level_of
 from chdstat.studies.scene_data import SceneData
 
-__all__ = ["NOISY", "measure", "shape_spread"]
+__all__ = ["measure", "shape_spread"]
 
-Floats = npt.NDArray[np.float64]
-
-NOISY = 1.0
+_NOISY = 1.0
 """Deviation over mean of the samples from which a pixel is noisy: that of an exponential
 distribution, whose average of 32 samples scatters by 18 %."""
-_PARTS = 2
 
 
 def measure(data: SceneData) -> Outcome:
     """Measure how far the shapes in a reflection differ, and how noisy it is."""
-    patch = data.patch("noisy-reflection")
-    if patch is None:
-        return Outcome(missing=("needs a region with a noisy reflection",))
-    level = level_of(_PARTS)
+    patch, level = data.patch("noisy-reflection", "with a noisy reflection"), level_of(2)
     x = data.light(patch)
-    shapes, variation = aligned(x), _variation(x)
-    parts = (
-        ClaimTest.of(
-            "distance of a pixel's shape to that of the region",
-            shape_spread(shapes, patch.blocks, level=level),
-            most=SAME_SHAPE,
-            unit="decade^1/2",
-        ),
-        ClaimTest.of(
-            "deviation over mean of the samples",
-            median_of(variation, patch.blocks, level=level),
-            least=NOISY,
-        ),
-    )
+    shapes, good = aligned(x), np.isfinite(x)
+    moments = Moments.of(np.where(good, x, 0), good)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # NaN where the mean is not positive.
+        mean = np.where(moments.mean > 0, moments.mean, np.nan)
+        variation = np.asarray(np.sqrt(moments.variance) / mean)
+    spread = shape_spread(shapes, patch.blocks, level=level)
+    noise = median_of(variation, patch.blocks, level=level)
+    some = shapes.whole[shapes.known][:64]
     return Outcome(
-        parts,
+        (
+            ClaimTest(
+                "distance of a pixel's shape to that of the region",
+                spread,
+                most=SAME_SHAPE,
+                unit="decade^1/2",
+            ),
+            ClaimTest("deviation over mean of the samples", noise, least=_NOISY),
+        ),
         details={"deviation_over_mean": patch.by_region(variation)},
-        plot_data=_plot_data(shapes),
+        plot_data=shape_plot({f"pixel {i + 1}": shape for i, shape in enumerate(some)}),
     )
 
 
@@ -73,22 +70,3 @@ def shape_spread(shapes: LogChds, blocks: Blocks, *, level: float) -> Interval[f
         return np.asarray(np.sqrt(np.maximum(squares / degrees, 0)))
 
     return interval_of(spread, kept, level=level, bounds=(0.0, np.inf))
-
-
-def _variation(x: Floats) -> Floats:
-    """Return deviation over mean of good samples, nulls counted, shape (pixel,).
-
-    NaN where the mean is not positive.
-    """
-    good = np.isfinite(x)
-    moments = Moments.of(np.where(good, x, 0), good)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(
-            np.sqrt(moments.variance) / np.where(moments.mean > 0, moments.mean, np.nan)
-        )
-
-
-def _plot_data(shapes: LogChds) -> PlotData:
-    some = shapes.whole[shapes.known][:64]
-    series = {f"pixel {i + 1}": (EDGES, curve) for i, curve in enumerate(some)}
-    return PlotData("curves", series, "log10 radiance around its mean", "share below")

@@ -1,8 +1,8 @@
-"""Registry: the claims of the paper in their order, and `find`, which looks for all of them."""
+"""Registry: the claims of the paper in their order, and `find`, which tests all of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,15 +17,13 @@ from chdstat.studies.claims import (
     indirect,
     learning,
     neighbours,
-    nulls,
     path_lengths,
     penumbrae,
-    reduction,
     reflections,
     scene_shapes,
     textures,
 )
-from chdstat.studies.outcomes import Finding, Outcome, conclude
+from chdstat.studies.outcomes import Finding, MissingDataError, Outcome, require
 from chdstat.studies.scene_data import SceneData
 
 __all__ = ["FINDINGS", "Claim", "find"]
@@ -35,8 +33,6 @@ _TWO_RENDERS = "this view, rendered twice: other views of the scene, or other sc
 _IMAGES = "these images, one of each scene: other views of the scenes may differ"
 _TRAINED = "this training on this image, judged on its other pixels: other scenes may differ"
 _NETWORK = "this training on this image: the network itself, whatever the scene shows"
-_MOMENTS, _SHAPES, _BATCHES = 32, 128, 384
-"""Samples per pixel for shares; for shapes and moments of logarithms; for twelve batches of 32."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +45,11 @@ class Claim:
         1 to 16, and a few words.
     claim
         One sentence.
-    spp
-        Samples per pixel below which nothing is said.
     measure
-        What looks for it: in one scene, or in several.
+        The function that measures it: in one scene, or in several.
+    spp
+        Samples per pixel below which nothing is measured: 128 for shapes and moments of logarithms,
+        32 for shares, 384 for twelve batches of 32.
     across
         Whether it compares scenes.
     paired
@@ -64,8 +61,8 @@ class Claim:
     number: int
     name: str
     claim: str
-    spp: int
     measure: Callable[[SceneData], Outcome] | Callable[[Sequence[SceneData]], Outcome]
+    spp: int = 128
     across: bool = False
     paired: bool = False
     about: str = _IMAGE
@@ -76,31 +73,44 @@ class Claim:
         return not (self.across or self.paired)
 
     def find(self, data: SceneData, others: Sequence[SceneData] = ()) -> Finding:
-        """Look for the claim in a scene, or in this scene and others."""
+        """Test the claim in a scene, or in this scene and others."""
         used = [data, *others] if self.across else [data]
-        spp = min(e.samples.spp for e in used)
-        if spp < self.spp:
-            found = Outcome(missing=(f"needs {self.spp} spp, has {spp}",))
-        else:
-            given: Any = used if self.across else data
-            found = self.measure(given)
-        scene = ", ".join(e.name for e in used)
-        return conclude(
-            found,
-            number=self.number,
-            name=self.name,
+        spp = min(scene.samples.spp for scene in used)
+        measured: Any = used if self.across else data
+        try:
+            require(spp >= self.spp, f"{self.spp} spp, has {spp}")
+            outcome = self.measure(measured)
+        except MissingDataError as error:
+            outcome = Outcome(missing=(str(error),))
+        return self.conclude(outcome, used, spp)
+
+    def conclude(self, outcome: Outcome, scenes: Sequence[SceneData], spp: int) -> Finding:
+        """Make a finding of what was measured in scenes with `spp` samples per pixel."""
+        # Remakes look like scenes of the paper and are not.
+        remakes = {scene.name: remake_of(scene.samples) for scene in scenes}
+        notes = [
+            f"{name} is a remake of the paper's {original}, not that scene."
+            for name, original in remakes.items()
+            if original
+        ]
+        return Finding(
+            self.number,
+            self.name,
+            scene=", ".join(scene.name for scene in scenes),
             claim=self.claim,
-            scene=scene,
-            spp=spp,
-            about=" ".join([f"About {self.about}.", *_remakes(used)]),
+            about=" ".join([f"About {self.about}.", *notes]),
+            verdict=outcome.verdict,
+            reason=outcome.reason(spp),
+            test=outcome.deciding,
+            tests=outcome.tests,
+            p_value=outcome.p_value,
+            details=outcome.details,
+            plot_data=outcome.plot_data,
+            other_models={
+                name: self.conclude(other, scenes, spp)
+                for name, other in outcome.other_models.items()
+            },
         )
-
-
-def _remakes(scenes: Sequence[SceneData]) -> Iterator[str]:
-    """Say which scenes are not those of the paper, though they look like them."""
-    for data in scenes:
-        if original := remake_of(data.samples):
-            yield f"{data.name} is a remake of the paper's {original}, not that scene."
 
 
 FINDINGS = (
@@ -109,15 +119,14 @@ FINDINGS = (
         "nulls",
         "The share of null samples is near 60 % in indirect light, above half by night, and low "
         "where large sources light the scene.",
-        _MOMENTS,
-        nulls.measure,
+        indirect.measure_nulls,
+        spp=32,
     ),
     Claim(
         2,
         "diffuse objects",
         "CHDs of diffuse objects are symmetric and close to Gaussian in the log domain, and "
         "gamma-like with a mode below the mean in the linear one.",
-        _SHAPES,
         diffuse.measure,
     ),
     Claim(
@@ -125,14 +134,12 @@ FINDINGS = (
         "glossy objects",
         "CHDs of glossy objects have the shape of diffuse ones, with channels moved apart and a "
         "spread that follows their radiance.",
-        _SHAPES,
         glossy.measure,
     ),
     Claim(
         4,
         "noisy reflections",
         "All pixels of a noisy reflection share one shape of the CHD, though their estimates vary.",
-        _SHAPES,
         reflections.measure,
     ),
     Claim(
@@ -140,7 +147,6 @@ FINDINGS = (
         "indirect light",
         "CHDs of indirect light have long tails, high kurtosis, negative skew in the log domain, "
         "and many nulls.",
-        _SHAPES,
         indirect.measure,
     ),
     Claim(
@@ -148,7 +154,6 @@ FINDINGS = (
         "penumbrae",
         "CHDs in a penumbra are bimodal, with weights of the modes that follow the position "
         "across it.",
-        _SHAPES,
         penumbrae.measure,
     ),
     Claim(
@@ -156,7 +161,6 @@ FINDINGS = (
         "coloured textures",
         "A coloured texture moves the log CHD but does not change its shape, and albedo does not "
         "tell the relative variance.",
-        _SHAPES,
         textures.measure,
     ),
     Claim(
@@ -164,14 +168,12 @@ FINDINGS = (
         "fireflies",
         "A firefly and the pixel next to it have nearly the same CHD, though their estimates "
         "differ.",
-        _SHAPES,
         fireflies.measure,
     ),
     Claim(
         9,
         "path lengths",
         "Longer paths give CHDs of wider support, longer tail, more skew and more variance.",
-        _SHAPES,
         path_lengths.measure,
         paired=True,
         about=_TWO_RENDERS,
@@ -180,14 +182,12 @@ FINDINGS = (
         10,
         "neighbours",
         "CHDs are continuous over the image, and across an edge a blend of those of its two sides.",
-        _SHAPES,
         neighbours.measure,
     ),
     Claim(
         11,
         "complexity",
         "CHDs have more modes in more complex scenes.",
-        _SHAPES,
         complexity.measure,
         across=True,
         about=_IMAGES,
@@ -196,7 +196,6 @@ FINDINGS = (
         12,
         "scene-specific shapes",
         "Shapes of CHDs are specific to the scene, and depend on the integrator.",
-        _SHAPES,
         scene_shapes.measure,
         across=True,
         about=_IMAGES,
@@ -206,14 +205,13 @@ FINDINGS = (
         "assumptions",
         "Noise is not uniform over the image, averages are not Gaussian, variance does not follow "
         "feature buffers, and radiance is not regular.",
-        _BATCHES,
         assumptions.measure,
+        spp=384,
     ),
     Claim(
         14,
         "families",
         "The most frequent elementary distribution is the gamma distribution.",
-        _SHAPES,
         families.measure,
     ),
     Claim(
@@ -221,7 +219,6 @@ FINDINGS = (
         "learned model",
         "The learned model improves a majority of the estimates, suppresses fireflies, gains early "
         "in training, and gives a denoiser a better start.",
-        _SHAPES,
         learning.measure,
         about=_TRAINED,
     ),
@@ -230,8 +227,8 @@ FINDINGS = (
         "reduction to the mean",
         "Where samples show no pattern, the learned model gracefully reduces to their mean: equal "
         "samples keep their value, neither the order of samples nor the unit of radiance matters.",
-        _MOMENTS,
-        reduction.measure,
+        learning.measure_reduction,
+        spp=32,
         about=_NETWORK,
     ),
 )
@@ -240,12 +237,12 @@ Carlo variance reduction", in the order of the study."""
 
 
 def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
-    """Look for all claims of the paper in one scene, with other scenes to compare it with.
+    """Test all claims of the paper in one scene, with other scenes to compare it with.
 
-    A claim is *supported* where the whole interval of every part of it lies within the range that
-    the claim states, *not supported* where that of any part lies wholly outside, and else there is
-    no telling. Regions that show one phenomenon are taken together, each as a stratum of its own.
-    Intervals are of a bootstrap over blocks of pixels; those of the parts of one claim
+    A claim is *supported* where the whole interval of each of its tests lies within the range that
+    the claim states, *not supported* where that of any lies wholly outside, and otherwise
+    undecided. Regions that show one phenomenon are taken together, each as a stratum of its own.
+    Intervals are of a bootstrap over blocks of pixels; those of the tests of one claim
     hold together at 95 % (Bonferroni). A verdict is about the image at hand, or what was trained on
     it; `Finding.about` says which, and whether the scene is a remake of the paper's. Each claim is
     a question of its own, so that nothing is corrected between claims: each has its own chance of

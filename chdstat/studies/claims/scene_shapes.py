@@ -11,38 +11,26 @@ scene; `squares` measures by how much, with an interval of its own.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator, spans
+from chdstat._core.positive import Counts, Floats
 from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of
 from chdstat.patterns.atlas_shapes import WIDTH, of_histograms
 from chdstat.samples import Samples
-from chdstat.studies.log_chds import EDGES, LogChds, aligned, squared_distance
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat.studies.log_chds import LogChds, aligned, shape_plot, squared_distance
+from chdstat.studies.outcomes import ClaimTest, Outcome, level_of
 from chdstat.studies.scene_data import SceneData, fold_of
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "DIFFERENT",
-    "common_count",
-    "drawn",
-    "measure",
-    "permuted",
-    "scene_accuracy",
-    "squares",
-    "squares_of_pairs",
-    "thinned",
-]
-
-Floats = npt.NDArray[np.float64]
+__all__ = ["common_count", "drawn", "measure", "permuted", "squares", "squares_of_pairs"]
 
 
 def common_count(scenes: Sequence[SceneData], *, least: int) -> int:
@@ -76,7 +64,7 @@ def drawn(data: SceneData, n: int, *, pixels: int, across: int = 8) -> tuple[Flo
     """
     rng, blocks = generator(0), data.whole(across).blocks
     found, places = [np.empty((0, n))], [np.empty(0, dtype=np.int64)]
-    for patch in data.scattered(pixels, across=across, able=_positive(data) >= n):
+    for patch in data.scattered(pixels, across=across, allowed=_positive(data) >= n):
         x = data.radiance(patch)
         light = x[:, x.shape[1] // 2]
         # Positive ones first, in an order drawn at random.
@@ -87,14 +75,12 @@ def drawn(data: SceneData, n: int, *, pixels: int, across: int = 8) -> tuple[Flo
     return np.concatenate(found), Blocks(np.concatenate(places), blocks.region)
 
 
-def _positive(data: SceneData) -> npt.NDArray[np.int64]:
+def _positive(data: SceneData) -> Counts:
     """Return how many positive samples each pixel has within its log histogram, shape (y, x)."""
     counts = data.summary["log_counts"]
     middle = counts.isel(channel=counts.sizes["channel"] // 2)
     return np.asarray(middle.sum("log_bin").to_numpy(), dtype=np.int64)
 
-
-Ints = npt.NDArray[np.int64]
 
 _PERMUTATIONS = 999
 _AT_ONCE = 64
@@ -133,12 +119,8 @@ def squares(one: xr.Dataset, two: xr.Dataset, *, seed: int = 0) -> Floats:
     rng = generator(seed)
     middle = slice(one.sizes["channel"] // 2, one.sizes["channel"] // 2 + 1)
     datasets = [d[list(_HISTOGRAM)].isel(channel=middle) for d in (one, two)]
-    counts = [d["log_counts"].to_numpy().astype(np.int64) for d in datasets]
-    fewer = np.minimum(*(c.sum(axis=-1) for c in counts))
-    halves = [
-        _halves(d, thinned(c, fewer, rng), rng) for d, c in zip(datasets, counts, strict=True)
-    ]
-    return squared_distance(*halves, width=WIDTH).ravel()
+    shapes = [of_histograms(dataset, rng).halves for dataset in _equally_many(datasets, rng)]
+    return _squared([[half.cumulative for half in halves] for halves in shapes])
 
 
 def squares_of_pairs(one: Samples, two: Samples, *, seed: int = 0) -> Floats:
@@ -151,45 +133,40 @@ def squares_of_pairs(one: Samples, two: Samples, *, seed: int = 0) -> Floats:
     rng, spp, middle = generator(seed), min(one.spp, two.spp), one.shape[2] // 2
     halves = []
     for first in (0, 1):
-        datasets = [_every_other(samples, first, spp, middle) for samples in (one, two)]
-        counts = [d["log_counts"].to_numpy().astype(np.int64) for d in datasets]
-        fewer = np.minimum(*(c.sum(axis=-1) for c in counts))
-        halves.append(
-            [
-                of_histograms(_with_counts(d, thinned(c, fewer, rng)), rng).whole.cumulative
-                for d, c in zip(datasets, counts, strict=True)
-            ]
-        )
-    chds = [
-        LogChds(np.stack(pair, axis=-2).astype(np.float64)) for pair in zip(*halves, strict=True)
-    ]
-    return squared_distance(*chds, width=WIDTH).ravel()
+        datasets = []
+        for samples in (one, two):
+            x = samples.read(ss=slice(0, spp))[:, :, middle : middle + 1, first::2]
+            half = Samples.from_array(np.ascontiguousarray(x), axes="yxcs")
+            datasets.append(summarize(half, progress=False)[list(_HISTOGRAM)])
+        thin = _equally_many(datasets, rng)
+        halves.append([of_histograms(dataset, rng).whole.cumulative for dataset in thin])
+    return _squared(list(zip(*halves, strict=True)))
 
 
-def _every_other(samples: Samples, first: int, spp: int, channel: int) -> xr.Dataset:
-    """Return the log histograms of every other sample of a channel."""
-    x = samples.read(ss=slice(0, spp))[:, :, channel : channel + 1, first::2]
-    half = Samples.from_array(np.ascontiguousarray(x), axes="yxcs")
-    return summarize(half, progress=False)[list(_HISTOGRAM)]
+def _equally_many(datasets: Sequence[xr.Dataset], rng: np.random.Generator) -> Iterator[xr.Dataset]:
+    """Yield log histograms with as many positive samples in each pixel, the fewest of them."""
+    counts = [dataset["log_counts"].to_numpy().astype(np.int64) for dataset in datasets]
+    fewest = np.minimum(*(c.sum(axis=-1) for c in counts))
+    for dataset, c in zip(datasets, counts, strict=True):
+        yield dataset.assign(log_counts=(dataset["log_counts"].dims, _thinned(c, fewest, rng)))
 
 
-def thinned(counts: Ints, n: Ints, rng: np.random.Generator) -> Ints:
-    """Draw `n` (...) of what was counted, (..., bin), without replacement.
+def _squared(renders: Sequence[Sequence[npt.NDArray[np.float32]]]) -> Floats:
+    """Return squared distances (pixel,) of two renders, each given as halves (y, x, edge)."""
+    one, two = (LogChds(np.stack(halves, axis=-2).astype(np.float64)) for halves in renders)
+    return squared_distance(one, two, width=WIDTH).ravel()
 
-    Examples
-    --------
-    >>> counts = np.array([[5, 0, 9, 2], [0, 1, 1, 0]])
-    >>> thinned(counts, np.array([7, 2]), np.random.default_rng(0)).sum(axis=-1)
-    array([7, 2])
-    """
-    found, rest, left = np.empty_like(counts), counts.sum(axis=-1), n.copy()
+
+def _thinned(counts: Counts, n: Counts, rng: np.random.Generator) -> Counts:
+    """Draw `n` (...) of what was counted, (..., bin), without replacement."""
+    drawn_counts, rest, left = np.empty_like(counts), counts.sum(axis=-1), n.copy()
     # Multivariate hypergeometric: bin after bin, from what is left.
     for i in range(counts.shape[-1]):
         here = counts[..., i]
         rest -= here
-        found[..., i] = rng.hypergeometric(here, rest, left)
-        left -= found[..., i]
-    return found
+        drawn_counts[..., i] = rng.hypergeometric(here, rest, left)
+        left -= drawn_counts[..., i]
+    return drawn_counts
 
 
 def permuted(squared: Sequence[Floats], *, seed: int = 0) -> float:
@@ -234,17 +211,7 @@ def permuted(squared: Sequence[Floats], *, seed: int = 0) -> float:
     return (1 + reached) / (1 + _PERMUTATIONS)
 
 
-def _with_counts(dataset: xr.Dataset, counts: Ints) -> xr.Dataset:
-    return dataset.assign(log_counts=(dataset["log_counts"].dims, counts))
-
-
-def _halves(dataset: xr.Dataset, counts: Ints, rng: np.random.Generator) -> LogChds:
-    one, two = of_histograms(_with_counts(dataset, counts), rng).halves
-    halves = np.stack([one.cumulative, two.cumulative], axis=-2)
-    return LogChds(halves.astype(np.float64))
-
-
-DIFFERENT = 0.02
+_DIFFERENT = 0.02
 """Cramér distance, root of its mean square over pixels, from which shapes are different.
 
 As of two log-normal CHDs of which one has a spread a tenth larger, at a third of a decade: that
@@ -261,56 +228,51 @@ _LEAST = 64
 _LEAST_SAMPLES = 32
 """Positive samples that a shape needs."""
 _TREES = 30
-_PARTS = 2
-
-
-@dataclass(frozen=True)
-class _ShapeDistance:
-    """Distance between the shapes of two integrators, and its p-value, by scene, too."""
-
-    spread: Interval[float]
-    p_value: float
-    by_scene: Mapping[str, float]
 
 
 def measure(scenes: Sequence[SceneData]) -> Outcome:
     """Classify scenes by shapes, and compare shapes of integrators pixel by pixel."""
-    level = level_of(_PARTS)
-    parts, missing = list[ClaimTest](), list[str]()
-    details: dict[str, Any] = {}
+    level, tests, missing = level_of(2), list[ClaimTest](), list[str]()
+    details: dict[str, Any] = {"scenes": [data.name for data in scenes]}
     n = common_count(scenes, least=_LEAST_SAMPLES)
-    looks = [_shapes(data, n) for data in scenes]
+    shapes = [_shapes(data, n) for data in scenes]
     if len(scenes) < 2:
         missing.append("needs a second scene")
+    elif min(len(of_scene) for of_scene, _ in shapes) < _LEAST:
+        missing.append(f"needs {_LEAST} pixels of each scene with {n} positive samples")
     else:
-        found, confusion = scene_accuracy(looks, level=level)
-        if confusion is None:
-            missing.append(f"needs {_LEAST} pixels of each scene with {n} positive samples")
-        else:
-            details |= {"confusion": confusion, "positive_samples": n}
-            chance = 1 / len(scenes)
-            name = "accuracy of telling scenes apart"
-            parts.append(ClaimTest.of(name, found, least=(1 + chance) / 2))
-    changed = [e for e in scenes if (e.integrator or e.shorter) is not None]
-    difference = _between_integrators(changed, level)
+        accuracy, details["confusion"] = _scene_accuracy(shapes, level)
+        details["positive_samples"] = n
+        least = (1 + 1 / len(scenes)) / 2
+        tests.append(ClaimTest("accuracy of telling scenes apart", accuracy, least=least))
+    p_value = None
+    changed = [data for data in scenes if data.integrator or data.shorter]
     if changed:
-        name, unit = "distance between the shapes of two integrators", "decade^1/2"
-        parts.append(ClaimTest.of(name, difference.spread, least=DIFFERENT, unit=unit))
-        details |= {"null_hypothesis": _NULL, "p_value_by_scene": difference.by_scene}
+        squared = [(data, _squares(data)) for data in changed]
+        known = [(data, values) for data, values in squared if values is not None]
+        distance = Interval.unknown(level=level)
+        if known:
+            blocks = Blocks.join([data.whole().blocks for data, _ in known])
+            every = np.concatenate([values for _, values in known])
+            distance = mean_of(every, blocks, level=level).root()
+        name = "distance between the shapes of two integrators"
+        tests.append(ClaimTest(name, distance, least=_DIFFERENT, unit="decade^1/2"))
+        p = permuted([values for _, values in known])
+        p_value = None if math.isnan(p) else p
+        by_scene = {data.name: permuted([values]) for data, values in known}
+        details |= {"null_hypothesis": _NULL, "p_value_by_scene": by_scene}
     else:
         missing.append("needs a scene rendered by another integrator, or with shorter paths")
+    named = zip(scenes, shapes, strict=True)
+    means = {data.name: of.mean(axis=0) for data, (of, _) in named if len(of)}
     return Outcome(
-        tuple(parts),
-        tuple(missing),
-        p_value=None if math.isnan(difference.p_value) else difference.p_value,
-        details={"scenes": [e.name for e in scenes], **details},
-        plot_data=_plot_data(scenes, looks),
+        tuple(tests), tuple(missing), p_value, details=details, plot_data=shape_plot(means)
     )
 
 
-def scene_accuracy(
-    looks: Sequence[tuple[Floats, Blocks]], *, level: float
-) -> tuple[Interval[float], list[list[float]] | None]:
+def _scene_accuracy(
+    looks: Sequence[tuple[Floats, Blocks]], level: float
+) -> tuple[Interval[float], list[list[float]]]:
     """Return the accuracy of a classifier of shapes, and its table of shares by scene.
 
     Each scene comes with shapes, (pixel, edge), and the blocks that its pixels lie in.
@@ -326,8 +288,6 @@ def scene_accuracy(
     from sklearn.ensemble import ExtraTreesClassifier
 
     shapes, blocks = zip(*looks, strict=True)
-    if min(len(s) for s in shapes) < _LEAST:
-        return Interval.unknown(level=level), None
     x = np.concatenate(shapes)
     scene = np.repeat(np.arange(len(shapes)), [len(s) for s in shapes])
     fold = np.concatenate([fold_of(b, across=_ACROSS, folds=_FOLDS) for b in blocks])
@@ -340,45 +300,25 @@ def scene_accuracy(
             guess[held] = model.fit(x[~held], scene[~held]).predict(x[held])
     joined = Blocks.join([b[:] for b in blocks])  # without blocks that have no pixel
     right, count = joined.sums((guess == scene).astype(float)), joined.sums(np.ones(len(x)))
-    confusion = [
-        [float((guess[scene == i] == j).mean()) for j in range(len(shapes))]
-        for i in range(len(shapes))
-    ]
-    accuracy = _balanced(right, count, joined.region)
-    return interval_of(accuracy, joined, level=level, bounds=(0.0, 1.0)), confusion
-
-
-def _balanced(right: Floats, count: Floats, scene: Ints) -> Callable[[Floats], Floats]:
-    member = (scene[:, np.newaxis] == np.unique(scene)).astype(np.float64)
+    member = (joined.region[:, np.newaxis] == np.unique(joined.region)).astype(np.float64)
 
     def accuracy(weights: Floats) -> Floats:
         hits, all_ = (weights * right) @ member, (weights * count) @ member
         return np.asarray((hits / all_).mean(axis=1))
 
-    return accuracy
+    confusion = [
+        [float((guess[scene == i] == j).mean()) for j in range(len(shapes))]
+        for i in range(len(shapes))
+    ]
+    return interval_of(accuracy, joined, level=level, bounds=(0.0, 1.0)), confusion
 
 
 def _shapes(data: SceneData, n: int) -> tuple[Floats, Blocks]:
     """Return shapes of `n` samples, shape (pixel, edge), and the blocks that the pixels lie in."""
     x, blocks = drawn(data, n, pixels=_PIXELS, across=_ACROSS)
-    found = aligned(x)
+    chds = aligned(x)
     # Blocks keep their numbers, which say where they lie.
-    return found.whole[found.known], Blocks(blocks.of_pixel[found.known], blocks.region)
-
-
-def _between_integrators(scenes: Sequence[SceneData], level: float) -> _ShapeDistance:
-    """Compare the shapes that two integrators give each pixel."""
-    found: dict[str, tuple[Floats, Blocks]] = {}
-    for data in scenes:
-        distances = _squares(data)
-        if distances is not None:
-            found[data.name] = distances, data.whole().blocks
-    if not found:
-        return _ShapeDistance(Interval.unknown(level=level), math.nan, {})
-    each = {name: permuted([values]) for name, (values, _) in found.items()}
-    values, blocks = zip(*found.values(), strict=True)
-    spread = mean_of(np.concatenate(values), Blocks.join(list(blocks)), level=level)
-    return _ShapeDistance(spread.root(), permuted(values), each)
+    return chds.whole[chds.known], Blocks(blocks.of_pixel[chds.known], blocks.region)
 
 
 def _squares(data: SceneData) -> Floats | None:
@@ -392,11 +332,3 @@ def _squares(data: SceneData) -> Floats | None:
     if theirs is None:
         theirs = summarize(other, progress=False)
     return squares(data.summary, theirs)
-
-
-def _plot_data(scenes: Sequence[SceneData], looks: Sequence[tuple[Floats, Blocks]]) -> PlotData:
-    series = {}
-    for data, (shapes, _) in zip(scenes, looks, strict=True):
-        if len(shapes):
-            series[data.name] = (EDGES, shapes.mean(axis=0))
-    return PlotData("curves", series, "log10 radiance around its mean", "share below")

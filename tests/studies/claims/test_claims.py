@@ -63,10 +63,10 @@ def test_a_false_claim_is_not_supported(number, seed):
 
 
 @pytest.mark.parametrize(("number", "words", "world"), worlds.REFUTED)
-def test_every_part_of_a_claim_can_be_refuted(number, words, world):
+def test_every_test_of_a_claim_can_fail(number, words, world):
     found = look(number, world)
-    part = next(part for part in found.parts if words in part.statistic.name)
-    assert part.verdict == "not supported", part
+    test = next(test for test in found.tests if words in test.name)
+    assert test.verdict == "not supported", test
     assert found.verdict == "not supported"
 
 
@@ -78,22 +78,22 @@ def test_equal_chds_whose_bright_samples_are_not_so_rare_are_the_same():
 @pytest.mark.parametrize("name", worlds.HARD_EDGES)
 def test_a_hard_edge_is_no_second_mode_of_a_penumbra(name):
     found = look(6, worlds.lit_across(worlds.HARD_EDGES[name]))
-    assert found.parts[0].verdict == "not supported", found.parts[0]
+    assert found.tests[0].verdict == "not supported", found.tests[0]
 
 
 def test_what_is_too_rare_to_be_seen_again_is_not_claimed_to_be_the_same():
     x = np.random.default_rng(0).gamma(2, size=worlds.size(SPP))
     x[::3, ::2, 100] *= 1e5  # 24 pixels have a firefly, once
     found = BY_NUMBER[8].find(worlds.evidence(worlds.image(x)))
-    assert found.parts[1].statistic.value == pytest.approx(1, abs=0.1)
+    assert found.tests[1].interval.value == pytest.approx(1, abs=0.1)
     assert found.verdict == "cannot tell"
 
 
 def test_a_dark_surface_has_the_shape_of_the_pale_one_beside_it():
-    parts = look(7, worlds.pair(0.5)).parts
-    assert [part.verdict for part in parts] == ["supported"] * 4
-    assert parts[-1].statistic.name == "distance between the shapes of dark and pale"
-    assert parts[0].level == pytest.approx(1 - 0.05 / 4)
+    tests = look(7, worlds.pair(0.5)).tests
+    assert [test.verdict for test in tests] == ["supported"] * 4
+    assert tests[-1].name == "distance between the shapes of dark and pale"
+    assert tests[0].interval.level == pytest.approx(1 - 0.05 / 4)
 
 
 @NUMBERS
@@ -165,12 +165,12 @@ def test_the_verdict_on_learning_is_that_of_the_papers_model():
     found = BY_NUMBER[15].find(replace(first, comparison=both))
     assert found.verdict == "not supported"
     assert found.reason.startswith("For elek2019: ")
-    assert found.beside["progressive"].verdict == "supported"
-    assert found.beside["progressive"].reason.startswith("For progressive: ")
+    assert found.other_models["progressive"].verdict == "supported"
+    assert found.other_models["progressive"].reason.startswith("For progressive: ")
     alone = BY_NUMBER[15].find(replace(first, comparison=better))
-    assert (alone.verdict, alone.parts) == ("cannot tell", ())
+    assert (alone.verdict, alone.tests) == ("cannot tell", ())
     assert "needs the paper's model" in alone.reason.lower()
-    assert alone.beside["progressive"].verdict == "supported"
+    assert alone.other_models["progressive"].verdict == "supported"
 
 
 def joined(one, two, name):
@@ -200,9 +200,9 @@ def test_time_is_told_where_nothing_was_compiled():
 def test_integrators_are_told_apart_by_a_test_and_by_size(sigma, same):
     """Where they are the same, another seed would have a p-value of 0.001 once in a thousand."""
     found = look(12, worlds.scenes(0.8, 2.4, sigma))
-    (part,) = (q for q in found.parts if "integrators" in q.statistic.name)
+    (test,) = (q for q in found.tests if "integrators" in q.name)
     assert (found.p_value > 0.001) == same
-    assert part.verdict == ("not supported" if same else "supported")
+    assert test.verdict == ("not supported" if same else "supported")
     assert found.details["p_value_by_scene"] == {"scene 0": found.p_value}
 
 
@@ -212,9 +212,9 @@ def test_too_few_samples_do_not_refute_a_long_tail(seed):
     rng = np.random.default_rng(seed)
     x = worlds.image(rng.gamma(0.9, size=worlds.size(128, 16)))
     found = BY_NUMBER[5].find(worlds.evidence(x, "indirect"))
-    (part,) = (p for p in found.parts if "kurtosis" in p.statistic.name)
-    assert part.statistic.value < 5
-    assert part.verdict == "cannot tell"
+    (test,) = (p for p in found.tests if "kurtosis" in p.name)
+    assert test.interval.value < 5
+    assert test.verdict == "cannot tell"
 
 
 @SEEDS
@@ -223,9 +223,9 @@ def test_too_few_samples_do_not_make_averages_symmetric(seed):
     rng = np.random.default_rng(seed)
     x = worlds.image(rng.lognormal(0, 0.75, (32, 32, 384)))
     found = BY_NUMBER[13].find(worlds.evidence(x))
-    (part,) = (p for p in found.parts if "skewness" in p.statistic.name)
-    assert part.statistic.value < 0.5
-    assert part.verdict == "cannot tell"
+    (test,) = (p for p in found.tests if "skewness" in p.name)
+    assert test.interval.value < 0.5
+    assert test.verdict == "cannot tell"
 
 
 def test_one_bad_pixel_does_not_spoil_its_region():
@@ -249,13 +249,13 @@ def test_one_channel_has_no_other_to_differ_from():
 @SEEDS
 def test_more_positive_samples_are_no_other_shape_and_no_more_modes(number, seed):
     found = look(number, worlds.more_light, seed)
-    (part,) = found.parts
-    assert part.verdict != "supported"
+    (test,) = found.tests
+    assert test.verdict != "supported"
     if number == 11:
         modes = [mode["value"] for mode in found.details["modes"].values()]
         assert np.ptp(modes) < 0.1
     else:
-        assert part.statistic.value < 0.35
+        assert test.interval.value < 0.35
 
 
 def test_the_night_room_is_asked_for_more_nulls_than_the_gallery():
@@ -276,7 +276,7 @@ def test_scaling_radiance_changes_nothing(number):
     first = worlds.TRUE[number](np.random.default_rng(0), SPP)[0]
     scaled = chd.Samples.from_array(first.samples.read() * 1024, features=first.samples.features)
     one, two = (BY_NUMBER[number].find(e) for e in (first, replace(first, samples=scaled)))
-    values = [[part.statistic.value for part in found.parts] for found in (one, two)]
+    values = [[test.interval.value for test in found.tests] for found in (one, two)]
     assert one.verdict == two.verdict
     np.testing.assert_allclose(values[0], values[1], rtol=1e-3, atol=1e-6)
 

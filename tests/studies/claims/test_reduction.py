@@ -11,7 +11,7 @@ import pytest
 import chdstat as chd
 from chdstat.estimators import MLP, Progressive, Stream, lookup, names, self_trained
 from chdstat.studies.claims import FINDINGS, SceneData
-from chdstat.studies.claims.reduction import FACTORS, LEVELS, ROUNDING
+from chdstat.studies.claims.learning import FACTORS, LEVELS, ROUNDING
 
 CLAIM = FINDINGS[15]
 N, EDGE = 32, 16
@@ -83,14 +83,14 @@ KNOWN = {
 def test_an_estimator_of_which_the_answer_is_known(ask, name):
     function, expected = KNOWN[name]
     found = ask({"elek2019": function})
-    verdicts = [part.verdict == "supported" for part in found.parts]
+    verdicts = [test.verdict == "supported" for test in found.tests]
     assert verdicts == [bool(kept) for kept in expected], found.reason
     assert found.verdict == ("supported" if all(expected) else "not supported")
 
 
 def test_the_deviation_of_constants_is_the_one_that_was_made(ask):
     found = ask({"elek2019": lambda x: 1.25 * mean(x)})
-    assert found.parts[0].statistic.value == pytest.approx(0.25)
+    assert found.tests[0].interval.value == pytest.approx(0.25)
     assert found.details["deviation_by_radiance"].keys() == {f"{level:g}" for level in LEVELS}
 
 
@@ -98,19 +98,22 @@ def test_a_change_of_the_order_is_told_in_steps_from_the_mean(ask):
     """Of two times the mean less the first sample, reversing moves the last in its place."""
     found = ask({"elek2019": lambda x: 2 * mean(x) - x[..., 0]})
     assert 0.5 < found.details["change_over_step_by_order"]["reversed"] < 2
-    assert found.parts[0].verdict == "supported"
-    assert found.parts[1].verdict == "not supported"
+    assert found.tests[0].verdict == "supported"
+    assert found.tests[1].verdict == "not supported"
 
 
 def test_the_verdict_is_of_the_papers_model_and_others_stand_beside_it(ask):
     found = ask({"elek2019": first_weighs_more, "progressive": mean})
-    assert (found.verdict, found.beside["progressive"].verdict) == ("not supported", "supported")
+    assert (found.verdict, found.other_models["progressive"].verdict) == (
+        "not supported",
+        "supported",
+    )
     assert found.reason.startswith("For elek2019: ")
     assert set(found.plot_data.series) == {"elek2019", "progressive"}
     alone = ask({"progressive": mean})
     assert alone.verdict == "cannot tell"
     assert "needs the paper's model" in alone.reason.lower()
-    assert alone.beside["progressive"].verdict == "supported"
+    assert alone.other_models["progressive"].verdict == "supported"
 
 
 def test_without_a_comparison_or_good_samples_there_is_no_telling(ask, samples):
@@ -120,7 +123,7 @@ def test_without_a_comparison_or_good_samples_there_is_no_telling(ask, samples):
     both = samples.read() * np.where(np.arange(EDGE) % 2, 1e36, 1e-37)[:, None, None]
     wide = ask({"elek2019": mean}, using=chd.Samples.from_array(both))
     assert "1024" in wide.reason
-    assert len(wide.parts) == 2
+    assert len(wide.tests) == 2
 
 
 def test_bad_samples_in_some_pixels_do_not_decide(ask, samples):
@@ -149,11 +152,11 @@ def test_ours_reduces_to_the_mean_and_the_papers_network_does_not(samples, compa
     both = replace(comparison, estimators=("mean", *trained), models=trained)
     found = CLAIM.find(SceneData("noise", samples, comparison=both))
     assert found.verdict == "not supported"
-    assert [part.verdict for part in found.parts] == ["not supported"] * 3
-    assert set(found.beside) == set(trained) - {"elek2019"}
-    for name, ours in found.beside.items():
+    assert [test.verdict for test in found.tests] == ["not supported"] * 3
+    assert set(found.other_models) == set(trained) - {"elek2019"}
+    for name, ours in found.other_models.items():
         assert ours.verdict == "supported", (name, ours.reason)
-        assert ours.parts[0].statistic.value == 0
+        assert ours.tests[0].interval.value == 0
         assert isinstance(trained[name], Progressive)
 
 

@@ -24,7 +24,7 @@ from chdstat._core.resampling import (
     mean_of,
     median_of,
 )
-from chdstat.studies.claims import FINDINGS, ClaimTest, SceneData, Statistic
+from chdstat.studies.claims import FINDINGS, ClaimTest, SceneData
 from chdstat.studies.claims.assumptions import explained_by_features, growing, uniformity, with_room
 from chdstat.studies.claims.complexity import rank_correlation, scene_complexity
 from chdstat.studies.claims.diffuse import log_skewness
@@ -32,7 +32,7 @@ from chdstat.studies.claims.learning import early_gain
 from chdstat.studies.claims.reflections import shape_spread
 from chdstat.studies.claims.scene_shapes import permuted, squares, squares_of_pairs
 from chdstat.studies.log_chds import EDGES, aligned, of_histograms, squared_distance
-from chdstat.studies.outcomes import Outcome, PlotData, conclude, level_of, plain
+from chdstat.studies.outcomes import Outcome, PlotData, level_of, plain
 from chdstat.studies.scene_data import correlation_of, slope_of
 
 # --- intervals ----------------------------------------------------------------------------------
@@ -304,9 +304,9 @@ def test_features_that_fix_the_variance_explain_all_but_noise():
     features = {"albedo": flat, "normal": flat, "depth": depth}
     samples = chd.Samples.from_array(np.ones((40, 40, 1, 4)), features=features)
     batches = np.exp(2 * depth).reshape(-1, 1) * rng.normal(size=(1600, 16))
-    found = explained_by_features(SceneData("x", samples), batches, level=0.95)
-    assert 0.9 < found.share.value < 1.05
-    assert found.reliability < 0.95
+    share, reliability = explained_by_features(SceneData("x", samples), batches, level=0.95)
+    assert 0.9 < share.value < 1.05
+    assert reliability < 0.95
 
 
 def test_rank_correlation_is_that_of_scipy():
@@ -351,25 +351,20 @@ def test_early_gain_is_a_share_of_the_last_one():
     assert np.isnan(early_gain(history(noise[:5]), level=0.95).value)
 
 
-def conclude_of(part):
-    about = {"number": 1, "name": "x", "claim": "x", "scene": "x"}
-    return conclude(Outcome((part,)), **about, spp=512)
-
-
 def test_an_open_interval_supports_and_refutes_nothing_above():
-    part = ClaimTest(Statistic("tail", 4.0), 3.5, np.inf, 0.95, least=6)
-    assert part.verdict == "cannot tell"
-    assert "3.5 or more" in str(part)
-    reason = conclude_of(part).reason
+    test = ClaimTest("tail", Interval(4.0, 3.5, np.inf), least=6)
+    assert test.verdict == "cannot tell"
+    assert "3.5 or more" in str(test)
+    reason = Outcome((test,)).reason(512)
     assert "512 spp do not show how far its tail reaches" in reason
-    assert ClaimTest(Statistic("tail", 8.0), 7.5, np.inf, 0.95, least=6).verdict == "supported"
+    assert ClaimTest("tail", Interval(8.0, 7.5, np.inf), least=6).verdict == "supported"
 
 
 def test_advice_looks_at_the_side_that_reaches_over_the_border():
     """The interval would not reach the border with a third of its upper arm; the lower is short."""
-    part = ClaimTest(Statistic("share", 0.3), 0.29, 0.51, 0.95, most=0.5)
-    assert part.margin == pytest.approx(0.2 / 0.21)
-    assert "about 1024 spp would decide" in conclude_of(part).reason
+    test = ClaimTest("share", Interval(0.3, 0.29, 0.51), most=0.5)
+    assert test.margin == pytest.approx(0.2 / 0.21)
+    assert "about 1024 spp would decide" in Outcome((test,)).reason(512)
 
 
 # --- statistics that grow with the number of samples --------------------------------------------
@@ -424,13 +419,12 @@ def test_parts_of_the_samples_have_their_own_moments():
     ],
 )
 def test_the_whole_interval_has_to_be_on_one_side(low, high, verdict):
-    part = ClaimTest.of("x", Interval(0.3, low, high, 0.95), least=0.1, most=0.5)
-    assert part.verdict == verdict
+    assert ClaimTest("x", Interval(0.3, low, high), least=0.1, most=0.5).verdict == verdict
 
 
 def test_a_claim_is_as_strong_as_its_weakest_part():
     good, bad, open_ = (
-        ClaimTest(Statistic("x", 0.5), low, high, 0.95, least=0.0)
+        ClaimTest("x", Interval(0.5, low, high), least=0.0)
         for low, high in ((0.1, 1.0), (-1.0, -0.1), (-1.0, 1.0))
     )
     assert Outcome((good, good)).verdict == "supported"
