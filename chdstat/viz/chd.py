@@ -187,14 +187,8 @@ def draw_histograms(
             continue
         ends += [edges[filled[0]], edges[filled[-1] + 1]]
         ax.stairs(density, edges, fill=True, color=colors[i], alpha=0.22)
-        ax.stairs(
-            density,
-            edges,
-            color=(outlines or colors)[i],
-            linewidth=0.7,
-            linestyle=dashes[i % len(dashes)],
-            label=verbatim(name),
-        )
+        look = {"color": (outlines or colors)[i], "linestyle": dashes[i % len(dashes)]}
+        ax.stairs(density, edges, linewidth=0.7, label=verbatim(name), **look)
     if not ends:
         where = (0.5, 0.5)
         ax.annotate("no positive samples", where, xycoords="axes fraction", ha="center", fontsize=7)

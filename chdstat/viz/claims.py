@@ -38,7 +38,8 @@ _COLUMNS = 4
 """Plots of findings side by side; one less where each has labels of its own."""
 _DASHES = ("-", "--", "-.", ":")
 _MARKERS = "os^Dv<>P"
-_MOST_POINTS = 4000
+_MANY_POINTS, _MOST_POINTS = 50, 4000
+"""Points from which they are small and pale, and points that are drawn at most."""
 _LONG = 26
 _LABEL = 28
 """Letters of a label along one panel."""
@@ -276,17 +277,10 @@ def _draw_points(ax: Axes, plot: PlotData) -> None:
     for i, (name, (x, y)) in enumerate(plot.series.items()):
         a, b = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
         step = max(1, -(-len(a) // _MOST_POINTS))
-        few = len(a) < 50
-        ax.plot(
-            a[::step],
-            b[::step],
-            label=verbatim(name),
-            markersize=4.5 if few else 1.3,
-            alpha=1.0 if few else 0.45,
-            markeredgewidth=0,
-            rasterized=len(a) > 500,
-            **_look(i, len(plot.series), "points"),
-        )
+        look = _look(i, len(plot.series), "points") | {"markersize": 4.5}
+        if len(a) >= _MANY_POINTS:
+            look |= {"markersize": 1.3, "alpha": 0.45, "rasterized": True}
+        ax.plot(a[::step], b[::step], label=verbatim(name), markeredgewidth=0, **look)
 
 
 def _draw_bars(ax: Axes, plot: PlotData) -> None:

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -51,8 +51,6 @@ Names = Mapping[str, str] | None
 
 _GREY = "#888888"
 _TITLES = {
-    "mse": "MSE",
-    "relmse": "relMSE",
     "mse_ratio": "MSE ratio",
     "relmse_ratio": "relMSE ratio",
     "improved": "better, same, worse",
@@ -63,8 +61,6 @@ _EXTREME = 8.0
 """Ratios beyond this, or its inverse, have the colour of this."""
 _LEVEL = 6
 """Estimators whose names have room beside each other."""
-_NEUTRAL = {"mse_ratio": 1.0, "relmse_ratio": 1.0, "bias": 0.0}
-"""What can be broken down, and the value of the sample mean."""
 
 
 def _called(names: Sequence[str], known: Names) -> list[str]:
@@ -73,69 +69,40 @@ def _called(names: Sequence[str], known: Names) -> list[str]:
 
 
 @style()
-def pattern_breakdown(
-    found: Breakdown,
-    *,
-    measure: Literal["mse_ratio", "relmse_ratio", "bias"] = "relmse_ratio",
-    names: Names = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw one measure for each pattern and estimator as a table with colours.
+def pattern_breakdown(found: Breakdown, *, names: Names = None, ax: Axes | None = None) -> Axes:
+    """Draw relMSE over that of the mean, for each pattern and estimator, as a table with colours.
 
     The frame marks the smallest error of each pattern among the estimators that look at one pixel.
-    Pale numbers are those whose interval contains the value of the sample mean: 1, or 0 for bias,
-    which is in per cent.
+    Pale numbers are those whose interval contains 1, the value of the sample mean.
 
     Parameters
     ----------
     found
         The measures by label.
-    measure
-        Which one to draw.
     names
         What to call estimators and labels; others have their own name.
     ax
         Where to draw; None makes a figure.
-
-    Raises
-    ------
-    InputError
-        If there is no such measure to draw.
     """
-    if measure not in _NEUTRAL:
-        message = f"measure must be one of {', '.join(_NEUTRAL)}; got {measure!r}"
-        raise InputError(message)
-    values, bias = found.measures[measure], measure == "bias"
-    best = found.best("mse" if measure == "mse_ratio" else "relmse")
+    ratio, best = found.measures["relmse_ratio"], found.best("relmse")
     ax = axes_in(ax, 1.45 + 0.24 * len(found.labels), WIDTH)
     with np.errstate(divide="ignore", invalid="ignore"):
-        shade = 2 * values.value if bias else np.log(values.value) / np.log(_EXTREME)
-    ax.imshow(
-        np.ma.masked_invalid(np.clip(shade, -1, 1)),
-        cmap="PuOr" if bias else "BrBG_r",
-        norm=TwoSlopeNorm(0, -1.4, 1.4),
-        aspect="auto",
-    )
+        shade = np.ma.masked_invalid(np.log(ratio.value) / np.log(_EXTREME))
+    colors = TwoSlopeNorm(0, -1.4, 1.4)
+    ax.imshow(shade.clip(-1, 1), cmap="BrBG_r", norm=colors, aspect="auto")
     ax.set_facecolor(MISSING)
-    for row, column in np.argwhere(np.isfinite(values.value)):
-        _number(ax, values[row, column], (column, row), measure)
+    for row, column in np.argwhere(np.isfinite(ratio.value)):
+        at = ratio[row, column]
+        text = f"{at.value:.{2 if at.value < 9.95 else 0}f}"
+        ink = "#111111" if at.low > 1 or at.high < 1 else "#999999"
+        ax.text(column, row, text, ha="center", va="center", fontsize=6, color=ink)
         if found.estimators[column] == best[row]:
             corner = (column - 0.47, row - 0.45)
             frame: dict[str, Any] = {"fill": False, "edgecolor": "#111111", "linewidth": 1.3}
             ax.add_patch(Rectangle(corner, 0.94, 0.9, **frame))
     _label_table(ax, found, names)
-    ax.set_title(f"{_TITLES[measure]} for each pattern{', %' if bias else ''}", loc="left")
+    ax.set_title("relMSE ratio for each pattern", loc="left")
     return ax
-
-
-def _number(ax: Axes, value: Interval[Array], place: tuple[int, int], measure: str) -> None:
-    number, neutral = float(value.value), _NEUTRAL[measure]
-    if measure == "bias":
-        text = f"{round(100 * number):+d}".replace("+0", "0").replace("-", "−")
-    else:
-        text = f"{number:.{2 if number < 9.95 else 0}f}"
-    color = "#111111" if value.low > neutral or value.high < neutral else "#999999"
-    ax.text(*place, text, ha="center", va="center", fontsize=6, color=color)
 
 
 def _label_table(ax: Axes, found: Breakdown, names: Names) -> None:
@@ -161,17 +128,8 @@ def _label_table(ax: Axes, found: Breakdown, names: Names) -> None:
 
 
 @style()
-def error_curves(
-    found: ErrorCurve,
-    *,
-    measures: Sequence[Literal["mse", "relmse", "mse_ratio", "relmse_ratio", "fireflies_left"]] = (
-        "mse",
-        "relmse",
-    ),
-    names: Names = None,
-    fig: Figure | None = None,
-) -> Figure:
-    """Draw errors against the number of samples, both on logarithmic scales.
+def error_curves(found: ErrorCurve, *, names: Names = None, fig: Figure | None = None) -> Figure:
+    """Draw MSE and relMSE against the number of samples, on logarithmic scales.
 
     Bands are intervals over blocks of pixels; dashed lines are estimators that use neighbours. A
     dotted line is the noise of the reference, below which no error can be seen.
@@ -180,24 +138,16 @@ def error_curves(
     ----------
     found
         What `chdstat.comparison.error_curve` found.
-    measures
-        One panel each.
     names
         What to call the estimators; others have their own name.
     fig
         Where to draw; None makes a figure.
-
-    Raises
-    ------
-    InputError
-        If there is no measure to draw.
     """
-    rows = -(-len(found.estimators) // 4)
-    figure = page(fig, 2.3 + 0.17 * rows)
-    axes = grid(figure, len(measures), max(1, len(measures)))
-    for ax, measure in zip(axes, measures, strict=True):
+    figure = page(fig, 2.3 + 0.17 * -(-len(found.estimators) // 4))
+    axes = grid(figure, 2, 2)
+    for ax, (measure, title) in zip(axes, (("mse", "MSE"), ("relmse", "relMSE")), strict=True):
         _draw_errors(ax, found, measure, _called(found.estimators, names))
-        ax.set(xlabel="samples in an estimate, N", ylabel=_TITLES[measure])
+        ax.set(xlabel="samples in an estimate, N", ylabel=title, yscale="log")
         ax.set_xscale("log", base=2)
         ax.set_xticks(found.sizes, [str(n) for n in found.sizes])
         ax.minorticks_off()
@@ -208,7 +158,6 @@ def error_curves(
 
 def _draw_errors(ax: Axes, found: ErrorCurve, measure: str, names: Sequence[str]) -> None:
     """Draw one measure of all estimators, the mean in black above the others."""
-    ax.set_yscale("linear" if measure == "fireflies_left" else "log")
     colors = iter(qualitative(len(names)))
     for k, name in enumerate(found.estimators):
         color = "#111111" if name == "mean" else next(colors)
@@ -221,9 +170,8 @@ def _draw_errors(ax: Axes, found: ErrorCurve, measure: str, names: Sequence[str]
         look: dict[str, Any] = {"color": color, "marker": "o", "markersize": 2.5}
         order = 2.5 if name == "mean" else 2
         ax.plot(found.sizes, values.value, dashes, label=names[k], zorder=order, **look)
-    if measure in found.reference_noise:
-        noise = found.reference_noise[measure]
-        ax.plot(found.sizes, noise, ":", color=_GREY, linewidth=1, label="noise of the reference")
+    noise = found.reference_noise[measure]
+    ax.plot(found.sizes, noise, ":", color=_GREY, linewidth=1, label="noise of the reference")
 
 
 @style()
@@ -244,11 +192,10 @@ def estimator_measures(
         Where to draw; None makes a figure.
     """
     rows = np.arange(len(found.estimators)) + 0.6 * found.uses_neighbours
-    measures = [name for name in _TITLES if name not in {"mse", "relmse"}]
     figure = page(fig, 0.75 + 0.165 * (rows.max() + 1))
-    axes = grid(figure, len(measures), len(measures), sharey=True)
-    for ax, measure in zip(axes, measures, strict=True):
-        ax.set_title(_TITLES[measure], fontsize=7.5)
+    axes = grid(figure, len(_TITLES), len(_TITLES), sharey=True)
+    for ax, (measure, title) in zip(axes, _TITLES.items(), strict=True):
+        ax.set_title(title, fontsize=7.5)
         ax.set_axisbelow(True)
         ax.grid(axis="x", linewidth=0.4, color="#DDDDDD")
         ax.tick_params(axis="y", length=0)
@@ -303,25 +250,18 @@ def _set_log_axis(ax: Axes, values: Array) -> None:
 
 
 @style()
-def pixel_estimates(
-    found: PixelEstimates,
-    *,
-    channel: str | None = None,
-    names: Names = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw a few pixels one by one: reference, sample mean and estimates.
+def pixel_estimates(found: PixelEstimates, *, names: Names = None, ax: Axes | None = None) -> Axes:
+    """Draw a few pixels one by one: reference, sample mean and estimates of the luminance.
 
     This is the numerical evaluation of Elek, Thomas and Forbes 2019. Thin lines join the sample
     mean to the reference: an estimate improves where it ends up closer to the black bar. The scale
-    is linear near 0 and logarithmic beyond, so that black pixels have a place.
+    is linear near 0 and logarithmic beyond, so that black pixels have a place. Where there are not
+    three channels, the first is drawn.
 
     Parameters
     ----------
     found
         Pixels and estimates, of `Comparison.draw_pixels`.
-    channel
-        Which channel; None draws the luminance where there are three, else the first.
     names
         What to call the estimators; others have their own name.
     ax
@@ -330,51 +270,40 @@ def pixel_estimates(
     Raises
     ------
     InputError
-        If there is no such channel, or no pixel.
+        If there is no pixel.
     """
     if not len(found.pixels):
         message = "pixel_estimates needs at least one pixel, got none"
         raise InputError(message)
-    reference, mean, *estimates = (
-        _of_channel(values, found.channels, channel)
-        for values in (found.reference, found.mean, *found.estimates)
-    )
-    order = np.argsort(reference, kind="stable")
+    shown = np.stack([found.reference, found.mean, *found.estimates]).astype(np.float64)
+    colored = len(found.channels) == 3
+    light = luminance(shown, channel_axis=-1) if colored else shown[..., 0]
+    reference, mean, *estimates = light[:, np.argsort(light[0], kind="stable")]
     drawn = [(name, estimates[k]) for k, name in enumerate(found.estimators) if name != "mean"]
-    places = np.arange(1, len(order) + 1)
+    places = np.arange(1, len(mean) + 1)
     ax = axes_in(ax, 2.9, WIDTH)
-    ax.vlines(places, reference[order], mean[order], color="#BBBBBB", linewidth=0.8)
+    ax.vlines(places, reference, mean, color="#BBBBBB", linewidth=0.8)
     bar: dict[str, Any] = {"color": "#111111", "linewidth": 1.6, "label": "reference"}
-    ax.hlines(reference[order], places - 0.42, places + 0.42, **bar)
+    ax.hlines(reference, places - 0.42, places + 0.42, **bar)
     mark: dict[str, Any] = {"facecolors": "white", "edgecolors": "#555555", "linewidths": 0.9}
-    ax.scatter(places, mean[order], s=20, label=f"mean of {found.n}", zorder=3, **mark)
+    ax.scatter(places, mean, s=20, label=f"mean of {found.n}", zorder=3, **mark)
     colors = [PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], *qualitative(len(drawn))]
     # Marks lie beside each other within a pixel's place.
     offsets = np.linspace(-0.22, 0.22, len(drawn)) if len(drawn) > 1 else [0.0]
     for k, (name, values) in enumerate(drawn):
         label = _called([name], names)[0]
         look: dict[str, Any] = {"marker": "DsP^vX"[k % 6], "color": colors[k], "linewidths": 0}
-        ax.scatter(places + offsets[k], values[order], s=11, label=label, zorder=4, **look)
-    shown = verbatim(channel or ("luminance" if len(found.channels) == 3 else found.channels[0]))
-    ax.set_ylabel(f"{shown}, {UNIT}")
-    _set_pixel_axes(ax, np.concatenate([reference, mean, *(v for _, v in drawn)]), len(order))
-    columns = min(6, 2 + len(drawn))
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns)
+        ax.scatter(places + offsets[k], values, s=11, label=label, zorder=4, **look)
+    _set_radiance_axis(ax, light)
+    ax.set(xlim=(0.3, len(mean) + 0.7), xticks=[])
+    ax.set_xlabel(f"{len(mean)} random pixels, from dark to bright")
+    ax.set_ylabel(f"{'luminance' if colored else verbatim(found.channels[0])}, {UNIT}")
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(6, 2 + len(drawn)))
     return ax
 
 
-def _of_channel(values: Array, channels: tuple[str, ...], channel: str | None) -> Array:
-    """Return one channel, or the luminance, of radiance (pixel, channel)."""
-    if channel is None:
-        data = values.astype(np.float64)
-        return luminance(data, channel_axis=-1) if len(channels) == 3 else data[:, 0]
-    if channel not in channels:
-        message = f"channel must be one of {', '.join(channels)}, got {channel!r}"
-        raise InputError(message)
-    return values[:, channels.index(channel)].astype(np.float64)
-
-
-def _set_pixel_axes(ax: Axes, values: Array, pixels: int) -> None:
+def _set_radiance_axis(ax: Axes, values: Array) -> None:
+    """Make the y axis linear near 0 and logarithmic beyond, with few and readable ticks."""
     positive = values[np.isfinite(values) & (values > 0)]
     knee = float(np.quantile(positive, 0.05)) / 2 if positive.size else 1.0
     ax.set_yscale("asinh", linear_width=knee)
@@ -386,8 +315,6 @@ def _set_pixel_axes(ax: Axes, values: Array, pixels: int) -> None:
         FuncFormatter(lambda value, _: "" if 0 < abs(value) < knee else f"{value:g}")
     )
     ax.yaxis.set_minor_locator(NullLocator())
-    ax.set(xlim=(0.3, pixels + 0.7), xticks=[])
-    ax.set_xlabel(f"{pixels} random pixels, from dark to bright")
     ax.grid(axis="y", linewidth=0.4, color="#DDDDDD")
 
 
