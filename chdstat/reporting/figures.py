@@ -278,13 +278,13 @@ def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[st
         "estimates": viz.side_by_side(
             images | {"reference": found.reference}, errors=dict(zip(names, squares, strict=True))
         ),
-        "measures": viz.estimator_measures(found, names=NAMES),
-        "pixels": viz.pixel_estimates(found.draw_pixels(), names=NAMES).figure,
+        "measures": viz.estimator_measures(found),
+        "pixels": viz.pixel_estimates(found.draw_pixels()).figure,
     }
     if found.breakdown is not None:
-        drawn["breakdown"] = viz.pattern_breakdown(found.breakdown, names=NAMES).figure
+        drawn["breakdown"] = viz.pattern_breakdown(found.breakdown).figure
     if curve is not None:
-        drawn["curve"] = viz.error_curves(curve, names=NAMES)
+        drawn["curve"] = viz.error_curves(curve)
     for model in found.models.values():
         if isinstance(model, MLP):
             drawn["training"] = viz.training(model.history).figure

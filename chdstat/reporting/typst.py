@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -17,28 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 from chdstat._core.files import replacing
 from chdstat.errors import ChdstatError
-from chdstat.estimators.registry import LABELS
-from chdstat.fit.families import FAMILIES
 from chdstat.viz import style
+from chdstat.viz.estimators import NAMES
 from chdstat.viz.styling import spelt
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["NAMES", "Document", "between", "number", "percent", "typeset"]
-
-NAMES: Mapping[str, str] = ChainMap(
-    LABELS,
-    {
-        **{name: family.label for name, family in FAMILIES.items()},
-        "null_heavy": "null-heavy",
-        "long_tail": "long tail",
-        "firefly_dominated": "firefly-dominated",
-        "gamma_like": "gamma-like",
-        "lognormal_like": "log-normal-like",
-    },
-)
-"""Names of estimators, families and patterns in running text."""
 
 
 def number(value: float) -> str:

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,7 +23,9 @@ from chdstat._core.arrays import luminance
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Breakdown, Comparison, ErrorCurve, PixelEstimates
 from chdstat.errors import InputError
+from chdstat.estimators.registry import LABELS
 from chdstat.estimators.training import History
+from chdstat.fit.families import FAMILIES
 from chdstat.viz.styling import (
     MISSING,
     PALETTE,
@@ -38,6 +41,7 @@ from chdstat.viz.styling import (
 )
 
 __all__ = [
+    "NAMES",
     "coverage",
     "error_curves",
     "estimator_measures",
@@ -47,7 +51,6 @@ __all__ = [
 ]
 
 Array = npt.NDArray[Any]
-Names = Mapping[str, str] | None
 
 _GREY = "#888888"
 _TITLES = {
@@ -63,13 +66,27 @@ _LEVEL = 6
 """Estimators whose names have room beside each other."""
 
 
-def _called(names: Sequence[str], known: Names) -> list[str]:
-    """Return what to write for names: what is known for them, or themselves in words."""
-    return [(known or {}).get(name, name.replace("_", " ")) for name in names]
+NAMES: Mapping[str, str] = ChainMap(
+    LABELS,
+    {
+        **{name: family.label for name, family in FAMILIES.items()},
+        "null_heavy": "null-heavy",
+        "long_tail": "long tail",
+        "firefly_dominated": "firefly-dominated",
+        "gamma_like": "gamma-like",
+        "lognormal_like": "log-normal-like",
+    },
+)
+"""What text and figures call estimators, families and patterns."""
+
+
+def _called(names: Sequence[str]) -> list[str]:
+    """Return what to write for names: what `NAMES` has for them, or themselves in words."""
+    return [NAMES.get(name, name.replace("_", " ")) for name in names]
 
 
 @style()
-def pattern_breakdown(found: Breakdown, *, names: Names = None, ax: Axes | None = None) -> Axes:
+def pattern_breakdown(found: Breakdown, *, ax: Axes | None = None) -> Axes:
     """Draw relMSE over that of the mean, for each pattern and estimator, as a table with colours.
 
     The frame marks the smallest error of each pattern among the estimators that look at one pixel.
@@ -79,8 +96,6 @@ def pattern_breakdown(found: Breakdown, *, names: Names = None, ax: Axes | None 
     ----------
     found
         The measures by label.
-    names
-        What to call estimators and labels; others have their own name.
     ax
         Where to draw; None makes a figure.
     """
@@ -100,22 +115,22 @@ def pattern_breakdown(found: Breakdown, *, names: Names = None, ax: Axes | None 
             corner = (column - 0.47, row - 0.45)
             frame: dict[str, Any] = {"fill": False, "edgecolor": "#111111", "linewidth": 1.3}
             ax.add_patch(Rectangle(corner, 0.94, 0.9, **frame))
-    _label_table(ax, found, names)
+    _label_table(ax, found)
     ax.set_title("relMSE ratio for each pattern", loc="left")
     return ax
 
 
-def _label_table(ax: Axes, found: Breakdown, names: Names) -> None:
+def _label_table(ax: Axes, found: Breakdown) -> None:
     """Name rows and columns; a line separates the estimators that use neighbours."""
     share = found.pixels / max(1, found.pixels.sum())
     rows = [
         f"{label}, {per_cent(part)}" if part >= 0.005 else f"{label}, {count} px"
         for label, part, count in zip(
-            _called(found.labels, names), share, found.pixels.tolist(), strict=True
+            _called(found.labels), share, found.pixels.tolist(), strict=True
         )
     ]
     ax.set_yticks(np.arange(len(rows)), rows)
-    columns = _called(found.estimators, names)
+    columns = _called(found.estimators)
     ax.set_xticks(np.arange(len(columns)), columns)
     if len(columns) > _LEVEL:
         ax.tick_params(axis="x", rotation=40)
@@ -128,7 +143,7 @@ def _label_table(ax: Axes, found: Breakdown, names: Names) -> None:
 
 
 @style()
-def error_curves(found: ErrorCurve, *, names: Names = None, fig: Figure | None = None) -> Figure:
+def error_curves(found: ErrorCurve, *, fig: Figure | None = None) -> Figure:
     """Draw MSE and relMSE against the number of samples, on logarithmic scales.
 
     Bands are intervals over blocks of pixels; dashed lines are estimators that use neighbours. A
@@ -138,15 +153,13 @@ def error_curves(found: ErrorCurve, *, names: Names = None, fig: Figure | None =
     ----------
     found
         What `chdstat.comparison.error_curve` found.
-    names
-        What to call the estimators; others have their own name.
     fig
         Where to draw; None makes a figure.
     """
     figure = page(fig, 2.3 + 0.17 * -(-len(found.estimators) // 4))
     axes = grid(figure, 2, 2)
     for ax, (measure, title) in zip(axes, (("mse", "MSE"), ("relmse", "relMSE")), strict=True):
-        _draw_errors(ax, found, measure, _called(found.estimators, names))
+        _draw_errors(ax, found, measure, _called(found.estimators))
         ax.set(xlabel="samples in an estimate, N", ylabel=title, yscale="log")
         ax.set_xscale("log", base=2)
         ax.set_xticks(found.sizes, [str(n) for n in found.sizes])
@@ -175,9 +188,7 @@ def _draw_errors(ax: Axes, found: ErrorCurve, measure: str, names: Sequence[str]
 
 
 @style()
-def estimator_measures(
-    found: Comparison, *, names: Names = None, fig: Figure | None = None
-) -> Figure:
+def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figure:
     """Draw all measures of all estimators, those that use neighbours separately, below a line.
 
     Ratios are those to the sample mean, on a logarithmic scale; intervals are over blocks.
@@ -186,8 +197,6 @@ def estimator_measures(
     ----------
     found
         What `chdstat.compare` found.
-    names
-        What to call the estimators; others have their own name.
     fig
         Where to draw; None makes a figure.
     """
@@ -207,7 +216,7 @@ def estimator_measures(
         if found.uses_neighbours.any():
             line = rows[found.uses_neighbours].min() - 0.8
             ax.axhline(line, color=_GREY, linewidth=0.6)
-    axes[0].set_yticks(rows, _called(found.estimators, names))
+    axes[0].set_yticks(rows, _called(found.estimators))
     axes[0].set_ylim(rows.max() + 0.6, -0.6)
     if found.uses_neighbours.any():
         figure.supxlabel("below the line: those that use neighbouring pixels", fontsize=7)
@@ -250,7 +259,7 @@ def _set_log_axis(ax: Axes, values: Array) -> None:
 
 
 @style()
-def pixel_estimates(found: PixelEstimates, *, names: Names = None, ax: Axes | None = None) -> Axes:
+def pixel_estimates(found: PixelEstimates, *, ax: Axes | None = None) -> Axes:
     """Draw a few pixels one by one: reference, sample mean and estimates of the luminance.
 
     This is the numerical evaluation of Elek, Thomas and Forbes 2019. Thin lines join the sample
@@ -262,8 +271,6 @@ def pixel_estimates(found: PixelEstimates, *, names: Names = None, ax: Axes | No
     ----------
     found
         Pixels and estimates, of `Comparison.draw_pixels`.
-    names
-        What to call the estimators; others have their own name.
     ax
         Where to draw; None makes a figure.
 
@@ -291,7 +298,7 @@ def pixel_estimates(found: PixelEstimates, *, names: Names = None, ax: Axes | No
     # Marks lie beside each other within a pixel's place.
     offsets = np.linspace(-0.22, 0.22, len(drawn)) if len(drawn) > 1 else [0.0]
     for k, (name, values) in enumerate(drawn):
-        label = _called([name], names)[0]
+        label = _called([name])[0]
         look: dict[str, Any] = {"marker": "DsP^vX"[k % 6], "color": colors[k], "linewidths": 0}
         ax.scatter(places + offsets[k], values, s=11, label=label, zorder=4, **look)
     _set_radiance_axis(ax, light)

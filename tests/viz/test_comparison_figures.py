@@ -49,10 +49,10 @@ def texts(figure):
 
 
 def test_all_measures_of_all_estimators_are_shown(found):
-    figure = estimator_measures(found, names={"mean": "sample mean"})
+    figure = estimator_measures(found)
     assert len(figure.axes) == 5
     seen = texts(figure)
-    assert {"sample mean", "median", "median of means", "zirr2018"} <= seen
+    assert {"sample mean", "median", "median of means", "Zirr et al. 2018"} <= seen
     assert {"MSE ratio", "relMSE ratio", "bias", "fireflies left"} <= seen
     ratios = figure.axes[0].lines[0].get_xdata()
     assert ratios == pytest.approx(found.measures["mse_ratio"].value[:, -1])
@@ -83,9 +83,9 @@ def test_an_estimator_without_a_measure_leaves_a_gap(samples):
 
 
 def test_a_breakdown_has_a_row_a_pattern_and_frames_the_best(found):
-    ax = pattern_breakdown(found.breakdown, names={"gamma_like": "gamma"})
+    ax = pattern_breakdown(found.breakdown)
     seen = texts(ax.figure)
-    assert {"black, 17 %", "gamma, 83 %", "median of means"} <= seen
+    assert {"black, 17 %", "gamma-like, 83 %", "median of means"} <= seen
     frames = [p for p in ax.patches if isinstance(p, Rectangle)]
     assert len(frames) == 1  # nothing is better or worse than no error at all
 
@@ -97,7 +97,7 @@ def test_numbers_of_a_breakdown_are_those_found(found):
 
 
 def test_a_curve_has_a_line_an_estimator_and_the_noise(curve):
-    figure = error_curves(curve, names={"mean": "sample mean"})
+    figure = error_curves(curve)
     assert {"sample mean", "noise of the reference", "MSE", "relMSE"} <= texts(figure)
     for ax in figure.axes:
         assert [line.get_linestyle() for line in ax.lines] == ["-", "-", "-", "--", ":"]
@@ -113,8 +113,8 @@ def test_an_estimator_that_takes_no_such_size_has_no_line(samples):
 
 
 def test_pixels_show_reference_mean_and_estimates(found):
-    figure = pixel_estimates(found.draw_pixels(9), names={"zirr2018": "Zirr"}).figure
-    assert {"reference", "mean of 32", "median of means", "Zirr"} <= texts(figure)
+    figure = pixel_estimates(found.draw_pixels(9)).figure
+    assert {"reference", "mean of 32", "median of means", "Zirr et al. 2018"} <= texts(figure)
     assert "9 random pixels, from dark to bright" in texts(figure)
 
 
