@@ -13,6 +13,7 @@ from chdstat.comparison import Comparison
 from chdstat.comparison.self_training import LEVELS, SelfTraining
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS, Atlas
+from chdstat.reporting.claims import remake_note
 from chdstat.reporting.figures import names_of
 from chdstat.reporting.typst import NAMES, between, number, percent
 from chdstat.samples import Samples
@@ -26,13 +27,9 @@ __all__ = [
     "FindingRow",
     "atlas_content",
     "estimator_table",
-    "family_table",
     "findings",
-    "pattern_table",
-    "provenance_table",
-    "region_table",
+    "scene_content",
     "self_training_content",
-    "thresholds",
 ]
 
 
@@ -242,7 +239,29 @@ def _name(name: str) -> str:
 # --- tables -------------------------------------------------------------------------------------
 
 
-def provenance_table(samples: Samples) -> list[tuple[str, str]]:
+def scene_content(data: SceneData, scene: Overview) -> dict[str, Any]:
+    """Return what the report tells of the samples and of their analysis."""
+    dataset = data.analysis
+    prefix = "threshold_"
+    return {
+        "title": data.samples.name,
+        "remake": remake_note([data.samples]),
+        "spp": data.samples.spp,
+        "provenance": _provenance_table(data.samples),
+        "regions": _region_table(data),
+        "families": _family_table(dataset),
+        "patterns": _pattern_table(scene),
+        "alpha": percent(float(dataset.attrs["false_discovery_rate"])),
+        "thresholds": {
+            str(name).removeprefix(prefix): number(float(value))
+            for name, value in dataset.attrs.items()
+            if str(name).startswith(prefix)
+        },
+        "n_means": int(dataset.attrs.get("n_means", 0)),
+    }
+
+
+def _provenance_table(samples: Samples) -> list[tuple[str, str]]:
     """Return the settings that render the same samples again, by name."""
     attrs = samples.attrs
     height, width, channels, spp = samples.shape
@@ -268,7 +287,7 @@ def provenance_table(samples: Samples) -> list[tuple[str, str]]:
     return [(name, value) for name, value in rows.items() if value]
 
 
-def region_table(data: SceneData) -> list[dict[str, Any]]:
+def _region_table(data: SceneData) -> list[dict[str, Any]]:
     """Return a row for each region, with the numbers of the pixel in its middle."""
     rows = []
     colors = qualitative(len(data.regions))
@@ -294,7 +313,7 @@ def region_table(data: SceneData) -> list[dict[str, Any]]:
     return rows
 
 
-def family_table(found: xr.Dataset) -> list[dict[str, str]]:
+def _family_table(found: xr.Dataset) -> list[dict[str, str]]:
     """Return the share of each family by both criteria, over all channels."""
     criteria = {"bic": "best_family", "held_out": "held_out_best_family"}
     columns = {key: pooled_shares(found, name) for key, name in criteria.items() if name in found}
@@ -309,7 +328,7 @@ def family_table(found: xr.Dataset) -> list[dict[str, str]]:
     ]
 
 
-def pattern_table(scene: Overview) -> list[dict[str, str]]:
+def _pattern_table(scene: Overview) -> list[dict[str, str]]:
     """Return the rows of the table of patterns, the most frequent first."""
     return [
         {
@@ -321,16 +340,6 @@ def pattern_table(scene: Overview) -> list[dict[str, str]]:
         }
         for p in sorted(PATTERNS, key=lambda p: -scene.patterns[p.name])
     ]
-
-
-def thresholds(dataset: xr.Dataset) -> dict[str, str]:
-    """Return the thresholds of the patterns by name."""
-    prefix = "threshold_"
-    return {
-        str(name).removeprefix(prefix): number(float(value))
-        for name, value in dataset.attrs.items()
-        if str(name).startswith(prefix)
-    }
 
 
 def atlas_content(found: Atlas) -> dict[str, str]:

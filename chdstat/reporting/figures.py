@@ -40,8 +40,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
-    "averages",
-    "maps",
+    "analysis_figures",
     "names_of",
     "of_comparison",
     "panels_of",
@@ -120,15 +119,11 @@ def scene_figures(
     atlas
         Shapes that recur.
     """
-    marks = _marks(data)
+    marks, mean = _marks(data), data.summary["mean"].values
     drawn: dict[str, Figure] = {}
     if marks:
-        drawn["regions"] = viz.region_study(
-            data.summary["mean"].values,
-            marks,
-            panels,
-            notes=[_note(region, data.summary) for region in data.regions],
-        )
+        notes = [_note(region, data.summary) for region in data.regions]
+        drawn["regions"] = viz.region_study(mean, marks, panels, notes=notes)
     height, width = data.samples.shape[:2]
     pixels = {mark.name: mark.pixel for mark in marks[:_PIXELS]} or {
         "middle of the image": (height // 2, width // 2)
@@ -217,8 +212,23 @@ def names_of(variable: xr.DataArray) -> dict[int, str]:
     }
 
 
-def maps(found: xr.Dataset) -> Figure:
-    """Draw the maps of the image."""
+def analysis_figures(found: xr.Dataset, scene: Overview) -> dict[str, Figure]:
+    """Draw the maps of the image, and how averages become Gaussian where there are enough."""
+    drawn = {"maps": _maps(found)}
+    if scene.averages:
+        shares = found["averages_rejected_share"]
+        names = found["channel"].values
+        drawn["averages"] = viz.averages(
+            list(scene.averages),
+            {str(name): shares.sel(channel=name).values for name in names},
+            scene.skewness,
+            scene.predicted_skewness,
+            alpha=float(found.attrs["false_discovery_rate"]),
+        )
+    return drawn
+
+
+def _maps(found: xr.Dataset) -> Figure:
     skewness = found["normality_skewness"].sel(transform="log").mean("channel")
     misfit = found["best_goodness_effect"].sel(fit_test="kolmogorov-smirnov").mean("channel")
     shown: dict[str, tuple[xr.DataArray, tuple[float, float] | None]] = {
@@ -252,18 +262,6 @@ def maps(found: xr.Dataset) -> Figure:
         slowest = np.where(more, MORE_THAN_TESTED, n.max(axis=-1))
         viz.n_needed(slowest, found["size"], ax=axes[-1])
     return figure
-
-
-def averages(found: xr.Dataset, scene: Overview) -> Figure:
-    """Draw how averages become Gaussian."""
-    shares = found["averages_rejected_share"]
-    return viz.averages(
-        list(scene.averages),
-        {str(channel): shares.sel(channel=channel).values for channel in found["channel"].values},
-        scene.skewness,
-        scene.predicted_skewness,
-        alpha=float(found.attrs["false_discovery_rate"]),
-    )
 
 
 # --- a comparison -------------------------------------------------------------------------------

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from chdstat import viz
 from chdstat._core.files import checked_target, scratch
-from chdstat.analysis import Overview, analyze, overview
+from chdstat.analysis import analyze, overview
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.candidates import DEFAULT
 from chdstat.comparison.self_training import SelfTraining
@@ -17,7 +16,7 @@ from chdstat.errors import InputError
 from chdstat.estimators import LearnedEstimator, Progressive, lookup
 from chdstat.estimators.models import first_samples
 from chdstat.estimators.validation import draw_pixels
-from chdstat.patterns import Atlas, atlas
+from chdstat.patterns import atlas
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
 from chdstat.rendering.jobs import refuse_render, scene_size
@@ -30,8 +29,8 @@ from chdstat.rendering.recipes import (
     regions_of,
 )
 from chdstat.reporting import content, figures
-from chdstat.reporting.claims import finding_content, plot_findings, remake_note
-from chdstat.reporting.typst import Document, percent, typeset
+from chdstat.reporting.claims import finding_content, plot_findings
+from chdstat.reporting.typst import Document, typeset
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
@@ -40,7 +39,6 @@ from chdstat.viz import VERDICTS
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
 
 __all__ = ["report"]
 
@@ -51,6 +49,8 @@ _IN_MEMORY = 2**29
 """Samples up to this many bytes are read once and held; larger ones are walked on disk."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
+_SHOWN = {14, 15}
+"""Claims whose plots would repeat the table of families and the figure of the training."""
 _CURVE_SPP, _CURVE_BATCHES = 256, 2
 """Samples from which errors are shown against N, and batches per pixel for each N."""
 
@@ -133,9 +133,9 @@ def report(
     if samples.nbytes <= _IN_MEMORY:
         samples = samples.load()
     regions = named.regions if named else regions_of(samples)
-    found = _results(samples, regions, estimators, iterations, progress)
+    document = _document(samples, regions, estimators, iterations, progress)
     with scratch() as folder:
-        return typeset(_document(found), folder, target)
+        return typeset(document, folder, target)
 
 
 def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples | None:
@@ -147,112 +147,50 @@ def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples 
     return None
 
 
-@dataclass(frozen=True)
-class _Results:
-    """Everything that the report on a scene shows; None is what its samples do not allow.
-
-    Attributes
-    ----------
-    data
-        The samples with their regions, their analysis and the comparison of estimators.
-    overview
-        The analysis in a few numbers.
-    chosen
-        Whether the library chose the regions.
-    atlas
-        Shapes that recur.
-    curve
-        Errors against the number of samples.
-    self_training
-        An estimate without a reference.
-    why_not
-        Why no estimators were compared.
-    """
-
-    data: SceneData
-    overview: Overview
-    chosen: bool
-    atlas: Atlas | None
-    curve: ErrorCurve | None
-    self_training: SelfTraining | None
-    why_not: str
-
-
-def _results(
+def _document(
     samples: Samples,
     regions: tuple[Region, ...],
     estimators: Sequence[str],
     iterations: int | None,
     progress: bool | None,
-) -> _Results:
+) -> Document:
+    """Compute everything that the report shows, and return it ready to typeset."""
     dataset = analyze(samples, progress=progress)
     comparison, why_not = _compare(samples, estimators, dataset["label"], iterations, progress)
-    shapes = atlas(samples, progress=progress)
-    return _Results(
-        SceneData(
-            samples.name,
-            samples,
-            regions or choose_regions(dataset),
-            given=dataset,
-            comparison=comparison,
-        ),
-        overview(dataset),
-        chosen=not regions,
-        atlas=shapes if len(shapes.share) else None,
-        curve=_curve(samples, comparison, progress),
-        self_training=None
-        if comparison is None
-        else SelfTraining.of(samples, comparison, iterations=iterations, progress=progress),
-        why_not=why_not,
-    )
-
-
-def _document(found: _Results) -> Document:
-    """Return the report on a scene, ready to typeset."""
-    data, samples, dataset = found.data, found.data.samples, found.data.analysis
-    comparison = data.comparison
+    chosen = regions or choose_regions(dataset)
+    data = SceneData(samples.name, samples, chosen, given=dataset, comparison=comparison)
+    scene, found = overview(dataset), atlas(samples, progress=progress)
+    shapes = found if len(found.share) else None
+    panels = figures.panels_of(data)
     claims = [claim.find(data) for claim in FINDINGS if claim.alone]
-    rows = content.findings(found.overview, found.atlas, comparison, found.self_training)
-    told: dict[str, Any] = {
-        "title": samples.name,
-        "regions_chosen": found.chosen,
-        "regions": content.region_table(data),
-        "provenance": content.provenance_table(samples),
-        "findings": [row._asdict() for row in rows],
-        "alpha": percent(float(dataset.attrs["false_discovery_rate"])),
-        "thresholds": content.thresholds(dataset),
-        "families": content.family_table(dataset),
-        "patterns": content.pattern_table(found.overview),
-        "n_means": int(dataset.attrs.get("n_means", 0)),
-        "spp": samples.spp,
-        "no_estimators": found.why_not,
+    told = content.scene_content(data, scene) | {
+        "regions_chosen": not regions,
+        "no_estimators": why_not,
         "verdicts": VERDICTS,
         "claims": [finding_content(finding) for finding in claims],
-        "unasked": [f"{claim.number} ({claim.name})" for claim in FINDINGS if not claim.alone],
-        "remake": remake_note([samples]),
+        "untested": [f"{claim.number} ({claim.name})" for claim in FINDINGS if not claim.alone],
     }
-    panels = figures.panels_of(data)
-    drawn: dict[str, Figure] = {
-        "maps": figures.maps(dataset),
-        **figures.scene_figures(data, panels, atlas=found.atlas),
-    }
+    drawn = figures.scene_figures(data, panels, atlas=shapes)
+    drawn |= figures.analysis_figures(dataset, scene)
     if panels:
         drawn["chds"] = viz.chd_grid(panels)
     else:
         drawn["image"] = viz.with_marks(dataset["mean"].values)
-    shown = plot_findings({f"{f.number} {f.name}": f for f in claims})
+    shown = plot_findings({f"{f.number} {f.name}": f for f in claims if f.number not in _SHOWN})
     if shown is not None:
         drawn["plots"] = shown
-    if found.atlas is not None:
-        told["atlas"] = content.atlas_content(found.atlas)
-    if found.overview.averages:
-        drawn["averages"] = figures.averages(dataset, found.overview)
+    if shapes is not None:
+        told["atlas"] = content.atlas_content(shapes)
+    trained = None
     if comparison is not None:
+        trained = SelfTraining.of(samples, comparison, iterations=iterations, progress=progress)
         told["estimators"] = content.estimator_table(comparison)
-        drawn |= figures.of_comparison(comparison, found.curve)
-    if found.self_training is not None:
-        told["self_training"] = content.self_training_content(found.self_training)
-        drawn["self_training"] = figures.self_training(found.self_training)
+        drawn |= figures.of_comparison(comparison, _curve(samples, comparison, progress))
+    if trained is not None:
+        told["self_training"] = content.self_training_content(trained)
+        drawn["self_training"] = figures.self_training(trained)
+    rows = content.findings(scene, shapes, comparison, trained)
+    told["findings"] = [row._asdict() for row in rows]
     return Document("report.typ", told, drawn)
 
 
@@ -292,11 +230,9 @@ def _compare(
     return found, ""
 
 
-def _curve(
-    samples: Samples, comparison: Comparison | None, progress: bool | None
-) -> ErrorCurve | None:
-    """Return errors against N of what was compared; None where there is only one N."""
-    if comparison is None or samples.spp < _CURVE_SPP:
+def _curve(samples: Samples, comparison: Comparison, progress: bool | None) -> ErrorCurve | None:
+    """Return errors of the compared estimators against N; None where there is only one N."""
+    if samples.spp < _CURVE_SPP:
         return None
     model = comparison.models.get("progressive", next(iter(comparison.models.values()), None))
     # Another that learns would have to learn again, and takes one N only.

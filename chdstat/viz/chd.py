@@ -18,7 +18,6 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FuncFormatter, LogLocator
 
 from chdstat._core.arrays import take_rows
 from chdstat.errors import InputError
@@ -32,6 +31,7 @@ from chdstat.viz.styling import (
     grid,
     page,
     per_cent,
+    plain_log,
     qualitative,
     style,
     verbatim,
@@ -432,8 +432,7 @@ def averages(
     right.set(ylabel="skewness of averages")
     right.legend(loc="lower left")
     right.set_yscale("log", nonpositive="mask")
-    right.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    right.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    plain_log(right.yaxis)
     for ax in (left, right):
         ax.set_xscale("log", base=2)
         ax.set_xticks(n, [str(v) for v in n])

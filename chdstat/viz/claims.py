@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from matplotlib.patches import Rectangle
 
 from chdstat.errors import InputError
 from chdstat.studies.outcomes import ClaimTest, PlotData
+from chdstat.viz.estimators import NAMES
 from chdstat.viz.maps import value_map
 from chdstat.viz.styling import PALETTE, WIDTH, axes_in, grid, page, qualitative, style, verbatim
 
@@ -212,34 +214,33 @@ def finding_plots(shown: Mapping[str, PlotData], *, fig: Figure | None = None) -
     width = WIDTH if columns > 2 else WIDTH * (0.42 + 0.29 * (columns - 1))
     figure = page(fig, height * -(-len(plots) // columns) + 0.42, width)
     axes = grid(figure, len(plots), columns)
-    shared = _shared_series(plots)
     for ax, (title, plot) in zip(axes, shown.items(), strict=True):
-        _DRAW[plot.kind](ax, plot)
+        series = {verbatim(NAMES.get(name, name)): xy for name, xy in plot.series.items()}
+        _DRAW[plot.kind](ax, replace(plot, series=series))
         ax.set_title(verbatim(title), loc="left", fontsize=8)
-        room = 1 < len(plot.series) <= (4 if len(plots) > 1 else 10)
-        if room and not shared and plot.kind in {"curves", "points"}:
-            ax.legend(fontsize=5.5, handlelength=1.3, labelspacing=0.2, borderaxespad=0.1)
         if len(labels) > 1:
             ax.set_xlabel(_raised(textwrap.fill(plot.x_label, _LABEL)))
             ax.set_ylabel(_raised(textwrap.fill(plot.y_label, _LABEL)))
     if len(labels) == 1:
         figure.supxlabel(_raised(plots[0].x_label), fontsize=8)
         figure.supylabel(_raised(plots[0].y_label), fontsize=8)
-    if shared:
-        handles = [
-            Line2D([], [], label=verbatim(name), **_look(i, len(shared), plots[0].kind))
-            for i, name in enumerate(shared)
-        ]
-        figure.legend(handles=handles, loc="outside upper center", ncols=len(shared))
+    _draw_legends(figure, axes)
     return figure
 
 
-def _shared_series(plots: Sequence[PlotData]) -> list[str]:
-    """Return names of series that all panels share, if they need a legend."""
-    names = {tuple(plot.series) for plot in plots}
-    lines = all(plot.kind in {"curves", "points"} for plot in plots)
-    found = list(names.pop()) if len(names) == 1 and lines else []
-    return found if 1 < len(found) <= 6 else []
+def _draw_legends(figure: Figure, axes: Sequence[Axes]) -> None:
+    """Name the series of each panel where there is room, once where all have the same."""
+    named = [ax.get_legend_handles_labels() for ax in axes]
+    handles, first = named[0]
+    if 1 < len(first) <= 6 and all(names == first for _, names in named):
+        legend = figure.legend(handles, first, loc="outside upper center", ncols=len(first))
+        for handle in legend.legend_handles:
+            if isinstance(handle, Line2D):  # points are small and pale where they are many
+                handle.set(alpha=1, markersize=4.5)
+        return
+    for ax, (_, names) in zip(axes, named, strict=True):
+        if 1 < len(names) <= (4 if len(axes) > 1 else 10):
+            ax.legend(fontsize=5.5, handlelength=1.3, labelspacing=0.2, borderaxespad=0.1)
 
 
 def _raised(label: str) -> str:
@@ -259,7 +260,7 @@ def _draw_curves(ax: Axes, plot: PlotData) -> None:
     spans, heights = [], []
     for i, (name, (x, y)) in enumerate(plot.series.items()):
         look = _look(i, len(plot.series), "curves")
-        ax.plot(x, y, label=verbatim(name), linewidth=1.1, **look)
+        ax.plot(x, y, label=name, linewidth=1.1, **look)
         a, b = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
         heights.append(b[np.isfinite(b)])
         moved = np.flatnonzero(np.abs(np.diff(b)) > 2e-3 * np.ptp(b)) if b.size else b
@@ -280,7 +281,7 @@ def _draw_points(ax: Axes, plot: PlotData) -> None:
         look = _look(i, len(plot.series), "points") | {"markersize": 4.5}
         if len(a) >= _MANY_POINTS:
             look |= {"markersize": 1.3, "alpha": 0.45, "rasterized": True}
-        ax.plot(a[::step], b[::step], label=verbatim(name), markeredgewidth=0, **look)
+        ax.plot(a[::step], b[::step], label=name, markeredgewidth=0, **look)
 
 
 def _draw_bars(ax: Axes, plot: PlotData) -> None:
@@ -289,7 +290,7 @@ def _draw_bars(ax: Axes, plot: PlotData) -> None:
     ax.barh(range(len(names)), values, color=PALETTE[1], height=0.7)
     ax.axvline(0, color="#444444", linewidth=0.6)
     short = [n if len(n) <= _LONG else f"{n[: _LONG - 1]}…" for n in names]
-    ax.set_yticks(range(len(names)), [verbatim(n) for n in short], fontsize=6)
+    ax.set_yticks(range(len(names)), short, fontsize=6)
     ax.invert_yaxis()
     ax.tick_params(axis="y", length=0)
 

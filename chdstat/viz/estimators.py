@@ -35,6 +35,7 @@ from chdstat.viz.styling import (
     grid,
     page,
     per_cent,
+    plain_log,
     qualitative,
     style,
     verbatim,
@@ -62,6 +63,8 @@ _TITLES = {
 }
 _EXTREME = 8.0
 """Ratios beyond this, or its inverse, have the colour of this."""
+_FEW = 3.0
+"""Logarithm of the ratio of two numbers between which there is room for several ticks a decade."""
 _LEVEL = 6
 """Estimators whose names have room beside each other."""
 
@@ -230,7 +233,10 @@ def _draw_intervals(ax: Axes, rows: Array, values: Interval[Array], measure: str
     if measure == "bias":
         ax.xaxis.set_major_formatter(per_cent)
     elif measure != "fireflies_left":
-        _set_log_axis(ax, np.append(values.value, 1.0))
+        seen = np.append(values.value, 1.0)
+        seen = seen[np.isfinite(seen) & (seen > 0)]
+        ax.set(xscale="log", xlim=(seen.min() / 1.25, seen.max() * 1.25))
+        plain_log(ax.xaxis, (1, 2, 5) if np.ptp(np.log(seen)) < _FEW else (1,))
 
 
 def _draw_shares(ax: Axes, rows: Array, found: Comparison) -> None:
@@ -243,19 +249,6 @@ def _draw_shares(ax: Axes, rows: Array, found: Comparison) -> None:
     ax.set_xlim(0, 1)
     ax.xaxis.set_major_formatter(per_cent)
     ax.set_xticks([0, 0.5, 1])
-
-
-def _set_log_axis(ax: Axes, values: Array) -> None:
-    """Show positive values on a logarithmic scale whose ticks are few and readable."""
-    ax.set_xscale("log")
-    seen = values[np.isfinite(values) & (values > 0)]
-    low, high = seen.min() / 1.25, seen.max() * 1.25
-    steps = (1, 2, 5) if high / low < 30 else (1,)
-    ticks = [m * 10.0**k for k in range(-6, 10) for m in steps]
-    ax.xaxis.set_minor_locator(NullLocator())
-    ax.set_xlim(low, high)
-    ax.set_xticks([t for t in ticks if low <= t <= high])
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
 @style()

@@ -106,7 +106,8 @@ def value_map(
         Where to draw; None makes a figure.
     """
     array = np.asarray(values, dtype=float)
-    low, high = _percentiles(array) if limits is None else limits
+    finite = array[np.isfinite(array)]
+    low, high = limits or (np.percentile(finite, (1, 99)) if finite.size else (0, 1))
     ax = axes_in(ax, _HEIGHT)
     image = ax.imshow(array, cmap=sequential(), vmin=low, vmax=high, interpolation="nearest")
     bare(ax, title)
@@ -114,15 +115,6 @@ def value_map(
     bar.outline.set_visible(False)
     bar.set_label(unit, fontsize=7)
     return ax
-
-
-def _percentiles(array: npt.NDArray[Any]) -> tuple[float, float]:
-    """Return the 1st and 99th percentile, or what is around them where they are the same."""
-    finite = array[np.isfinite(array)]
-    if not finite.size:
-        return 0.0, 1.0
-    low, high = np.percentile(finite, (1, 99))
-    return (float(low), float(high)) if high > low else (float(low) - 0.5, float(low) + 0.5)
 
 
 @style()

@@ -13,15 +13,17 @@ import io
 import logging
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import matplotlib as mpl
 from matplotlib import colormaps, font_manager
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import Colormap, to_hex, to_rgb
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.ticker import LogLocator, NullLocator
 
 from chdstat.errors import InputError
 
@@ -38,6 +40,7 @@ __all__ = [
     "grid",
     "page",
     "per_cent",
+    "plain_log",
     "qualitative",
     "sequential",
     "spelt",
@@ -173,6 +176,13 @@ def grid(figure: Figure | SubFigure, number: int, columns: int, **options: Any) 
 def per_cent(share: float, _tick: float = 0) -> str:
     """Return a share in whole per cent; axes of shares take it as formatter of their ticks."""
     return f"{100 * share:.0f} %"
+
+
+def plain_log(axis: Axis, numbers: Sequence[int] = (1, 2, 5)) -> None:
+    """Give a logarithmic axis ticks at these numbers times powers of ten, written as such."""
+    axis.set_major_locator(LogLocator(subs=numbers))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())
 
 
 def bare(ax: Axes, title: str = "", **options: Any) -> None:

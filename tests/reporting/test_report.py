@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from importlib import resources
 
 import numpy as np
 import pypdfium2
@@ -10,6 +11,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import ChdstatError, InputError, LeftOutWarning
+from chdstat.reporting import scene_report
 from chdstat.reporting.content import findings
 from chdstat.reporting.typst import between, number, percent
 
@@ -47,6 +49,17 @@ def test_a_report_has_all_its_parts(radiance, tmp_path):
     assert "median of means" in text
     assert path.stat().st_size < 5e6
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_template_reads_all_that_it_is_given(radiance, tmp_path, monkeypatch):
+    given = []
+    monkeypatch.setattr(scene_report, "typeset", lambda document, *_: given.append(document))
+    chd.report(chd.Samples.from_array(radiance), tmp_path / "noise.pdf", estimators=FIXED)
+    (document,) = given
+    templates = resources.files("chdstat.reporting") / "templates"
+    text = "".join((templates / name).read_text() for name in (document.template, "parts.typ"))
+    assert not [name for name in document.figures if f'"{name}"' not in text]
+    assert not [entry for entry in document.content if f"data.{entry}" not in text]
 
 
 @pytest.mark.parametrize(("source", "remake"), [("chdstat", True), ("bathroom.xml", False)])
