@@ -148,9 +148,8 @@ def claim_intervals(
 def _draw_intervals(ax: Axes, tests: Sequence[ClaimTest | None]) -> None:
     """Draw the intervals of one statistic; the colour of each is that of its verdict."""
     test = next(t for t in tests if t is not None)
-    span = _span(
-        [v for t in tests if t for v in (t.interval.value, t.interval.low, t.interval.high)], test
-    )
+    intervals = [t.interval for t in tests if t is not None]
+    span = _span([v for i in intervals for v in (i.value, i.low, i.high)], test)
     inside = max(test.least, span[0]), min(test.most, span[1])
     ax.axvspan(*inside, color=PALETTE[1], alpha=0.2, linewidth=0)
     for end in (test.least, test.most):
@@ -168,8 +167,7 @@ def _draw_intervals(ax: Axes, tests: Sequence[ClaimTest | None]) -> None:
             look: Any = {"markersize": 3.6, "fillstyle": "none" if np.isnan(ends).any() else "full"}
             ax.plot(found.interval.value, i, "o", color=color, **look)
     ax.set_xlim(*span)
-    unit = test.unit
-    written = "" if unit == "1" else f" ({unit.replace('^1/2', '$^{1/2}$')})"
+    written = "" if test.unit == "1" else f" ({test.unit.replace('^1/2', '$^{1/2}$')})"
     ax.set_title(test.name + written, loc="left", fontsize=7.5, wrap=True)
 
 

@@ -13,9 +13,10 @@ from matplotlib.figure import Figure
 
 import chdstat as chd
 from chdstat import viz
+from chdstat._core.resampling import Interval
 from chdstat.comparison import error_curve
 from chdstat.estimators.training import History
-from chdstat.studies.claims import ClaimTest, PlotData, Statistic
+from chdstat.studies.claims import ClaimTest, PlotData
 
 RNG = np.random.default_rng(0)
 IMAGE = RNG.random((12, 16, 3))
@@ -31,7 +32,7 @@ def examples():
     samples = chd.Samples.from_array(RNG.gamma(1.0, size=(8, 8, 3, 64)))
     labels = np.zeros((8, 8), int)
     compared = chd.compare(samples, ["mean", "median"], labels=labels, progress=False)
-    test = ClaimTest(Statistic("share", 0.5), 0.4, 0.6, 0.95, least=0.3)
+    test = ClaimTest("share", Interval(0.5, 0.4, 0.6), least=0.3)
     two = {name: chd.histogram(RNG.gamma(1.0, size=64)) for name in ("a", "b")}
     pair = {"a": (5, 5), "b": (4, 5)}
     linear = dict.fromkeys(pair, ONE["linear"])
