@@ -1,26 +1,223 @@
-"""Program: the command line application, its own options, its output, and how it ends."""
+"""Program: the application, options that several commands take, its output, and how it ends."""
 
 from __future__ import annotations
 
+import contextlib
+import importlib
 import json
 import logging
+import re
 import reprlib
 import sys
 import warnings
 from collections.abc import Callable
-from typing import Annotated, Any, TextIO
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 
 from chdstat import __version__
-from chdstat.errors import ChdstatError, LeftOutWarning
+from chdstat.errors import ChdstatError, InputError, LeftOutWarning
 
-__all__ = ["app", "main", "print_json", "print_rows", "print_table", "say_samples"]
+if TYPE_CHECKING:
+    from distributed import Client
 
+    from chdstat.patterns import Thresholds
+    from chdstat.rendering.backend import Backend
+    from chdstat.samples import Samples
+    from chdstat.scenes import Scene
+else:
+    Backend = str  # the library knows which there are; it is imported when a command runs
+
+__all__ = [
+    "SPP",
+    "BackendName",
+    "Defines",
+    "Depth",
+    "Iterations",
+    "Json",
+    "Quiet",
+    "SceneName",
+    "SceneOrStore",
+    "Seed",
+    "SeedOrNone",
+    "Size",
+    "Spp",
+    "StoreKept",
+    "StorePath",
+    "app",
+    "client_of",
+    "main",
+    "print_json",
+    "print_rows",
+    "print_table",
+    "progress_of",
+    "samples_of",
+    "say_samples",
+    "scene_of",
+    "size_of",
+    "source_of",
+    "thresholds_of",
+]
+
+SPP = 256
+"""Samples per pixel of a render where none are asked for, as in `chdstat.render`."""
 _WIDE = 200
+_INTERRUPTED = 130
+
+# --- options ------------------------------------------------------------------------------------
+
+_SEED = typer.Option("--seed", help="Random seed, a non-negative integer.")
+
+SceneName = Annotated[
+    str, typer.Argument(metavar="SCENE", help="Built-in name or Mitsuba XML file.")
+]
+SceneOrStore = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE|STORE", help="Built-in name, Mitsuba XML file or finished store."
+    ),
+]
+StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="A finished store.")]
+Spp = Annotated[int | None, typer.Option("--spp", help="Number of samples per pixel.")]
+Size = Annotated[str | None, typer.Option("--size", metavar="WxH", help="Image size in pixels.")]
+Seed = Annotated[int, _SEED]
+SeedOrNone = Annotated[int | None, _SEED]
+Depth = Annotated[int | None, typer.Option("--max-depth", help="Maximum path length in segments.")]
+BackendName = Annotated[
+    Backend,
+    typer.Option("--backend", help="auto, scalar, llvm or cuda.", metavar="NAME", parser=str),
+]
+Defines = Annotated[
+    list[str] | None,
+    typer.Option("-D", metavar="KEY=VALUE", help="Parameter of an XML scene; can be repeated."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress bars.")]
+Iterations = Annotated[int | None, typer.Option(help="Number of training minibatches.")]
+StoreKept = Annotated[
+    Path | None,
+    typer.Option("--store", help="Store in which the samples are kept, and resumed from."),
+]
 
 
-def say_samples(samples: Any, as_json: bool) -> None:
+def scene_of(name: str, define: list[str] | None) -> Scene:
+    """Return a scene by name or file, with its parameters."""
+    from chdstat.scenes import load_scene
+
+    return load_scene(name, **_pairs_of("-D", define))
+
+
+def source_of(source: str, define: list[str] | None) -> Path | Scene:
+    """Return the path of a finished store, or a scene by name or file, with its parameters."""
+    from chdstat.rendering import refuse_render
+    from chdstat.samples import is_store
+
+    if not is_store(source):
+        return scene_of(source, define)
+    refuse_render(source, {"-D": define or None})
+    return Path(source)
+
+
+def samples_of(
+    source: str,
+    *,
+    spp: int | None,
+    size: str | None,
+    seed: int,
+    max_depth: int | None,
+    backend: Backend,
+    direct: bool,
+    define: list[str] | None,
+    store: Path | None,
+    quiet: bool,
+) -> Samples:
+    """Return the samples of a finished store, or render those of a scene."""
+    from chdstat.rendering import refuse_render, render
+    from chdstat.samples import open as open_store
+
+    found = source_of(source, define)
+    if isinstance(found, Path):
+        # A seed may be that of a training, and spp the number of first samples.
+        asked = {"size": size, "store": store, "max_depth": max_depth, "backend": backend}
+        refuse_render(source, asked)
+        return open_store(found)
+    return render(
+        found,
+        spp=SPP if spp is None else spp,
+        size=size_of(size),
+        seed=seed,
+        max_depth=max_depth,
+        direct=direct,
+        out=store,
+        backend=backend,
+        progress=progress_of(quiet),
+    )
+
+
+def thresholds_of(given: list[str] | None) -> Thresholds:
+    """Return thresholds of patterns from ``NAME=VALUE``."""
+    from chdstat.patterns import Thresholds
+
+    known = [field.name for field in fields(Thresholds)]
+    values = {}
+    for name, value in _pairs_of("--threshold", given).items():
+        if name not in known:
+            message = f"--threshold takes one of {', '.join(known)}, got {name!r}"
+            raise InputError(message)
+        try:
+            values[name] = float(value)
+        except ValueError:
+            message = f"--threshold {name} takes a number, got {value!r}"
+            raise InputError(message) from None
+    return Thresholds(**values)
+
+
+def _pairs_of(option: str, given: list[str] | None) -> dict[str, str]:
+    """Return what was given as ``KEY=VALUE``."""
+    pairs = {}
+    for text in given or []:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            message = f"{option} takes KEY=VALUE, got {text!r}"
+            raise InputError(message)
+        pairs[key] = value
+    return pairs
+
+
+def size_of(text: str | None) -> tuple[int, int] | None:
+    """Return width and height from ``WxH``."""
+    if text is None:
+        return None
+    size = re.fullmatch("([0-9]{1,9})x([0-9]{1,9})", text.lower())
+    if size is None:
+        message = f"--size takes WIDTHxHEIGHT such as 128x128, got {reprlib.repr(text)}"
+        raise InputError(message)
+    return int(size[1]), int(size[2])
+
+
+def progress_of(quiet: bool) -> bool | None:
+    """Return whether to show progress: None leaves it to the terminal."""
+    return False if quiet else None
+
+
+def client_of(address: str | None) -> contextlib.AbstractContextManager[Client | None]:
+    """Return a context with a Dask client, or with None."""
+    if address is None:
+        return contextlib.nullcontext()
+    distributed: Any = importlib.import_module("distributed")
+    try:
+        return contextlib.closing(distributed.Client(address, timeout="10s"))
+    except (OSError, ValueError) as error:
+        message = f"cannot reach a Dask scheduler at {address}: {error}"
+        raise InputError(message) from error
+
+
+# --- output -------------------------------------------------------------------------------------
+
+
+def say_samples(samples: Samples, as_json: bool) -> None:
     """Say what samples there are."""
     if as_json:
         print_json({**samples.attrs, "path": str(samples.path), "spp": samples.spp})
@@ -81,6 +278,8 @@ def _readable(value: Any) -> str:
     return "unknown" if value is None else str(value)
 
 
+# --- the application ----------------------------------------------------------------------------
+
 app = typer.Typer(
     help="Look at the sample distributions behind a Monte Carlo image.",
     no_args_is_help=True,
@@ -89,8 +288,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-_INTERRUPTED = 130
 
 
 def _say_version(wanted: bool) -> None:

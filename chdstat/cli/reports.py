@@ -1,4 +1,4 @@
-"""Reports: the commands that make a PDF, and that say what runs on this machine."""
+"""Reports: the commands that make a PDF or a page, and describe what works on this machine."""
 
 from __future__ import annotations
 
@@ -7,62 +7,44 @@ from typing import Annotated
 
 import typer
 
-from chdstat.cli.options import (
-    BackendName,
-    Defines,
-    Depth,
-    Json,
-    Quiet,
-    SceneOrStore,
-    Seed,
-    Size,
-    Spp,
-    StoreKept,
-    given,
-    progress_of,
-    size_of,
-    source_of,
-)
-from chdstat.cli.program import app, print_json, print_rows, print_table
+from chdstat.cli import program as cli
 
 __all__ = ["doctor", "explore", "report", "study"]
 
 
-@app.command(epilog="Example: chdstat report bathroom -o report.pdf")
+@cli.app.command(epilog="Example: chdstat report bathroom -o report.pdf")
 def report(
-    source: SceneOrStore,
+    source: cli.SceneOrStore,
     out: Annotated[Path, typer.Option("--out", "-o", help="The PDF to write.")],
-    spp: Spp = None,
-    size: Size = None,
-    seed: Seed = None,
-    max_depth: Depth = None,
-    backend: BackendName = "auto",
-    define: Defines = None,
-    recipe: Annotated[
-        Path | None, typer.Option(help="Recipe with the regions to show.", show_default=False)
-    ] = None,
-    store: StoreKept = None,
-    quiet: Quiet = False,
+    spp: cli.Spp = None,
+    size: cli.Size = None,
+    seed: cli.SeedOrNone = None,
+    max_depth: cli.Depth = None,
+    backend: cli.BackendName = "auto",
+    define: cli.Defines = None,
+    recipe: Annotated[Path | None, typer.Option(help="Recipe with the regions to show.")] = None,
+    store: cli.StoreKept = None,
+    quiet: cli.Quiet = False,
 ) -> None:
     """Render, analyse, train, compare and typeset: a PDF on the sample distributions of a scene."""
     import chdstat
 
     path = chdstat.report(
-        source_of(source, define),
+        cli.source_of(source, define),
         out,
         spp=spp,
-        size=size_of(size),
+        size=cli.size_of(size),
         seed=seed,
         max_depth=max_depth,
         recipe=recipe,
         store=store,
         backend=backend,
-        progress=progress_of(quiet),
+        progress=cli.progress_of(quiet),
     )
     typer.echo(f"wrote {path}")
 
 
-@app.command(epilog="Example: chdstat study bathroom fog -o study.pdf --json findings.json")
+@cli.app.command(epilog="Example: chdstat study bathroom fog -o study.pdf --json findings.json")
 def study(
     scenes: Annotated[
         list[str] | None,
@@ -75,23 +57,23 @@ def study(
     out: Annotated[Path | None, typer.Option("--out", "-o", help="The PDF to write.")] = None,
     json_out: Annotated[Path | None, typer.Option("--json", help="The JSON to write.")] = None,
     folder: Annotated[Path, typer.Option(help="Where renders are kept.")] = Path("renders/out"),
-    spp: Spp = None,
-    size: Size = None,
-    seed: Seed = None,
-    max_depth: Depth = None,
-    backend: BackendName = "auto",
+    spp: cli.Spp = None,
+    size: cli.Size = None,
+    seed: cli.SeedOrNone = None,
+    max_depth: cli.Depth = None,
+    backend: cli.BackendName = "auto",
     estimator: Annotated[
-        list[str] | None,
+        list[str],
         typer.Option(
-            "--estimator",
             "-e",
+            "--estimator",
             metavar="NAME",
-            help="What to compare; repeat for more. Those that learn are trained on each scene.",
+            help="An estimator to compare, trained on each scene if it learns; can be repeated.",
         ),
-    ] = None,
-    quiet: Quiet = False,
+    ] = ["mean", "elek2019"],  # noqa: B006 - Typer takes lists
+    quiet: cli.Quiet = False,
 ) -> None:
-    """Ask scenes for the claims of the paper: verdicts, figures, a PDF."""
+    """Test the claims of the paper on scenes: verdicts, figures, a PDF."""
     import chdstat
     from chdstat._core.files import checked_target
 
@@ -102,72 +84,70 @@ def study(
         scenes or None,
         folder=folder,
         spp=spp,
-        size=size_of(size),
+        size=cli.size_of(size),
         seed=seed,
         max_depth=max_depth,
+        estimators=estimator,
         backend=backend,
-        progress=progress_of(quiet),
-        **given(estimators=estimator),
+        progress=cli.progress_of(quiet),
     )
     rows = found.table()
-    print_rows(rows, {key: key for key in rows[0]})
+    cli.print_rows(rows, {key: key for key in rows[0]})
     if json_out:
         found.save_json(json_out)
     if out:
         found.save_pdf(out)
 
 
-@app.command(epilog="Example: chdstat explore bathroom.zarr")
+@cli.app.command(epilog="Example: chdstat explore bathroom.zarr")
 def explore(
-    source: SceneOrStore,
-    other: Annotated[
-        Path | None, typer.Option(help="A second store to compare with.", show_default=False)
-    ] = None,
+    source: cli.SceneOrStore,
+    other: Annotated[Path | None, typer.Option(help="A second store to compare with.")] = None,
     reference: Annotated[
-        Path | None,
-        typer.Option(help="Store that errors are measured against.", show_default=False),
+        Path | None, typer.Option(help="Store that errors are measured against.")
     ] = None,
     model: Annotated[
-        list[Path] | None,
-        typer.Option(help="A trained estimator to show; repeat for more.", show_default=False),
+        list[Path] | None, typer.Option(help="A trained estimator to show; can be repeated.")
     ] = None,
-    port: Annotated[int, typer.Option(help="Where to listen; 0 takes a free port.")] = 5006,
+    port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 5006,
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
     ] = True,
-    size: Size = None,
-    seed: Seed = None,
-    max_depth: Depth = None,
-    define: Defines = None,
+    size: cli.Size = None,
+    seed: cli.Seed = 0,
+    max_depth: cli.Depth = None,
+    define: cli.Defines = None,
 ) -> None:
-    """Serve a page on which a click on a pixel shows its distribution, to this machine alone."""
+    """Serve a page that shows the distribution of any pixel, to this machine alone."""
     import chdstat
 
     explorer = chdstat.explore(
-        source_of(source, define),
+        cli.source_of(source, define),
         other=other,
         reference=reference,
         models=model or (),
         port=port,
         browser=browser,
-        **given(seed=seed, size=size_of(size), max_depth=max_depth),
+        size=cli.size_of(size),
+        seed=seed,
+        max_depth=max_depth,
     )
     typer.echo(f"{explorer.url} (Ctrl-C stops)")
     explorer.wait()
 
 
-@app.command(epilog="Example: chdstat doctor --json")
+@cli.app.command(epilog="Example: chdstat doctor --json")
 def doctor(
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Try again what was tried before.")
+        bool, typer.Option("--fresh", help="Test again what was tested before.")
     ] = False,
-    as_json: Json = False,
+    as_json: cli.Json = False,
 ) -> None:
-    """Say what runs on this machine and why: Mitsuba backends, LLVM, torch, memory, versions."""
+    """Describe what works on this machine: Mitsuba backends, LLVM, torch, memory, versions."""
     from chdstat.rendering.backend import examine
 
     found = examine(fresh=fresh)
     if as_json:
-        print_json(found)
+        cli.print_json(found)
     else:
-        print_table(found)
+        cli.print_table(found)

@@ -7,9 +7,10 @@ rendered; `render_pixels` renders a few pixels alone.
 from __future__ import annotations
 
 from chdstat.rendering.capture import render, render_pixels
+from chdstat.rendering.jobs import refuse_render
 from chdstat.rendering.live import Rendering, render_batches
 
-__all__ = ["Rendering", "render", "render_batches", "render_pixels"]
+__all__ = ["Rendering", "refuse_render", "render", "render_batches", "render_pixels"]
 
 
 def __dir__() -> list[str]:

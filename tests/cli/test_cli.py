@@ -5,13 +5,17 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from inspect import signature
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.cli import main
+from chdstat.cli import estimation, main, program, reports, samples
+
+ROOT = Path(chd.__file__).parent
 
 
 @pytest.fixture
@@ -53,6 +57,56 @@ def test_help_has_an_example_for_every_command(run):
     ):
         assert command in out
         assert "Example: chdstat" in run(command, "--help")[1]
+
+
+LIBRARY = {
+    "render": (chd.render,),
+    "train": (chd.train_model,),
+    "estimate": (chd.estimate, chd.render, chd.render_batches),
+    "compare": (chd.compare,),
+    "report": (chd.report,),
+    "study": (chd.study,),
+    "explore": (chd.explore,),
+}
+
+
+@pytest.mark.parametrize("command", LIBRARY)
+def test_options_that_are_not_given_are_as_in_the_library(command):
+    """But for those that a user of a terminal wants otherwise, or that a store has."""
+    others = {"source", "out", "store", "port", "browser", "folder"}
+    others |= {"spp"} if command == "estimate" else set()  # of a store, all there are
+    commands = {**vars(samples), **vars(estimation), **vars(reports)}
+    ours = signature(commands[command]).parameters
+    for function in LIBRARY[command]:
+        for name, option in signature(function).parameters.items():
+            if name in ours.keys() - others:
+                assert ours[name].default == option.default, name
+    for function in (chd.render, chd.render_batches):
+        assert signature(function).parameters["spp"].default == program.SPP
+    chosen = signature(chd.study).parameters["estimators"].default
+    assert signature(reports.study).parameters["estimator"].default == list(chosen)
+
+
+def test_a_reader_finds_spp_in_few_files(run, tmp_path):
+    """From --spp to the store: the files whose functions take it, as a parameter or a variable."""
+    files: dict[str, set[str]] = {}
+
+    def note(frame, event, _):
+        code, place = frame.f_code, Path(frame.f_code.co_filename)
+        if event == "call" and ROOT in place.parents and "spp" in code.co_varnames:
+            files.setdefault(str(place.relative_to(ROOT)), set()).add(code.co_name)
+
+    sys.setprofile(note)
+    try:
+        arguments = ("--spp", 2, "--size", "4x4", "--backend", "scalar", "-q")
+        code, _, err = run("render", "cornell-box", "-o", tmp_path / "a.zarr", *arguments)
+    finally:
+        sys.setprofile(None)
+    assert (code, err) == (0, "")
+    told = "\n".join(f"{file}: {', '.join(sorted(names))}" for file, names in files.items())
+    print(f"{len(files)} files take spp on its way to the store:\n{told}")
+    assert {"cli/samples.py", "rendering/capture.py", "samples/store.py"} <= files.keys()
+    assert len(files) <= 8, told
 
 
 def test_version(run):
