@@ -14,6 +14,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.cli import estimation, main, program, reports, samples
+from chdstat.rendering import render_batches
 
 ROOT = Path(chd.__file__).parent
 
@@ -61,8 +62,8 @@ def test_help_has_an_example_for_every_command(run):
 
 LIBRARY = {
     "render": (chd.render,),
-    "train": (chd.train_model,),
-    "estimate": (chd.estimate, chd.render, chd.render_batches),
+    "train": (chd.estimators.train_model,),
+    "estimate": (chd.estimate, chd.render, render_batches),
     "compare": (chd.compare,),
     "report": (chd.report,),
     "study": (chd.study,),
@@ -81,7 +82,7 @@ def test_options_that_are_not_given_are_as_in_the_library(command):
         for name, option in signature(function).parameters.items():
             if name in ours.keys() - others:
                 assert ours[name].default == option.default, name
-    for function in (chd.render, chd.render_batches):
+    for function in (chd.render, render_batches):
         assert signature(function).parameters["spp"].default == program.SPP
     chosen = signature(chd.study).parameters["estimators"].default
     assert signature(reports.study).parameters["estimator"].default == list(chosen)
