@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import as_samples, is_bad, is_null, luminance, spans, warn_left_out
-from chdstat._core.reasons import Reason
+from chdstat._core.reasons import Reason, first_of
 from chdstat.errors import InputError
 
 __all__ = [
@@ -210,15 +210,15 @@ def reason_of(
 
     A channel that is 0 in every good sample is as good as null, whatever the other channels.
     """
-    cases = {
-        Reason.ALL_BAD: n_good == 0,
-        Reason.NONE_POSITIVE: (statistics.n == 0) & (n_negative > 0),
-        Reason.ALL_NULL: statistics.n == 0,
-        Reason.TOO_FEW: statistics.n < minimum,
-        Reason.CONSTANT: statistics.constant,
-    }
-    codes = [np.int8(code) for code in cases]
-    return np.asarray(np.select(list(cases.values()), codes, np.int8(Reason.OK)), dtype=np.int8)
+    return first_of(
+        {
+            Reason.ALL_BAD: n_good == 0,
+            Reason.NONE_POSITIVE: (statistics.n == 0) & (n_negative > 0),
+            Reason.ALL_NULL: statistics.n == 0,
+            Reason.TOO_FEW: statistics.n < minimum,
+            Reason.CONSTANT: statistics.constant,
+        }
+    )
 
 
 def _luminance(block: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:

@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Reason", "flag_attributes", "label_variables"]
+__all__ = ["Reason", "first_of", "flag_attributes", "label_variables"]
 
 
 class Reason(enum.IntEnum):
@@ -48,6 +49,21 @@ class Reason(enum.IntEnum):
     """The samples cannot tell: the answer rests on a tail that may be too heavy for it."""
     NOT_REGULAR = 13
     """The likelihood is not regular there, or has no curvature: there are no standard errors."""
+
+
+def first_of(
+    cases: Mapping[Any, npt.NDArray[np.bool_]], default: enum.IntEnum = Reason.OK
+) -> npt.NDArray[np.int8]:
+    """Return the code of the first case that holds, `default` where none does, shape (...).
+
+    Examples
+    --------
+    >>> n = np.array([0, 1, 50])
+    >>> first_of({Reason.ALL_NULL: n == 0, Reason.TOO_FEW: n < 20})
+    array([1, 2, 0], dtype=int8)
+    """
+    codes: list[Any] = [np.int8(code) for code in cases]
+    return np.asarray(np.select([*cases.values()], codes, np.int8(default)), dtype=np.int8)
 
 
 def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:

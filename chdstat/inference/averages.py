@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
-from chdstat._core.reasons import Reason
+from chdstat._core.reasons import Reason, first_of
 from chdstat.fit.tail import Tail
 from chdstat.inference.normality import NormalityTest, run_tests
 
@@ -31,14 +31,11 @@ __all__ = [
     "MORE_THAN_TESTED",
     "UNTESTED",
     "Averages",
-    "Prediction",
-    "TestedAverages",
     "n_needed",
     "nested_averages",
     "predict",
     "run_on_averages",
     "shapes",
-    "skewness_ratio",
 ]
 
 
@@ -107,25 +104,14 @@ _CHUNK = 2**16
 """Samples worked on at once: their float64 copies stay in the cache."""
 
 
-@dataclass(frozen=True)
-class Prediction:
-    """Predicted N of some pixels, shape (...).
+def predict(
+    x: npt.NDArray[Any], bad: Mask, tail: Tail, n_means: int
+) -> tuple[Floats, Floats, npt.NDArray[np.int8]]:
+    """Predict N from samples, shape (..., sample), of which some are bad, and from their tails.
 
-    Attributes
-    ----------
-    n, interval
-        N, and its 95 % interval, shape (..., 2); NaN where `reason` says why.
-    reason
-        `Reason` codes.
+    Returns N, shape (...), its 95 % interval, shape (..., 2), and `Reason` codes where both are
+    NaN.
     """
-
-    n: Floats
-    interval: Floats
-    reason: npt.NDArray[np.int8]
-
-
-def predict(x: npt.NDArray[Any], bad: Mask, tail: Tail, n_means: int) -> Prediction:
-    """Predict N from samples, shape (..., sample), of which some are bad, and from their tails."""
     samples, batch = x.shape[-1], x.shape[:-1]
     rows, good = x.reshape(-1, samples), ~bad.reshape(-1, samples)
     threshold, highest = tail.threshold.reshape(-1), tail.interval[..., 1].reshape(-1)
@@ -137,19 +123,19 @@ def predict(x: npt.NDArray[Any], bad: Mask, tail: Tail, n_means: int) -> Predict
             relative, reason[part] = _relative(rows[part], good[part])
             excess = good[part] & (rows[part] > threshold[part, np.newaxis])
             shapes = _shapes(relative, good[part], excess, highest[part])
-            found[:, part] = [_needed(*shape, n_means) for shape in shapes]
+            found[:, part] = [_needed(*shape, n_means=n_means) for shape in shapes]
     # Of clamped samples, or of a lamp's among nulls, nothing larger is missing.
     known = np.isin(tail.reason, [Reason.OK, Reason.TIED, Reason.CONSTANT])
     of_tail = np.where(tail.reason == Reason.OK, Reason.UNIDENTIFIED, tail.reason)
     identified = (tail.interval[..., 1] < _LARGEST_INDEX) & tail.variance_trusted
     missing = ~known | (tail.reason == Reason.OK) & ~identified
     own = reason.reshape(batch)
-    codes = np.asarray(np.where((own == Reason.OK) & missing, of_tail, own), dtype=np.int8)
+    codes = np.where((own == Reason.OK) & missing, of_tail, own).astype(np.int8)
     low, n, high = np.where(codes == Reason.OK, found.reshape(3, *batch), np.nan)
-    return Prediction(n=n, interval=np.stack([low, high], axis=-1), reason=codes)
+    return n, np.stack([low, high], axis=-1), codes
 
 
-def _needed(skewness: Floats, kurtosis: Floats, n_means: int) -> Floats:
+def _needed(skewness: Floats, kurtosis: Floats, *, n_means: int) -> Floats:
     """Return the N at which both lie within two standard errors of those of Gaussian averages.
 
     Under normality, the variances are 6 / n_means and 24 / n_means (Cramer 1946, section 29.3).
@@ -170,20 +156,21 @@ def _relative(x: npt.NDArray[Any], good: Mask) -> tuple[Floats, npt.NDArray[np.i
     values /= np.where(largest > 0, largest, 1)[:, np.newaxis]
     low = np.where(good, values, np.inf).min(axis=-1)
     high = np.where(good, values, -np.inf).max(axis=-1)
-    cases = {
-        Reason.ALL_BAD: n == 0,
-        Reason.ALL_NULL: largest == 0,
-        Reason.CONSTANT: high - low <= CONSTANT_SPREAD,
-    }
-    reason = np.select(list(cases.values()), [np.int8(code) for code in cases], np.int8(Reason.OK))
+    reason = first_of(
+        {
+            Reason.ALL_BAD: n == 0,
+            Reason.ALL_NULL: largest == 0,
+            Reason.CONSTANT: high - low <= CONSTANT_SPREAD,
+        }
+    )
     values -= (values.sum(axis=-1) / n)[:, np.newaxis]
     values *= good
     values /= np.sqrt(np.vecdot(values, values) / n)[:, np.newaxis]
-    return values, np.asarray(reason, dtype=np.int8)
+    return values, reason
 
 
-def _shapes(z: Floats, good: Mask, excess: Mask, highest: Floats) -> list[tuple[Floats, Floats]]:
-    """Return absolute skewness and excess kurtosis: at least, as they are, and at most.
+def _shapes(z: Floats, good: Mask, excess: Mask, highest: Floats) -> Floats:
+    """Return absolute skewness and excess kurtosis, shape (3, 2, row): least, as they are, most.
 
     The errors are those of the influence functions; at most, too, what `_with_tail` makes of the
     largest tail index.
@@ -195,17 +182,12 @@ def _shapes(z: Floats, good: Mask, excess: Mask, highest: Floats) -> list[tuple[
     a, b = skewness[:, np.newaxis], fourth_moment[:, np.newaxis]
     of_skewness = cube - a - 3 * z - 1.5 * a * (square - 1)
     of_kurtosis = fourth - b - 4 * a * z - 2 * b * (square - 1)
-    errors = [
-        _Z * np.sqrt(np.sum(v * v, axis=-1, where=good)) / n for v in (of_skewness, of_kurtosis)
-    ]
-    found = [np.abs(skewness), np.abs(fourth_moment - 3)]
-    low = [np.maximum(value - error, 0) for value, error in zip(found, errors, strict=True)]
-    more = _with_tail([z, square, cube, fourth], n, excess, highest)
-    high = [
-        np.fmax(value + error, np.abs(other))
-        for value, error, other in zip(found, errors, more, strict=True)
-    ]
-    return [(low[0], low[1]), (found[0], found[1]), (high[0], high[1])]
+    errors = np.stack(
+        [_Z * np.sqrt(np.sum(v * v, axis=-1, where=good)) / n for v in (of_skewness, of_kurtosis)]
+    )
+    found = np.abs([skewness, fourth_moment - 3])
+    more = np.abs(_with_tail([z, square, cube, fourth], n, excess, highest))
+    return np.stack([np.maximum(found - errors, 0), found, np.fmax(found + errors, more)])
 
 
 def _with_tail(
@@ -244,32 +226,15 @@ _CHUNK_OF_MEANS = 2**17
 """Samples worked on at once: their float64 copies stay in the cache."""
 
 
-@dataclass(frozen=True)
-class TestedAverages:
-    """What is found of averages, shape (..., size), and of the samples themselves, shape (...).
-
-    NaN where there is no answer: for averages, `reason` says why; samples are then equal or bad.
-    """
-
-    statistic: Floats
-    p_value: Floats
-    skewness: Floats
-    kurtosis: Floats
-    reason: npt.NDArray[np.int8]
-    skewness_of_samples: Floats
-    kurtosis_of_samples: Floats
-    n: Floats
-
-    @property
-    def varied(self) -> Mask:
-        """Where the samples are not all equal."""
-        return np.isfinite(self.skewness_of_samples)
-
-
 def run_on_averages(
     x: npt.NDArray[Any], bad: Mask, sizes: Counts, n_means: int, test: NormalityTest
-) -> TestedAverages:
-    """Test the first `n_means` averages of each ascending size; `x` has shape (..., sample)."""
+) -> tuple[dict[str, npt.NDArray[Any]], Floats]:
+    """Test the first `n_means` averages of each ascending size; `x` has shape (..., sample).
+
+    Returns statistic, p-value, skewness, kurtosis and reason of the averages by name, each of shape
+    (..., size), NaN where the reason says why; and skewness, kurtosis and number of the samples
+    themselves, shape (3, ...), NaN where these are equal or bad.
+    """
     samples, batch = x.shape[-1], x.shape[:-1]
     rows, masks = x.reshape(-1, samples), bad.reshape(-1, samples)
     found = np.empty((4, len(rows), len(sizes)))
@@ -282,25 +247,9 @@ def run_on_averages(
             whole[:, part] = _of_samples(levels[0])
             wanted = [level for level in levels if level.size in sizes]
             found[:, part], reason[part] = _of_averages(wanted, n_means, test)
-    statistic, p_value, skewness, kurtosis = found.reshape(4, *batch, len(sizes))
-    whole_skewness, whole_kurtosis, n = whole.reshape(3, *batch)
-    return TestedAverages(
-        statistic=statistic,
-        p_value=p_value,
-        skewness=skewness,
-        kurtosis=kurtosis,
-        reason=reason.reshape(*batch, len(sizes)),
-        skewness_of_samples=whole_skewness,
-        kurtosis_of_samples=whole_kurtosis,
-        n=n,
-    )
-
-
-def skewness_ratio(found: TestedAverages, predicted: Floats) -> Floats:
-    """Return measured over predicted skewness, where that of the samples is clear."""
-    with np.errstate(all="ignore"):
-        clear = np.abs(found.skewness_of_samples) > 2 * np.sqrt(6 / found.n)
-        return np.where(clear[..., np.newaxis], found.skewness / predicted, np.nan)
+    names = ("statistic", "p_value", "skewness", "kurtosis")
+    tested = dict(zip(names, found.reshape(4, *batch, len(sizes)), strict=True))
+    return {**tested, "reason": reason.reshape(*batch, len(sizes))}, whole.reshape(3, *batch)
 
 
 def n_needed(rejected: Mask, reason: npt.NDArray[np.int8], varied: Mask, sizes: Counts) -> Counts:
@@ -320,8 +269,21 @@ def _of_averages(
     levels: list[Averages], n_means: int, test: NormalityTest
 ) -> tuple[Floats, npt.NDArray[np.int8]]:
     """Return test and shape, (4, row, size), and reasons, (row, size)."""
-    tested, n = _first(levels, n_means)
-    reason = _reasons(tested, n)
+    tested = np.stack([level.values[:, :n_means] for level in levels], axis=1)
+    n = np.full(tested.shape[:-1], n_means)
+    if levels[0].formed is not None:
+        formed = np.stack([np.asarray(level.formed)[:, :n_means] for level in levels], axis=1)
+        tested, n = np.where(formed, tested, np.inf), np.count_nonzero(formed, axis=-1)
+    tested = np.sort(tested, axis=-1)
+    first, last = tested[..., 0], tested[..., -1]
+    reason = first_of(
+        {
+            Reason.ALL_BAD: n == 0,
+            Reason.TOO_FEW: n < n_means,
+            Reason.ALL_NULL: last == 0,
+            Reason.CONSTANT: last - first <= CONSTANT_SPREAD * last,
+        }
+    )
     usable = reason == Reason.OK
     results = run_tests(tested, n, usable, ("linear",), (test,))
     # Skewness and kurtosis are those of all averages, which say more than the tested ones.
@@ -329,27 +291,6 @@ def _of_averages(
     found = np.stack([results.statistic[..., 0, 0], results.p_value[..., 0, 0], *moments])
     found[:, ~usable] = np.nan
     return found, reason
-
-
-def _first(levels: list[Averages], n_means: int) -> tuple[Floats, Counts]:
-    """Return the first averages of each size, shape (row, size, average), sorted, and how many."""
-    tested = np.stack([level.values[:, :n_means] for level in levels], axis=1)
-    if levels[0].formed is None:
-        return np.sort(tested, axis=-1), np.full(tested.shape[:-1], n_means)
-    formed = np.stack([np.asarray(level.formed)[:, :n_means] for level in levels], axis=1)
-    return np.sort(np.where(formed, tested, np.inf), axis=-1), np.count_nonzero(formed, axis=-1)
-
-
-def _reasons(ascending: Floats, n: Counts) -> npt.NDArray[np.int8]:
-    first, last = ascending[..., 0], ascending[..., -1]
-    cases = {
-        Reason.ALL_BAD: n == 0,
-        Reason.TOO_FEW: n < ascending.shape[-1],
-        Reason.ALL_NULL: last == 0,
-        Reason.CONSTANT: last - first <= CONSTANT_SPREAD * last,
-    }
-    codes = [np.int8(code) for code in cases]
-    return np.asarray(np.select(list(cases.values()), codes, np.int8(Reason.OK)), dtype=np.int8)
 
 
 def _of_samples(samples: Averages) -> Floats:

@@ -19,14 +19,8 @@ from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
 from chdstat.fit.tail import Tail, tail_of_part
-from chdstat.inference.averages import (
-    MORE_THAN_TESTED,
-    UNTESTED,
-    n_needed,
-    predict,
-    run_on_averages,
-    skewness_ratio,
-)
+from chdstat.inference import averages
+from chdstat.inference.averages import MORE_THAN_TESTED, UNTESTED
 from chdstat.inference.normality import TESTS, NormalityTest, TestName
 from chdstat.inference.statistics import check_choice, check_level, finish
 from chdstat.samples import Image, Mapped, Samples, opened
@@ -211,7 +205,12 @@ def gaussianity_of_means(
     given = opened(x)
     if isinstance(given, Samples):
         chosen = sizes_of_means(given.spp, n_means, sizes=sizes, test=test)
-        return _of_image(given, chosen, n_means, test, alpha, progress)
+
+        def of_block(block: npt.NDArray[np.float32]) -> Mapped:
+            return means_variables(means_of_block(block, chosen, n_means=n_means, test=test))
+
+        found = given.map(of_block, description="testing normality of means", progress=progress)
+        return finish_means(found, chosen, n_means=n_means, test=test, alpha=alpha)
     array = as_samples(given)
     warn_left_out(array)
     chosen = sizes_of_means(array.shape[-1], n_means, sizes=sizes, test=test)
@@ -268,28 +267,28 @@ def _gaussianity_of_rows(
     tail: Tail | None = None,
 ) -> GaussianityOfMeans:
     """Test averages of samples, shape (..., sample), and tell the N needed and predicted."""
-    predictions = predict(x, bad, tail or tail_of_part(PositivePart.of(x, bad=bad)), n_means)
-    found = run_on_averages(x, bad, sizes, n_means, test)
-    root = np.sqrt(sizes)
-    predicted = found.skewness_of_samples[..., np.newaxis] / root
+    tail = tail or tail_of_part(PositivePart.of(x, bad=bad))
+    n_predicted, interval, reason = averages.predict(x, bad, tail, n_means)
+    found, (skewness, kurtosis, n) = averages.run_on_averages(x, bad, sizes, n_means, test)
+    predicted = skewness[..., np.newaxis] / np.sqrt(sizes)
+    # Bonferroni over the sizes: else each further one would be a chance to fail.
+    rejected = found["p_value"] * len(sizes) <= alpha
+    with np.errstate(all="ignore"):
+        clear = np.abs(skewness) > 2 * np.sqrt(6 / n)
+        ratio = np.where(clear[..., np.newaxis], found["skewness"] / predicted, np.nan)
     return GaussianityOfMeans(
         test=test.name,
         n_means=n_means,
         alpha=alpha,
         sizes=sizes,
-        statistic=found.statistic,
-        p_value=found.p_value,
-        skewness=found.skewness,
-        kurtosis=found.kurtosis,
+        **found,
         predicted_skewness=predicted,
-        predicted_kurtosis=found.kurtosis_of_samples[..., np.newaxis] / sizes,
-        skewness_ratio=skewness_ratio(found, predicted),
-        # Bonferroni over the sizes: else each further one would be a chance to fail.
-        n_needed=n_needed(found.p_value * len(sizes) <= alpha, found.reason, found.varied, sizes),
-        n_predicted=predictions.n,
-        n_predicted_interval=predictions.interval,
-        n_predicted_reason=predictions.reason,
-        reason=found.reason,
+        predicted_kurtosis=kurtosis[..., np.newaxis] / sizes,
+        skewness_ratio=ratio,
+        n_needed=averages.n_needed(rejected, found["reason"], np.isfinite(skewness), sizes),
+        n_predicted=n_predicted,
+        n_predicted_interval=interval,
+        n_predicted_reason=reason,
     )
 
 
@@ -313,7 +312,7 @@ def finish_means(
     dataset["rejected_share"] = share.assign_attrs(
         long_name="share of pixels whose averages are not Gaussian", units="1"
     )
-    needed = n_needed(
+    needed = averages.n_needed(
         (rejected == 1).transpose(*dims, "size").to_numpy(),
         dataset["reason"].transpose(*dims, "size").to_numpy(),
         dataset["predicted_skewness"].notnull().any("size").transpose(*dims).to_numpy(),
@@ -350,18 +349,3 @@ _BY_SIZE = (
     "skewness_ratio",
     "reason",
 )
-
-
-def _of_image(
-    samples: Samples,
-    sizes: Counts,
-    n_means: int,
-    test: TestName,
-    alpha: float,
-    progress: bool | None,
-) -> xr.Dataset:
-    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        return means_variables(means_of_block(block, sizes, n_means=n_means, test=test))
-
-    dataset = samples.map(of_block, description="testing normality of means", progress=progress)
-    return finish_means(dataset, sizes, n_means=n_means, test=test, alpha=alpha)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import is_bad, luminance, spans
 from chdstat._core.moments import Moments
 from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
-from chdstat._core.reasons import Reason
+from chdstat._core.reasons import Reason, first_of
 from chdstat.samples import Blocks, Mapped, Samples, reduce_tiles
 from chdstat.summary.bins import Support
 from chdstat.summary.histograms import StreamingHistogram
@@ -247,15 +247,15 @@ def _variables(parts: tuple[Aligned, ...]) -> Mapped:
 def _reason(
     n: Counts | Floats, n_good: Counts, n_null: Counts, log_variance: Floats
 ) -> npt.NDArray[np.int8]:
-    cases = {
-        Reason.ALL_BAD: n_good == 0,
-        Reason.NONE_POSITIVE: (n == 0) & (n_null < n_good),
-        Reason.ALL_NULL: n == 0,
-        Reason.TOO_FEW: n < MINIMUM,
-        Reason.CONSTANT: log_variance <= CONSTANT_SPREAD**2,
-    }
-    codes = [np.int8(code) for code in cases]
-    return np.asarray(np.select(list(cases.values()), codes, np.int8(Reason.OK)), dtype=np.int8)
+    return first_of(
+        {
+            Reason.ALL_BAD: n_good == 0,
+            Reason.NONE_POSITIVE: (n == 0) & (n_null < n_good),
+            Reason.ALL_NULL: n == 0,
+            Reason.TOO_FEW: n < MINIMUM,
+            Reason.CONSTANT: log_variance <= CONSTANT_SPREAD**2,
+        }
+    )
 
 
 def _ratio(part: npt.NDArray[Any], whole: npt.NDArray[Any]) -> Floats:

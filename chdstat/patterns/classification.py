@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Result, as_pixels, take_rows, warn_left_out
 from chdstat._core.positive import Floats, Mask, PositivePart
-from chdstat._core.reasons import Reason, flag_attributes
+from chdstat._core.reasons import Reason, first_of, flag_attributes
 from chdstat._core.resampling import q_values
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.results import Mixture
@@ -387,9 +387,7 @@ def _label(
         **{label: flags[name] for label, name in _FLAGGED.items()},
         Label.OTHER: known,
     }
-    codes = [np.int8(code) for code in cases]
-    label = np.select(list(cases.values()), codes, np.int8(Label.UNDETERMINED))
-    return np.asarray(label, dtype=np.int8)
+    return first_of(cases, Label.UNDETERMINED)
 
 
 _OTHERS = {
