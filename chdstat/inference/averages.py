@@ -288,7 +288,7 @@ def _of_averages(
     results = run_tests(tested, n, usable, ("linear",), (test,))
     # Skewness and kurtosis are those of all averages, which say more than the tested ones.
     moments = np.array([shapes(level) for level in levels]).transpose(1, 2, 0)
-    found = np.stack([results.statistic[..., 0, 0], results.p_value[..., 0, 0], *moments])
+    found = np.stack([results["statistic"][..., 0, 0], results["p_value"][..., 0, 0], *moments])
     found[:, ~usable] = np.nan
     return found, reason
 

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat._core.reasons import Reason, flag_attributes
+from chdstat._core.reasons import Reason, label_variables
 from chdstat._core.resampling import q_values
 from chdstat.fit.mixtures import ChosenMixtures
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
@@ -64,13 +64,9 @@ _LABELS = {
     "ashman_d": "separation of neighbouring modes, Ashman's D",
     "ashman_d_se": "standard error of the separation",
     "delta_bic": "BIC of the best distribution of one mode minus that of the best mixture",
+    "reason": "why no modes were counted",
 }
-_DIMS = {
-    "places": "mode",
-    "weights": "mode",
-    "ashman_d": "pair",
-    "ashman_d_se": "pair",
-}
+_DIMS = {"places": "mode", "weights": "mode", "ashman_d": "pair", "ashman_d_se": "pair"}
 
 
 @dataclass(frozen=True)
@@ -144,13 +140,8 @@ def finish_modality(dataset: xr.Dataset) -> xr.Dataset:
     """Add the q-values over the image, and set long names, units and flag meanings."""
     p_value = dataset["dip_p_value"]
     dataset = dataset.assign(dip_q_value=p_value.copy(data=q_values(p_value.to_numpy())))
-    for name, long_name in _LABELS.items():
-        if name in dataset:
-            dataset[name].attrs.update(long_name=long_name, units="1")
-    dataset["reason"].attrs.update(
-        long_name="why no modes were counted", units="1", **flag_attributes()
-    )
-    return dataset
+    labels = {name: (long_name, "1") for name, long_name in _LABELS.items()}
+    return label_variables(dataset, labels, bounds=False)
 
 
 _MINIMUM = 20
@@ -221,22 +212,8 @@ def modality(
     )
 
 
-def modality_of_part(
-    part: PositivePart,
-    *,
-    fits: Iterable[Fit] | None = None,
-) -> Modality:
-    """Look for modes in samples that are already split.
-
-    `fits` are the families of one mode to beat, for whoever has them.
-    """
-    return _modality(part, fits, lambda _: None)
-
-
 def mixture_and_modes_of_part(
-    part: PositivePart,
-    *,
-    fits: Iterable[Fit] | None = None,
+    part: PositivePart, *, fits: Iterable[Fit] | None = None
 ) -> tuple[Mixture, Modality]:
     """Look for modes, and return the best log-normal mixtures, too, at hardly any further cost.
 
@@ -245,15 +222,20 @@ def mixture_and_modes_of_part(
     where two are worse than one or than the best distribution of one mode.
     """
     chosen = ChosenMixtures(part, part.reason(_MINIMUM), MODES)
-    modality = _modality(part, fits, chosen.enter)
+    modality = modality_of_part(part, fits=fits, also=chosen.enter)
     return chosen.result("lognormal"), modality
 
 
-def _modality(
+def modality_of_part(
     part: PositivePart,
-    fits: Iterable[Fit] | None,
-    also: Callable[[Found], None],
+    *,
+    fits: Iterable[Fit] | None = None,
+    also: Callable[[Found], None] = lambda _: None,
 ) -> Modality:
+    """Look for modes in samples that are already split.
+
+    `fits` are the families of one mode to beat, for whoever has them; `also` gets the mixtures.
+    """
     reason = part.reason(_MINIMUM)
     ok = reason == Reason.OK
     tied_share = np.where(ok, _tied_shares(part), np.nan)

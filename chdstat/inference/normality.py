@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
@@ -22,11 +23,11 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat._core.reasons import Reason
+from chdstat._core.reasons import Reason, label_variables
+from chdstat._core.resampling import q_values, rejections
 from chdstat.errors import InputError
 from chdstat.inference import statistics
-from chdstat.inference import statistics as p_values
-from chdstat.inference.statistics import Rows, check_choice, check_level, finish, standardise
+from chdstat.inference.statistics import Rows, standardise
 from chdstat.samples import Image, Mapped, Samples, opened
 
 if TYPE_CHECKING:
@@ -38,9 +39,11 @@ __all__ = [
     "Gaussianity",
     "NormalityTest",
     "TestName",
-    "Tested",
     "Transform",
+    "check_choice",
+    "check_level",
     "finish_gaussianity",
+    "finish_tests",
     "gaussianity",
     "gaussianity_of_part",
     "gaussianity_variables",
@@ -70,10 +73,15 @@ TESTS: Mapping[TestName, NormalityTest] = {
     test.name: test
     for test in (
         NormalityTest(
-            "anderson-darling", 8, statistics.anderson_darling, p_values.anderson_darling_p
+            "anderson-darling",
+            8,
+            statistics.anderson_darling,
+            partial(statistics.simulated_p, "anderson_darling"),
         ),
-        NormalityTest("shapiro-wilk", 8, statistics.shapiro_wilk, p_values.shapiro_wilk_p),
-        NormalityTest("dagostino", 20, statistics.dagostino, p_values.dagostino_p),
+        NormalityTest("shapiro-wilk", 8, statistics.shapiro_wilk, statistics.shapiro_wilk_p),
+        NormalityTest(
+            "dagostino", 20, statistics.dagostino, partial(statistics.simulated_p, "dagostino")
+        ),
     )
 }
 """Tests of normality by name. A new one is a new row."""
@@ -88,27 +96,18 @@ TRANSFORMS: Mapping[Transform, Callable[[Floats, Floats], Floats]] = {
 """What the samples may be turned into before a test; increasing, on positive numbers."""
 
 
-@dataclass(frozen=True)
-class Tested:
-    """Statistic and p-value, shape (..., transform, test); the moments, shape (..., transform)."""
-
-    statistic: Floats
-    p_value: Floats
-    skewness: Floats
-    kurtosis: Floats
-
-
 def run_tests(
     ascending: npt.NDArray[Any],
     n: Counts,
     usable: Mask,
     transforms: Sequence[Transform],
     tests: Sequence[NormalityTest],
-) -> Tested:
+) -> dict[str, Floats]:
     """Test rows of shape (..., sample) in ascending order, of which the first `n` of each count.
 
     What stands behind them does not matter. Rows that are not `usable`, or have too few samples for
-    a test, get NaN.
+    a test, get NaN. Returns statistic and p_value, shape (..., transform, test), and skewness and
+    kurtosis, shape (..., transform), by name.
     """
     rows, counts = ascending.reshape(-1, ascending.shape[-1]), n.reshape(-1)
     shape = (len(transforms), len(tests))
@@ -129,8 +128,9 @@ def run_tests(
         for span in spans(len(rows), _ROWS):
             for i, j in np.ndindex(shape):
                 p_value[span, i, j] = tests[j].p_value(statistic[span, i, j], counts[span])
-    tested = (values.reshape(*n.shape, *values.shape[1:]) for values in (statistic, p_value))
-    return Tested(*tested, *moments.reshape(2, *n.shape, shape[0]))
+    found = {"statistic": statistic, "p_value": p_value}
+    found |= {"skewness": moments[0], "kurtosis": moments[1]}
+    return {name: values.reshape(*n.shape, *values.shape[1:]) for name, values in found.items()}
 
 
 def _chunks(n: Counts, usable: Mask) -> Iterator[npt.NDArray[np.intp]]:
@@ -254,7 +254,7 @@ def gaussianity(
     All p-values are those of estimated mean and variance and of the number of samples at hand:
     uniform under the null, within 0.015. They are interpolated between quantiles simulated for 8 to
     5000 samples (Shapiro-Wilk: up to 32 000; from 30 to 2000 samples, Royston's formulas serve).
-    Below 1e-4 they are extrapolated, on the side of too large a p, and 1e-16 is the least told.
+    Below 1e-4 they are extrapolated, on the side of too large a p, and none is below 1e-16.
 
     References
     ----------
@@ -298,9 +298,9 @@ def gaussianity_of_part(
     rows = [TESTS[name] for name in tests]
     reason = np.stack([part.reason(test.minimum) for test in rows], axis=-1)
     usable = (reason == Reason.OK).any(axis=-1)
-    tested = run_tests(part.sorted, part.n, usable, transforms, rows)
+    found = run_tests(part.sorted, part.n, usable, transforms, rows)
     return Gaussianity(
-        test=tuple(tests), transform=tuple(transforms), **vars(tested), n=part.n, reason=reason
+        test=tuple(tests), transform=tuple(transforms), **found, n=part.n, reason=reason
     )
 
 
@@ -331,7 +331,36 @@ def finish_gaussianity(
         if not isinstance(choice, str):
             dataset = dataset.assign_coords({name: np.array(choice, dtype=object)})
     tests, transforms = (c if isinstance(c, str) else ", ".join(c) for c in (test, transform))
-    return finish(dataset, f"{tests} on {transforms} samples", alpha)
+    return finish_tests(dataset, f"{tests} on {transforms} samples", alpha)
+
+
+_LABELS = {
+    "statistic": "test statistic of normality",
+    "p_value": "p-value of normality",
+    "skewness": "skewness of what was tested",
+    "kurtosis": "excess kurtosis of what was tested",
+    "predicted_skewness": "skewness of averages of independent samples",
+    "predicted_kurtosis": "excess kurtosis of averages of independent samples",
+    "skewness_ratio": "skewness of averages over what independent samples predict",
+    "n_predicted": "samples per average of a predicted shape that is nearly Gaussian",
+    "n_predicted_interval": "95 % interval of n_predicted",
+    "n_predicted_reason": "why there is no n_predicted",
+    "n": "samples that were tested",
+    "q_value": "q-value of normality over the image",
+    "rejected": "1 where not Gaussian, at the false discovery rate of the dataset",
+    "reason": "why there is no test",
+}
+
+
+def finish_tests(dataset: xr.Dataset, title: str, alpha: float) -> xr.Dataset:
+    """Add q-value and ``rejected`` for every axis beyond (y, x) separately, and set names."""
+    p_value = dataset["p_value"]
+    q_value = p_value.copy(data=q_values(p_value.to_numpy()))
+    dataset = dataset.assign(q_value=q_value, rejected=rejections(q_value, alpha))
+    labels = {name: (long_name, "1") for name, long_name in _LABELS.items()}
+    return label_variables(dataset, labels, bounds=False).assign_attrs(
+        test=title, false_discovery_rate=alpha
+    )
 
 
 def _of_part(
@@ -354,6 +383,21 @@ def _of_part(
         kurtosis=result.kurtosis[..., one_transform],
         reason=result.reason[..., one_test],
     )
+
+
+def check_choice(choice: object, table: Iterable[str], name: str) -> None:
+    """Raise InputError if an option is none of those there are."""
+    names = tuple(table)
+    if choice not in names:
+        message = f"{name} must be one of {', '.join(names)}, got {choice!r}"
+        raise InputError(message)
+
+
+def check_level(alpha: float) -> None:
+    """Raise InputError if a level lies outside (0, 1)."""
+    if not 0 < alpha < 1:
+        message = f"alpha must lie between 0 and 1, got {alpha}"
+        raise InputError(message)
 
 
 def _check_names(choice: str | Sequence[str], table: Iterable[str], name: str) -> None:

@@ -16,13 +16,18 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import as_samples, is_bad, warn_left_out
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
 from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference import averages
 from chdstat.inference.averages import MORE_THAN_TESTED, UNTESTED
-from chdstat.inference.normality import TESTS, NormalityTest, TestName
-from chdstat.inference.statistics import check_choice, check_level, finish
+from chdstat.inference.normality import (
+    TESTS,
+    NormalityTest,
+    TestName,
+    check_choice,
+    check_level,
+    finish_tests,
+)
 from chdstat.samples import Image, Mapped, Samples, opened
 
 if TYPE_CHECKING:
@@ -306,7 +311,7 @@ def finish_means(
     """Add q-values, what follows from them, the N, and the names and units of all variables."""
     tested = dataset["p_value"].notnull().sum(("y", "x"))
     dims = ("y", "x", "channel")
-    dataset = finish(dataset, f"{test} on averages of N samples", alpha)
+    dataset = finish_tests(dataset, f"{test} on averages of N samples", alpha)
     rejected = dataset["rejected"]
     share = rejected.sum(("y", "x")) / tested.where(tested > 0)
     dataset["rejected_share"] = share.assign_attrs(
@@ -322,7 +327,7 @@ def finish_means(
         dims,
         needed,
         {
-            "long_name": "samples per average from which on averages are not told from Gaussian",
+            "long_name": "samples per average from which on normality is not rejected",
             "units": "1",
             "flag_values": [MORE_THAN_TESTED, UNTESTED],
             "flag_meanings": "more_than_tested untested",
@@ -331,7 +336,6 @@ def finish_means(
     for name in ("predicted_skewness", "predicted_kurtosis", "skewness_ratio"):
         dataset[name].attrs["comment"] = _ASSUMES
     dataset["n_predicted"].attrs["comment"] = "NaN where n_predicted_reason says why"
-    dataset["n_predicted_reason"].attrs.update(flag_attributes())
     size = ("size", sizes, {"long_name": "samples per average", "units": "1"})
     bound = np.array(["low", "high"], dtype=object)
     return dataset.assign_coords(size=size, bound=bound).assign_attrs(n_means=n_means)

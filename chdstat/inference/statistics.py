@@ -9,41 +9,28 @@ null: of 100 samples, p = 0.001 by chi-square happens in 0.004 of the cases for 
 Pearson; Stephens' formulas for Anderson-Darling are off by 0.03 near p = 0.6. Those of Royston for
 Shapiro-Wilk are within 0.013 of p, and 7 % of it down to 0.01, for 30 to 2000 samples, and used
 there.
-
-`finish` adds names, units and q-values to the datasets of the tests.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask
-from chdstat._core.reasons import flag_attributes
-from chdstat._core.resampling import q_values, rejections
-from chdstat.errors import InputError
 from chdstat.inference.null_tables import LEVELS, QUANTILES, interpolated_p
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 __all__ = [
     "SCALES",
     "Rows",
     "anderson_darling",
-    "anderson_darling_p",
-    "check_choice",
-    "check_level",
     "dagostino",
-    "dagostino_p",
-    "finish",
     "shapiro_wilk",
     "shapiro_wilk_p",
+    "simulated_p",
     "standardise",
 ]
 
@@ -182,19 +169,9 @@ def _kurtosis_score(b2: Floats, n: Floats) -> Floats:
 
 
 _FLOOR = 1e-16
-"""Smallest p-value told: a bound."""
+"""Smallest p-value: a bound."""
 _ROYSTON = (30, 2000)
 """Samples for which the formulas of Shapiro-Wilk hold: at 5000, their 0.05 happens in 0.044."""
-
-
-def anderson_darling_p(statistic: Floats, n: Counts) -> Floats:
-    """Return p-values of A*^2 (D'Agostino and Stephens 1986, chapter 4), by simulation."""
-    return _simulated("anderson_darling", statistic, n)
-
-
-def dagostino_p(statistic: Floats, n: Counts) -> Floats:
-    """Return p-values by simulation: the two normal scores are uncorrelated, not independent."""
-    return _simulated("dagostino", statistic, n)
 
 
 def shapiro_wilk_p(statistic: Floats, n: Counts) -> Floats:
@@ -202,61 +179,19 @@ def shapiro_wilk_p(statistic: Floats, n: Counts) -> Floats:
     log_n = np.log(n)
     mean = np.polyval([0.0038915, -0.083751, -0.31082, -1.5861], log_n)
     deviation = np.exp(np.polyval([0.0030302, -0.082676, -0.4803], log_n))
-    p = _floored(special.ndtr((mean - np.log1p(-statistic)) / deviation))
+    p = special.ndtr((mean - np.log1p(-statistic)) / deviation)
+    p[p < _FLOOR] = _FLOOR
     outside = (n < _ROYSTON[0]) | (n > _ROYSTON[1])
     if outside.any():
-        p[outside] = _simulated("shapiro_wilk", statistic[outside], n[outside])
-    return p
+        p[outside] = simulated_p("shapiro_wilk", statistic[outside], n[outside])
+    return np.asarray(p)
 
 
-def _simulated(name: str, statistic: Floats, n: Counts) -> Floats:
+def simulated_p(name: str, statistic: Floats, n: Counts) -> Floats:
+    """Return p-values by simulation.
+
+    For Anderson-Darling, they are those of A*^2 (D'Agostino and Stephens 1986, chapter 4); of K^2,
+    the two normal scores are uncorrelated, not independent.
+    """
     scaled = SCALES[name](statistic, n.astype(np.float64))
     return interpolated_p(scaled, n, LEVELS, QUANTILES[name], _FLOOR)
-
-
-def _floored(p: Floats) -> Floats:
-    return np.asarray(np.where(p < _FLOOR, _FLOOR, p))
-
-
-_LABELS = {
-    "statistic": "test statistic of normality",
-    "p_value": "p-value of normality",
-    "skewness": "skewness of what was tested",
-    "kurtosis": "excess kurtosis of what was tested",
-    "predicted_skewness": "skewness of averages of independent samples",
-    "predicted_kurtosis": "excess kurtosis of averages of independent samples",
-    "skewness_ratio": "skewness of averages over what independent samples predict",
-    "n_predicted": "samples per average whose predicted shape cannot be told from Gaussian",
-    "n_predicted_interval": "95 % interval of n_predicted",
-    "n_predicted_reason": "why there is no n_predicted",
-    "n": "samples that were tested",
-    "q_value": "q-value of normality over the image",
-    "rejected": "1 where not Gaussian, at the false discovery rate of the dataset",
-}
-
-
-def check_choice(choice: object, table: Iterable[str], name: str) -> None:
-    """Raise InputError if an option is none of those there are."""
-    names = tuple(table)
-    if choice not in names:
-        message = f"{name} must be one of {', '.join(names)}, got {choice!r}"
-        raise InputError(message)
-
-
-def check_level(alpha: float) -> None:
-    """Raise InputError if a level lies outside (0, 1)."""
-    if not 0 < alpha < 1:
-        message = f"alpha must lie between 0 and 1, got {alpha}"
-        raise InputError(message)
-
-
-def finish(dataset: xr.Dataset, title: str, alpha: float) -> xr.Dataset:
-    """Add q-value and ``rejected`` for every axis beyond (y, x) separately, and set names."""
-    p_value = dataset["p_value"]
-    q_value = p_value.copy(data=q_values(p_value.to_numpy()))
-    dataset = dataset.assign(q_value=q_value, rejected=rejections(q_value, alpha))
-    for name in dataset.data_vars:
-        if name in _LABELS:
-            dataset[name].attrs.update(long_name=_LABELS[str(name)], units="1")
-    dataset["reason"].attrs.update(long_name="why there is no test", units="1", **flag_attributes())
-    return dataset.assign_attrs(test=title, false_discovery_rate=alpha)
