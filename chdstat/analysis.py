@@ -34,7 +34,8 @@ from chdstat.inference import normality_of_means as means
 from chdstat.inference.normality import TESTS, TestName, Transform
 from chdstat.inference.normality_of_means import MORE_THAN_TESTED, N_MEANS, UNTESTED
 from chdstat.patterns import classification
-from chdstat.patterns.classification import PATTERNS, PixelFits, Thresholds
+from chdstat.patterns.classification import PixelFits
+from chdstat.patterns.table import PATTERNS, Thresholds
 from chdstat.samples import Image, Mapped, samples_of
 from chdstat.summary.statistics import summarize
 

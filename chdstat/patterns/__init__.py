@@ -14,34 +14,24 @@ around the threshold that decides it: `truth` lists the zones and gives None ins
 
 from __future__ import annotations
 
+from chdstat.patterns.agreement import Agreement, agreement
 from chdstat.patterns.atlases import Atlas, atlas
-from chdstat.patterns.classification import (
-    PATTERNS,
-    Agreement,
-    Label,
-    Pattern,
-    Patterns,
-    Thresholds,
-    agreement,
-    classify,
-)
-from chdstat.patterns.simulation import (
+from chdstat.patterns.classification import Label, Patterns, classify
+from chdstat.patterns.known_chds import CHD, Component
+from chdstat.patterns.population import (
     ALIKE,
-    CHD,
-    CHDS,
     FIREFLY_ZONE,
     NULL_ZONE,
     SEPARATION_ZONE,
     TAIL_ZONE,
-    Component,
     FlagScore,
     Truth,
     flag_scores,
     random_chds,
-    simulate,
     truth,
-    truth_of,
 )
+from chdstat.patterns.simulation import CHDS, simulate, truth_of
+from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
 
 __all__ = [
     "ALIKE",

@@ -5,6 +5,7 @@ Labels that mean something form regions; labels that are noise look like the sam
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,47 +84,31 @@ def agreement(labels: npt.NDArray[np.integer], known: Mask | None = None) -> Agr
     if labels.ndim != 2 or known.shape != labels.shape:
         message = f"labels and known must have one shape (y, x), got {labels.shape}, {known.shape}"
         raise InputError(message)
-    neighbours, equal = _count(labels, known)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.where(known, equal / neighbours, np.nan)
-    sizes = _group_sizes(labels, known)
-    n = int(np.count_nonzero(known))
-    by_chance = np.where(known & (neighbours > 0), (sizes - 1) / max(n - 1, 1), np.nan)
-    observed, expected, deviation = _joins(neighbours[known], equal[known], sizes[known])
-    chance_left = 1 - expected
-    return Agreement(
-        share=share,
-        by_chance=by_chance,
-        observed=observed,
-        expected=expected,
-        kappa=(observed - expected) / chance_left if chance_left > 0 else float("nan"),
-        z=(observed - expected) / deviation if deviation > 0 else float("nan"),
-    )
-
-
-def _count(
-    labels: npt.NDArray[np.integer], known: Mask
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Count known neighbours, and those with an equal label."""
     height, width = labels.shape
-    around = np.pad(labels, 1)
-    there = np.pad(known, 1)
-    neighbours = np.zeros((height, width), dtype=np.int64)
-    equal = np.zeros_like(neighbours)
+    around, there = np.pad(labels, 1), np.pad(known, 1)
+    # Known neighbours of each pixel, and those with an equal label.
+    neighbours, equal = np.zeros((2, height, width), dtype=np.int64)
     for i, j in _OFFSETS:
         here = np.s_[i : i + height, j : j + width]
         both = there[here] & known
         neighbours += both
         equal += both & (around[here] == labels)
-    return neighbours, equal
-
-
-def _group_sizes(labels: npt.NDArray[np.integer], known: Mask) -> npt.NDArray[np.int64]:
-    """Return, for each pixel, how many known pixels have its label."""
-    sizes = np.zeros(labels.shape, dtype=np.int64)
     _, group, counts = np.unique(labels[known], return_inverse=True, return_counts=True)
+    sizes = np.zeros(labels.shape, dtype=np.int64)
     sizes[known] = counts[group]
-    return sizes
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(known, equal / neighbours, np.nan)
+    n = int(np.count_nonzero(known))
+    by_chance = np.where(known & (neighbours > 0), (sizes - 1) / max(n - 1, 1), np.nan)
+    observed, expected, deviation = _joins(neighbours[known], equal[known], sizes[known])
+    return Agreement(
+        share=share,
+        by_chance=by_chance,
+        observed=observed,
+        expected=expected,
+        kappa=(observed - expected) / (1 - expected) if expected < 1 else math.nan,
+        z=(observed - expected) / deviation if deviation > 0 else math.nan,
+    )
 
 
 def _joins(
@@ -135,7 +120,7 @@ def _joins(
     n = float(len(sizes))
     pairs = float(neighbours.sum())
     if n < 4 or pairs == 0:
-        return float("nan"), float("nan"), float("nan")
+        return math.nan, math.nan, math.nan
     # Mantel's sums of two symmetric 0/1 matrices: of being neighbours, and of having equal labels.
     s0, s1, s2 = pairs, 2 * pairs, 4 * float(np.sum(neighbours**2))
     others = (sizes - 1).astype(np.float64)

@@ -26,23 +26,18 @@ from chdstat.fit.results import Mixture
 from chdstat.fit.selection import Selection, select_part
 from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference.modes import Modality, mixture_and_modes_of_part
-from chdstat.patterns.agreement import Agreement, agreement
+from chdstat.patterns.agreement import agreement
 from chdstat.patterns.pixel_statistics import gather
-from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
+from chdstat.patterns.table import PATTERNS, Thresholds
 from chdstat.samples import Image, Mapped, Samples, opened
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "PATTERNS",
-    "Agreement",
     "Label",
-    "Pattern",
     "Patterns",
     "PixelFits",
-    "Thresholds",
-    "agreement",
     "classify",
     "finish_patterns",
     "luminance_part",

@@ -17,9 +17,10 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, generator, spans
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
-from chdstat.patterns.classification import PATTERNS, Label, Patterns, Thresholds, patterns_of_part
+from chdstat.patterns.classification import Label, Patterns, patterns_of_part
 from chdstat.patterns.known_chds import CHD, Component, Kind
 from chdstat.patterns.pixel_statistics import firefly_limit
+from chdstat.patterns.table import PATTERNS, Thresholds
 
 __all__ = [
     "ALIKE",

@@ -1,11 +1,4 @@
-"""Simulation: CHDs with known labels, as single distributions, images and a whole population.
-
-Use `CHD` for a distribution of your own, `simulate` for an image whose regions have given CHDs,
-`truth_of` for what is true of that image, and `random_chds` to measure how well patterns are told.
-
-A label is true or false only outside of an indifference zone around the threshold that decides it:
-`truth` lists the zones and gives None inside, and `random_chds` draws nothing there.
-"""
+"""Simulation: images whose regions have known CHDs, and what is true of their pixels."""
 
 from __future__ import annotations
 
@@ -23,40 +16,13 @@ from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
 from chdstat.patterns.classification import Label
 from chdstat.patterns.known_chds import CHD, Component
-from chdstat.patterns.population import (
-    ALIKE,
-    FIREFLY_ZONE,
-    NULL_ZONE,
-    SEPARATION_ZONE,
-    TAIL_ZONE,
-    FlagScore,
-    Truth,
-    flag_scores,
-    random_chds,
-    truth,
-)
+from chdstat.patterns.population import Truth, truth
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "ALIKE",
-    "CHD",
-    "CHDS",
-    "FIREFLY_ZONE",
-    "NULL_ZONE",
-    "SEPARATION_ZONE",
-    "TAIL_ZONE",
-    "Component",
-    "FlagScore",
-    "Truth",
-    "flag_scores",
-    "random_chds",
-    "simulate",
-    "truth",
-    "truth_of",
-]
+__all__ = ["CHDS", "simulate", "truth_of"]
 
 _TWO = (Component("lognormal", 0.5, 0.02, 0.4), Component("lognormal", 0.4, 1.0, 0.6))
 CHDS: Mapping[str, CHD] = {
@@ -117,7 +83,11 @@ def simulate(
            [1, 1, 2, 2]], dtype=int8)
     """
     given = [chds] if isinstance(chds, (str, CHD)) else list(chds)
-    chosen = [_lookup(chd) for chd in given]
+    for name in given:
+        if isinstance(name, str) and name not in CHDS:
+            message = f"a CHD must be one of {', '.join(CHDS)} or a CHD, got {name!r}"
+            raise InputError(message)
+    chosen = [CHDS[chd] if isinstance(chd, str) else chd for chd in given]
     if len(size) != 2 or min(size) < 1 or spp < 1 or not chosen:
         message = f"simulate needs a CHD, a size (height, width) and spp >= 1; got {size}, {spp}"
         raise InputError(message)
@@ -150,22 +120,11 @@ def truth_of(samples: Samples) -> xr.Dataset:
     if "simulated_chds" not in samples.attrs:
         message = f"truth_of needs samples made by chdstat.simulate, got {samples!r}"
         raise InputError(message)
-    chds = [_read(chd) for chd in json.loads(samples.attrs["simulated_chds"])]
-    return _truth_map([truth(chd) for chd in chds], _regions(len(chds), samples.shape[:2]))
-
-
-def _lookup(chd: str | CHD) -> CHD:
-    if isinstance(chd, CHD):
-        return chd
-    if chd not in CHDS:
-        message = f"a CHD must be one of {', '.join(CHDS)} or a CHD, got {chd!r}"
-        raise InputError(message)
-    return CHDS[chd]
-
-
-def _read(values: dict[str, Any]) -> CHD:
-    body = tuple(Component(**component) for component in values.pop("body"))
-    return CHD(body, **{**values, "color": tuple(values["color"])})
+    truths = []
+    for values in json.loads(samples.attrs["simulated_chds"]):
+        body = tuple(Component(**component) for component in values.pop("body"))
+        truths.append(truth(CHD(body, color=tuple(values.pop("color")), **values)))
+    return _truth_map(truths, _regions(len(truths), samples.shape[:2]))
 
 
 def _regions(count: int, size: tuple[int, int]) -> npt.NDArray[np.intp]:
