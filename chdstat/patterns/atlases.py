@@ -1,7 +1,10 @@
 """Atlas: the shapes that recur over a scene, found without labels.
 
-`chdstat.classify` asks each pixel for patterns that are known beforehand; `atlas` asks the image
-which distributions it has. Pixels that differ only in brightness have the same shape.
+`chdstat.classify` looks for patterns that are known beforehand; `atlas` finds the distributions
+that an image has. The shape of a pixel is the distribution of its log radiance, moved so that its
+mean is 0: pixels that differ only in brightness have the same shape. Shapes are found in samples,
+walking an image twice in constant memory, for the means and for counts around them; or in log
+histograms, which are moved.
 """
 
 from __future__ import annotations
@@ -12,28 +15,40 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, generator
-from chdstat._core.positive import Counts, Floats
-from chdstat._core.reasons import Reason, flag_attributes
+from chdstat._core.arrays import Seed, generator, is_bad, luminance, spans, whole
+from chdstat._core.moments import Moments
+from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
+from chdstat._core.reasons import Reason, first_of, flag_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError
-from chdstat.patterns import atlas_shapes
 from chdstat.patterns.clusters import Groups, find_groups
-from chdstat.samples import Image, samples_of
+from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of
+from chdstat.summary.bins import Support
+from chdstat.summary.histograms import StreamingHistogram
+from chdstat.summary.positive_histogram import BinnedPart
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Atlas", "atlas"]
+__all__ = ["WIDTH", "Atlas", "atlas", "of_histograms"]
 
-_RADIANCE = "W sr-1 m-2"
-_NULL_DECADES = 1.0
-"""A share of nulls that differs by d is as far as distributions that differ by d over a decade."""
+_BINS = 81
+"""Bins of a shape; the middle one has the mean in its centre."""
+WIDTH = 0.1
+"""Width of a bin in decades."""
+_EDGES = WIDTH * (np.arange(1, _BINS) - _BINS / 2)
+"""Edges between bins in decades from the mean; the two outer bins are open."""
+_MINIMUM = 32
+"""Positive samples that a shape needs."""
+_FINE = 4
+"""Bins counted per bin of a shape, so that halves of the samples can be moved apart from it."""
+_BATCH = 64
+_OF_GROUPS = ("candidates", "explained", "silhouettes", "repeatable", "stability")
 _LABELS = {
     "labels": (("y", "x"), "cluster of the shape, the most frequent first", "1"),
     "reason": (("y", "x"), "why there is no shape", "1"),
     "distance": (("y", "x"), "Cramer distance to the typical shape", "1"),
-    "scale": (("y", "x"), "geometric mean of positive radiance", _RADIANCE),
+    "scale": (("y", "x"), "geometric mean of positive radiance", "W sr-1 m-2"),
     "density": (("cluster", "atlas_bin"), "typical density per decade", "1"),
     "density_band": (("cluster", "atlas_bin", "bound"), "quartiles of the density", "1"),
     "share": (("cluster",), "share of the pixels that have a shape", "1"),
@@ -208,70 +223,227 @@ def atlas(
     >>> found.share.round(2), found.labels[:, 0]
     (array([0.67, 0.33]), array([1, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0], dtype=int16))
     """
-    _check(clusters, max_clusters, min_share)
-    rng = generator(seed)
-    if hasattr(samples, "data_vars"):
-        shapes = atlas_shapes.of_histograms(cast("xr.Dataset", samples), rng)
-    else:
-        image = samples_of(cast("npt.ArrayLike", samples))
-        shapes = atlas_shapes.of_samples(image, rng, progress=progress)
-    ok = shapes.reason == Reason.OK
-    whole, *halves = (_features(part, ok, nulls) for part in (shapes.whole, *shapes.halves))
-    numbers = range(1, max_clusters + 1) if clusters is None else [clusters]
-    groups = find_groups(whole, halves, numbers, min_share=min_share, rng=rng)
-    return _describe(shapes, groups)
-
-
-def _check(clusters: int | None, max_clusters: int, min_share: float) -> None:
-    for name, value in (("clusters", clusters), ("max_clusters", max_clusters)):
-        if value is not None and value < 1:
-            message = f"{name} must be at least 1, got {value}"
-            raise InputError(message)
+    if clusters is not None:
+        clusters = whole("clusters", clusters, least=1)
+    most = whole("max_clusters", max_clusters, least=1)
     if not 0 <= min_share < 1:
         message = f"min_share must be a share in [0, 1), got {min_share}"
         raise InputError(message)
-
-
-def _features(
-    part: atlas_shapes.Aligned, ok: npt.NDArray[Any], nulls: bool
-) -> npt.NDArray[np.float32]:
-    """Return vectors, shape (pixel, feature), that are as far apart as their shapes."""
-    rows = np.sqrt(atlas_shapes.WIDTH) * part.cumulative[ok]
+    rng = generator(seed)
+    if hasattr(samples, "data_vars"):
+        shapes = of_histograms(cast("xr.Dataset", samples), rng)
+    else:
+        shapes = _of_samples(samples_of(cast("npt.ArrayLike", samples)), rng, progress=progress)
+    ok = shapes.reason == Reason.OK
+    # Vectors, shape (pixel, part, feature), that are as far apart as their shapes.
+    rows = np.sqrt(WIDTH) * shapes.cumulative[ok]
     if nulls:
-        share = np.sqrt(_NULL_DECADES) * part.null_share[ok]
-        rows = np.concatenate([rows, share[:, np.newaxis]], axis=-1)
-    return np.asarray(rows, dtype=np.float32)
+        rows = np.concatenate([rows, shapes.null_share[ok][..., np.newaxis]], axis=-1)
+    points, *halves = np.moveaxis(rows.astype(np.float32), 1, 0)
+    numbers = range(1, most + 1) if clusters is None else [clusters]
+    groups = find_groups(points, halves, numbers, min_share=min_share, rng=rng)
+    return _describe(shapes, groups)
 
 
-def _describe(shapes: atlas_shapes.Shapes, groups: Groups) -> Atlas:
+def _describe(shapes: Shapes, groups: Groups) -> Atlas:
     ok = shapes.reason == Reason.OK
     count = np.bincount(groups.labels, minlength=groups.number)
     members = [groups.labels == k for k in range(groups.number)]
-    density = atlas_shapes.densities(shapes.whole.cumulative[ok])
-    null_share = shapes.whole.null_share[ok]
+    cumulative = shapes.cumulative[ok][:, 0].astype(np.float64)
+    density = np.diff(cumulative, axis=-1, prepend=0, append=1) / WIDTH
+    null_share = shapes.null_share[ok][:, 0]
+    labels, distance = np.full(ok.shape, -1, np.int16), np.full(ok.shape, np.nan)
+    labels[ok], distance[ok] = groups.labels, groups.distance
     bands = [np.percentile(density[rows], (25, 75), axis=0).T for rows in members]
-    bins = density.shape[-1]
     return Atlas(
-        positions=atlas_shapes.WIDTH * (np.arange(bins) - (bins - 1) / 2),
-        density=np.array([density[rows].mean(axis=0) for rows in members]).reshape(-1, bins),
-        density_band=np.array(bands).reshape(-1, bins, 2),
-        labels=_scatter(groups.labels.astype(np.int16), ok, np.int16(-1)),
+        positions=np.asarray(WIDTH * (np.arange(_BINS) - (_BINS - 1) / 2)),
+        density=np.array([density[rows].mean(axis=0) for rows in members]).reshape(-1, _BINS),
+        density_band=np.array(bands).reshape(-1, _BINS, 2),
+        labels=labels,
         reason=shapes.reason,
-        distance=_scatter(groups.distance, ok, np.nan),
+        distance=distance,
         scale=10.0**shapes.log_scale,
         share=count / max(1, count.sum()),
         share_interval=wilson(count, count.sum()),
         null_share=np.array([null_share[rows].mean(dtype=np.float64) for rows in members]),
         medoids=np.argwhere(ok)[groups.medoids],
-        candidates=groups.candidates,
-        explained=groups.explained,
-        silhouettes=groups.silhouettes,
-        repeatable=groups.repeatable,
-        stability=groups.stability,
+        **{name: getattr(groups, name) for name in _OF_GROUPS},
     )
 
 
-def _scatter(values: npt.NDArray[Any], ok: npt.NDArray[np.bool_], missing: Any) -> npt.NDArray[Any]:
-    whole = np.full(ok.shape, missing, dtype=values.dtype)
-    whole[ok] = values
-    return whole
+@dataclass(frozen=True)
+class Shapes:
+    """Distributions of log10 radiance around their means, of an image.
+
+    Attributes
+    ----------
+    cumulative
+        Share of the positive samples below each edge, shape (y, x, part, edge): of all samples, and
+        of two random halves of them, each moved by its own mean; NaN where there is no shape.
+    null_share
+        Share of nulls among all of them, shape (y, x, part).
+    log_scale
+        Mean of log10 radiance, shape (y, x).
+    reason
+        `Reason` codes: where there is no shape, and why.
+    """
+
+    cumulative: npt.NDArray[np.float32]
+    null_share: npt.NDArray[np.float32]
+    log_scale: Floats
+    reason: npt.NDArray[np.int8]
+
+
+def _of_samples(
+    samples: Samples, rng: np.random.Generator, *, progress: bool | None = None
+) -> Shapes:
+    """Return the shapes of the luminance of an image."""
+
+    def of_tile(ys: slice, xs: slice, blocks: Blocks) -> Mapped:
+        log, n_good, n_null = _log_moments(blocks)
+        center = np.where(log.count > 0, log.mean, np.nan)
+        again = (samples.read(ys, xs, ss) for ss in spans(samples.spp, _BATCH))
+        counts = _count(again, center)
+        log_variance = log.m2 / np.maximum(log.count, 1) * np.log(10) ** 2
+        reason = _reason(log.count, n_good, n_null, log_variance)
+        grid = _Grid(*(np.full(center.shape, v) for v in (-WIDTH * _BINS / 2, WIDTH / _FINE)))
+        parts = _moved(counts, n_null, grid, np.zeros(center.shape), reason == Reason.OK, rng)
+        return {
+            "cumulative": (("part", "edge"), parts[0]),
+            "null_share": (("part",), parts[1]),
+            "log_scale": ((), center),
+            "reason": ((), reason),
+        }
+
+    found = reduce_tiles(samples, of_tile, description="aligning shapes", progress=progress)
+    return Shapes(**{str(name): array.to_numpy() for name, array in found.items()})
+
+
+def of_histograms(dataset: xr.Dataset, rng: np.random.Generator) -> Shapes:
+    """Return the shapes of the log histograms of an image, of the channel in the middle.
+
+    That is green, the most of luminance, or the only channel. Bins move by fractions of a bin, as
+    if samples were spread evenly within them.
+
+    Raises
+    ------
+    InputError
+        If the dataset lacks a variable of a log histogram.
+    """
+    middle = slice(dataset.sizes.get("channel", 0) // 2, None)
+    part = BinnedPart.of_dataset(dataset.isel(channel=middle, missing_dims="ignore"))
+    counts, n, n_null = part.counts[:, :, 0], part.n[:, :, 0], part.n_null[:, :, 0]
+    width, first = part.width[:, :, 0] / np.log(10), part.log_centers[:, :, 0, 0] / np.log(10)
+    grid = _Grid(*(np.broadcast_to(v, n.shape) for v in (first - width / 2, width)))
+    n_dark = part.n_null[:, :, 0] + part.n_zero[:, :, 0]
+    reason = _reason(n, part.n_good[:, :, 0], n_dark, part.log_statistics.log_variance[:, :, 0])
+    center = grid.mean(counts)
+    parts = _moved(counts, n_null, grid, center, reason == Reason.OK, rng)
+    return Shapes(*parts, center, reason)
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Where bins of log10 radiance are: the first edge and the width, each of shape (...)."""
+
+    low: Floats
+    width: Floats
+
+    def mean(self, counts: npt.NDArray[Any]) -> Floats:
+        """Return the mean of what was counted, shape (...); NaN of nothing."""
+        places = np.vecdot(counts, np.arange(counts.shape[-1]) + 0.5)
+        return np.asarray(self.low + self.width * _ratio(places, counts.sum(axis=-1)))
+
+    def below(self, counts: npt.NDArray[Any], center: Floats) -> npt.NDArray[np.float32]:
+        """Return the share below each edge of a shape around `center`, shape (..., edge)."""
+        total = np.cumsum(counts, axis=-1, dtype=np.float64)
+        total = np.concatenate([np.zeros((*total.shape[:-1], 1)), total], axis=-1)
+        total /= np.maximum(total[..., -1:], 1)
+        offset = (center - self.low)[..., np.newaxis]
+        # Rounded, so that an edge that is an edge of the bins stays one.
+        place = np.round((_EDGES + offset) / self.width[..., np.newaxis], 9)
+        place = np.clip(np.nan_to_num(place), 0, counts.shape[-1])
+        left = np.minimum(place.astype(np.intp), counts.shape[-1] - 1)
+        start, stop = (np.take_along_axis(total, i, axis=-1) for i in (left, left + 1))
+        return np.asarray(start + (place - left) * (stop - start), dtype=np.float32)
+
+
+def _log_moments(blocks: Blocks) -> tuple[Moments, Counts, Counts]:
+    """Return the moments of log10 of positive luminance, and how many are good, and how many 0."""
+
+    def of_block(block: npt.NDArray[np.float32]) -> tuple[Moments, Counts]:
+        light, good = _luminance(block)
+        positive, null = good & (light > 0), good & (light == 0)
+        log = np.log10(np.where(positive, light, 1))
+        return Moments.of(log, positive), np.count_nonzero([good, null], axis=-1)
+
+    log, counts = of_block(next(blocks))
+    for block in blocks:
+        more, others = of_block(block)
+        log, counts = log.merge(more), counts + others
+    return log, counts[0], counts[1]
+
+
+def _luminance(block: npt.NDArray[np.float32]) -> tuple[Floats, Mask]:
+    """Return the luminance of samples, 0 for bad ones, and which are good."""
+    good = np.asarray(~is_bad(block).any(axis=-2))
+    return np.where(good, luminance(block), 0).astype(np.float64), good
+
+
+def _count(blocks: Blocks, center: Floats) -> Counts:
+    """Count luminance in fine bins around `center`, shape (y, x, bin); the end bins are open."""
+    missing = np.isnan(center)
+    reason = np.where(missing, Reason.ALL_NULL, Reason.OK).astype(np.int8)
+    low, high = (10.0 ** (center + sign * WIDTH * _BINS / 2) for sign in (-1, 1))
+    stream = StreamingHistogram(bins=_BINS * _FINE, support=Support(low, high, reason))
+    for block in blocks:
+        stream.update(_luminance(block)[0])
+    read = stream.read()
+    read.counts[..., 0] += read.underflow - read.negative
+    read.counts[..., -1] += read.overflow
+    return read.counts
+
+
+def _moved(
+    counts: npt.NDArray[Any],
+    n_null: Counts,
+    grid: _Grid,
+    center: Floats,
+    ok: Mask,
+    rng: np.random.Generator,
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Return shares below edges and of nulls, of all samples around `center`, and of two halves.
+
+    The halves are random ones, around their own means.
+    """
+    # Samples are exchangeable: halving the counts at random is halving the samples at random.
+    half, null = rng.binomial(counts.astype(np.int64), 0.5), rng.binomial(n_null, 0.5)
+    rest = counts - half
+    parts = (
+        (counts, n_null, center),
+        (half, null, grid.mean(half)),
+        (rest, n_null - null, grid.mean(rest)),
+    )
+    below = np.stack([grid.below(some, place) for some, _, place in parts], axis=-2)
+    null_share = [_ratio(nulls, nulls + some.sum(axis=-1)) for some, nulls, _ in parts]
+    cumulative = np.where(ok[..., np.newaxis, np.newaxis], below, np.float32(np.nan))
+    return cumulative, np.stack(null_share, axis=-1).astype(np.float32)
+
+
+def _reason(
+    n: Counts | Floats, n_good: Counts, n_null: Counts, log_variance: Floats
+) -> npt.NDArray[np.int8]:
+    return first_of(
+        {
+            Reason.ALL_BAD: n_good == 0,
+            Reason.NONE_POSITIVE: (n == 0) & (n_null < n_good),
+            Reason.ALL_NULL: n == 0,
+            Reason.TOO_FEW: n < _MINIMUM,
+            Reason.CONSTANT: log_variance <= CONSTANT_SPREAD**2,
+        }
+    )
+
+
+def _ratio(part: npt.NDArray[Any], whole: npt.NDArray[Any]) -> Floats:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(part / whole, dtype=np.float64)

@@ -270,8 +270,8 @@ def test_wrong_options_are_refused(options, message):
 
 
 def test_other_input_is_refused():
-    with pytest.raises(InputError, match=r"expected Samples or the dataset .* got ndarray"):
-        find(np.ones((2, 2, 1, 64)))
+    with pytest.raises(InputError, match=r"expected Samples, an array .* got dict"):
+        find({})
     linear = histogram(Samples.from_array(np.ones((2, 2, 1, 64))), scale="linear")
     with pytest.raises(InputError, match=r"scale='log'.* without log_counts"):
         find(linear)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import generator, spans
 from chdstat._core.positive import Counts, Floats
 from chdstat._core.resampling import Blocks, Interval, interval_of, mean_of
-from chdstat.patterns.atlas_shapes import WIDTH, of_histograms
+from chdstat.patterns.atlases import WIDTH, of_histograms
 from chdstat.samples import Samples
 from chdstat.studies.log_chds import LogChds, aligned, shape_plot, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, level_of
@@ -119,8 +119,8 @@ def squares(one: xr.Dataset, two: xr.Dataset, *, seed: int = 0) -> Floats:
     rng = generator(seed)
     middle = slice(one.sizes["channel"] // 2, one.sizes["channel"] // 2 + 1)
     datasets = [d[list(_HISTOGRAM)].isel(channel=middle) for d in (one, two)]
-    shapes = [of_histograms(dataset, rng).halves for dataset in _equally_many(datasets, rng)]
-    return _squared([[half.cumulative for half in halves] for halves in shapes])
+    thin = _equally_many(datasets, rng)
+    return _squared([of_histograms(dataset, rng).cumulative[..., 1:, :] for dataset in thin])
 
 
 def squares_of_pairs(one: Samples, two: Samples, *, seed: int = 0) -> Floats:
@@ -139,8 +139,8 @@ def squares_of_pairs(one: Samples, two: Samples, *, seed: int = 0) -> Floats:
             half = Samples.from_array(np.ascontiguousarray(x), axes="yxcs")
             datasets.append(summarize(half, progress=False)[list(_HISTOGRAM)])
         thin = _equally_many(datasets, rng)
-        halves.append([of_histograms(dataset, rng).whole.cumulative for dataset in thin])
-    return _squared(list(zip(*halves, strict=True)))
+        halves.append([of_histograms(dataset, rng).cumulative[..., 0, :] for dataset in thin])
+    return _squared([np.stack(pair, axis=-2) for pair in zip(*halves, strict=True)])
 
 
 def _equally_many(datasets: Sequence[xr.Dataset], rng: np.random.Generator) -> Iterator[xr.Dataset]:
@@ -151,9 +151,9 @@ def _equally_many(datasets: Sequence[xr.Dataset], rng: np.random.Generator) -> I
         yield dataset.assign(log_counts=(dataset["log_counts"].dims, _thinned(c, fewest, rng)))
 
 
-def _squared(renders: Sequence[Sequence[npt.NDArray[np.float32]]]) -> Floats:
-    """Return squared distances (pixel,) of two renders, each given as halves (y, x, edge)."""
-    one, two = (LogChds(np.stack(halves, axis=-2).astype(np.float64)) for halves in renders)
+def _squared(renders: Sequence[npt.NDArray[np.float32]]) -> Floats:
+    """Return squared distances (pixel,) of two renders, each given as halves (y, x, half, edge)."""
+    one, two = (LogChds(halves.astype(np.float64)) for halves in renders)
     return squared_distance(one, two, width=WIDTH).ravel()
 
 
