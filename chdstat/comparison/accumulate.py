@@ -37,7 +37,6 @@ __all__ = [
     "EstimateImages",
     "Units",
     "errors_of",
-    "is_mean",
     "judge",
     "stack_intervals",
 ]
@@ -166,15 +165,10 @@ def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Arr
     mean = mean.astype(np.float64)
     error = p - reference
     relative = relative_squared_error(p, reference, scene_mean=scene_mean)
-    unchanged = is_mean(p, mean)
+    unchanged = np.abs(p - mean) <= _SAME * np.abs(mean)
     improved = (np.abs(error) < np.abs(mean - reference)) & ~unchanged
     firefly = (error > 0) & (relative > _FIREFLY**2)
     return np.stack([error**2, relative, improved, unchanged, firefly, error], axis=1)
-
-
-def is_mean(estimate: Array, mean: Array) -> npt.NDArray[np.bool_]:
-    """Say where an estimate is the sample mean, be it summed in another order."""
-    return np.asarray(np.abs(estimate - mean) <= _SAME * np.abs(mean))
 
 
 def stack_intervals(intervals: Sequence[Interval[Array]]) -> Interval[Array]:

@@ -20,10 +20,11 @@ import numpy.typing as npt
 
 from chdstat import estimators
 from chdstat._core.arrays import is_bad
-from chdstat.comparison.accumulate import is_mean
+from chdstat.comparison.accumulate import SUMS, errors_of
 from chdstat.errors import InputError
 from chdstat.estimators import MLP, Progressive, registry
 from chdstat.estimators.models import AnyModel, load_model
+from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
 
 __all__ = [
@@ -127,8 +128,8 @@ def batches_of(
         Samples of a batch.
     reference
         True radiance, shape (..., channel). Without, that of a batch is the mean of all other
-        samples, NaN where they are fewer than n: no reference contains the batch that is scored
-        against it.
+        samples, as in `chdstat.compare`: no reference contains the batch that is scored against
+        it. NaN where there are fewer than 2 n samples, or the batch holds a bad one.
     most
         Batches at most.
     """
@@ -137,14 +138,11 @@ def batches_of(
         return None
     x = np.where(is_bad(x).any(axis=-2, keepdims=True), np.float32(np.nan), x)
     batches = np.moveaxis(x[..., : count * n].reshape(*x.shape[:-1], count, n), -2, 0)
-    if reference is None:
-        total, good = np.nansum(x, axis=-1, dtype=np.float64), np.isfinite(batches)
-        sums = np.where(good, batches, 0).sum(axis=-1, dtype=np.float64)
-        rest = np.isfinite(x).sum(axis=-1) - np.count_nonzero(good, axis=-1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            truth = np.where(rest >= n, np.maximum(total - sums, 0) / rest, np.nan)
-    else:
-        truth = np.broadcast_to(np.asarray(reference, np.float64), batches.shape[:-1])
+    truth = np.full(batches.shape[:-1], np.nan if reference is None else reference)
+    if reference is None and x.shape[-1] >= 2 * n:
+        good = np.isfinite(x).all(axis=-2)
+        totals = Totals(np.nansum(x, axis=-1, dtype=np.float64), good.sum(axis=-1))
+        truth = np.stack([totals.mean_without(batch) for batch in batches])
     return ScoringBatches(batches, truth, np.asarray(estimators.mean(batches), np.float64))
 
 
@@ -156,17 +154,17 @@ def _score(name: str, estimates: npt.ArrayLike, batches: ScoringBatches) -> Scor
     found = ScoredEstimate(name, _average(estimates), *(float("nan"),) * 3)
     if not known.any():
         return found
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        # In units of the reference, so that 1e30 squared stays a number.
-        scale = np.float64(truth[known].mean())
-        difference = (estimates - truth)[known] / scale
-        error, of_mean = difference**2, ((mean - truth)[known] / scale) ** 2
-        ratio = float(error.sum() / of_mean.sum())
-    found = replace(found, bias=float(difference.mean()))
+    own, of_mean = (
+        dict(zip(SUMS, np.moveaxis(errors, 1, 0)[:, known], strict=True))
+        for errors in (errors_of(p, mean, truth, scene_mean=np.ones(1)) for p in (estimates, mean))
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = own["squared"].sum() / of_mean["squared"].sum()
+        bias = own["error"].mean() / truth[known].mean()
     if name == "mean":
-        return replace(found, mse_ratio=1.0)
-    improved = (error < of_mean) & ~is_mean(estimates[known], mean[known])
-    return replace(found, mse_ratio=ratio, improved=float(improved.mean()))
+        return replace(found, mse_ratio=1.0, bias=float(bias))
+    improved = float(own["improved"].mean())
+    return replace(found, mse_ratio=float(ratio), bias=float(bias), improved=improved)
 
 
 def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:
