@@ -2,24 +2,14 @@
 
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
 is the baseline. `MLP` is the network of the paper, `Progressive` ours: from any number of samples,
-with a certainty and an interval, and without a reference as `self_trained`. The others are
-
-- order statistics: `median`, `trimmed_mean`, `winsorized_mean`;
-- M-estimators: `huber`, `tukey`, `catoni`;
-- buckets: `median_of_means`, `gmon_binary`, `gmon_adaptive`;
-- reweighting: `bayesian_median_of_means`, `lee_valiant`; resampling: `jung2015`;
-- shrinkage: `gmon_shrinkage`, `gamma_shrinkage`, `lognormal_shrinkage`, `mixture_shrinkage`, all by
-  `james_stein`;
-- with the channels together: `zirr2018_pixel` and the shrinkage; and with the pixels around:
-  `zirr2018`, `decoro2010`;
-- sharing statistics with similar pixels around: `delbracio2014`, `sakai2024`, `shared_patches`,
-  `shared_shape`.
+with a certainty and an interval, and without a reference as `self_trained`. The others are order
+statistics and M-estimators; buckets, reweighting and resampling; shrinkage by `james_stein`;
+outliers, which a pixel's other samples or the pixels around do not confirm; and those that share
+statistics with similar pixels around.
 
 `mean_radiance` is the unit that `Progressive` measures an image in. `names` lists what is
 registered, the mean first, and `lookup` says where it comes from and what it needs;
-``estimators.<name>`` is the function of whatever is registered. `train_model` trains one by name,
-and `load_model` reads one from its file; `estimate` is for whole images, and `write_estimates`
-keeps what it finds in an EXR file.
+``estimators.<name>`` is the function of whatever is registered.
 """
 
 from __future__ import annotations

@@ -48,9 +48,7 @@ Location = Literal["median", "huber"]
 _BUISINE = "Buisine et al. 2021, doi:10.2312/sr.20211296"
 
 
-@register(
-    "median_of_means", source="Nemirovsky and Yudin 1983", place=3, default=True, minimum_samples=11
-)
+@register("median_of_means", "Nemirovsky and Yudin 1983", place=3, default=True, minimum_samples=11)
 def median_of_means(x: Array, buckets: int = 11) -> Array:
     """Median of means: deal the samples into M buckets, take the median of the buckets' means.
 
@@ -88,7 +86,7 @@ def median_of_means(x: Array, buckets: int = 11) -> Array:
     return estimate_rows(bucket_means(x, buckets), median_of_sorted, ordered=True)
 
 
-@register("gmon_binary", source=_BUISINE, label="G-MoN, binary", place=3, minimum_samples=11)
+@register("gmon_binary", _BUISINE, label="G-MoN, binary", place=3, minimum_samples=11)
 def gmon_binary(x: Array, *, buckets: int = 11, threshold: float = 0.25) -> Array:
     """Binary G-MoN: the mean where the buckets agree, else the median of means.
 
@@ -133,7 +131,7 @@ def gmon_binary(x: Array, *, buckets: int = 11, threshold: float = 0.25) -> Arra
     return estimate_rows(bucket_means(x, buckets), kernel, mean_of_good(x), ordered=True)
 
 
-@register("gmon_adaptive", source=_BUISINE, label="G-MoN, adaptive", place=3, minimum_samples=11)
+@register("gmon_adaptive", _BUISINE, label="G-MoN, adaptive", place=3, minimum_samples=11)
 def gmon_adaptive(x: Array, *, buckets: int = 11) -> Array:
     """Adaptive G-MoN: leave out the more buckets at both ends, the less they agree.
 
@@ -182,7 +180,7 @@ def gmon_adaptive(x: Array, *, buckets: int = 11) -> Array:
 
 @register(
     "bayesian_median_of_means",
-    source="Orenstein 2019, doi:10.48550/arXiv.1906.01204",
+    "Orenstein 2019, doi:10.48550/arXiv.1906.01204",
     label="aBMM",
     place=4,
 )
@@ -240,7 +238,7 @@ def bayesian_median_of_means(x: Array, *, alpha: float = 1.0) -> Array:
 
 @register(
     "lee_valiant",
-    source="Lee and Valiant 2021, doi:10.1109/FOCS52979.2021.00071",
+    "Lee and Valiant 2021, doi:10.1109/FOCS52979.2021.00071",
     label="Lee and Valiant",
     place=4,
     minimum_samples=5,
@@ -316,7 +314,7 @@ def _strength(square: Floats, amount: float) -> Floats:
 
 @register(
     "jung2015",
-    source="Jung, Meyer and DeLong 2015, Computer Graphics Forum 34(2), pages 585-596",
+    "Jung, Meyer and DeLong 2015, Computer Graphics Forum 34(2), pages 585-596",
     label="Jung et al. 2015",
     place=4,
 )

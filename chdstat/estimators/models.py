@@ -124,7 +124,7 @@ def check_choice(
 
 
 def _can_be_kept(entry: Estimator | LearnedEstimator) -> TypeGuard[LearnedEstimator]:
-    return isinstance(entry, LearnedEstimator) and entry.iterates
+    return isinstance(entry, LearnedEstimator)
 
 
 def load_model(path: str | Path) -> AnyModel:

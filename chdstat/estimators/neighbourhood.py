@@ -48,7 +48,7 @@ _OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
 
 @register(
     "delbracio2014",
-    source="Delbracio et al. 2014, doi:10.1145/2532708",
+    "Delbracio et al. 2014, doi:10.1145/2532708",
     label="Delbracio et al. 2014",
     place=7,
     uses_neighbours=True,
@@ -135,7 +135,7 @@ def delbracio2014(
 
 @register(
     "sakai2024",
-    source="Sakai et al. 2024, doi:10.1145/3680528.3687591",
+    "Sakai et al. 2024, doi:10.1145/3680528.3687591",
     label="Sakai et al. 2024",
     place=7,
     minimum_samples=2,
@@ -204,7 +204,7 @@ def sakai2024(x: Array, *, alpha: float = 0.005, radius: int = 5) -> Array:
     return image.radiance(similarity.quotient(sums))
 
 
-@register("shared_patches", source=_OURS, place=7, minimum_samples=2, uses_neighbours=True)
+@register("shared_patches", _OURS, place=7, minimum_samples=2, uses_neighbours=True)
 def shared_patches(
     x: Array,
     *,
@@ -304,7 +304,7 @@ def shared_patches(
     return image.radiance(similarity.quotient(sums))
 
 
-@register("shared_shape", source=_OURS, place=7, minimum_samples=2, uses_neighbours=True)
+@register("shared_shape", _OURS, place=7, minimum_samples=2, uses_neighbours=True)
 def shared_shape(
     x: Array, *, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = _AROUND
 ) -> Array:

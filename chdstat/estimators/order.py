@@ -56,7 +56,7 @@ _TUKEY_TOLERANCE = 1e-10
 
 @register(
     "mean",
-    source="Metropolis and Ulam 1949, doi:10.1080/01621459.1949.10483310",
+    "Metropolis and Ulam 1949, doi:10.1080/01621459.1949.10483310",
     label="sample mean",
     place=0,
     default=True,
@@ -103,7 +103,7 @@ def mean_of_good(x: Array) -> Floats:
         return np.asarray(total / (~bad).sum(axis=-1))
 
 
-@register("median", source="Hampel 1974, doi:10.1080/01621459.1974.10482962", place=1)
+@register("median", "Hampel 1974, doi:10.1080/01621459.1974.10482962", place=1)
 def median(x: Array) -> Array:
     """Median of the samples: unmoved by fireflies in less than half of them.
 
@@ -138,7 +138,7 @@ def median(x: Array) -> Array:
     return estimate_rows(x, median_of_sorted, ordered=True)
 
 
-@register("trimmed_mean", source="Tukey 1962, doi:10.1214/aoms/1177704711", place=1)
+@register("trimmed_mean", "Tukey 1962, doi:10.1214/aoms/1177704711", place=1)
 def trimmed_mean(x: Array, *, share: float = 0.1) -> Array:
     """Mean of the samples without the g smallest and the g largest, g = floor(share N).
 
@@ -180,7 +180,7 @@ def trimmed_mean(x: Array, *, share: float = 0.1) -> Array:
     return estimate_rows(x, kernel, ordered=True)
 
 
-@register("winsorized_mean", source="Dixon 1960, doi:10.1214/aoms/1177705900", place=1)
+@register("winsorized_mean", "Dixon 1960, doi:10.1214/aoms/1177705900", place=1)
 def winsorized_mean(x: Array, *, share: float = 0.1) -> Array:
     """Mean of the samples with the g smallest and largest set to those next to them.
 
@@ -226,7 +226,7 @@ def winsorized_mean(x: Array, *, share: float = 0.1) -> Array:
     return estimate_rows(x, kernel, ordered=True)
 
 
-@register("huber", source="Huber 1964, doi:10.1214/aoms/1177703732", label="Huber", place=2)
+@register("huber", "Huber 1964, doi:10.1214/aoms/1177703732", label="Huber", place=2)
 def huber(x: Array, *, c: float = 1.345) -> Array:
     """Huber's location: samples farther than c scales pull no harder than one at c scales.
 
@@ -279,10 +279,7 @@ def huber(x: Array, *, c: float = 1.345) -> Array:
 
 
 @register(
-    "tukey",
-    source="Beaton and Tukey 1974, doi:10.1080/00401706.1974.10489171",
-    label="Tukey",
-    place=2,
+    "tukey", "Beaton and Tukey 1974, doi:10.1080/00401706.1974.10489171", label="Tukey", place=2
 )
 def tukey(x: Array, *, c: float = 4.685) -> Array:
     """Tukey's biweight location: samples farther than c scales do not count.
@@ -323,11 +320,7 @@ def tukey(x: Array, *, c: float = 4.685) -> Array:
 
 
 @register(
-    "catoni",
-    source="Catoni 2012, doi:10.1214/11-AIHP454",
-    label="Catoni",
-    place=2,
-    minimum_samples=10,
+    "catoni", "Catoni 2012, doi:10.1214/11-AIHP454", label="Catoni", place=2, minimum_samples=10
 )
 def catoni(x: Array, *, delta: float = 0.01) -> Array:
     """Catoni's mean: influences grow with the logarithm of the distance only.

@@ -16,7 +16,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, TypeVar, cast
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -93,6 +93,8 @@ class Estimator:
         Whether it takes ``features=``, the first-hit features of the image, where there are any.
     learns
         Whether it trains on the samples at hand each time that it is called.
+    uses_direct
+        Whether it takes the direct part of the samples: no fixed estimator does.
     """
 
     name: str
@@ -106,11 +108,7 @@ class Estimator:
     joint_channels: bool = False
     uses_features: bool = False
     learns: bool = False
-
-    @property
-    def uses_direct(self) -> bool:
-        """Whether it takes the direct part of the samples: no fixed estimator does."""
-        return False
+    uses_direct: ClassVar[bool] = False
 
     def __call__(self, x: npt.ArrayLike, **options: Any) -> Array:
         """Estimate the radiance that the samples `x` are draws of.
@@ -145,8 +143,8 @@ class LearnedEstimator:
     name
         What it is called by.
     train
-        ``train(samples, *, seed, pixels, progress)`` returns a trained `Model`; one that takes any
-        number of samples also takes ``sizes``, those that it will be asked for.
+        ``train(samples, *, seed, iterations, pixels, progress)`` returns a trained `Model`; one
+        that takes any number of samples also takes ``sizes``, those that it will estimate from.
     source
         Author, year, DOI.
     label, place, default
@@ -156,16 +154,16 @@ class LearnedEstimator:
     pixels
         Pixels that it wants to train on.
     options
-        What its models are asked with: entries that share `train` share one model, and differ in
-        how they ask it.
+        Keywords of its models' ``predict``: entries that share `train` share one model, and differ
+        in these.
     uses_features
         As for `Estimator`.
     joint_channels
         As for `Estimator`.
     uses_direct
         Whether its models take ``direct=``, the direct part of the samples; they cannot do without.
-    iterates
-        Whether ``train`` also takes ``iterations``, and what it returns can be saved.
+    learns, uses_neighbours
+        It trains, and with a reference none looks across pixels.
     """
 
     name: str
@@ -180,17 +178,8 @@ class LearnedEstimator:
     uses_features: bool = False
     joint_channels: bool = False
     uses_direct: bool = False
-    iterates: bool = True
-
-    @property
-    def learns(self) -> bool:
-        """Whether it trains: yes."""
-        return True
-
-    @property
-    def uses_neighbours(self) -> bool:
-        """Whether it looks across pixels: no learned estimator does that has a reference."""
-        return False
+    learns: ClassVar[bool] = True
+    uses_neighbours: ClassVar[bool] = False
 
 
 Kind = Literal["fixed", "learned"]
@@ -203,8 +192,8 @@ LABELS: dict[str, str] = {}
 
 def register(
     name: str,
-    *,
     source: str,
+    *,
     label: str = "",
     place: int = _LAST,
     default: bool = False,

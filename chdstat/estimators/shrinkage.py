@@ -140,7 +140,7 @@ def standard_error(x: Array) -> Floats:
 
 @register(
     "gmon_shrinkage",
-    source=_SOURCE,
+    _SOURCE,
     label="shrinkage to G-MoN",
     place=5,
     minimum_samples=11,
@@ -184,9 +184,7 @@ def gmon_shrinkage(x: Array, *, buckets: int = 11) -> Array:
     return _shrink_mean(x, partial(gmon_adaptive, buckets=buckets))
 
 
-@register(
-    "gamma_shrinkage", source=_SOURCE, label="shrinkage to gamma", place=5, joint_channels=True
-)
+@register("gamma_shrinkage", _SOURCE, label="shrinkage to gamma", place=5, joint_channels=True)
 def gamma_shrinkage(x: Array) -> Array:
     """James-Stein combination of the mean with that of a fitted zero-inflated gamma.
 
@@ -226,11 +224,7 @@ def gamma_shrinkage(x: Array) -> Array:
 
 
 @register(
-    "lognormal_shrinkage",
-    source=_SOURCE,
-    label="shrinkage to log-normal",
-    place=5,
-    joint_channels=True,
+    "lognormal_shrinkage", _SOURCE, label="shrinkage to log-normal", place=5, joint_channels=True
 )
 def lognormal_shrinkage(x: Array) -> Array:
     """James-Stein combination of the mean with that of a fitted zero-inflated log-normal.
@@ -271,9 +265,7 @@ def lognormal_shrinkage(x: Array) -> Array:
     return _shrink_mean(x, partial(_mean_of_family, name="lognormal"))
 
 
-@register(
-    "mixture_shrinkage", source=_SOURCE, label="shrinkage to mixture", place=5, joint_channels=True
-)
+@register("mixture_shrinkage", _SOURCE, label="shrinkage to mixture", place=5, joint_channels=True)
 def mixture_shrinkage(x: Array, *, max_k: int = 3) -> Array:
     """James-Stein combination of the mean with that of a fitted zero-inflated log-normal mixture.
 

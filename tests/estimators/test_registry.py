@@ -1,5 +1,7 @@
 """The registry: what is entered is found, by name and as an attribute."""
 
+import inspect
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,8 @@ import chdstat as chd
 from chdstat import estimators
 from chdstat.errors import InputError
 from chdstat.estimators import registry
+from chdstat.explorer.estimators import batches_of, scored
+from chdstat.reporting.typst import NAMES
 
 
 @pytest.fixture
@@ -59,6 +63,23 @@ def test_a_name_is_given_once(brightest):
         estimators.register("brightest", source="twice")(brightest)
 
 
+def test_its_row_says_what_it_is_called_and_where_it_stands():
+    @estimators.register("darkest", source="this test", label="the darkest", place=1, default=True)
+    def function(x):
+        return x.min(axis=-1)
+
+    listed = estimators.names()
+    assert listed.index("median") < listed.index("darkest") < listed.index("huber")
+    assert NAMES["darkest"] == "the darkest"
+    assert "darkest" in dir(estimators) or estimators.darkest is function
+    samples = chd.Samples.from_array(np.random.default_rng(0).gamma(1, size=(9, 9, 3, 64)))
+    assert chd.compare(samples, ["mean", "darkest"], progress=False).estimators[1] == "darkest"
+    x = samples.read()[0, 0]
+    assert "darkest" in {found.name for found in scored(batches_of(x, 32))}
+    registry.forget("darkest")
+    assert "darkest" not in NAMES
+
+
 def test_an_unknown_name_is_refused_with_what_there_is():
     with pytest.raises(InputError, match=r"'men'.*mean"):
         estimators.lookup("men")
@@ -74,7 +95,8 @@ def test_what_looks_at_other_pixels_or_channels_says_so():
     for name in estimators.names("fixed"):
         entry = estimators.lookup(name)
         # The exposure of an image depends on all of it, and is not what is asked here.
-        options = {"unit": 1.0} if name.startswith(("zirr", "decoro")) else {}
+        has_unit = "unit" in inspect.signature(entry.function).parameters
+        options = {"unit": 1.0} if has_unit else {}
         before = entry(x, **options)[1, 1, 1]
         by_pixels = entry(pixels, **options)[1, 1, 1] != pytest.approx(before, rel=1e-9)
         by_channels = entry(channels, **options)[1, 1, 1] != pytest.approx(before, rel=1e-9)
