@@ -22,13 +22,13 @@ from chdstat.errors import InputError
 from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.registry import register
 from chdstat.estimators.rows import Floats, check_positive
+from chdstat.estimators.similarity import dense
 
 __all__ = [
     "BASE",
     "LAYERS",
     "Cascade",
     "decoro2010",
-    "dense",
     "layer_weights",
     "zirr2018",
     "zirr2018_pixel",
@@ -48,12 +48,6 @@ _OFF = 1e-6
 _CHUNK = 2**16
 """Samples split at once."""
 _SOURCE = "Zirr et al. 2018, doi:10.1111/cgf.13335"
-_BLACK = 1e-2
-"""Radiance, of an image exposed as usual, below which colours are as good as black."""
-_FAR = 1e30
-"""Half a squared distance that is never bridged."""
-_DISTANCES = 2**17
-"""Distances computed at once."""
 
 
 @register("zirr2018", _SOURCE, label="Zirr et al. 2018", place=6, uses_neighbours=True)
@@ -382,50 +376,3 @@ def decoro2010(
     found = np.where(kept[..., np.newaxis, :], x, 0).sum(axis=-1, dtype=np.float64) / count
     found[alone] = mean_of_good(x[alone])
     return np.asarray(found)
-
-
-def dense(
-    x: Array,
-    bad: npt.NDArray[np.bool_],
-    neighbours: int,
-    bandwidth: float,
-    radius: int,
-    unit: float | None,
-) -> npt.NDArray[np.bool_]:
-    """Mark the samples (y, x, channel, sample) with enough others near; shape (y, x, sample)."""
-    height, width, channels, n = x.shape
-    colours = _log_colours(x, bad, unit) / (bandwidth * np.sqrt(channels))
-    # a . b - |b|^2 / 2 + limit / 2 > |a|^2 / 2 is |a - b|^2 < limit: one product tells.
-    half = 0.5 * np.vecdot(colours, colours)
-    here = np.concatenate([colours, np.ones((*half.shape, 1))], axis=-1)
-    edge = ((radius, radius), (radius, radius), (0, 0))
-    # Bad samples, and what lies outside the image, are far from everything.
-    far = np.pad(np.where(bad, _FAR, half), edge, constant_values=_FAR)
-    padded = np.concatenate([np.pad(colours, (*edge, (0, 0))), -far[..., np.newaxis]], axis=-1)
-    found = np.empty((height, width, n), dtype=bool)
-    for y in range(height):
-        for part in spans(width, max(1, _DISTANCES // (n**2 * (2 * radius + 1) ** 2))):
-            there = _window(padded[y : y + 2 * radius + 1], part, radius)
-            near = here[y, part] @ there.swapaxes(-1, -2) > half[y, part, :, np.newaxis]
-            # The sample itself is always near.
-            found[y, part] = np.count_nonzero(near, axis=-1) > neighbours
-    return found
-
-
-def _window(strip: Floats, part: slice, radius: int) -> Floats:
-    """Return what lies around some pixels of the middle row of a strip, shape (pixel, -1, :)."""
-    pieces = []
-    for dy, dx in np.ndindex(2 * radius + 1, 2 * radius + 1):
-        piece = strip[dy, part.start + dx : part.stop + dx].copy()
-        distance = ((dx - radius) ** 2 + (dy - radius) ** 2) / (radius + 1) ** 2
-        piece[..., -1] += 0.5 * (1 - distance)
-        pieces.append(piece)
-    return np.concatenate(pieces, axis=1)
-
-
-def _log_colours(x: Array, bad: npt.NDArray[np.bool_], unit: float | None) -> Floats:
-    """Return log(max(x / unit, 0) + black), shape (y, x, sample, channel)."""
-    good = np.where(bad[..., np.newaxis, :], 0, x) if bad.any() else x
-    found = exposure_unit(good.mean(axis=(-1, -2), dtype=np.float64), unit)
-    relative = np.ascontiguousarray(good.swapaxes(-1, -2)) / np.float64(found)
-    return np.asarray(np.log(np.maximum(relative, 0) + _BLACK))

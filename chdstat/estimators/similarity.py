@@ -7,6 +7,7 @@ where there are too few, errors are NaN and histograms empty.
 `pool` adds up the pixels of a window, each weighted by its similarity. It walks over the offsets of
 the window and shifts the image by each, so that all pixels of an offset are compared at once. A
 pair of pixels is compared once and counts both ways: the weight of one for the other is symmetric.
+`dense` compares single samples: which have enough others near them, in space and colour.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ __all__ = [
     "Means",
     "ScaledSamples",
     "corrected_means",
+    "dense",
     "histograms",
     "not_different",
     "patch_sum",
@@ -52,6 +54,12 @@ _CHUNK = 2**16
 """Samples transformed at once."""
 _PIXELS = 2**15
 """Pixels compared at once."""
+_BLACK = 1e-2
+"""Radiance, of an image exposed as usual, below which colours are as good as black."""
+_FAR = 1e30
+"""Half a squared distance that is never bridged."""
+_DISTANCES = 2**17
+"""Distances computed at once."""
 
 
 @dataclass(frozen=True)
@@ -346,3 +354,50 @@ def quotient(sums: Floats) -> Floats:
     return np.divide(
         sums[..., :-1], weight, out=np.full_like(sums[..., :-1], np.nan), where=weight > 0
     )
+
+
+def dense(
+    x: npt.NDArray[Any],
+    bad: npt.NDArray[np.bool_],
+    neighbours: int,
+    bandwidth: float,
+    radius: int,
+    unit: float | None,
+) -> npt.NDArray[np.bool_]:
+    """Mark the samples (y, x, channel, sample) with enough others near; shape (y, x, sample)."""
+    height, width, channels, n = x.shape
+    colours = _log_colours(x, bad, unit) / (bandwidth * np.sqrt(channels))
+    # a . b - |b|^2 / 2 + limit / 2 > |a|^2 / 2 is |a - b|^2 < limit: one product tells.
+    half = 0.5 * np.vecdot(colours, colours)
+    here = np.concatenate([colours, np.ones((*half.shape, 1))], axis=-1)
+    edge = ((radius, radius), (radius, radius), (0, 0))
+    # Bad samples, and what lies outside the image, are far from everything.
+    far = np.pad(np.where(bad, _FAR, half), edge, constant_values=_FAR)
+    padded = np.concatenate([np.pad(colours, (*edge, (0, 0))), -far[..., np.newaxis]], axis=-1)
+    found = np.empty((height, width, n), dtype=bool)
+    for y in range(height):
+        for part in spans(width, max(1, _DISTANCES // (n**2 * (2 * radius + 1) ** 2))):
+            there = _window(padded[y : y + 2 * radius + 1], part, radius)
+            near = here[y, part] @ there.swapaxes(-1, -2) > half[y, part, :, np.newaxis]
+            # The sample itself is always near.
+            found[y, part] = np.count_nonzero(near, axis=-1) > neighbours
+    return found
+
+
+def _window(strip: Floats, part: slice, radius: int) -> Floats:
+    """Return what lies around some pixels of the middle row of a strip, shape (pixel, -1, :)."""
+    pieces = []
+    for dy, dx in np.ndindex(2 * radius + 1, 2 * radius + 1):
+        piece = strip[dy, part.start + dx : part.stop + dx].copy()
+        distance = ((dx - radius) ** 2 + (dy - radius) ** 2) / (radius + 1) ** 2
+        piece[..., -1] += 0.5 * (1 - distance)
+        pieces.append(piece)
+    return np.concatenate(pieces, axis=1)
+
+
+def _log_colours(x: npt.NDArray[Any], bad: npt.NDArray[np.bool_], unit: float | None) -> Floats:
+    """Return log(max(x / unit, 0) + black), shape (y, x, sample, channel)."""
+    good = np.where(bad[..., np.newaxis, :], 0, x) if bad.any() else x
+    found = exposure_unit(good.mean(axis=(-1, -2), dtype=np.float64), unit)
+    relative = np.ascontiguousarray(good.swapaxes(-1, -2)) / np.float64(found)
+    return np.asarray(np.log(np.maximum(relative, 0) + _BLACK))

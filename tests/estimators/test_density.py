@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from chdstat import estimators
 from chdstat.errors import InputError
-from chdstat.estimators.outliers import dense
+from chdstat.estimators.similarity import dense
 
 
 def image(seed=0, shape=(6, 7, 3, 5)):
