@@ -29,6 +29,7 @@ __all__ = [
     "LAYERS",
     "Cascade",
     "decoro2010",
+    "karis2013",
     "layer_weights",
     "zirr2018",
     "zirr2018_pixel",
@@ -296,6 +297,55 @@ def _window_mean(values: Floats, radius: int) -> Floats:
     rows = sum((padded[:, i : i + height] for i in range(width)), np.zeros(1))
     columns = sum((rows[:, :, j : j + across] for j in range(width)), np.zeros(1))
     return np.asarray(columns / width**2)
+
+
+@register(
+    "karis2013", "Karis 2013, graphicrants.blogspot.com", label="Karis 2013", joint_channels=True
+)
+def karis2013(x: Array, *, unit: float | None = None) -> Array:
+    """Tone-mapped average: each sample is weighted by ``1 / (1 + L)``, L being its luminance.
+
+    That is the mean of the samples after the tone curve ``x / (1 + L)``, taken back by the same
+    curve of its weights. One firefly pulls no harder than a white sample. Real-time renderers
+    average the samples of an edge, or of a bright highlight, like this. Bias is to the dark, the
+    more the samples differ.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample), 1 or 3 channels. A sample of which any channel is
+        NaN or infinite is left out; a negative luminance counts as 0 in the weight.
+    unit
+        Radiance of luminance 1; None exposes all pixels given so that their log-average is 0.18.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (..., channel), as `zirr2018` returns them.
+
+    Raises
+    ------
+    InputError
+        If `x` has no channels, or not 1 or 3 of them, or `unit` is not positive.
+
+    References
+    ----------
+    B. Karis, "Tone mapping", Graphic Rants, 2013,
+    https://graphicrants.blogspot.com/2013/12/tone-mapping.html.
+
+    Examples
+    --------
+    >>> float(karis2013([[1.0] * 31 + [900.0]], unit=1.0)[0].round(2))
+    1.06
+    """
+    bad = np.asarray(is_bad(x).any(axis=-2))
+    good = np.where(bad[..., np.newaxis, :], 0, x)
+    bright, count = luminance(good), np.count_nonzero(~bad, axis=-1)
+    exposed = exposure_unit(bright.sum(axis=-1, dtype=np.float64) / np.maximum(count, 1), unit)
+    weight = ~bad / (1 + np.maximum(bright, 0) / np.float64(exposed))
+    total = weight.sum(axis=-1)[..., np.newaxis]
+    found = np.vecdot(good, weight[..., np.newaxis, :])
+    return np.where(total > 0, found / np.where(total > 0, total, 1), mean_of_good(x))
 
 
 @register(
