@@ -98,8 +98,7 @@ def analyze(
     >>> import chdstat as chd
     >>> import numpy as np
     >>> rng = np.random.default_rng(0)
-    >>> samples = chd.Samples.from_array(rng.gamma(2.0, size=(2, 2, 3, 256)))
-    >>> found = chd.analyze(samples)
+    >>> found = chd.analyze(rng.gamma(2.0, size=(2, 2, 3, 256)))
     >>> found["null_share"].shape, found["mean"].dims
     ((2, 2), ('y', 'x', 'channel'))
     """

@@ -106,8 +106,8 @@ def cells_of_bins(counts: Floats, log_centers: Floats, width: Floats) -> tuple[C
     The first cells have all samples at the centres of the bins. No component may be denser than the
     samples of one bin, spread over it: its standard deviation is at least h / sqrt(2 pi).
 
-    The second ones have Sheppard's corrections (see `BinnedPart.log_statistics`): h^2 / 12 less of
-    mean squares, and means of exp(y) times (h / 2) / sinh(h / 2).
+    The second ones have Sheppard's corrections (see `PositiveHistogram.log_statistics`): h^2 / 12
+    less of mean squares, and means of exp(y) times (h / 2) / sinh(h / 2).
     """
     # Filled bins come first: the width is that of the row that has most of them.
     filled = counts > 0

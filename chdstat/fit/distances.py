@@ -22,8 +22,7 @@ from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit.family import Family, Parameters
 from chdstat.fit.mle import estimate_part
-from chdstat.summary.dispatch import Part
-from chdstat.summary.positive_histogram import BinnedPart
+from chdstat.summary.dispatch import Part, PositiveHistogram
 
 __all__ = [
     "DISTANCES",
@@ -135,7 +134,7 @@ def _both_sides(family: Family, parameters: Parameters, x: Floats) -> tuple[Floa
 
 
 def distances_of_bins(
-    part: BinnedPart, family: Family, parameters: Parameters, tests: Sequence[FitTest]
+    part: PositiveHistogram, family: Family, parameters: Parameters, tests: Sequence[FitTest]
 ) -> Floats:
     """Return statistics of rows of bins, shape (row, test); parameters have shape (row,)."""
     probability = bin_probabilities(part, family, parameters)
@@ -144,7 +143,7 @@ def distances_of_bins(
     return np.stack([DISTANCES[test].of_bins(binned) for test in tests], axis=-1)
 
 
-def bin_probabilities(part: BinnedPart, family: Family, parameters: Parameters) -> Floats:
+def bin_probabilities(part: PositiveHistogram, family: Family, parameters: Parameters) -> Floats:
     """Return the probability of each bin, shape (row, bin), given that it is one of them.
 
     The last bin has all above its lower edge, since it has the samples above the support; what is
@@ -270,7 +269,7 @@ def bootstrap(
     rows = np.flatnonzero(usable)
     # Rows of as many samples go together: a block is as wide as its rows need.
     rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
-    width = (part.counts if isinstance(part, BinnedPart) else part.x).shape[-1]
+    width = (part.counts if isinstance(part, PositiveHistogram) else part.x).shape[-1]
     for block in spans(len(rows), max(1, _CHUNK // width // max(1, resamples))):
         here = rows[block]
         some = _take(part, here)
@@ -292,7 +291,7 @@ def _streams(part: Part, seed: int) -> list[np.random.Generator]:
     """
     held = (
         part.counts
-        if isinstance(part, BinnedPart)
+        if isinstance(part, PositiveHistogram)
         else [row[:n].astype(np.float64) for row, n in zip(part.sorted, part.n, strict=True)]
     )
     return [np.random.default_rng([seed, zlib.crc32(row.tobytes())]) for row in held]
@@ -310,7 +309,7 @@ def _replicates(
     """Count replicates at least as far from their fit as the samples, and all that could be fit."""
     more, count = np.zeros(statistic.shape), np.zeros(statistic.shape)
     least = statistic[:, np.newaxis] * (1 - _SAME)
-    width = (part.counts if isinstance(part, BinnedPart) else part.x).shape[-1]
+    width = (part.counts if isinstance(part, PositiveHistogram) else part.x).shape[-1]
     for piece in spans(resamples, max(1, _CHUNK // width // len(part.n))):
         times = min(piece.stop, resamples) - piece.start
         repeated = {name: np.repeat(value, times) for name, value in parameters.items()}
@@ -336,7 +335,7 @@ def _distances(
         return distances
     some = part if len(rows) == len(fitted) else _take(part, rows)
     known = {name: value[rows] for name, value in parameters.items()}
-    if isinstance(some, BinnedPart):
+    if isinstance(some, PositiveHistogram):
         distances[rows] = distances_of_bins(some, family, known, tests)
     else:
         distances[rows] = distances_of_samples(some, family, known, tests)
@@ -349,9 +348,9 @@ def _draw(
     parameters: Parameters,
     times: int,
     streams: Sequence[np.random.Generator],
-) -> PositivePart | BinnedPart:
+) -> PositivePart | PositiveHistogram:
     """Draw as many samples from the family as a row has, so many times, one row after the other."""
-    if isinstance(part, BinnedPart):
+    if isinstance(part, PositiveHistogram):
         probability = bin_probabilities(part, family, parameters)
         total = np.maximum(probability.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
         rows = zip(streams, part.n, probability / total, strict=True)
@@ -365,10 +364,10 @@ def _draw(
     return PositivePart.of(drawn.reshape(-1, drawn.shape[-1]), bad=bad)
 
 
-def _with_counts(part: BinnedPart, counts: Floats, times: int) -> BinnedPart:
+def _with_counts(part: PositiveHistogram, counts: Floats, times: int) -> PositiveHistogram:
     none = np.zeros(len(counts), dtype=np.int64)
     one = len(part.log_centers) == 1
-    return BinnedPart(
+    return PositiveHistogram(
         counts=counts,
         log_centers=part.log_centers if one else np.repeat(part.log_centers, times, axis=0),
         width=part.width if len(part.width) == 1 else np.repeat(part.width, times),
@@ -380,17 +379,17 @@ def _with_counts(part: BinnedPart, counts: Floats, times: int) -> BinnedPart:
     )
 
 
-def _take(part: Part, rows: npt.NDArray[np.intp]) -> PositivePart | BinnedPart:
+def _take(part: Part, rows: npt.NDArray[np.intp]) -> PositivePart | PositiveHistogram:
     """Return some rows of the flattened batch."""
     others = {
         name: getattr(part, name).ravel()[rows]
         for name in ("n", "n_null", "n_zero", "n_negative", "n_bad")
     }
-    if isinstance(part, BinnedPart):
+    if isinstance(part, PositiveHistogram):
         bins = part.counts.shape[-1]
         centers = part.log_centers.reshape(-1, bins)
         width = part.width.ravel()
-        return BinnedPart(
+        return PositiveHistogram(
             counts=part.counts.reshape(-1, bins)[rows],
             log_centers=centers if len(centers) == 1 else centers[rows],
             width=width if len(width) == 1 else width[rows],

@@ -30,9 +30,8 @@ from chdstat.fit.mle import fit_part, zero_log_likelihood
 from chdstat.fit.results import Fit, Mixture
 from chdstat.fit.selection import Selection
 from chdstat.samples import Samples
-from chdstat.summary.dispatch import Part, Source, run
+from chdstat.summary.dispatch import Part, PositiveHistogram, Source, run
 from chdstat.summary.histograms import Histogram
-from chdstat.summary.positive_histogram import BinnedPart
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -323,7 +322,7 @@ def _check_fit(part: Part, fit: Fitted) -> None:
         found = family.log_likelihood(part, parameters) + zero_log_likelihood(part)
         with np.errstate(invalid="ignore"):
             far = np.abs(found - one.log_likelihood) > _SAME * (part.n + np.abs(found))
-        if isinstance(part, BinnedPart) and isinstance(one, Mixture):
+        if isinstance(part, PositiveHistogram) and isinstance(one, Mixture):
             far = np.zeros_like(rows)
         other |= rows & ((one.n != part.n) | (one.n_null != part.n_null) | far)
     if other.any():

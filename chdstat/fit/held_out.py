@@ -21,8 +21,7 @@ from chdstat.fit.family import Family, Parameters, take
 from chdstat.fit.mle import estimate_part
 from chdstat.fit.results import Fit
 from chdstat.fit.weighted_samples import Halves, Points, blocks
-from chdstat.summary.dispatch import Part
-from chdstat.summary.positive_histogram import BinnedPart
+from chdstat.summary.dispatch import Part, PositiveHistogram
 
 __all__ = ["HeldOut", "held_out_of_part", "ranked", "vuong"]
 
@@ -73,7 +72,7 @@ def held_out_of_part(part: Part, families: Sequence[Family], near: Sequence[Para
     InputError
         If the part is a histogram, which has lost the samples' order.
     """
-    if isinstance(part, BinnedPart):
+    if isinstance(part, PositiveHistogram):
         message = "held-out likelihood needs samples: a histogram cannot be split, got a Histogram"
         raise InputError(message)
     size, count = part.n.size, len(families)

@@ -26,8 +26,7 @@ from chdstat.fit.components import (
     cells_of_samples,
     single_cells,
 )
-from chdstat.summary.dispatch import Part
-from chdstat.summary.positive_histogram import BinnedPart
+from chdstat.summary.dispatch import Part, PositiveHistogram
 
 __all__ = [
     "EFFORTS",
@@ -295,7 +294,7 @@ def _pieces(part: Part, usable: Mask, plan: Plan) -> Iterator[tuple[Counts, Obje
     """Yield pieces of rows of about the same length: little padding, the longest row last."""
     chosen = np.flatnonzero(usable.reshape(-1))
     n = part.n.reshape(-1)
-    if isinstance(part, BinnedPart):
+    if isinstance(part, PositiveHistogram):
         counts, centers = (
             np.broadcast_to(v, part.counts.shape).reshape(-1, part.counts.shape[-1])
             for v in (part.counts, part.log_centers)
@@ -307,7 +306,7 @@ def _pieces(part: Part, usable: Mask, plan: Plan) -> Iterator[tuple[Counts, Obje
     ordered = chosen[np.argsort(lengths, kind="stable")]
     for piece in spans(len(ordered), plan.rows):
         rows = ordered[piece]
-        if isinstance(part, BinnedPart):
+        if isinstance(part, PositiveHistogram):
             yield rows, Objective(plan, *cells_of_bins(counts[rows], centers[rows], width[rows]))
         else:
             samples = ascending[rows, : n[rows[-1]]]

@@ -17,8 +17,7 @@ import numpy.typing as npt
 
 from chdstat._core.positive import SMALLEST, Floats, LogStatistics, Mask, PositivePart
 from chdstat._core.reasons import Reason
-from chdstat.summary.dispatch import Part
-from chdstat.summary.positive_histogram import BinnedPart
+from chdstat.summary.dispatch import Part, PositiveHistogram
 
 __all__ = ["Halves", "Points", "blocks", "of_rows", "sum_over_samples"]
 
@@ -142,7 +141,7 @@ def blocks(part: Part, usable: Mask, *, thin: bool = False) -> Iterator[Points]:
         # A block has as many rows as there may be of the widest in it.
         step = max(1, _CHUNK // min(width, _reach(n, rows, start)))
         here = rows[start : start + step]
-        if isinstance(part, BinnedPart):
+        if isinstance(part, PositiveHistogram):
             yield _bins(part, here)
         else:
             yield _some_samples(part, here) if thin else _samples(part, here)
@@ -176,7 +175,7 @@ def sum_over_samples(part: Part, known: Mask, of_points: Callable[[Points], Floa
 
 
 def _width(part: Part) -> int:
-    return int((part.counts if isinstance(part, BinnedPart) else part.x).shape[-1])
+    return int((part.counts if isinstance(part, PositiveHistogram) else part.x).shape[-1])
 
 
 def _reach(n: npt.NDArray[np.int64], rows: npt.NDArray[np.intp], start: int) -> int:
@@ -263,11 +262,11 @@ def _some_samples(part: PositivePart, rows: npt.NDArray[np.intp]) -> Points:
     )
 
 
-def _bins(part: BinnedPart, rows: npt.NDArray[np.intp]) -> Points:
+def _bins(part: PositiveHistogram, rows: npt.NDArray[np.intp]) -> Points:
     """Draw the centres together until they have the log variance that the samples had.
 
-    The bins spread the samples by h^2 / 12 (see `BinnedPart.log_statistics`); contracting the
-    centres about their mean by one factor takes that back, and leaves the weights alone.
+    The bins spread the samples by h^2 / 12 (see `PositiveHistogram.log_statistics`); contracting
+    the centres about their mean by one factor takes that back, and leaves the weights alone.
     """
     bins = part.counts.shape[-1]
     weight = part.counts.reshape(-1, bins)[rows]

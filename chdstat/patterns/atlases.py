@@ -25,7 +25,7 @@ from chdstat.patterns.clusters import Groups, find_groups
 from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of
 from chdstat.summary.bins import Support
 from chdstat.summary.histograms import StreamingHistogram
-from chdstat.summary.positive_histogram import BinnedPart
+from chdstat.summary.dispatch import PositiveHistogram
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -331,7 +331,7 @@ def of_histograms(dataset: xr.Dataset, rng: np.random.Generator) -> Shapes:
         If the dataset lacks a variable of a log histogram.
     """
     middle = slice(dataset.sizes.get("channel", 0) // 2, None)
-    part = BinnedPart.of_dataset(dataset.isel(channel=middle, missing_dims="ignore"))
+    part = PositiveHistogram.of_dataset(dataset.isel(channel=middle, missing_dims="ignore"))
     counts, n, n_null = part.counts[:, :, 0], part.n[:, :, 0], part.n_null[:, :, 0]
     width, first = part.width[:, :, 0] / np.log(10), part.log_centers[:, :, 0, 0] / np.log(10)
     grid = _Grid(*(np.broadcast_to(v, n.shape) for v in (first - width / 2, width)))

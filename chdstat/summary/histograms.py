@@ -10,15 +10,16 @@ are underflow on the log scale.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import as_samples, warn_left_out
-from chdstat._core.reasons import flag_attributes
+from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
-from chdstat.samples import Blocks, Mapped, Samples, reduce_tiles
+from chdstat.samples import Blocks, Mapped, Samples, reduce_tiles, samples_of
 from chdstat.summary.bins import (
     LOG_SUPPORT,
     SCALES,
@@ -126,16 +127,14 @@ class Histogram:
 
     def variables(self) -> dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]]:
         """Return the parts that a dataset keeps: by name, the dims after y, x and the array."""
-        parts: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {
-            "counts": (("channel", f"{self.scale}_bin"), self.counts.astype(np.int32)),
-            "underflow": (("channel",), self.underflow.astype(np.int32)),
-            "overflow": (("channel",), self.overflow.astype(np.int32)),
-            "negative": (("channel",), self.negative.astype(np.int32)),
-            "low": (("channel",), self.low),
-            "high": (("channel",), self.high),
-            "reason": (("channel",), self.reason),
-        }
-        return {f"{self.scale}_{name}": part for name, part in parts.items()}
+        variables: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
+        for name in _LABELS:
+            value = getattr(self, name)
+            # Counts of one image fit into 32 bits.
+            value = value.astype(np.int32) if value.dtype == np.int64 else value
+            dims = ("channel", f"{self.scale}_bin") if name == "counts" else ("channel",)
+            variables[f"{self.scale}_{name}"] = dims, value
+        return variables
 
     def _at(self, position: npt.NDArray[Any]) -> Floats:
         low, high = (end[..., np.newaxis] for end in axis_ends(self.scale, self.low, self.high))
@@ -144,8 +143,8 @@ class Histogram:
 
 
 @overload
-def histogram(
-    x: Samples,
+def histogram(  # type: ignore[overload-overlap]  # a str is an ArrayLike, but no radiance
+    x: Samples | str | Path,
     *,
     scale: Scale = ...,
     bins: int = ...,
@@ -162,7 +161,7 @@ def histogram(
     bad: Mask | None = ...,
 ) -> Histogram: ...
 def histogram(
-    x: npt.ArrayLike | Samples,
+    x: npt.ArrayLike | Samples | Path,
     *,
     scale: Scale = "log",
     bins: int = 100,
@@ -179,7 +178,7 @@ def histogram(
     Parameters
     ----------
     x
-        Radiance, shape (..., sample), or the samples of an image.
+        Radiance, shape (..., sample), or the samples of an image, or the path of their store.
     scale
         What the bins divide evenly: the radiance or its logarithm.
     bins
@@ -225,7 +224,7 @@ def histogram(
     >>> h.centers[4:6].round(3)
     array([0.316, 3.162])
     """
-    if not isinstance(x, Samples):
+    if not isinstance(x, Samples | str | Path):
         stream = StreamingHistogram(scale=scale, bins=bins, support=support)
         array = as_samples(x)
         if bad is None:
@@ -234,7 +233,7 @@ def histogram(
     if null is not None or bad is not None:
         message = "null and bad are for arrays: Samples know which samples are null or bad"
         raise InputError(message)
-    return _image_histogram(x, scale, bins, support)
+    return _image_histogram(samples_of(x), scale, bins, support)
 
 
 class StreamingHistogram:
@@ -351,11 +350,11 @@ def label_histogram(dataset: xr.Dataset, scale: Scale) -> xr.Dataset:
         start, stop = np.log(low.values.flat[0]), np.log(high.values.flat[0])
         center = np.exp(start + (stop - start) * center)
         described = {"long_name": "bin centre", "units": _RADIANCE}
-    for part, (long_name, units) in _LABELS.items():
-        dataset[f"{scale}_{part}"].attrs.update(
-            long_name=f"{scale} histogram: {long_name}", units=units
-        )
-    dataset[f"{scale}_reason"].attrs.update(flag_attributes())
+    labels = {
+        f"{scale}_{part}": (f"{scale} histogram: {long_name}", units)
+        for part, (long_name, units) in _LABELS.items()
+    }
+    label_variables(dataset, labels, bounds=False)
     return dataset.assign_coords({name: (name, center, described)})
 
 
@@ -376,6 +375,5 @@ def _image_histogram(
         }
 
     dataset = reduce_tiles(samples, of_tile, description=f"{scale} histograms")
-    dataset["null_count"].attrs.update(long_name="null samples", units="1")
-    dataset["bad_count"].attrs.update(long_name="bad samples", units="1")
-    return label_histogram(dataset, scale)
+    counted = {"null_count": ("null samples", "1"), "bad_count": ("bad samples", "1")}
+    return label_histogram(label_variables(dataset, counted, bounds=False), scale)

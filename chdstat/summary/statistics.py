@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import as_pixels
 from chdstat._core.moments import Batches, Moments
+from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
 from chdstat.samples import Blocks, Image, Mapped, reduce_tiles, samples_of
 from chdstat.summary.bins import (
@@ -290,13 +291,14 @@ def summarize(
     Raises
     ------
     InputError
-        If an option is out of range.
+        If an option is out of range, or an array is none of an image.
+    StoreError
+        If there is no store at the path, or it is damaged.
 
     Examples
     --------
     >>> import numpy as np
-    >>> radiance = np.random.default_rng(1).gamma(2.0, size=(2, 3, 3, 64))
-    >>> dataset = summarize(Samples.from_array(radiance))
+    >>> dataset = summarize(np.random.default_rng(1).gamma(2.0, size=(2, 3, 3, 64)))
     >>> dataset["mean"].dims, dataset["batch_means"].shape
     (('y', 'x', 'channel'), (2, 3, 3, 2))
     """
@@ -351,11 +353,8 @@ def _variables(statistics: Statistics) -> Mapped:
 
 
 def _label(dataset: xr.Dataset, batches: Batches) -> xr.Dataset:
-    for name, (long_name, units) in (_PER_PIXEL | _PER_CHANNEL).items():
-        dataset[name].attrs.update(long_name=long_name, units=units)
-    dataset["batch_means"].attrs.update(
-        long_name="means of consecutive batches of samples", units=_RADIANCE
-    )
+    means = ("means of consecutive batches of samples", _RADIANCE)
+    label_variables(dataset, {**_PER_PIXEL, **_PER_CHANNEL, "batch_means": means}, bounds=False)
     spp = ("batch", batches.read()[1], {"long_name": "draws of the batch", "units": "1"})
     for scale in SCALES:
         dataset = label_histogram(dataset, scale)

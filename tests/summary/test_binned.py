@@ -7,14 +7,14 @@ from chdstat import Samples, histogram
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.summary.dispatch import run
-from chdstat.summary.positive_histogram import BinnedPart
+from chdstat.summary.dispatch import PositiveHistogram, run
 
 
 def test_log_statistics_agree_with_those_of_the_samples():
     rng = np.random.default_rng(2)
     x = np.exp(rng.normal(size=(6, 4096)) * np.linspace(0.25, 1.5, 6)[:, np.newaxis])
-    exact, binned = PositivePart.of(x).log_statistics, BinnedPart.of(histogram(x)).log_statistics
+    exact = PositivePart.of(x).log_statistics
+    binned = PositiveHistogram.of(histogram(x)).log_statistics
     # The centres themselves would be off by h^2 / 12 = 0.0044 in variance, 7 % of the first row's.
     np.testing.assert_allclose(binned.log_variance, exact.log_variance, rtol=0.02)
     np.testing.assert_allclose(binned.gap, exact.gap, rtol=0.03)
@@ -24,7 +24,7 @@ def test_log_statistics_agree_with_those_of_the_samples():
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_the_counts_are_those_of_the_samples():
     x = np.array([0, 0, 1e-7, 0.5, 2, 3e6, np.nan, -1])
-    part = BinnedPart.of(histogram(x))
+    part = PositiveHistogram.of(histogram(x))
     assert (part.n, part.n_null, part.n_zero, part.n_negative, part.n_bad) == (3, 2, 1, 1, 1)
     assert part.n_good == 7
     assert part.counts[-1] == 1
@@ -43,7 +43,7 @@ def test_the_counts_are_those_of_the_samples():
     ],
 )
 def test_reasons(x, reason):
-    assert BinnedPart.of(histogram(x)).reason() == reason
+    assert PositiveHistogram.of(histogram(x)).reason() == reason
 
 
 def test_an_image_goes_the_same_way_as_its_pixels():
@@ -66,9 +66,9 @@ def test_an_image_goes_the_same_way_as_its_pixels():
 
 def test_what_cannot_be_binned_is_refused():
     with pytest.raises(InputError, match="log histogram, got one of linear"):
-        BinnedPart.of(histogram([1.0, 2.0], scale="linear"))
+        PositiveHistogram.of(histogram([1.0, 2.0], scale="linear"))
     linear = histogram(Samples.from_array(np.ones((2, 2, 1, 4))), scale="linear")
     with pytest.raises(InputError, match="without log_counts"):
-        BinnedPart.of_dataset(linear)
+        PositiveHistogram.of_dataset(linear)
     with pytest.raises(InputError, match="null is for arrays"):
         run(histogram([1.0]), lambda part: part, dict, null=[False], description="")
