@@ -17,10 +17,11 @@ from chdstat._core.arrays import spans
 from chdstat._core.positive import Floats, Mask, PositivePart
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.fit.family import Family, Parameters, take
+from chdstat.fit.families import Family, Parameters, get_family
+from chdstat.fit.family import take
 from chdstat.fit.mle import estimate_part
 from chdstat.fit.results import Fit
-from chdstat.fit.weighted_samples import Halves, Points, blocks
+from chdstat.fit.weighted_samples import Halves, blocks
 from chdstat.summary.dispatch import Part, PositiveHistogram
 
 __all__ = ["HeldOut", "held_out_of_part", "ranked", "vuong"]
@@ -112,7 +113,7 @@ def ranked(values: Floats) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int8], 
     return order, best, np.asarray(margin)
 
 
-def vuong(part: Part, one: tuple[Family, Fit], other: tuple[Family, Fit]) -> tuple[Floats, Floats]:
+def vuong(part: Part, one: Fit, other: Fit) -> tuple[Floats, Floats]:
     """Return Vuong's z of one family against another, and its two-sided p-value, shape (...).
 
     ``z = sum(m) / (sd(m) sqrt(n))`` with m the difference of the log densities, sample by sample:
@@ -124,10 +125,13 @@ def vuong(part: Part, one: tuple[Family, Fit], other: tuple[Family, Fit]) -> tup
     doi:10.2307/1912557.
     """
     z = np.full(part.n.size, np.nan)
-    usable = (one[1].reason == Reason.OK) & (other[1].reason == Reason.OK)
+    usable = (one.reason == Reason.OK) & (other.reason == Reason.OK)
     for points in blocks(part, usable):
-        difference = _density(one[0], one[1].parameters, points)
-        difference -= _density(other[0], other[1].parameters, points)
+        density, subtracted = (
+            get_family(fit.family).log_density(points, take(fit.parameters, points))
+            for fit in (one, other)
+        )
+        difference = density - subtracted
         mean = points.average(difference)
         difference -= mean[:, np.newaxis]
         difference *= difference
@@ -179,10 +183,6 @@ def _crosswise(halves: Halves, families: Sequence[Family], near: Sequence[Parame
     for to, family, at in zip(density, families, near, strict=True):
         fitted = estimate_part(halves, family, at)[0].parameters
         swapped = {name: np.roll(values, twice // 2) for name, values in fitted.items()}
-        to[:] = _density(family, swapped, points)
+        to[:] = family.log_density(points, take(swapped, points))
     np.copyto(density, 0, where=points.weight == 0)
     return density
-
-
-def _density(family: Family, parameters: Parameters, points: Points) -> Floats:
-    return family.log_density(points, take(parameters, points))

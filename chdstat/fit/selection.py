@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.positive import Floats
-from chdstat._core.reasons import Reason
+from chdstat._core.reasons import Reason, label_variables
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError
 from chdstat.fit.families import SELECTED, Family, get_family
@@ -175,7 +175,13 @@ def select(
     >>> str(selection.names), bool(selection.vuong_z < -2)
     ('lognormal', True)
     """
-    chosen = _check(families, criterion)
+    if criterion not in get_args(Criterion):
+        message = f"criterion must be 'aic', 'bic' or 'held_out', got {criterion!r}"
+        raise InputError(message)
+    if isinstance(families, str) or not families:
+        message = f"families must be a sequence of one or more families, got {families!r}"
+        raise InputError(message)
+    chosen = [get_family(family) for family in families]
     result = run(
         x,
         lambda part: select_part(part, chosen, criterion, held_out=held_out),
@@ -206,7 +212,9 @@ def select_part(
     else:
         values = np.stack([getattr(result, criterion) for result in fits.values()], axis=-1)
     _, best, margin = ranked(values)
-    z, p_value = _gamma_against_lognormal(part, families, fits)
+    z, p_value = np.full((2, *part.n.shape), np.nan)
+    if {"gamma", "lognormal"} <= fits.keys():
+        z, p_value = vuong(part, fits["gamma"], fits["lognormal"])
     return Selection(
         families=tuple(fits),
         criterion=criterion,
@@ -222,73 +230,41 @@ def select_part(
 
 def selection_variables(selection: Selection) -> Mapped:
     """Return a selection over (y, x, channel) as variables for `Samples.map`."""
-    variables: dict[str, tuple[tuple[str, ...], npt.NDArray[np.generic]]] = {}
-    for result in selection.fits.values():
-        variables.update(fit_variables(result))
-    for name in ("best", "margin", "vuong_z", "vuong_p_value"):
-        variables[_NAMES.get(name, name)] = (("channel",), getattr(selection, name))
-    if selection.held_out is not None:
-        split = selection.held_out
-        variables["held_out_best_family"] = (("channel",), split.best)
-        variables["held_out_margin"] = (("channel",), split.margin)
-        variables["held_out_margin_se"] = (("channel",), split.margin_se)
-        variables["held_out_loss"] = (("channel", "family"), split.loss)
-    return variables
+    variables = dict(
+        item for result in selection.fits.values() for item in fit_variables(result).items()
+    )
+    own = {name: getattr(selection, name) for name in ("margin", "vuong_z", "vuong_p_value")}
+    own["best_family"] = selection.best
+    split = selection.held_out
+    if split is not None:
+        own["held_out_best_family"] = split.best
+        own |= {f"held_out_{name}": getattr(split, name) for name in ("margin", "margin_se")}
+        variables["held_out_loss"] = ("channel", "family"), split.loss
+    return variables | {name: (("channel",), value) for name, value in own.items()}
 
 
 def finish_selection(dataset: xr.Dataset, names: Sequence[str], criterion: str) -> xr.Dataset:
     """Set long names, units, flag meanings and the families' names of a selection."""
     for name in names:
         dataset = label_fit(dataset, name)
-    flags: dict[str, object] = {
-        "flag_values": [-1, *range(len(names))],
-        "flag_meanings": " ".join(["none", *names]),
+    what = {"aic": "AIC", "bic": "BIC", "held_out": "held-out loss"}[criterion]
+    labels = {
+        "best_family": f"family with the smallest {what}",
+        "margin": f"{what} of the runner-up minus that of the best family",
+        "vuong_z": "Vuong's z of gamma against log-normal",
+        "vuong_p_value": "two-sided p-value of Vuong's z",
+        "held_out_best_family": "family with the smallest held-out loss",
+        "held_out_margin": "held-out loss of the runner-up minus that of the best family",
+        "held_out_margin_se": "standard error of the held-out margin",
+        "held_out_loss": "held-out loss per positive sample, in nats",
     }
-    what = _CRITERIA[criterion]
-    labels: dict[str, tuple[str, dict[str, object]]] = {
-        "best_family": (f"family with the smallest {what}", flags),
-        "margin": (f"{what} of the runner-up minus that of the best family", {}),
-        "vuong_z": ("Vuong's z of gamma against log-normal", {}),
-        "vuong_p_value": ("two-sided p-value of Vuong's z", {}),
-        "held_out_best_family": ("family with the smallest held-out loss", flags),
-        "held_out_margin": ("held-out loss of the runner-up minus that of the best family", {}),
-        "held_out_margin_se": ("standard error of the held-out margin", {}),
-        "held_out_loss": ("held-out loss per positive sample, in nats", {}),
-    }
-    for name, (long_name, attributes) in labels.items():
-        if name in dataset:
-            dataset[name].attrs.update(long_name=long_name, units="1", **attributes)
+    dataset = label_variables(dataset, {name: (text, "1") for name, text in labels.items()})
+    for name in {"best_family", "held_out_best_family"} & set(dataset):
+        meanings = " ".join(["none", *names])
+        dataset[name].attrs.update(flag_values=[-1, *range(len(names))], flag_meanings=meanings)
     if "family" in dataset.dims:
-        dataset = dataset.assign_coords(family=_texts(names))
+        dataset = dataset.assign_coords(family=np.array(list(names), dtype=object))
     return dataset
-
-
-_NAMES = {"best": "best_family"}
-_CRITERIA = {"aic": "AIC", "bic": "BIC", "held_out": "held-out loss"}
-
-
-def _gamma_against_lognormal(
-    part: Part, families: Sequence[Family], fits: Mapping[str, Fit]
-) -> tuple[Floats, Floats]:
-    if not {"gamma", "lognormal"} <= fits.keys():
-        none = np.full(part.n.shape, np.nan)
-        return none, none
-    by_name = {family.name: (family, fits[family.name]) for family in families}
-    return vuong(part, by_name["gamma"], by_name["lognormal"])
-
-
-def _check(families: Sequence[str | Family], criterion: str) -> list[Family]:
-    if criterion not in get_args(Criterion):
-        message = f"criterion must be 'aic', 'bic' or 'held_out', got {criterion!r}"
-        raise InputError(message)
-    if isinstance(families, str) or not families:
-        message = f"families must be a sequence of one or more families, got {families!r}"
-        raise InputError(message)
-    return [get_family(family) for family in families]
-
-
-def _texts(names: Sequence[str]) -> npt.NDArray[np.object_]:
-    return np.array(list(names), dtype=object)
 
 
 def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.Dataset:
@@ -332,27 +308,20 @@ def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.D
         [(best == index).sum(("y", "x")).to_numpy() for index in range(len(names))], axis=-1
     )
     total = counts.sum(axis=-1, keepdims=True)
+    dims = ("channel", "family")
+    interval = wilson(counts, np.broadcast_to(total, counts.shape))
     shares = xr.Dataset(
         {
-            "family_share": (
-                ("channel", "family"),
-                counts / np.where(total > 0, total, np.nan),
-                {"long_name": "share of pixels that a family describes best", "units": "1"},
-            ),
-            "family_share_interval": (
-                ("channel", "family", "bound"),
-                wilson(counts, np.broadcast_to(total, counts.shape)),
-                {"long_name": "Wilson interval of the share of pixels", "units": "1"},
-            ),
-            "n_pixels": (
-                ("channel",),
-                total[:, 0],
-                {"long_name": "pixels with any family", "units": "1"},
-            ),
+            "family_share": (dims, counts / np.where(total > 0, total, np.nan)),
+            "family_share_interval": ((*dims, "bound"), interval),
+            "n_pixels": ("channel", total[:, 0]),
         },
-        coords={
-            "family": np.array(names, dtype=object),
-            "bound": np.array(["low", "high"], dtype=object),
-        },
+        coords={"family": np.array(names, dtype=object)},
     )
+    labels = {
+        "family_share": ("share of pixels that a family describes best", "1"),
+        "family_share_interval": ("Wilson interval of the share of pixels", "1"),
+        "n_pixels": ("pixels with any family", "1"),
+    }
+    shares = label_variables(shares, labels)
     return shares.assign_coords(channel=best["channel"]) if "channel" in best.coords else shares

@@ -25,7 +25,6 @@ from chdstat.fit._gamma import gamma_shape
 from chdstat.fit.tail_fits import (
     MINIMUM_EXCESSES,
     Tail,
-    TailFits,
     candidates,
     finish_tail,
     hill_tail,
@@ -214,15 +213,13 @@ def tail_of_part(
     reason[(reason == Reason.OK) & _tied(part)] = Reason.TIED
     usable = np.asarray(reason == Reason.OK)
     ascending, n = part.sorted[usable], part.n[usable]
-    found = _spread(pareto_tail(ascending, n, k[usable]), usable)
-    few = np.minimum(k[usable][:, :1], FAR)
-    far = _spread(pareto_tail(ascending, n, few), usable)
-    hill = _spread(hill_tail(ascending, n, k[usable]), usable)
+    found = pareto_tail(ascending, n, k[usable], usable)
+    far = pareto_tail(ascending, n, np.minimum(k[usable][:, :1], FAR), usable)
+    hill = hill_tail(ascending, n, k[usable], usable)
     reason[usable & np.isnan(found.xi)] = Reason.CONSTANT
     root = np.sqrt(np.maximum(found.n, 1))
     interval = _interval(found.xi, root, level)
-    of_gamma = _Reference(part)
-    light = _is_light(of_gamma, (found.first_xi, k[..., 0]), (far.xi, far.n))
+    light = _is_light(part, (found.first_xi, k[..., 0]), (far.xi, far.n))
     suspect = np.asarray(found.xi >= 0.5)
     trusted = np.asarray((interval[..., 1] < 0.5) & light)
     trusted[trusted] = ~_scatters(part, trusted)
@@ -233,7 +230,7 @@ def tail_of_part(
         xi_far=far.xi,
         interval_far=_interval(far.xi, np.sqrt(np.maximum(far.n, 1)), level),
         p_value=_p_value(found.xi, tested, root),
-        p_exponential=_p_value(found.xi, of_gamma.index(found.n), root),
+        p_exponential=_p_value(found.xi, _gamma_index(part, found.n), root),
         tested=tested,
         level=level,
         scale=found.scale,
@@ -292,18 +289,6 @@ def effective_tail_index(distribution: Any, share: float = 0.1) -> Floats:
     return np.asarray(-1 - share * slope / distribution.pdf(u))
 
 
-def _spread(found: TailFits, usable: Mask) -> TailFits:
-    """Put rows back to where they were, NaN and 0 elsewhere."""
-    values = np.full((4, *usable.shape), np.nan)
-    values[:, usable] = np.where(
-        np.isnan(found.xi), np.nan, [found.xi, found.scale, found.threshold, found.first_xi]
-    )
-    n = np.zeros(usable.shape, dtype=np.int64)
-    n[usable] = np.where(np.isnan(found.xi), 0, found.n)
-    xi, scale, threshold, first_xi = values
-    return TailFits(xi=xi, scale=scale, threshold=threshold, n=n, first_xi=first_xi)
-
-
 def _tied(part: PositivePart) -> Mask:
     """Say where the largest value occurs more than once."""
     last = np.maximum(part.n - 1, 1)[..., np.newaxis]
@@ -313,29 +298,21 @@ def _tied(part: PositivePart) -> Mask:
     return np.asarray((part.n > 1) & (ends[..., 0] == ends[..., 1]))
 
 
-class _Reference:
-    """Tails of gamma distributions whose logarithms vary as much as the samples' do.
+def _gamma_index(part: PositivePart, excesses: Counts) -> Floats:
+    """Return the index of so many excesses of gamma distributions, 0 for shapes of 1 and more.
 
-    Above a finite threshold, the tail of a gamma distribution with a shape below 1 is a little
-    heavier than an exponential.
+    They are those whose logarithms vary as much as the samples' do. Above a finite threshold, the
+    tail of one with a shape below 1 is a little heavier than an exponential.
     """
-
-    def __init__(self, part: PositivePart) -> None:
-        self.n = np.maximum(part.n, 1)
-        variance = np.nan_to_num(part.log_statistics.log_variance)
-        with np.errstate(divide="ignore"):
-            self.row, self.across = _between(np.log(variance), _LOG_VARIANCES)
-
-    def index(self, excesses: Counts) -> Floats:
-        """Return the tail index of so many excesses, 0 for shapes of 1 and more."""
-        share = np.log(np.maximum(excesses, 1) / self.n)
-        column, along = _between(share, _LOG_SHARES)
-        row, across = self.row, self.across
-        low, high = (
-            (1 - along) * _GAMMA_INDEX[i, column] + along * _GAMMA_INDEX[i, column + 1]
-            for i in (row, row + 1)
-        )
-        return np.asarray((1 - across) * low + across * high)
+    with np.errstate(divide="ignore"):
+        log_variance = np.log(np.nan_to_num(part.log_statistics.log_variance))
+    row, across = _between(log_variance, _LOG_VARIANCES)
+    column, along = _between(np.log(np.maximum(excesses, 1) / np.maximum(part.n, 1)), _LOG_SHARES)
+    low, high = (
+        (1 - along) * _GAMMA_INDEX[i, column] + along * _GAMMA_INDEX[i, column + 1]
+        for i in (row, row + 1)
+    )
+    return np.asarray((1 - across) * low + across * high)
 
 
 def _between(x: Floats, ends: Floats) -> tuple[Counts, Floats]:
@@ -345,7 +322,7 @@ def _between(x: Floats, ends: Floats) -> tuple[Counts, Floats]:
     return i, np.asarray((x - ends[i]) / (ends[i + 1] - ends[i]))
 
 
-def _is_light(of_gamma: _Reference, *looks: tuple[Floats, Counts]) -> Mask:
+def _is_light(part: PositivePart, *looks: tuple[Floats, Counts]) -> Mask:
     """Say where several looks at the tail, of k excesses each, do not see a heavier one than gamma.
 
     A rare heavy tail raises the index of many excesses a little, but significantly, and that of few
@@ -353,10 +330,10 @@ def _is_light(of_gamma: _Reference, *looks: tuple[Floats, Counts]) -> Mask:
     the sqrt(k) of equally good evidence. Of n excesses, the k largest share sqrt(k / n) of their
     errors with all.
     """
-    total, variance = np.zeros(of_gamma.n.shape), np.zeros(of_gamma.n.shape)
+    total, variance = np.zeros(part.n.shape), np.zeros(part.n.shape)
     for xi, k in looks:
         with np.errstate(invalid="ignore"):
-            difference = np.log1p(np.maximum(xi, -0.99)) - np.log1p(of_gamma.index(k))
+            difference = np.log1p(np.maximum(xi, -0.99)) - np.log1p(_gamma_index(part, k))
         total += k**0.25 * np.maximum(difference * np.sqrt(k), _LEAST_SCORE)
         for _, other in looks:
             shared = np.sqrt(np.minimum(k, other) / np.maximum(np.maximum(k, other), 1))

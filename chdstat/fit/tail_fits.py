@@ -16,8 +16,9 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask
-from chdstat._core.reasons import flag_attributes
+from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values
+from chdstat.fit.family import RADIANCE
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -35,29 +36,34 @@ __all__ = [
     "tail_variables",
 ]
 
-_RADIANCE = "W sr-1 m-2"
 _LABELS = {
-    "tail_index": ("generalised Pareto tail index xi", "1"),
-    "tail_index_se": ("standard error of the tail index", "1"),
-    "tail_interval": ("interval of the tail index", "1"),
-    "tail_p_value": ("p-value of a tail index at most the tested one", "1"),
-    "tail_p_exponential": ("p-value of a tail no heavier than a gamma distribution's", "1"),
-    "tail_q_value": ("q-value of a tail index at most the tested one", "1"),
-    "tail_q_exponential": ("q-value of a tail no heavier than a gamma distribution's", "1"),
-    "tail_index_far": ("tail index of the largest samples alone", "1"),
-    "tail_interval_far": ("interval of the tail index of the largest samples alone", "1"),
-    "tail_scale": ("generalised Pareto scale", _RADIANCE),
-    "tail_threshold": ("radiance above which the tail begins", _RADIANCE),
-    "tail_n": ("samples above the threshold", "1"),
-    "tail_share": ("share of the positive samples above the threshold", "1"),
-    "tail_hill": ("Hill estimate of the tail index", "1"),
-    "tail_hill_interval": ("interval of the Hill estimate", "1"),
-    "tail_hill_n": ("samples of the Hill estimate", "1"),
-    "tail_variance_suspect": ("xi >= 1/2: do not trust the sample variance", "1"),
-    "tail_variance_trusted": ("no look at the tail speaks against a finite variance", "1"),
-    "tail_variance_unidentified": ("the samples cannot tell whether the variance is finite", "1"),
+    "tail_index": "generalised Pareto tail index xi",
+    "tail_index_se": "standard error of the tail index",
+    "tail_interval": "interval of the tail index",
+    "tail_p_value": "p-value of a tail index at most the tested one",
+    "tail_p_exponential": "p-value of a tail no heavier than a gamma distribution's",
+    "tail_q_value": "q-value of a tail index at most the tested one",
+    "tail_q_exponential": "q-value of a tail no heavier than a gamma distribution's",
+    "tail_index_far": "tail index of the largest samples alone",
+    "tail_interval_far": "interval of the tail index of the largest samples alone",
+    "tail_scale": "generalised Pareto scale",
+    "tail_threshold": "radiance above which the tail begins",
+    "tail_n": "samples above the threshold",
+    "tail_share": "share of the positive samples above the threshold",
+    "tail_hill": "Hill estimate of the tail index",
+    "tail_hill_interval": "interval of the Hill estimate",
+    "tail_hill_n": "samples of the Hill estimate",
+    "tail_variance_suspect": "xi >= 1/2: do not trust the sample variance",
+    "tail_variance_trusted": "no look at the tail speaks against a finite variance",
+    "tail_variance_unidentified": "the samples cannot tell whether the variance is finite",
+    "tail_reason": "why there is no tail index",
 }
-_INTERVALS = ("tail_interval", "tail_interval_far", "tail_hill_interval")
+_FIELDS = {
+    "tail_index": "xi",
+    "tail_index_se": "standard_error",
+    "tail_index_far": "xi_far",
+}
+"""Fields of `Tail` that have other names in an image than with the prefix ``tail_``."""
 
 
 @dataclass(frozen=True)
@@ -125,31 +131,14 @@ class Tail:
 
 def tail_variables(tail: Tail) -> Mapped:
     """Return tails over (y, x, channel), or over (y, x), as variables for `Samples.map`."""
-    values = {
-        "tail_index": tail.xi,
-        "tail_index_se": tail.standard_error,
-        "tail_interval": tail.interval,
-        "tail_index_far": tail.xi_far,
-        "tail_interval_far": tail.interval_far,
-        "tail_p_value": tail.p_value,
-        "tail_p_exponential": tail.p_exponential,
-        "tail_scale": tail.scale,
-        "tail_threshold": tail.threshold,
-        "tail_n": tail.n,
-        "tail_share": tail.share,
-        "tail_hill": tail.hill,
-        "tail_hill_interval": tail.hill_interval,
-        "tail_hill_n": tail.hill_n,
-        "tail_variance_suspect": tail.variance_suspect,
-        "tail_variance_trusted": tail.variance_trusted,
-        "tail_variance_unidentified": tail.variance_unidentified,
-        "tail_reason": tail.reason,
-    }
     first = ("channel",) if tail.n.ndim == 3 else ()
-    return {
-        name: ((*first, "bound") if name in _INTERVALS else first, value)
-        for name, value in values.items()
-    }
+    variables = {}
+    for name in _LABELS:
+        if name not in ("tail_q_value", "tail_q_exponential"):
+            value = getattr(tail, _FIELDS.get(name, name.removeprefix("tail_")))
+            dims = (*first, "bound") if value.ndim > tail.n.ndim else first
+            variables[name] = dims, value
+    return variables
 
 
 def finish_tail(dataset: xr.Dataset) -> xr.Dataset:
@@ -157,12 +146,9 @@ def finish_tail(dataset: xr.Dataset) -> xr.Dataset:
     for name in ("value", "exponential"):
         p = dataset[f"tail_p_{name}"]
         dataset = dataset.assign({f"tail_q_{name}": p.copy(data=q_values(p.to_numpy()))})
-    for name, (long_name, units) in _LABELS.items():
-        dataset[name].attrs.update(long_name=long_name, units=units)
-    dataset["tail_reason"].attrs.update(
-        long_name="why there is no tail index", units="1", **flag_attributes()
-    )
-    return dataset.assign_coords(bound=np.array(["low", "high"], dtype=object))
+    units = dict.fromkeys(("tail_scale", "tail_threshold"), RADIANCE)
+    labels = {name: (text, units.get(name, "1")) for name, text in _LABELS.items()}
+    return label_variables(dataset, labels)
 
 
 MINIMUM_EXCESSES = 10
@@ -182,7 +168,7 @@ _LEAST = 1e-12
 
 @dataclass(frozen=True)
 class TailFits:
-    """A fit to the excesses of some rows, all of shape (row,).
+    """A fit to the excesses of each row, all of the batch's shape.
 
     Attributes
     ----------
@@ -241,36 +227,42 @@ def candidates(n: Counts, share: float | None) -> Counts:
     return np.asarray(np.maximum(k, np.minimum(k[:, :1], MINIMUM_EXCESSES)))
 
 
-def pareto_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts) -> TailFits:
+def pareto_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts, usable: Mask) -> TailFits:
     """Fit generalised Pareto distributions by Zhang and Stephens (2009).
 
     Parameters
     ----------
     ascending
-        Samples in ascending order, shape (row, sample), of which the first `n` count.
+        Samples of the usable rows in ascending order, shape (row, sample); the first `n` count.
     n
         Shape (row,).
     k
         Numbers of excesses to try, shape (row, candidate), the preferred one first.
+    usable
+        Where the rows belong in the batch, shape (...): other rows get NaN and 0.
     """
-    return _in_chunks(ascending, n, k, _generalised_pareto, log=False)
+    return _fit_tails(ascending, n, k, usable, _generalised_pareto, log=False)
 
 
-def hill_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts) -> TailFits:
+def hill_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts, usable: Mask) -> TailFits:
     """Fit power laws by Hill (1975); arguments as of `pareto_tail`, the scale is the threshold."""
-    return _in_chunks(ascending, n, k, _power_law, log=True)
+    return _fit_tails(ascending, n, k, usable, _power_law, log=True)
 
 
-def _in_chunks(
-    ascending: npt.NDArray[Any], n: Counts, k: Counts, model: _Model, *, log: bool
+def _fit_tails(
+    ascending: npt.NDArray[Any], n: Counts, k: Counts, usable: Mask, model: _Model, *, log: bool
 ) -> TailFits:
     values, used = np.full((4, len(n)), np.nan), np.zeros(len(n), dtype=np.int64)
     order = np.argsort(k[:, 0], kind="stable")
     for part in spans(len(n), max(1, _CHUNK // int(k.max(initial=1)))):
         rows = order[part]
         values[:, rows], used[rows] = _choose(ascending, n, k, rows, model, log)
-    xi, scale, threshold, first_xi = values
-    return TailFits(xi=xi, scale=scale, threshold=threshold, n=used, first_xi=first_xi)
+    unknown = np.isnan(values[0])
+    values[:, unknown], used[unknown] = np.nan, 0
+    everywhere, count = np.full((4, *usable.shape), np.nan), np.zeros(usable.shape, dtype=np.int64)
+    everywhere[:, usable], count[usable] = values, used
+    xi, scale, threshold, first_xi = everywhere
+    return TailFits(xi=xi, scale=scale, threshold=threshold, n=count, first_xi=first_xi)
 
 
 def _choose(
