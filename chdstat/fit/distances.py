@@ -24,14 +24,7 @@ from chdstat.fit.family import Family, Parameters
 from chdstat.fit.mle import estimate_part
 from chdstat.summary.dispatch import Part, PositiveHistogram
 
-__all__ = [
-    "DISTANCES",
-    "Distance",
-    "FitTest",
-    "bootstrap",
-    "distances_of_bins",
-    "distances_of_samples",
-]
+__all__ = ["DISTANCES", "FitTest", "bootstrap"]
 
 FitTest = Literal["kolmogorov-smirnov", "cramer-von-mises", "anderson-darling", "chi-square"]
 
@@ -84,42 +77,34 @@ class _Binned:
         return np.cumsum(self.counts - self.expected, axis=-1)
 
 
-@dataclass(frozen=True)
-class Distance:
-    """A row of `DISTANCES`.
-
-    Attributes
-    ----------
-    of_samples, of_bins
-        The statistic of rows, shape (row,).
-    effect
-        The statistic made independent of the number of samples.
-    """
-
-    of_samples: Callable[[_Ranked], Floats]
-    of_bins: Callable[[_Binned], Floats]
-    effect: Callable[[Floats, Counts], Floats]
-
-
-def distances_of_samples(
-    part: PositivePart, family: Family, parameters: Parameters, tests: Sequence[FitTest]
+def _distances(
+    part: Part, family: Family, parameters: Parameters, tests: Sequence[FitTest]
 ) -> Floats:
-    """Return statistics of rows of samples, shape (row, test); parameters have shape (row,)."""
-    present = part.valid
-    x = part.sorted[present].astype(np.float64)
-    of_samples = {name: np.repeat(value, part.n) for name, value in parameters.items()}
-    # Rows have from few to all samples: distribution functions are dear, so of those alone.
-    below, above = np.zeros(present.shape), np.ones(present.shape)
-    below[present], above[present] = _both_sides(family, of_samples, x)
-    ranked = _Ranked(
-        below=below,
-        above=above,
-        rank=np.arange(1, present.shape[-1] + 1),
-        present=present,
-        n=part.n[:, np.newaxis],
-        parameters=len(parameters),
-    )
-    return np.stack([DISTANCES[test].of_samples(ranked) for test in tests], axis=-1)
+    """Return statistics, shape (row, test), at parameters of shape (row,); NaN without these."""
+    fitted = np.asarray(np.isfinite(np.stack(list(parameters.values()))).all(axis=0))
+    found = np.full((len(fitted), len(tests)), np.nan)
+    rows = np.flatnonzero(fitted)
+    if not len(rows):
+        return found
+    some = part if len(rows) == len(fitted) else _take(part, rows)
+    known, count = {name: value[rows] for name, value in parameters.items()}, len(parameters)
+    n = some.n[:, np.newaxis]
+    if isinstance(some, PositiveHistogram):
+        binned = _Binned(some.counts, _bin_probabilities(some, family, known) * n, n, count)
+        values = [DISTANCES[test][1](binned) for test in tests]
+    else:
+        # Rows have from few to all samples: distribution functions are dear, so of those alone.
+        present = some.valid
+        below, above = np.zeros(present.shape), np.ones(present.shape)
+        of_samples = {name: np.repeat(value, some.n) for name, value in known.items()}
+        below[present], above[present] = _both_sides(
+            family, of_samples, some.sorted[present].astype(np.float64)
+        )
+        rank = np.arange(1, present.shape[-1] + 1)
+        ranked = _Ranked(below, above, rank, present, n, count)
+        values = [DISTANCES[test][0](ranked) for test in tests]
+    found[rows] = np.stack(values, axis=-1)
+    return found
 
 
 def _both_sides(family: Family, parameters: Parameters, x: Floats) -> tuple[Floats, Floats]:
@@ -133,32 +118,18 @@ def _both_sides(family: Family, parameters: Parameters, x: Floats) -> tuple[Floa
     return below, above
 
 
-def distances_of_bins(
-    part: PositiveHistogram, family: Family, parameters: Parameters, tests: Sequence[FitTest]
-) -> Floats:
-    """Return statistics of rows of bins, shape (row, test); parameters have shape (row,)."""
-    probability = bin_probabilities(part, family, parameters)
-    n = part.n[:, np.newaxis]
-    binned = _Binned(part.counts, probability * n, n, len(parameters))
-    return np.stack([DISTANCES[test].of_bins(binned) for test in tests], axis=-1)
-
-
-def bin_probabilities(part: PositiveHistogram, family: Family, parameters: Parameters) -> Floats:
+def _bin_probabilities(part: PositiveHistogram, family: Family, parameters: Parameters) -> Floats:
     """Return the probability of each bin, shape (row, bin), given that it is one of them.
 
     The last bin has all above its lower edge, since it has the samples above the support; what is
     below the support counts as zeros, and takes no part.
     """
     edges = np.exp(part.log_centers - part.width[:, np.newaxis] / 2)
+    columns = {name: value[:, np.newaxis] for name, value in parameters.items()}
     with np.errstate(all="ignore"):
-        above = family.distribution(_columns(parameters)).sf(edges)
-        above = np.broadcast_to(above, part.counts.shape)
+        above = np.broadcast_to(family.distribution(columns).sf(edges), part.counts.shape)
         probability = -np.diff(above, axis=-1, append=0) / above[:, :1]
     return np.asarray(np.maximum(np.nan_to_num(probability), 0))
-
-
-def _columns(parameters: Parameters) -> dict[str, Floats]:
-    return {name: value[:, np.newaxis] for name, value in parameters.items()}
 
 
 def _kolmogorov_smirnov(r: _Ranked) -> Floats:
@@ -229,19 +200,13 @@ def _binned_chi_square(b: _Binned) -> Floats:
     return np.where(cells + 1 >= b.parameters + 2, square, np.nan)
 
 
-def _root_mean(statistic: Floats, n: Counts) -> Floats:
-    return np.sqrt(np.maximum(statistic, 0) / n)
-
-
-DISTANCES: dict[FitTest, Distance] = {
-    "kolmogorov-smirnov": Distance(
-        _kolmogorov_smirnov, _binned_kolmogorov_smirnov, lambda statistic, _: statistic
-    ),
-    "cramer-von-mises": Distance(_cramer_von_mises, _binned_cramer_von_mises, _root_mean),
-    "anderson-darling": Distance(_anderson_darling, _binned_anderson_darling, _root_mean),
-    "chi-square": Distance(_chi_square, _binned_chi_square, _root_mean),
+DISTANCES: dict[FitTest, tuple[Callable[[_Ranked], Floats], Callable[[_Binned], Floats]]] = {
+    "kolmogorov-smirnov": (_kolmogorov_smirnov, _binned_kolmogorov_smirnov),
+    "cramer-von-mises": (_cramer_von_mises, _binned_cramer_von_mises),
+    "anderson-darling": (_anderson_darling, _binned_anderson_darling),
+    "chi-square": (_chi_square, _binned_chi_square),
 }
-"""Distances by the name of the test."""
+"""Statistics of rows of samples and of rows of bins, shape (row,), by the name of the test."""
 
 
 _CHUNK = 2**18
@@ -275,26 +240,14 @@ def bootstrap(
         some = _take(part, here)
         known = {name: value.ravel()[here] for name, value in parameters.items()}
         statistic[here] = _distances(some, family, known, tests)
-        streams = _streams(some, seed) if resamples else []
-        more, count = _replicates(some, family, known, statistic[here], tests, resamples, streams)
+        if not resamples:
+            continue
+        more, count = _replicates(some, family, known, statistic[here], tests, resamples, seed)
         fitted[here] = count
         # Davison and Hinkley (1997), equation 4.11.
         known_enough = (count > 0) & (2 * count >= resamples)
         p_value[here] = np.where(known_enough, (more + 1) / (count + 1), np.nan)
     return statistic, p_value, fitted
-
-
-def _streams(part: Part, seed: int) -> list[np.random.Generator]:
-    """Return a generator for each row, of the seed and of the row's samples, whatever their order.
-
-    It is never that of `numpy.random.default_rng(seed)`, of which the samples may be draws.
-    """
-    held = (
-        part.counts
-        if isinstance(part, PositiveHistogram)
-        else [row[:n].astype(np.float64) for row, n in zip(part.sorted, part.n, strict=True)]
-    )
-    return [np.random.default_rng([seed, zlib.crc32(row.tobytes())]) for row in held]
 
 
 def _replicates(
@@ -304,9 +257,16 @@ def _replicates(
     statistic: Floats,
     tests: Sequence[FitTest],
     resamples: int,
-    streams: Sequence[np.random.Generator],
+    seed: int,
 ) -> tuple[Floats, Floats]:
     """Count replicates at least as far from their fit as the samples, and all that could be fit."""
+    if isinstance(part, PositiveHistogram):
+        held = list(part.counts)
+    else:
+        held = [row[:n].astype(np.float64) for row, n in zip(part.sorted, part.n, strict=True)]
+    # Of the seed and of the row's samples, whatever their order; never the generator of the seed
+    # alone, of which the samples may be draws.
+    streams = [np.random.default_rng([seed, zlib.crc32(row.tobytes())]) for row in held]
     more, count = np.zeros(statistic.shape), np.zeros(statistic.shape)
     least = statistic[:, np.newaxis] * (1 - _SAME)
     width = (part.counts if isinstance(part, PositiveHistogram) else part.x).shape[-1]
@@ -324,24 +284,6 @@ def _replicates(
     return more, count
 
 
-def _distances(
-    part: Part, family: Family, parameters: Parameters, tests: Sequence[FitTest]
-) -> Floats:
-    """Return statistics, shape (row, test); NaN in rows without parameters."""
-    fitted = np.asarray(np.isfinite(np.stack(list(parameters.values()))).all(axis=0))
-    distances = np.full((len(fitted), len(tests)), np.nan)
-    rows = np.flatnonzero(fitted)
-    if not len(rows):
-        return distances
-    some = part if len(rows) == len(fitted) else _take(part, rows)
-    known = {name: value[rows] for name, value in parameters.items()}
-    if isinstance(some, PositiveHistogram):
-        distances[rows] = distances_of_bins(some, family, known, tests)
-    else:
-        distances[rows] = distances_of_samples(some, family, known, tests)
-    return distances
-
-
 def _draw(
     part: Part,
     family: Family,
@@ -351,32 +293,26 @@ def _draw(
 ) -> PositivePart | PositiveHistogram:
     """Draw as many samples from the family as a row has, so many times, one row after the other."""
     if isinstance(part, PositiveHistogram):
-        probability = bin_probabilities(part, family, parameters)
+        probability = _bin_probabilities(part, family, parameters)
         total = np.maximum(probability.sum(axis=-1, keepdims=True), np.finfo(np.float64).tiny)
         rows = zip(streams, part.n, probability / total, strict=True)
         counts = [rng.multinomial(n, row, size=times) for rng, n, row in rows]
-        return _with_counts(part, np.concatenate(counts).astype(np.float64), times)
+        drawn_counts = np.concatenate(counts).astype(np.float64)
+        one = len(part.log_centers) == 1
+        none = np.zeros(len(drawn_counts), dtype=np.int64)
+        return PositiveHistogram(
+            counts=drawn_counts,
+            log_centers=part.log_centers if one else np.repeat(part.log_centers, times, axis=0),
+            width=part.width if len(part.width) == 1 else np.repeat(part.width, times),
+            n=drawn_counts.sum(axis=-1).astype(np.int64),
+            **dict.fromkeys(("n_null", "n_zero", "n_negative", "n_bad"), none),
+        )
     drawn = np.ones((len(part.n), times, int(part.n.max())))
     for i, (rng, n) in enumerate(zip(streams, part.n, strict=True)):
         distribution = family.distribution({name: value[i] for name, value in parameters.items()})
         drawn[i, :, :n] = distribution.rvs(size=(times, n), random_state=rng)
     bad = np.arange(drawn.shape[-1]) >= np.repeat(part.n, times)[:, np.newaxis]
     return PositivePart.of(drawn.reshape(-1, drawn.shape[-1]), bad=bad)
-
-
-def _with_counts(part: PositiveHistogram, counts: Floats, times: int) -> PositiveHistogram:
-    none = np.zeros(len(counts), dtype=np.int64)
-    one = len(part.log_centers) == 1
-    return PositiveHistogram(
-        counts=counts,
-        log_centers=part.log_centers if one else np.repeat(part.log_centers, times, axis=0),
-        width=part.width if len(part.width) == 1 else np.repeat(part.width, times),
-        n=counts.sum(axis=-1).astype(np.int64),
-        n_null=none,
-        n_zero=none,
-        n_negative=none,
-        n_bad=none,
-    )
 
 
 def _take(part: Part, rows: npt.NDArray[np.intp]) -> PositivePart | PositiveHistogram:

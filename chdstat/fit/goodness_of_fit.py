@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.positive import Counts, Floats, Mask
-from chdstat._core.reasons import Reason, flag_attributes
+from chdstat._core.reasons import Reason, label_variables
 from chdstat._core.resampling import q_values, rejections
 from chdstat.errors import InputError
 from chdstat.fit.distances import DISTANCES, FitTest, bootstrap
@@ -124,12 +124,9 @@ def finish_goodness(
         q_value = p_value.copy(data=q_values(p_value.to_numpy()))
         rejected = rejections(q_value, alpha).assign_attrs(false_discovery_rate=alpha)
         dataset = dataset.assign({f"{prefix}_q_value": q_value, f"{prefix}_rejected": rejected})
-    for name, text in _LABELS.items():
-        if f"{prefix}_{name}" in dataset:
-            dataset[f"{prefix}_{name}"].attrs.update(long_name=f"{family}: {text}", units="1")
-    dataset[f"{prefix}_reason"].attrs.update(
-        long_name=f"why there is no test of {family}", units="1", **flag_attributes()
-    )
+    labels = {f"{prefix}_{name}": (f"{family}: {text}", "1") for name, text in _LABELS.items()}
+    labels[f"{prefix}_reason"] = f"why there is no test of {family}", "1"
+    dataset = label_variables(dataset, labels, bounds=False)
     return dataset.assign_coords(fit_test=np.array(tests, dtype=object))
 
 
@@ -238,7 +235,12 @@ def goodness(
     >>> lognormal.p_value[:3], bool(lognormal.effect[0] > gamma.effect[0])
     (array([0.01, 0.01, 0.01]), True)
     """
-    _check(tests, alpha)
+    if isinstance(tests, str) or not tests or not set(tests) <= set(FIT_TESTS):
+        message = f"tests must be some of {', '.join(FIT_TESTS)}, got {tests!r}"
+        raise InputError(message)
+    if not 0 < alpha < 1:
+        message = f"alpha must lie in (0, 1), got {alpha}"
+        raise InputError(message)
     resamples = whole("resamples", resamples, least=0)
     root = seed_number(seed)
     image = isinstance(x, Samples) or hasattr(x, "data_vars")
@@ -293,6 +295,10 @@ def goodness_of_part(
         for value, of_rows in zip(values, found, strict=True):
             value[usable] = of_rows.reshape(value.shape)[usable]
     statistic, p_value, fitted = values
+    effect = np.sqrt(np.maximum(statistic, 0) / np.maximum(part.n, 1)[..., np.newaxis])
+    for i, test in enumerate(tests):
+        if test == "kolmogorov-smirnov":
+            effect[..., i] = statistic[..., i]
     reasons = np.repeat(reason[..., np.newaxis], len(tests), axis=-1)
     reasons[(reasons == Reason.OK) & np.isnan(statistic)] = Reason.TOO_FEW
     untested = Reason.FEW_REPLICATES if resamples else Reason.UNTESTED
@@ -302,7 +308,7 @@ def goodness_of_part(
         tests=tuple(tests),
         statistic=statistic,
         p_value=p_value,
-        effect=_effects(statistic, part.n, tests),
+        effect=effect,
         resamples=np.nan_to_num(fitted).astype(np.int64),
         n=part.n,
         reason=reasons,
@@ -357,18 +363,3 @@ def _cases(
     for k in np.unique(fit.k[fit.k > 0]).tolist():
         rows = np.asarray(fit.k == k)
         yield mixture_family(fit.family, k), mixture_parameters(fit, k), rows, fit
-
-
-def _effects(statistic: Floats, n: Counts, tests: Sequence[FitTest]) -> Floats:
-    count = np.maximum(n, 1)
-    effects = [DISTANCES[test].effect(statistic[..., i], count) for i, test in enumerate(tests)]
-    return np.stack(effects, axis=-1)
-
-
-def _check(tests: Sequence[FitTest], alpha: float) -> None:
-    if isinstance(tests, str) or not tests or not set(tests) <= set(FIT_TESTS):
-        message = f"tests must be some of {', '.join(FIT_TESTS)}, got {tests!r}"
-        raise InputError(message)
-    if not 0 < alpha < 1:
-        message = f"alpha must lie in (0, 1), got {alpha}"
-        raise InputError(message)
