@@ -33,7 +33,7 @@ from scipy import special, stats
 from chdstat._core.positive import Floats, Mask
 from chdstat._core.reasons import Reason
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
-from chdstat.fit.weighted_samples import Points
+from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.summary.dispatch import Part
 
 __all__ = ["BURR"]
@@ -82,7 +82,7 @@ def _coordinates(part: Part, near: Parameters) -> tuple[Floats, Floats]:
         return np.log(near["c"]), np.maximum(np.logaddexp(0, rho), _LEAST)
 
 
-def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
+def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
     """Return parameters, standard errors, convergence, and the code of a limit, (8, row)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         c, rho = np.exp(at[0]), _log_expm1(at[1])
@@ -101,12 +101,12 @@ def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
     return np.stack([c, d, scale, *errors, converged & interior, limit])
 
 
-def _power_law(points: Points) -> Floats:
+def _power_law(points: WeightedSamples) -> Floats:
     """Return the limit of the profile as c goes to infinity, ``-log mean log(x / smallest x)``."""
     return np.asarray(-np.log(-np.where(points.weight > 0, points.log, 0).min(axis=-1)))
 
 
-def _start(points: Points) -> Floats:
+def _start(points: WeightedSamples) -> Floats:
     """Match mean, variance and skewness of log x: cumulants of v are polygamma functions of d.
 
     Of samples in two heaps, the likelihood may have one maximum there and one in the Weibull limit,
@@ -126,7 +126,7 @@ def _start(points: Points) -> Floats:
     return np.stack([cumulants, np.stack([weibull, np.full_like(weibull, _NEAR_LIMIT)])])
 
 
-def _profile(points: Points, at: Floats) -> Floats:
+def _profile(points: WeightedSamples, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``log c + mean v - log L - L`` with L = 1 / d."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         c, rho = np.exp(at[0]), _log_expm1(at[1])
@@ -147,7 +147,9 @@ def _profile(points: Points, at: Floats) -> Floats:
         return np.stack([value, c * by_c, stretch * by_rho, *curvatures])
 
 
-def _standard_errors(points: Points, rest: Floats, c: Floats, d: Floats, rho: Floats) -> Floats:
+def _standard_errors(
+    points: WeightedSamples, rest: Floats, c: Floats, d: Floats, rho: Floats
+) -> Floats:
     """Return those of c, d and log scale, shape (3, row), from the observed information."""
     offset = rho / c
     # Moments of the logistic function and its derivative by t = log x - log scale.
@@ -162,7 +164,7 @@ def _standard_errors(points: Points, rest: Floats, c: Floats, d: Floats, rho: Fl
     return np.asarray(np.sqrt(np.where(inverse > 0, inverse, np.nan) / points.n))
 
 
-def _logistic(points: Points, c: Floats, rho: Floats) -> tuple[Floats, Floats]:
+def _logistic(points: WeightedSamples, c: Floats, rho: Floats) -> tuple[Floats, Floats]:
     """Return mean log(1 + e^v), and 1 / (1 + e^v) at every point."""
     v = points.log * c[:, np.newaxis]
     v += rho[:, np.newaxis]
@@ -183,7 +185,7 @@ def _log_expm1(q: Floats) -> Floats:
     return np.asarray(q + np.log(-np.expm1(-q)))
 
 
-def _log_density(points: Points, parameters: Parameters) -> Floats:
+def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     c, d = parameters["c"], parameters["d"]
     shift = (points.log_mean - np.log(parameters["scale"])) * c
     v = points.log * c[:, np.newaxis]

@@ -22,7 +22,7 @@ from scipy import special, stats
 
 from chdstat._core.positive import Floats, Mask
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters
-from chdstat.fit.weighted_samples import Points
+from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.summary.dispatch import Part
 
 __all__ = ["GAMMA", "gamma_shape"]
@@ -90,7 +90,7 @@ def _peak(k: Floats) -> Floats:
     return np.where(k > 1e3, series, special.xlogy(k, k) - k - special.gammaln(k))
 
 
-def _log_density(points: Points, parameters: Parameters) -> Floats:
+def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     shape = parameters["shape"]
     # With z = x / mean, log f(log x) = k (log z - z + 1) + peak: large terms cancel in the peak.
     log_mean = np.log(shape * parameters["scale"]) - points.log_mean

@@ -24,7 +24,7 @@ from scipy import stats
 
 from chdstat._core.positive import Floats
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, summed
-from chdstat.fit.weighted_samples import Points, of_rows
+from chdstat.fit.weighted_samples import WeightedSamples, of_rows
 from chdstat.summary.dispatch import Part
 
 __all__ = ["INVERSE_GAUSSIAN"]
@@ -44,7 +44,7 @@ def _estimate(part: Part, _near: Parameters | None) -> Estimate:
         )
 
 
-def _moments(points: Points) -> Floats:
+def _moments(points: WeightedSamples) -> Floats:
     """Return the mean, and mean(mu / x - 1), which is mu / lambda; shape (2, row)."""
     with np.errstate(over="ignore", invalid="ignore"):
         mean = points.average(np.exp(points.log))
@@ -53,7 +53,7 @@ def _moments(points: Points) -> Floats:
         return np.stack([np.exp(points.log_mean) * mean, points.average(4 * np.sinh(half) ** 2)])
 
 
-def _log_density(points: Points, parameters: Parameters) -> Floats:
+def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     mu, shape = parameters["mu"], parameters["lambda"]
     log = points.log + (points.log_mean - np.log(mu))[:, np.newaxis]
     with np.errstate(over="ignore"):

@@ -22,7 +22,7 @@ from scipy import stats
 
 from chdstat._core.positive import Floats
 from chdstat.fit.family import Estimate, Family, Parameters
-from chdstat.fit.weighted_samples import Points
+from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.summary.dispatch import Part
 
 __all__ = ["LOGNORMAL"]
@@ -48,7 +48,7 @@ def _log_likelihood(part: Part, parameters: Parameters) -> Floats:
         return np.asarray(sums.n * per_sample)
 
 
-def _log_density(points: Points, parameters: Parameters) -> Floats:
+def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     sigma = parameters["sigma"]
     density = points.log + (points.log_mean - parameters["mu"])[:, np.newaxis]
     density /= sigma[:, np.newaxis]

@@ -26,7 +26,7 @@ from scipy import stats
 from chdstat._core.positive import Floats, Mask
 from chdstat._core.reasons import Reason
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
-from chdstat.fit.weighted_samples import Points
+from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.summary.dispatch import Part
 
 __all__ = ["PARETO"]
@@ -67,7 +67,7 @@ def _estimate(part: Part, _near: Parameters | None) -> Estimate:
     )
 
 
-def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
+def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
     """Return xi, scale, convergence and the code of where there is no maximum, shape (4, row)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         u = np.expm1(at[0])
@@ -82,7 +82,7 @@ def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
     return np.stack([xi, scale, converged, limit])
 
 
-def _best_of_grid(points: Points) -> Floats:
+def _best_of_grid(points: WeightedSamples) -> Floats:
     ratio, values = _ratio(points), []
     for u in np.expm1(_GRID):
         xi = points.average(np.log1p(u * ratio))
@@ -91,7 +91,7 @@ def _best_of_grid(points: Points) -> Floats:
     return np.stack([best, np.zeros_like(best)])
 
 
-def _profile(points: Points, at: Floats) -> Floats:
+def _profile(points: WeightedSamples, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``-log scale - xi``, by s."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         u, ratio = np.expm1(at[0]), _ratio(points)
@@ -106,12 +106,12 @@ def _profile(points: Points, at: Floats) -> Floats:
         return np.stack([value, (1 + u) * by_u, zero, curvature, zero, zero - 1])
 
 
-def _ratio(points: Points) -> Floats:
+def _ratio(points: WeightedSamples) -> Floats:
     ratio = points.log - points.log_top[:, np.newaxis]
     return np.asarray(np.exp(ratio, out=ratio))
 
 
-def _moments(points: Points, ratio: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
+def _moments(points: WeightedSamples, ratio: Floats, u: Floats) -> tuple[Floats, Floats, Floats]:
     """Return g(u) = mean log(1 + u r) / u with its first two derivatives, shape (3, row)."""
     power = u[:, np.newaxis] * ratio
     tilted = ratio / (1 + power)
@@ -126,7 +126,7 @@ def _moments(points: Points, ratio: Floats, u: Floats) -> tuple[Floats, Floats, 
     return g, slope, curvature
 
 
-def _series(points: Points, ratio: Floats, u: Floats) -> Floats:
+def _series(points: WeightedSamples, ratio: Floats, u: Floats) -> Floats:
     """Sum the series of log(1 + u r) / u, whose closed form loses its digits near u = 0."""
     result, power = np.zeros((3, len(u))), np.ones_like(ratio)
     for j in range(_TERMS):
@@ -138,7 +138,7 @@ def _series(points: Points, ratio: Floats, u: Floats) -> Floats:
     return result
 
 
-def _log_density(points: Points, parameters: Parameters) -> Floats:
+def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     xi, scale = parameters["xi"], parameters["scale"]
     log = points.log + (points.log_mean - np.log(scale))[:, np.newaxis]
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

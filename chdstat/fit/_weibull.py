@@ -23,13 +23,13 @@ from scipy import stats
 
 from chdstat._core.positive import Floats, Mask
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
-from chdstat.fit.weighted_samples import Points
+from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.summary.dispatch import Part
 
 __all__ = ["WEIBULL"]
 
 
-def _profile(points: Points, at: Floats) -> Floats:
+def _profile(points: WeightedSamples, at: Floats) -> Floats:
     """Profile log-likelihood per sample, ``log k + k mean(log x) - log mean(x^k)``, by log k."""
     k, top = np.exp(at[0]), points.log_top
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -41,13 +41,13 @@ def _profile(points: Points, at: Floats) -> Floats:
     return np.stack([value, slope, zero, curvature, zero, zero - 1])
 
 
-def _start(points: Points) -> Floats:
+def _start(points: WeightedSamples) -> Floats:
     """Match the standard deviation of log x, which is pi / (sqrt(6) k)."""
     spread = np.sqrt(points.average(points.log**2))
     return np.stack([np.log(np.pi / np.sqrt(6) / spread), np.zeros_like(spread)])
 
 
-def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
+def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
     """Return shape, scale and convergence; the scale is profiled out, ``mean(x^k)^(1/k)``."""
     shape = np.exp(at[0])
     power = points.average(_powers(points, shape, points.log_top))
@@ -55,7 +55,7 @@ def _finish(points: Points, at: Floats, converged: Mask) -> Floats:
     return np.stack([shape, np.exp(log_scale), converged])
 
 
-def _powers(points: Points, k: Floats, top: Floats) -> Floats:
+def _powers(points: WeightedSamples, k: Floats, top: Floats) -> Floats:
     """Return (x / largest x)^k: at most 1, whatever k."""
     power = points.log - top[:, np.newaxis]
     power *= k[:, np.newaxis]
@@ -84,7 +84,7 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
         )
 
 
-def _log_density(points: Points, parameters: Parameters) -> Floats:
+def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     shape = parameters["shape"]
     power = points.log - (np.log(parameters["scale"]) - points.log_mean)[:, np.newaxis]
     power *= shape[:, np.newaxis]

@@ -1,9 +1,9 @@
-"""Cells and components: what mixtures are fitted to, and the families that they are made of.
+"""Summaries and components: what mixtures are fitted to, and the families that they are made of.
 
-Cells are groups of neighbouring samples. What an exponential family needs of a group is its size
-and the means of its sufficient statistics. With a bounded number of cells per pixel, the cost of a
-fit does not depend on spp; with cells as narrow as the samples are dense, hardly anything is lost.
-The bins of a log histogram are cells, too.
+Summaries describe groups of neighbouring samples. What an exponential family needs of a group is
+its size and the means of its sufficient statistics. With a bounded number of groups per pixel, the
+cost of a fit does not depend on spp; with groups as narrow as the samples are dense, hardly
+anything is lost. The bins of a log histogram are groups, too.
 
 The density of y = log x of a component is ``exp(a0 + a1 y + a2 t(y))``, with t(y) = y^2 for a
 log-normal component and t(y) = exp(y) for a gamma one. Its state is (log weight, location, log
@@ -27,35 +27,35 @@ from chdstat._core.positive import Counts, Floats
 __all__ = [
     "COMPONENTS",
     "SPREAD_FLOOR",
-    "Cells",
     "ComponentFamily",
     "MixtureFamily",
-    "cells_of_bins",
-    "cells_of_samples",
-    "single_cells",
+    "Summaries",
+    "summaries_of_bins",
+    "summaries_of_each",
+    "summaries_of_samples",
 ]
 
 SPREAD_FLOOR = 1e-3
 """Least standard deviation of a component in log x: its square is scikit-learn's `reg_covar`."""
 
 _ENDS = 4
-"""Samples at each end of a row that are cells by themselves: tails are sparse."""
+"""Samples at each end of a row that are groups by themselves: tails are sparse."""
 _SPIKE_EDGES = 4
-"""Edges of cells that are set where spikes begin and end."""
+"""Edges of groups that are set where spikes begin and end."""
 _CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
 
 
 @dataclass(frozen=True)
-class Cells:
-    """Rows of cells, each in ascending order.
+class Summaries:
+    """Rows of groups, each in ascending order.
 
     Attributes
     ----------
     count
-        Samples per cell, shape (row, cell); 0 for a cell that is not used.
+        Samples per group, shape (row, group); 0 for a group that is not used.
     log, square, ratio
-        Means of y, y^2 and exp(y) within the cell, shape (row, cell), where y = log x - origin.
+        Means of y, y^2 and exp(y) within the group, shape (row, group), where y = log x - origin.
     origin
         Shape (row,): log of the largest sample, so that exp(y) cannot overflow.
     floor
@@ -69,7 +69,7 @@ class Cells:
     origin: Floats
     floor: Floats
 
-    def take(self, rows: Counts) -> Cells:
+    def take(self, rows: Counts) -> Summaries:
         """Return some of the rows."""
         return take_rows(self, rows, axis=0)
 
@@ -79,34 +79,36 @@ class Cells:
         return np.asarray(self.count.sum(axis=-1))
 
 
-def cells_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> Cells:
+def summaries_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> Summaries:
     """Group samples, their logarithms in ascending order, shape (row, sample), `n` of which count.
 
-    There are up to `most` cells of equally many samples; those at both ends are divided. Edges lie
+    There are up to `most` groups of equally many samples; those at both ends are divided. Edges lie
     at the widest gap near each quantile, or where a spike begins or ends, so that equal samples, or
-    nearly equal ones, come into cells of their own.
+    nearly equal ones, come into groups of their own.
     """
     step = max(1, _CHUNK // log_sorted.shape[-1])
     groups = [_group(log_sorted[part], n[part], most) for part in spans(len(n), step)]
     values = (np.concatenate(pieces) for pieces in zip(*groups, strict=True))
     count, log, square, ratio, origin = values
-    return Cells(count, log, square, ratio, origin, np.full(len(n), SPREAD_FLOOR))
+    return Summaries(count, log, square, ratio, origin, np.full(len(n), SPREAD_FLOOR))
 
 
-def single_cells(log_sorted: Floats, n: Counts) -> Cells:
-    """Make each sample a cell, which loses nothing; arguments as of `cells_of_samples`."""
+def summaries_of_each(log_sorted: Floats, n: Counts) -> Summaries:
+    """Make each sample a group, which loses nothing; arguments as of `summaries_of_samples`."""
     y, origin = _relative(log_sorted, n)
     count = (np.arange(log_sorted.shape[-1]) < n[:, np.newaxis]).astype(np.float64)
-    return Cells(count, y, y * y, np.exp(y), origin, np.full(len(n), SPREAD_FLOOR))
+    return Summaries(count, y, y * y, np.exp(y), origin, np.full(len(n), SPREAD_FLOOR))
 
 
-def cells_of_bins(counts: Floats, log_centers: Floats, width: Floats) -> tuple[Cells, Cells]:
+def summaries_of_bins(
+    counts: Floats, log_centers: Floats, width: Floats
+) -> tuple[Summaries, Summaries]:
     """Take over the bins of log histograms, shape (row, bin), of width h, shape (row,).
 
-    The first cells have all samples at the centres of the bins. No component may be denser than the
+    The first have all samples at the centres of the bins. No component may be denser than the
     samples of one bin, spread over it: its standard deviation is at least h / sqrt(2 pi).
 
-    The second ones have Sheppard's corrections (see `PositiveHistogram.log_statistics`): h^2 / 12
+    The second have Sheppard's corrections (see `PositiveHistogram.log_statistics`): h^2 / 12
     less of mean squares, and means of exp(y) times (h / 2) / sinh(h / 2).
     """
     # Filled bins come first: the width is that of the row that has most of them.
@@ -120,9 +122,9 @@ def cells_of_bins(counts: Floats, log_centers: Floats, width: Floats) -> tuple[C
     square, ratio = y * y, np.exp(y)
     least = np.maximum(width / np.sqrt(2 * np.pi), SPREAD_FLOOR)
     sharp = np.maximum(width * np.sqrt(1 / (2 * np.pi) - 1 / 12), SPREAD_FLOOR)
-    as_they_are = Cells(count, y, square, ratio, origin[:, 0], least)
+    as_they_are = Summaries(count, y, square, ratio, origin[:, 0], least)
     ratio = ratio * (h / 2) / np.sinh(h / 2)
-    return as_they_are, Cells(count, y, square - h * h / 12, ratio, origin[:, 0], sharp)
+    return as_they_are, Summaries(count, y, square - h * h / 12, ratio, origin[:, 0], sharp)
 
 
 def _group(log_sorted: Floats, n: Counts, most: int) -> tuple[Floats, ...]:
@@ -142,7 +144,7 @@ def _relative(log_sorted: Floats, n: Counts) -> tuple[Floats, Floats]:
 
 
 def _edges(y: Floats, n: Counts, most: int) -> Counts:
-    """Return where cells begin and end, shape (row, edge)."""
+    """Return where groups begin and end, shape (row, edge)."""
     step = 2 ** np.maximum(np.ceil(np.log2(np.maximum(n, 1) / most)), 0).astype(np.int64)
     gaps = np.zeros(y.shape)
     np.subtract(y[:, 1:], y[:, :-1], out=gaps[:, 1:])
@@ -205,7 +207,7 @@ class ComponentFamily:
     name
         What users call it.
     statistic
-        Mean of t(y) per cell.
+        Mean of t(y) per group.
     transform
         t(y) itself.
     maximise
@@ -222,7 +224,7 @@ class ComponentFamily:
     """
 
     name: MixtureFamily
-    statistic: Callable[[Cells], Floats]
+    statistic: Callable[[Summaries], Floats]
     transform: Callable[[Floats], Floats]
     maximise: Callable[[Floats, Floats, Floats, Floats], Floats]
     coefficients: Callable[[Floats], Floats]
@@ -284,7 +286,7 @@ COMPONENTS = {
     for family in (
         ComponentFamily(
             name="lognormal",
-            statistic=lambda cells: cells.square,
+            statistic=lambda summaries: summaries.square,
             transform=np.square,
             maximise=_maximise_lognormal,
             coefficients=_lognormal_coefficients,
@@ -294,7 +296,7 @@ COMPONENTS = {
         ),
         ComponentFamily(
             name="gamma",
-            statistic=lambda cells: cells.ratio,
+            statistic=lambda summaries: summaries.ratio,
             transform=np.exp,
             maximise=_maximise_gamma,
             coefficients=_gamma_coefficients,

@@ -1,7 +1,7 @@
-"""Expectation-maximisation: mixtures of exponential families, fitted to cells, all rows at once.
+"""Expectation-maximisation: mixtures of exponential families, fitted to groups, all rows at once.
 
-The responsibilities of a cell are those of its mean sufficient statistics: of all that do not
-differ within cells, they give the largest lower bound of the log-likelihood, and every step raises
+The responsibilities of a group are those of its mean sufficient statistics: of all that do not
+differ within groups, they give the largest lower bound of the log-likelihood, and every step raises
 it (Verbeek, Nunnink and Vlassis, "Accelerated EM-based clustering of large data sets", 2006,
 doi:10.1007/s10618-005-0033-3). Steps are extrapolated by SQUAREM (Varadhan and Roland, "Simple and
 globally convergent methods for accelerating the convergence of any EM algorithm", 2008,
@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chdstat._core.positive import Counts, Floats, Mask
-from chdstat.fit.components import Cells, ComponentFamily
+from chdstat.fit.components import ComponentFamily, Summaries
 
 __all__ = [
     "Result",
@@ -57,9 +57,9 @@ class Result(NamedTuple):
 
 
 class _Data(NamedTuple):
-    """What a step needs of cells: samples, y, t(y), shape (cell, row); floor, n, shape (row,).
+    """What a step needs of groups: samples, y, t(y), shape (group, row); floor, n, shape (row,).
 
-    There are many more rows than cells: with rows last, loops are long, and take half the time.
+    There are many more rows than groups: with rows last, loops are long, and take half the time.
     """
 
     samples: Floats
@@ -69,10 +69,10 @@ class _Data(NamedTuple):
     n: Floats
 
     @classmethod
-    def of(cls, cells: Cells, family: ComponentFamily) -> _Data:
-        by_cell = (cells.count, cells.log, family.statistic(cells))
-        samples, log, statistic = (np.ascontiguousarray(values.T) for values in by_cell)
-        return cls(samples, log, statistic, cells.floor, cells.n)
+    def of(cls, summaries: Summaries, family: ComponentFamily) -> _Data:
+        by_group = (summaries.count, summaries.log, family.statistic(summaries))
+        samples, log, statistic = (np.ascontiguousarray(values.T) for values in by_group)
+        return cls(samples, log, statistic, summaries.floor, summaries.n)
 
     def take(self, rows: Mask) -> _Data:
         """Return some of the rows."""
@@ -80,14 +80,14 @@ class _Data(NamedTuple):
 
 
 def run(
-    cells: Cells, family: ComponentFamily, state: Floats, *, cycles: int, tolerance: float
+    summaries: Summaries, family: ComponentFamily, state: Floats, *, cycles: int, tolerance: float
 ) -> Result:
     """Raise the bound until a cycle of three steps gains less than `tolerance` per sample."""
     state = state.copy()
     bound = np.full(state.shape[-1], -np.inf)
     converged = np.zeros(state.shape[-1], dtype=bool)
     active = np.arange(state.shape[-1])
-    data = _Data.of(cells, family)
+    data = _Data.of(summaries, family)
     for _ in range(cycles):
         # Extrapolation may leave the numbers; what it reached is then not taken.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -103,23 +103,23 @@ def run(
     return Result(state, bound, converged)
 
 
-def responsibilities(cells: Cells, family: ComponentFamily, state: Floats) -> Floats:
-    """Return how many samples of each cell belong to each component, (component, row, cell)."""
-    return _expect(_Data.of(cells, family), family.coefficients(state))[0].transpose(0, 2, 1)
+def responsibilities(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:
+    """Return how many samples of each group belong to each component, (component, row, group)."""
+    return _expect(_Data.of(summaries, family), family.coefficients(state))[0].transpose(0, 2, 1)
 
 
-def bound_at(cells: Cells, family: ComponentFamily, state: Floats) -> Floats:
-    """Return the bound at a state: the log-likelihood of y, if each cell is one sample."""
-    return _expect(_Data.of(cells, family), family.coefficients(state))[1]
+def bound_at(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:
+    """Return the bound at a state: the log-likelihood of y, if each group is one sample."""
+    return _expect(_Data.of(summaries, family), family.coefficients(state))[1]
 
 
-def maximise(cells: Cells, family: ComponentFamily, shares: Floats) -> Floats:
+def maximise(summaries: Summaries, family: ComponentFamily, shares: Floats) -> Floats:
     """Return the state of maximum likelihood, given responsibilities."""
-    return _maximise(_Data.of(cells, family), family, shares.transpose(0, 2, 1))
+    return _maximise(_Data.of(summaries, family), family, shares.transpose(0, 2, 1))
 
 
 def log_density(log: Floats, statistic: Floats, coefficients: Floats) -> Floats:
-    """Return the log density of y at cells or samples, shape (row, cell)."""
+    """Return the log density of y at groups or samples, shape (row, group)."""
     with np.errstate(over="ignore", invalid="ignore"):
         exponent, top = _exponents(log, statistic, coefficients[..., np.newaxis])
         total = np.log(np.exp(exponent, out=exponent).sum(axis=0))
@@ -156,7 +156,7 @@ def _step(data: _Data, family: ComponentFamily, state: Floats) -> tuple[Floats, 
 
 
 def _expect(data: _Data, coefficients: Floats) -> tuple[Floats, Floats]:
-    """Return responsibilities, shape (component, cell, row), and the bound."""
+    """Return responsibilities, shape (component, group, row), and the bound."""
     exponent, top = _exponents(data.log, data.statistic, coefficients[:, :, np.newaxis])
     shares = np.exp(exponent, out=exponent)
     total = shares.sum(axis=0)
@@ -170,7 +170,7 @@ def _expect(data: _Data, coefficients: Floats) -> tuple[Floats, Floats]:
 def _exponents(log: Floats, statistic: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
     """Return the logs of weight times density of the components less their largest, and that."""
     constant, slope, curvature = coefficients
-    # In this order, or else sums over components and cells take several times as long.
+    # In this order, or else sums over components and groups take several times as long.
     exponent = np.multiply(slope, log, order="C")
     exponent += np.multiply(curvature, statistic, order="C")
     exponent += constant
@@ -199,58 +199,61 @@ _LOG_PEAK = -0.5 * (1 + np.log(2 * np.pi))
 """Mean log density of a Gaussian sample of variance 1, at maximum likelihood."""
 
 
-def single(cells: Cells, family: ComponentFamily) -> Floats:
+def single(summaries: Summaries, family: ComponentFamily) -> Floats:
     """Return the state of one component, which is its fit."""
-    below = _sums_below(cells, family)
-    return _state(cells, family, below[:, :, -1:].transpose(0, 2, 1))
+    below = _sums_below(summaries, family)
+    return _state(summaries, family, below[:, :, -1:].transpose(0, 2, 1))
 
 
-def segmentations(cells: Cells, family: ComponentFamily, k: int) -> Iterator[Floats]:
+def segmentations(summaries: Summaries, family: ComponentFamily, k: int) -> Iterator[Floats]:
     """Yield the best cut of each row into k segments, by two criteria.
 
     The likelihood of a Gaussian for each segment, and the sum of squares within them (k-means):
     the first favours narrow segments.
     """
-    if cells.count.shape[-1] < k:
+    if summaries.count.shape[-1] < k:
         return
-    below = _sums_below(cells, family)
-    edges = _cuts(cells.count.shape[-1], k)
+    below = _sums_below(summaries, family)
+    edges = _cuts(summaries.count.shape[-1], k)
     sizes = [below[0][:, b] - below[0][:, a] for a, b in pairwise(edges)]
-    spread = [_variance(below, cells.floor, a, b) for a, b in pairwise(edges)]
+    spread = [_variance(below, summaries.floor, a, b) for a, b in pairwise(edges)]
     pairs = list(zip(sizes, spread, strict=True))
     possible = np.where(np.min(sizes, axis=0) >= 1, 0.0, -np.inf)
     likelihood = sum((n * (np.log(n + _LEAST) - 0.5 * np.log(v)) for n, v in pairs), possible)
     compactness = sum((-n * v for n, v in pairs), possible)
-    rows = np.arange(len(cells.floor))
+    rows = np.arange(len(summaries.floor))
     for score in (likelihood, compactness):
         chosen = edges[:, score.argmax(axis=-1)]
         ends = below[:, rows, chosen]
-        yield _state(cells, family, np.diff(ends, axis=1))
+        yield _state(summaries, family, np.diff(ends, axis=1))
 
 
 def insertions(
-    cells: Cells, family: ComponentFamily, state: Floats, groups: tuple[tuple[int, ...], ...]
+    summaries: Summaries,
+    family: ComponentFamily,
+    state: Floats,
+    windows: tuple[tuple[int, ...], ...],
 ) -> Iterator[Floats]:
     """Yield, for each group of window lengths, the state with one component more.
 
-    It is that of the window, in cells, whose samples gain most from a Gaussian of their own.
+    It is that of the window, in groups, whose samples gain most from a Gaussian of their own.
     """
-    below = _sums_below(cells, family)
-    old = log_density(cells.log, family.statistic(cells), family.coefficients(state))
-    old_below = _cumulative(cells.count * old)
-    for group in groups:
-        start, stop = _best_window(below, old_below, cells.floor, group)
+    below = _sums_below(summaries, family)
+    old = log_density(summaries.log, family.statistic(summaries), family.coefficients(state))
+    old_below = _cumulative(summaries.count * old)
+    for lengths in windows:
+        start, stop = _best_window(below, old_below, summaries.floor, lengths)
         ends = np.stack([start, stop])
         sums = np.diff(below[:, np.arange(len(start)), ends], axis=1)
-        share = np.clip(sums[0] / cells.n, _LEAST, _LARGEST)
-        new = _state(cells, family, sums)
+        share = np.clip(sums[0] / summaries.n, _LEAST, _LARGEST)
+        new = _state(summaries, family, sums)
         new[0] = np.log(share)
         shrunk = state.copy()
         shrunk[0] += np.log1p(-share)
         yield np.concatenate([shrunk, new], axis=1)
 
 
-def split(cells: Cells, family: ComponentFamily, state: Floats) -> Floats:
+def split(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:
     """Return the state with its broadest component, by weight times spread, split into two.
 
     The halves lie 0.8 spreads to either side and have 0.6 of the spread, so that mean and variance
@@ -265,19 +268,19 @@ def split(cells: Cells, family: ComponentFamily, state: Floats) -> Floats:
     shift[1] = _APART * spread[broadest, rows]
     whole = np.concatenate([state, (half + shift)[:, np.newaxis]], axis=1)
     whole[:, broadest, rows] = half - shift
-    return family.bounded(whole, cells.floor)
+    return family.bounded(whole, summaries.floor)
 
 
 def _best_window(
     below: Floats, old_below: Floats, floor: Floats, lengths: tuple[int, ...]
 ) -> tuple[Counts, Counts]:
-    cells = below.shape[-1] - 1
+    groups = below.shape[-1] - 1
     best = np.full(len(floor), -np.inf)
     start, stop = np.zeros((2, len(floor)), dtype=np.int64)
     for length in lengths:
-        if length > cells:
+        if length > groups:
             continue
-        a, b = np.arange(cells - length + 1), np.arange(length, cells + 1)
+        a, b = np.arange(groups - length + 1), np.arange(length, groups + 1)
         n = below[0][:, b] - below[0][:, a]
         peak = _LOG_PEAK - 0.5 * np.log(_variance(below, floor, a, b))
         share = np.maximum(n, _LEAST) / below[0][:, -1:]
@@ -290,16 +293,16 @@ def _best_window(
     return start, stop
 
 
-def _state(cells: Cells, family: ComponentFamily, sums: Floats) -> Floats:
+def _state(summaries: Summaries, family: ComponentFamily, sums: Floats) -> Floats:
     """Return the state of components whose counts, sums of y and of t(y) are given."""
     n = np.maximum(sums[0], _LEAST)
-    return family.maximise(n / cells.n, sums[1] / n, sums[2] / n, cells.floor)
+    return family.maximise(n / summaries.n, sums[1] / n, sums[2] / n, summaries.floor)
 
 
-def _sums_below(cells: Cells, family: ComponentFamily) -> Floats:
-    """Return sums of 1, y, t(y) and y^2 over the cells below each edge, shape (4, row, edge)."""
-    means = (1.0, cells.log, family.statistic(cells), cells.square)
-    return np.stack([_cumulative(cells.count * mean) for mean in means])
+def _sums_below(summaries: Summaries, family: ComponentFamily) -> Floats:
+    """Return sums of 1, y, t(y) and y^2 over the groups below each edge, shape (4, row, edge)."""
+    means = (1.0, summaries.log, family.statistic(summaries), summaries.square)
+    return np.stack([_cumulative(summaries.count * mean) for mean in means])
 
 
 def _cumulative(values: Floats) -> Floats:
@@ -318,10 +321,10 @@ def _variance(below: Floats, floor: Floats, start: Counts, stop: Counts) -> Floa
 
 
 @cache
-def _cuts(cells: int, k: int) -> Counts:
+def _cuts(groups: int, k: int) -> Counts:
     """Return edges of k segments, shape (k + 1, choice), on as fine a grid as there is time for."""
-    grid = next(g for g in range(cells - 1, 0, -1) if comb(g, k - 1) <= _CHOICES or g <= k)
-    places = np.unique(np.linspace(1, cells - 1, grid).round().astype(np.int64))
+    grid = next(g for g in range(groups - 1, 0, -1) if comb(g, k - 1) <= _CHOICES or g <= k)
+    places = np.unique(np.linspace(1, groups - 1, grid).round().astype(np.int64))
     inner = np.array(list(combinations(places, k - 1))).T
     outer = np.zeros((1, inner.shape[-1]), dtype=np.int64)
-    return np.concatenate([outer, inner, outer + cells])
+    return np.concatenate([outer, inner, outer + groups])

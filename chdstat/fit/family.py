@@ -17,14 +17,14 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.positive import Floats, Mask
-from chdstat.fit.weighted_samples import Halves, Points, of_rows, sum_over_samples
+from chdstat.fit.weighted_samples import Halves, WeightedSamples, of_rows, sum_over_samples
 from chdstat.summary.dispatch import Part
 
 __all__ = ["RADIANCE", "Estimate", "Family", "Parameters", "maximise", "summed", "take"]
 
 Parameters = Mapping[str, Floats]
 
-LogDensity = Callable[[Points, Parameters], Floats]
+LogDensity = Callable[[WeightedSamples, Parameters], Floats]
 
 RADIANCE = "W sr-1 m-2"
 """Unit of a scale parameter."""
@@ -105,7 +105,7 @@ class Family:
         return len(self.units)
 
 
-def take(parameters: Parameters, points: Points) -> dict[str, Floats]:
+def take(parameters: Parameters, points: WeightedSamples) -> dict[str, Floats]:
     """Return the parameters, of any batch shape, of the rows of these points."""
     return {name: value.reshape(-1)[points.rows] for name, value in parameters.items()}
 
@@ -116,7 +116,7 @@ def summed(log_density: LogDensity) -> Callable[[Part, Parameters], Floats]:
     def log_likelihood(part: Part, parameters: Parameters) -> Floats:
         known = np.asarray(np.isfinite(np.stack(list(parameters.values()))).all(axis=0))
 
-        def of_points(points: Points) -> Floats:
+        def of_points(points: WeightedSamples) -> Floats:
             return log_density(points, take(parameters, points)) - points.log_mean[:, np.newaxis]
 
         return sum_over_samples(part, known, of_points)
@@ -135,7 +135,7 @@ _CLOSE = 0.05
 """Difference per sample that a few points may get wrong."""
 
 
-Surface = Callable[[Points, Floats], Floats]
+Surface = Callable[[WeightedSamples, Floats], Floats]
 """A function of two parameters, given for some points, at parameters of shape (2, row).
 
 It returns six numbers, shape (6, row): the value; the first derivatives by the first and the second
@@ -145,7 +145,7 @@ parameter; the second derivatives by the first, mixed, and by the second. NaN wh
 
 def _maximise_block(
     surface: Surface,
-    points: Points,
+    points: WeightedSamples,
     start: Floats,
     *,
     floor: float = -np.inf,
@@ -164,7 +164,7 @@ def _maximise_block(
     floor
         Least value, above 0, of the second parameter, if it has any: a maximum at the floor counts.
     tolerance
-        Steps this small end the climb; being Newton's, they leave about their square.
+        Steps this small end the search; being Newton's, they leave about their square.
 
     Returns
     -------
@@ -201,8 +201,8 @@ def maximise(
     part: Part,
     surface: Surface,
     *,
-    start: Callable[[Points], Floats],
-    finish: Callable[[Points, Floats, Mask], Floats],
+    start: Callable[[WeightedSamples], Floats],
+    finish: Callable[[WeightedSamples, Floats, Mask], Floats],
     names: int,
     minimum: int,
     floor: float = -np.inf,
@@ -234,14 +234,14 @@ def maximise(
         Shape (names, ...).
     """
 
-    def roughly(points: Points) -> Floats:
+    def roughly(points: WeightedSamples) -> Floats:
         first, *others = start(points).reshape(-1, 2, len(points.n))
         end, _ = _maximise_block(surface, points, first, floor=floor, tolerance=_ROUGHLY)
         if not others:
             return np.concatenate([end, np.full_like(end, np.nan)])
         return _in_order(surface, points, end, _from_afar(surface, points, end, others[0], floor))
 
-    def exactly(points: Points) -> Floats:
+    def exactly(points: WeightedSamples) -> Floats:
         begin, other = rough[:2, points.rows], rough[2:, points.rows]
         lost = np.isnan(begin).any(axis=0)
         if lost.any():
@@ -266,11 +266,7 @@ def maximise(
 
 
 def _from_afar(
-    surface: Surface,
-    points: Points,
-    end: Floats,
-    start: Floats,
-    floor: float,
+    surface: Surface, points: WeightedSamples, end: Floats, start: Floats, floor: float
 ) -> Floats:
     """Climb from another start where that is not next to where the first climb ended; else NaN."""
     other = np.full_like(end, np.nan)
@@ -283,7 +279,7 @@ def _from_afar(
     return other
 
 
-def _in_order(surface: Surface, points: Points, one: Floats, two: Floats) -> Floats:
+def _in_order(surface: Surface, points: WeightedSamples, one: Floats, two: Floats) -> Floats:
     """Return the higher end, then the other if all points may make it the higher; else NaN."""
     first, second = surface(points, one)[0], surface(points, two)[0]
     with np.errstate(invalid="ignore"):
@@ -296,7 +292,7 @@ def _in_order(surface: Surface, points: Points, one: Floats, two: Floats) -> Flo
 
 def _try_others(
     surface: Surface,
-    points: Points,
+    points: WeightedSamples,
     other: Floats,
     floor: float,
     at: Floats,

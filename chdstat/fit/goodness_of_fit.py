@@ -257,12 +257,7 @@ def goodness(
         return goodness_of_part(part, fit, tests=tests, resamples=resamples, seed=root)
 
     result = run(
-        x,
-        of_part,
-        goodness_variables,
-        null=null,
-        description=f"testing {name}",
-        progress=progress,
+        x, of_part, goodness_variables, null=null, description=f"testing {name}", progress=progress
     )
     if isinstance(result, Goodness):
         return result

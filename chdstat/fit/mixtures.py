@@ -24,7 +24,7 @@ from chdstat.fit.mle import zero_log_likelihood
 from chdstat.fit.peaks import standard_errors
 from chdstat.fit.results import Mixture, MixtureCriterion, counts_of, fit_variables, label_fit
 from chdstat.fit.search import EFFORTS, Effort, Found, Solution, log_likelihood, search
-from chdstat.fit.weighted_samples import Points
+from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.samples import Samples
 from chdstat.summary.dispatch import Part, Source, run
 from chdstat.summary.histograms import Histogram
@@ -32,13 +32,7 @@ from chdstat.summary.histograms import Histogram
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "ChosenMixtures",
-    "mixture",
-    "mixture_family",
-    "mixture_of_part",
-    "mixture_parameters",
-]
+__all__ = ["ChosenMixtures", "mixture", "mixture_family", "mixture_of_part", "mixture_parameters"]
 
 
 class ChosenMixtures:
@@ -89,11 +83,13 @@ class ChosenMixtures:
             best = _highest(self._held_out[found.rows], allowed)
         else:
             parameters = 3 * np.arange(1, len(solutions) + 1)
-            best = _highest(values - parameters * np.log(found.cells.n)[:, np.newaxis] / 2, allowed)
+            best = _highest(
+                values - parameters * np.log(found.summaries.n)[:, np.newaxis] / 2, allowed
+            )
         for k in np.unique(best):
             at = np.flatnonzero(best == k)
             rows, solution = found.rows[at], solutions[k].take(at)
-            errors = standard_errors(solution, found.cells.take(at))
+            errors = standard_errors(solution, found.summaries.take(at))
             order = np.argsort(_median(solution), axis=-1)
             for i, (name, value) in enumerate(_parameters(solution).items()):
                 self._values[i, rows, : k + 1] = np.take_along_axis(value, order, axis=-1)
@@ -218,7 +214,7 @@ def mixture(
     """Fit a zero-inflated mixture of log-normal or gamma components by maximum likelihood.
 
     ``f(x) = sum_j w_j f_j(x)`` on the positive part: expectation-maximisation from starts that are
-    not random, on cells of neighbouring samples (see `chdstat.fit.components`), so that the cost
+    not random, on groups of neighbouring samples (see `chdstat.fit.components`), so that the cost
     hardly depends on spp. Its log-likelihood is of linear radiance and compares with that of any
     family.
 
@@ -241,7 +237,7 @@ def mixture(
     max_k
         Largest number of components that is tried, at most 8.
     effort
-        'thorough', or 'fast' for a quarter of the time: fewer starts and cells, a looser tolerance.
+        'thorough', or 'fast' for a quarter of the time: fewer starts, a looser tolerance.
 
     Returns
     -------
@@ -372,7 +368,7 @@ def mixture_family(component: MixtureFamily, k: int) -> Family:
             converged=found.converged,
         )
 
-    def log_density(points: Points, parameters: Parameters) -> Floats:
+    def log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
         densities = [
             base.log_density(points, one) + np.log(weight)[:, np.newaxis]
             for weight, one in _components(parameters, k)

@@ -25,14 +25,7 @@ from chdstat.summary.histograms import Histogram
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "FamilyFit",
-    "estimate_part",
-    "family_fit",
-    "fit",
-    "fit_part",
-    "zero_log_likelihood",
-]
+__all__ = ["FamilyFit", "estimate_part", "family_fit", "fit", "fit_part", "zero_log_likelihood"]
 
 _SECTIONS = """Parameters
 ----------

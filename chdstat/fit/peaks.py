@@ -19,7 +19,7 @@ from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit import em
-from chdstat.fit.components import Cells, ComponentFamily
+from chdstat.fit.components import ComponentFamily, Summaries
 from chdstat.fit.search import Found, Solution, score, search
 from chdstat.fit.unimodal import edge_scores, log_samples
 
@@ -30,15 +30,15 @@ _WORST = 1e-12
 """Reciprocal condition at or below which an information matrix says nothing."""
 
 
-def standard_errors(solution: Solution, cells: Cells) -> dict[str, Floats]:
+def standard_errors(solution: Solution, summaries: Summaries) -> dict[str, Floats]:
     """Return standard errors of weights and parameters, by name, shape (row, component).
 
     Inverse of the empirical information, the sum of the outer products of the scores of the samples
     (McLachlan and Peel, "Finite mixture models", 2000, doi:10.1002/0471721182, equation 2.62), here
-    with the mean scores of the cells. NaN where it is singular.
+    with the mean scores of the groups. NaN where it is singular.
     """
     k = solution.state.shape[1]
-    found = _covariance(solution, cells)
+    found = _covariance(solution, summaries)
     with np.errstate(invalid="ignore", over="ignore"):
         own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1))
         weights = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
@@ -52,18 +52,18 @@ def standard_errors(solution: Solution, cells: Cells) -> dict[str, Floats]:
     return errors | {"shape": first, "scale": second * scale}
 
 
-def _covariance(solution: Solution, cells: Cells) -> Floats:
+def _covariance(solution: Solution, summaries: Summaries) -> Floats:
     """Return the covariance that the information gives, shape (row, parameter, parameter).
 
     Parameters are all weights but the last; mu of each component, then log sigma; or shape, then
     log scale.
     """
-    shares = em.responsibilities(cells, solution.family, solution.state)
-    share = shares / np.maximum(cells.count, 1)
+    shares = em.responsibilities(summaries, solution.family, solution.state)
+    share = shares / np.maximum(summaries.count, 1)
     scores = np.stack(
-        [*_weight_scores(solution, share), *_parameter_scores(solution, cells, share)]
+        [*_weight_scores(solution, share), *_parameter_scores(solution, summaries, share)]
     )
-    information = np.einsum("irc,jrc,rc->rij", scores, scores, cells.count, optimize=True)
+    information = np.einsum("irc,jrc,rc->rij", scores, scores, summaries.count, optimize=True)
     return _inverse(information)
 
 
@@ -73,18 +73,18 @@ def _weight_scores(solution: Solution, share: Floats) -> Iterator[Floats]:
         yield share[j] / weight[j] - share[-1] / weight[-1]
 
 
-def _parameter_scores(solution: Solution, cells: Cells, share: Floats) -> Iterator[Floats]:
+def _parameter_scores(solution: Solution, summaries: Summaries, share: Floats) -> Iterator[Floats]:
     """Yield scores of mu of each component, then of log sigma; or of shape, then of log scale."""
     _, location, log_scale = solution.state[..., np.newaxis]
     if solution.family.name == "lognormal":
         precision = np.exp(-2 * log_scale)
-        yield from share * (cells.log - location) * precision
-        square = cells.square - 2 * location * cells.log + location**2
+        yield from share * (summaries.log - location) * precision
+        square = summaries.square - 2 * location * summaries.log + location**2
         yield from share * (square * precision - 1)
     else:
         shape, log_theta = np.exp(log_scale), location - log_scale
-        yield from share * (cells.log - log_theta - special.digamma(shape))
-        yield from share * (cells.ratio * np.exp(-log_theta) - shape)
+        yield from share * (summaries.log - log_theta - special.digamma(shape))
+        yield from share * (summaries.ratio * np.exp(-log_theta) - shape)
 
 
 def _inverse(information: Floats) -> Floats:
@@ -106,7 +106,7 @@ LEAST_WEIGHT = 0.08
 """Least weight of a component that makes a mode: a few outliers are none."""
 
 _CYCLES, _TOLERANCE = 40, 1e-6
-"""Of the climb that goes on where there is more than one mode."""
+"""Of the run of EM that goes on where there is more than one mode."""
 _STEP = 1e-4
 """Of a parameter, for a derivative."""
 
@@ -119,7 +119,7 @@ _EVEN = np.linspace(0, 1, 34)[1:-1, np.newaxis]
 _NEAR = np.array([0.5, 1.0, 2.0, 3.0, 4.0])[:, np.newaxis]
 
 
-def _peaks_of(solution: Solution, cells: Cells) -> tuple[Counts, Floats]:
+def _peaks_of(solution: Solution, summaries: Summaries) -> tuple[Counts, Floats]:
     """Count the modes of mixtures, and measure their separation.
 
     Returns
@@ -134,7 +134,7 @@ def _peaks_of(solution: Solution, cells: Cells) -> tuple[Counts, Floats]:
     several = np.flatnonzero((owner == np.arange(len(owner))[:, np.newaxis]).sum(axis=0) > 1)
     if several.size:
         # A few steps count modes, but their places and widths would still move.
-        some, state = cells.take(several), solution.state.copy()
+        some, state = summaries.take(several), solution.state.copy()
         further = em.run(
             some, solution.family, state[..., several], cycles=_CYCLES, tolerance=_TOLERANCE
         )
@@ -153,7 +153,7 @@ def _peaks_of(solution: Solution, cells: Cells) -> tuple[Counts, Floats]:
     modes = np.count_nonzero(weight > 0, axis=0)
     several = np.flatnonzero(modes > 1)
     if several.size:
-        chosen = solution.take(several), cells.take(several)
+        chosen = solution.take(several), summaries.take(several)
         fields[3, several, :-1] = _errors(*chosen, owner[:, several], order[:, several]).T
     fields[3, np.isnan(fields[2])] = np.nan
     return modes, fields
@@ -229,7 +229,7 @@ def _ashman(mean: Floats, variance: Floats) -> Floats:
     return np.asarray(np.sqrt(2) * np.abs(np.diff(mean, axis=0)) / np.sqrt(both))
 
 
-def _errors(solution: Solution, cells: Cells, owner: Counts, order: Counts) -> Floats:
+def _errors(solution: Solution, summaries: Summaries, owner: Counts, order: Counts) -> Floats:
     """Return standard errors of Ashman's D by the delta method, shape (pair, row).
 
     From the information of the mixture, to which samples that may be of either mode add little.
@@ -243,9 +243,9 @@ def _errors(solution: Solution, cells: Cells, owner: Counts, order: Counts) -> F
     for step, above, below in _moves(solution):
         slopes.append((separation(above) - separation(below)) / (2 * step))
     with np.errstate(invalid="ignore"):
-        gradient, found = np.stack(slopes), _covariance(solution, cells)
+        gradient, found = np.stack(slopes), _covariance(solution, summaries)
         error = np.sqrt(np.einsum("ipr,rij,jpr->pr", gradient, found, gradient))
-    return np.asarray(error * (1 + (_FEW / cells.n) ** 2))
+    return np.asarray(error * (1 + (_FEW / summaries.n) ** 2))
 
 
 def _moves(solution: Solution) -> Iterator[tuple[Floats, Floats, Floats]]:
@@ -339,15 +339,15 @@ def _of_piece(
     chance to make fewer, and distributions of one mode with hard edges that to make one.
     """
     one = np.full((len(_FIELDS), len(unimodal), max_k), np.nan)
-    one[0, :, 0] = found.solutions[0].state[1, 0] + found.cells.origin
+    one[0, :, 0] = found.solutions[0].state[1, 0] + found.summaries.origin
     one[1, :, 0] = 1.0
     count, table = np.ones(len(unimodal), dtype=np.int64), one.copy()
     best = unimodal.copy()
     everyone = np.arange(len(unimodal))
-    gain = _enter(found.solutions, found.cells, everyone, log_n, best, count, table) - unimodal
+    gain = _enter(found.solutions, found.summaries, everyone, log_n, best, count, table) - unimodal
     several = np.flatnonzero(count > 1)
     of_gamma = found.also("gamma", several)
-    also = _enter(of_gamma, found.cells, several, log_n, best, count, table) - unimodal[several]
+    also = _enter(of_gamma, found.summaries, several, log_n, best, count, table) - unimodal[several]
     gain[several] = np.maximum(gain[several], also)
     several = several[doubtful[several] & (count[several] > 1)]
     samples, n = found.objective.samples, found.objective.n
@@ -362,7 +362,7 @@ def _of_piece(
 
 def _enter(
     solutions: list[Solution],
-    cells: Cells,
+    summaries: Summaries,
     rows: Counts,
     log_n: Floats,
     best: Floats,
@@ -375,7 +375,7 @@ def _enter(
     which, highest = scores.argmax(axis=0), scores.max(axis=0)
     for i, solution in enumerate(mixed):
         at = np.flatnonzero((which == i) & (highest > best[rows]))
-        count[rows[at]], fields = _peaks_of(solution.take(at), cells.take(rows[at]))
+        count[rows[at]], fields = _peaks_of(solution.take(at), summaries.take(rows[at]))
         table[:, rows[at]] = np.nan
         table[:, rows[at], : fields.shape[-1]] = fields
     best[rows] = np.maximum(best[rows], highest)

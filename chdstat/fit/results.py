@@ -22,14 +22,7 @@ if TYPE_CHECKING:
 
     from chdstat.samples.samples import Mapped
 
-__all__ = [
-    "Fit",
-    "Mixture",
-    "MixtureCriterion",
-    "counts_of",
-    "fit_variables",
-    "label_fit",
-]
+__all__ = ["Fit", "Mixture", "MixtureCriterion", "counts_of", "fit_variables", "label_fit"]
 
 MixtureCriterion = Literal["bic", "held_out"]
 

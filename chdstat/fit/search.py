@@ -1,9 +1,9 @@
 """Search for the best mixtures of 1, 2, ... components that EM finds, for all rows of a part.
 
 `chdstat.fit.mixture` and `chdstat.modality` share `search`. Its objective is the likelihood of
-samples, or of bins. EM works on weighted cells in place of the samples; where samples are at hand,
-solutions are judged by them, and improved on them where the cells have blurred too much. Where only
-bins are, their width is taken out again.
+samples, or of bins. EM works on groups of samples; where samples are at hand, solutions are judged
+by them, and improved on them where the groups have blurred too much. Where only bins are, their
+width is taken out again.
 """
 
 from __future__ import annotations
@@ -19,24 +19,16 @@ from chdstat._core.positive import Counts, Floats, Mask
 from chdstat.fit import em
 from chdstat.fit.components import (
     COMPONENTS,
-    Cells,
     ComponentFamily,
     MixtureFamily,
-    cells_of_bins,
-    cells_of_samples,
-    single_cells,
+    Summaries,
+    summaries_of_bins,
+    summaries_of_each,
+    summaries_of_samples,
 )
 from chdstat.summary.dispatch import Part, PositiveHistogram
 
-__all__ = [
-    "EFFORTS",
-    "Effort",
-    "Found",
-    "Solution",
-    "log_likelihood",
-    "score",
-    "search",
-]
+__all__ = ["EFFORTS", "Effort", "Found", "Solution", "log_likelihood", "score", "search"]
 
 _CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
@@ -54,22 +46,22 @@ class Plan:
     ----------
     rows
         Rows worked on at once: many, so that calls are few, but no more than the cache holds.
-    cells
-        Most equally filled cells of a row.
+    groups
+        Most equally filled groups of a row.
     windows
-        Groups of window lengths, in cells, for inserted components.
+        Groups of window lengths, in groups, for inserted components.
     rounds
-        (cycles, starts kept after them) before the final climb.
+        (cycles, starts kept after them) before the final run of EM.
     cycles, tolerance
-        Of the final climb.
+        Of the final run.
     loss
-        Where cells lose more log-likelihood per sample than this, the climb ends on the samples.
+        Where groups lose more log-likelihood per sample than this, the run ends on the samples.
     sample_cycles
         Cycles of that.
     """
 
     rows: int
-    cells: int
+    groups: int
     windows: tuple[tuple[int, ...], ...]
     rounds: tuple[tuple[int, int], ...]
     cycles: int
@@ -81,7 +73,7 @@ class Plan:
 EFFORTS: dict[Effort, Plan] = {
     "fast": Plan(
         rows=4096,
-        cells=32,
+        groups=32,
         windows=((1, 2, 4), (8, 16)),
         rounds=((1, 1),),
         cycles=6,
@@ -91,7 +83,7 @@ EFFORTS: dict[Effort, Plan] = {
     ),
     "thorough": Plan(
         rows=512,
-        cells=64,
+        groups=64,
         windows=((1,), (2,), (4,), (8,), (16,), (32,)),
         rounds=((4, 2), (8, 1)),
         cycles=60,
@@ -146,19 +138,19 @@ class Objective:
     ----------
     plan
         How hard to search.
-    cells
+    summaries
         What EM works on: summaries of samples, or bins as they are. Their likelihood is one of
         binned data: with corrected bins, EM would be rewarded for components that hide within one.
     corrected
-        Cells as close to the samples as there are: bins with Sheppard's corrections.
+        Groups as close to the samples as there are: bins with Sheppard's corrections.
     samples, n
         Logarithms of samples in ascending order, shape (row, sample), of which `n` count; None
         where only bins are.
     """
 
     plan: Plan
-    cells: Cells
-    corrected: Cells
+    summaries: Summaries
+    corrected: Summaries
     samples: Floats | None = None
     n: Counts | None = None
 
@@ -170,41 +162,37 @@ class Objective:
     def maximise(self, family: ComponentFamily, state: Floats) -> Solution:
         """Run EM to the end of the plan, and judge where it ends by what is closest to the samples.
 
-        Where cells lose more than the plan's `loss` per sample, EM goes on on the samples. Of bins,
-        the last maximisation takes Sheppard's corrections into account. Moving the samples to the
+        Where groups lose more than the plan's `loss` per sample, EM goes on with the samples. Of
+        bins, the last maximisation takes Sheppard's corrections into account. Moving the samples to the
         centres of bins costs all mixtures alike about the same, so the likelihoods are shifted by
         what it costs one component.
         """
-        cells, plan, origin = self.cells, self.plan, self.cells.origin
+        summaries, plan, origin = self.summaries, self.plan, self.summaries.origin
         if state.shape[1] == 1:
             # One component is at its maximum at once.
             there = np.ones(state.shape[-1], dtype=bool)
-            end = em.Result(state, em.bound_at(cells, family, state), there)
+            end = em.Result(state, em.bound_at(summaries, family, state), there)
         else:
-            end = em.run(cells, family, state, cycles=plan.cycles, tolerance=plan.tolerance)
+            end = em.run(summaries, family, state, cycles=plan.cycles, tolerance=plan.tolerance)
         if self.samples is None or self.n is None:
-            shares = em.responsibilities(cells, family, end.state)
+            shares = em.responsibilities(summaries, family, end.state)
             of_one, of_corrected = (
-                em.bound_at(c, family, em.single(c, family)) for c in (cells, self.corrected)
+                em.bound_at(c, family, em.single(c, family)) for c in (summaries, self.corrected)
             )
             state = em.maximise(self.corrected, family, shares)
             shifted = end.bound + (of_corrected - of_one)
             return Solution(family, state, origin, shifted, end.converged)
         state, converged = end.state.copy(), end.converged.copy()
         if state.shape[1] == 1:
-            # Without a choice of component, sums over cells are those over samples.
+            # Without a choice of component, sums over groups are those over samples.
             return Solution(family, state, origin, end.bound, converged)
         value = log_likelihood(self.samples, self.n, family, state, origin)
         blurred = np.flatnonzero(value - end.bound > plan.loss * self.n)
         for piece in spans(len(blurred), _rows(self.samples)):
             rows = blurred[piece]
-            singles = single_cells(self.samples[rows], self.n[rows])
+            singles = summaries_of_each(self.samples[rows], self.n[rows])
             further = em.run(
-                singles,
-                family,
-                state[..., rows],
-                cycles=plan.sample_cycles,
-                tolerance=_TOLERANCE,
+                singles, family, state[..., rows], cycles=plan.sample_cycles, tolerance=_TOLERANCE
             )
             state[..., rows], converged[rows] = further.state, further.converged
             value[rows] = em.bound_at(singles, family, further.state)
@@ -249,16 +237,16 @@ class Found:
     objective: Objective
 
     @property
-    def cells(self) -> Cells:
-        """Cells of the rows, as close to the samples as there are."""
+    def summaries(self) -> Summaries:
+        """Groups of the rows, as close to the samples as there are."""
         return self.objective.corrected
 
     def also(self, family: MixtureFamily, rows: Counts) -> list[Solution]:
         """Fit another family to some of the rows, from where the solutions of this one are."""
         kind, objective, solutions = COMPONENTS[family], self.objective.take(rows), []
         for model in (solution.take(rows) for solution in self.solutions):
-            shares = em.responsibilities(objective.cells, model.family, model.state)
-            start = em.maximise(objective.cells, kind, shares)
+            shares = em.responsibilities(objective.summaries, model.family, model.state)
+            start = em.maximise(objective.summaries, kind, shares)
             solution = objective.maximise(kind, start)
             value = np.where(np.isinf(model.log_likelihood), -np.inf, solution.log_likelihood)
             solutions.append(replace(solution, log_likelihood=value))
@@ -307,33 +295,36 @@ def _pieces(part: Part, usable: Mask, plan: Plan) -> Iterator[tuple[Counts, Obje
     for piece in spans(len(ordered), plan.rows):
         rows = ordered[piece]
         if isinstance(part, PositiveHistogram):
-            yield rows, Objective(plan, *cells_of_bins(counts[rows], centers[rows], width[rows]))
+            yield (
+                rows,
+                Objective(plan, *summaries_of_bins(counts[rows], centers[rows], width[rows])),
+            )
         else:
             samples = ascending[rows, : n[rows[-1]]]
-            cells = cells_of_samples(samples, n[rows], plan.cells)
-            yield rows, Objective(plan, cells, cells, samples, n[rows])
+            summaries = summaries_of_samples(samples, n[rows], plan.groups)
+            yield rows, Objective(plan, summaries, summaries, samples, n[rows])
 
 
 def _fit(
     objective: Objective, family: ComponentFamily, max_k: int, unimodal: Floats | None
 ) -> list[Solution]:
-    cells, windows = objective.cells, objective.plan.windows
-    solutions = [objective.maximise(family, em.single(cells, family))]
-    rows, log_n = np.arange(len(cells.n)), np.log(cells.n)
+    summaries, windows = objective.summaries, objective.plan.windows
+    solutions = [objective.maximise(family, em.single(summaries, family))]
+    rows, log_n = np.arange(len(summaries.n)), np.log(summaries.n)
     for k in range(2, max_k + 1):
         if unimodal is not None and k > 2:
             # One component more may pay where the last one did.
             scores = [score(solution, log_n) for solution in solutions]
             rows = np.flatnonzero(scores[-1] > np.maximum(unimodal, np.max(scores[:-1], axis=0)))
-        here = objective if rows.size == len(cells.n) else objective.take(rows)
+        here = objective if rows.size == len(summaries.n) else objective.take(rows)
         last = solutions[-1].state[..., rows]
         starts = [
-            *em.segmentations(here.cells, family, k),
-            *em.insertions(here.cells, family, last, windows),
-            em.split(here.cells, family, last),
+            *em.segmentations(here.summaries, family, k),
+            *em.insertions(here.summaries, family, last, windows),
+            em.split(here.summaries, family, last),
         ]
         solution = here.maximise(family, _best_start(here, family, starts))
-        solutions.append(_put_back(solution, rows, cells.origin))
+        solutions.append(_put_back(solution, rows, summaries.origin))
     return solutions
 
 
@@ -351,11 +342,11 @@ def _put_back(solution: Solution, rows: Counts, origin: Floats) -> Solution:
 
 def _best_start(objective: Objective, family: ComponentFamily, states: list[Floats]) -> Floats:
     """Return the state that EM raises highest in a few cycles, row by row."""
-    cells, tolerance = objective.cells, objective.plan.tolerance
+    summaries, tolerance = objective.summaries, objective.plan.tolerance
     for cycles, kept in objective.plan.rounds:
         if len(states) == 1:
             break
-        ends = [em.run(cells, family, s, cycles=cycles, tolerance=tolerance) for s in states]
+        ends = [em.run(summaries, family, s, cycles=cycles, tolerance=tolerance) for s in states]
         ranked = np.argsort([-end.bound for end in ends], axis=0, kind="stable")[:kept]
         reached = np.stack([end.state for end in ends])
         states = [

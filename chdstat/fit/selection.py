@@ -196,11 +196,7 @@ def select(
 
 
 def select_part(
-    part: Part,
-    families: Sequence[Family],
-    criterion: Criterion = "bic",
-    *,
-    held_out: bool = False,
+    part: Part, families: Sequence[Family], criterion: Criterion = "bic", *, held_out: bool = False
 ) -> Selection:
     """Compare families on samples that are already split."""
     fits = {family.name: fit_part(part, family) for family in families}

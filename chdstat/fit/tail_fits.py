@@ -58,11 +58,7 @@ _LABELS = {
     "tail_variance_unidentified": "the samples cannot tell whether the variance is finite",
     "tail_reason": "why there is no tail index",
 }
-_FIELDS = {
-    "tail_index": "xi",
-    "tail_index_se": "standard_error",
-    "tail_index_far": "xi_far",
-}
+_FIELDS = {"tail_index": "xi", "tail_index_se": "standard_error", "tail_index_far": "xi_far"}
 """Fields of `Tail` that have other names in an image than with the prefix ``tail_``."""
 
 

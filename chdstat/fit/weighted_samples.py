@@ -1,8 +1,8 @@
-"""Points: log samples with weights, a block of rows at a time, whichever route they come from.
+"""Weighted samples: logarithms with weights, a block of rows at a time, of samples or of bins.
 
-A family that is fitted from sums over the samples sees `Points` only: samples have weight 1, bins
-of a log histogram the count of their samples. Rows are taken in the order of their number of
-samples, so that a block is as wide as its rows need: null-heavy pixels cost what they hold.
+A family that is fitted from sums over the samples sees `WeightedSamples` only: samples have weight
+1, bins of a log histogram the count of their samples. Rows are taken in the order of their number
+of samples, so that a block is as wide as its rows need: null-heavy pixels cost what they hold.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from chdstat._core.positive import SMALLEST, Floats, LogStatistics, Mask, Positi
 from chdstat._core.reasons import Reason
 from chdstat.summary.dispatch import Part, PositiveHistogram
 
-__all__ = ["Halves", "Points", "blocks", "of_rows", "sum_over_samples"]
+__all__ = ["Halves", "WeightedSamples", "blocks", "of_rows", "sum_over_samples"]
 
 _CHUNK = 2**17
-"""Points worked on at once: three or four arrays of them stay in the cache."""
+"""WeightedSamples worked on at once: three or four arrays of them stay in the cache."""
 _THIN = 32
 _EDGES = np.sin(np.linspace(0, np.pi / 2, _THIN + 1)) ** 2
 """Quantiles at which the samples are parted: close at both ends, where single samples count."""
 
 
 @dataclass(frozen=True)
-class Points:
+class WeightedSamples:
     """Weighted points of some rows.
 
     Attributes
@@ -69,9 +69,9 @@ class Points:
         """Weight times the square of `log`, shape of `log`."""
         return self.log_weight * self.log
 
-    def take(self, rows: npt.NDArray[Any]) -> Points:
+    def take(self, rows: npt.NDArray[Any]) -> WeightedSamples:
         """Return some rows of these."""
-        return Points(
+        return WeightedSamples(
             rows=self.rows[rows],
             log=self.log[rows],
             weight=self.weight[rows],
@@ -100,12 +100,12 @@ class Halves(PositivePart):
     Attributes
     ----------
     points
-        The samples, in stored order: `Points.rows` counts from 0.
+        The samples, in stored order: `WeightedSamples.rows` counts from 0.
     sums
         Their `log_statistics`.
     """
 
-    points: Points
+    points: WeightedSamples
     sums: LogStatistics
 
     @cached_property
@@ -122,7 +122,7 @@ class Halves(PositivePart):
         return cls(x, valid, n, none, none, none, none, points=points, sums=sums)
 
 
-def blocks(part: Part, usable: Mask, *, thin: bool = False) -> Iterator[Points]:
+def blocks(part: Part, usable: Mask, *, thin: bool = False) -> Iterator[WeightedSamples]:
     """Cut the usable rows of a part into blocks.
 
     With `thin`, samples are replaced by 32 of them, each with the weight of its neighbours: enough
@@ -152,7 +152,7 @@ def of_rows(
     part: Part,
     minimum: int,
     names: int,
-    of_points: Callable[[Points], Floats],
+    of_points: Callable[[WeightedSamples], Floats],
     *,
     thin: bool = False,
     among: Mask | None = None,
@@ -166,7 +166,9 @@ def of_rows(
     return results
 
 
-def sum_over_samples(part: Part, known: Mask, of_points: Callable[[Points], Floats]) -> Floats:
+def sum_over_samples(
+    part: Part, known: Mask, of_points: Callable[[WeightedSamples], Floats]
+) -> Floats:
     """Sum a value per point over the samples of a row, shape (...); NaN where not `known`."""
     total = np.full(part.n.size, np.nan)
     for points in blocks(part, known.ravel() & (part.n.ravel() > 0)):
@@ -184,14 +186,14 @@ def _reach(n: npt.NDArray[np.int64], rows: npt.NDArray[np.intp], start: int) -> 
     return int(n[rows[min(start + _CHUNK // least, len(rows) - 1)]])
 
 
-def _samples(part: PositivePart, rows: npt.NDArray[np.intp]) -> Points:
+def _samples(part: PositivePart, rows: npt.NDArray[np.intp]) -> WeightedSamples:
     n = part.n.ravel()[rows]
     log_mean = part.log_statistics.log_mean.ravel()[rows]
     log = part.log_sorted.reshape(-1, part.x.shape[-1])[rows, : int(n.max(initial=1))]
     log -= log_mean[:, np.newaxis]
     weight = _ones(n, log.shape[-1])
     _clear(log, weight, n)
-    return Points(
+    return WeightedSamples(
         rows=rows,
         log=log,
         weight=weight,
@@ -202,7 +204,7 @@ def _samples(part: PositivePart, rows: npt.NDArray[np.intp]) -> Points:
     )
 
 
-def _of_ragged(x: Floats, n: npt.NDArray[np.int64]) -> tuple[Points, LogStatistics]:
+def _of_ragged(x: Floats, n: npt.NDArray[np.int64]) -> tuple[WeightedSamples, LogStatistics]:
     """Return points and sums of the first n of each row, where the others are 0; works in `x`."""
     weight = _ones(n, x.shape[-1])
     count = np.maximum(n, 1).astype(np.float64)
@@ -218,7 +220,7 @@ def _of_ragged(x: Floats, n: npt.NDArray[np.int64]) -> tuple[Points, LogStatisti
         _clear(log, weight, n)
         log_variance = np.vecdot(log, log) / n
     sums = LogStatistics(n=n, mean=mean, gap=gap, log_variance=log_variance)
-    points = Points(
+    points = WeightedSamples(
         rows=np.arange(len(n)),
         log=log,
         weight=weight,
@@ -244,7 +246,7 @@ def _clear(values: Floats, weight: Floats, n: npt.NDArray[np.int64], by: float =
     np.copyto(values[:, least:], by, where=weight[:, least:] == 0)
 
 
-def _some_samples(part: PositivePart, rows: npt.NDArray[np.intp]) -> Points:
+def _some_samples(part: PositivePart, rows: npt.NDArray[np.intp]) -> WeightedSamples:
     """Part the sorted samples into groups, and let the middle one of each stand for its group."""
     n = part.n.ravel()[rows]
     log_mean = part.log_statistics.log_mean.ravel()[rows]
@@ -252,7 +254,7 @@ def _some_samples(part: PositivePart, rows: npt.NDArray[np.intp]) -> Points:
     middle = np.minimum((edges[:, 1:] + edges[:, :-1]) // 2, n[:, np.newaxis] - 1)
     log = part.log_sorted.reshape(-1, part.x.shape[-1])[rows[:, np.newaxis], middle]
     log -= log_mean[:, np.newaxis]
-    return Points(
+    return WeightedSamples(
         rows=rows,
         log=log,
         weight=np.diff(edges, axis=-1).astype(np.float64),
@@ -262,7 +264,7 @@ def _some_samples(part: PositivePart, rows: npt.NDArray[np.intp]) -> Points:
     )
 
 
-def _bins(part: PositiveHistogram, rows: npt.NDArray[np.intp]) -> Points:
+def _bins(part: PositiveHistogram, rows: npt.NDArray[np.intp]) -> WeightedSamples:
     """Draw the centres together until they have the log variance that the samples had.
 
     The bins spread the samples by h^2 / 12 (see `PositiveHistogram.log_statistics`); contracting
@@ -283,4 +285,6 @@ def _bins(part: PositiveHistogram, rows: npt.NDArray[np.intp]) -> Points:
     # The edge, not the contracted centre: a family of bounded support must hold every sample.
     edge = np.where(empty, -np.inf, centers).max(axis=-1) + half - log_mean
     apart[empty] = 0
-    return Points(rows=rows, log=apart, weight=weight, n=n, log_mean=log_mean, log_top=edge)
+    return WeightedSamples(
+        rows=rows, log=apart, weight=weight, n=n, log_mean=log_mean, log_top=edge
+    )

@@ -255,11 +255,7 @@ class StreamingHistogram:
     """
 
     def __init__(
-        self,
-        *,
-        scale: Scale = "log",
-        bins: int = 100,
-        support: GivenSupport | None = None,
+        self, *, scale: Scale = "log", bins: int = 100, support: GivenSupport | None = None
     ) -> None:
         if scale not in SCALES:
             message = f"scale must be one of {', '.join(SCALES)}, got {scale!r}"

@@ -9,7 +9,7 @@ import chdstat as chd
 from chdstat._core.positive import PositivePart
 from chdstat._core.reasons import Reason
 from chdstat.errors import InputError
-from chdstat.fit.components import COMPONENTS, cells_of_samples, single_cells
+from chdstat.fit.components import COMPONENTS, summaries_of_each, summaries_of_samples
 from chdstat.fit.em import bound_at, run, segmentations
 from chdstat.fit.mixtures import mixture
 
@@ -158,12 +158,15 @@ def test_more_components_are_never_less_likely(family):
 def test_every_cycle_raises_the_bound(family):
     part = PositivePart.of(renders(np.random.default_rng(10), 40, 300))
     kind = COMPONENTS[family]
-    for cells in (cells_of_samples(part.log_sorted, part.n), single_cells(part.log_sorted, part.n)):
-        state = next(segmentations(cells, kind, 3))
-        before = bound_at(cells, kind, state)
+    for summaries in (
+        summaries_of_samples(part.log_sorted, part.n),
+        summaries_of_each(part.log_sorted, part.n),
+    ):
+        state = next(segmentations(summaries, kind, 3))
+        before = bound_at(summaries, kind, state)
         for _ in range(10):
-            state = run(cells, kind, state, cycles=1, tolerance=0.0).state
-            after = bound_at(cells, kind, state)
+            state = run(summaries, kind, state, cycles=1, tolerance=0.0).state
+            after = bound_at(summaries, kind, state)
             assert (after >= before - 1e-7 * np.abs(before)).all()
             before = after
 
@@ -172,16 +175,16 @@ def test_cells_bound_the_likelihood_from_below_and_keep_every_sample():
     x = two_lights(np.random.default_rng(11), (30, 2000))
     part = PositivePart.of(x)
     kind = COMPONENTS["lognormal"]
-    cells = cells_of_samples(part.log_sorted, part.n)
-    singles = single_cells(part.log_sorted, part.n)
-    np.testing.assert_allclose(cells.n, part.n)
-    np.testing.assert_allclose((cells.count * cells.log).sum(-1), singles.log.sum(-1))
-    np.testing.assert_allclose((cells.count * cells.square).sum(-1), singles.square.sum(-1))
-    state = next(segmentations(cells, kind, 2))
-    loss = (bound_at(singles, kind, state) - bound_at(cells, kind, state)) / part.n
+    summaries = summaries_of_samples(part.log_sorted, part.n)
+    singles = summaries_of_each(part.log_sorted, part.n)
+    np.testing.assert_allclose(summaries.n, part.n)
+    np.testing.assert_allclose((summaries.count * summaries.log).sum(-1), singles.log.sum(-1))
+    np.testing.assert_allclose((summaries.count * summaries.square).sum(-1), singles.square.sum(-1))
+    state = next(segmentations(summaries, kind, 2))
+    loss = (bound_at(singles, kind, state) - bound_at(summaries, kind, state)) / part.n
     assert (loss > 0).all()
     assert loss.max() < 5e-3
-    assert cells.count.shape[-1] < 80
+    assert summaries.count.shape[-1] < 80
 
 
 @pytest.mark.parametrize("family", FAMILIES)
