@@ -57,6 +57,11 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
     distribution of maximum likelihood (Shao 2004, doi:10.1016/S0167-9473(02)00367-5). Nor is there
     one where c goes to infinity while c d stays: to a power law above the smallest sample.
     """
+    start = None
+    if near is not None:
+        with np.errstate(invalid="ignore"):
+            rho = near["c"] * (part.log_statistics.log_mean - np.log(near["scale"]))
+            start = np.log(near["c"]), np.maximum(np.logaddexp(0, rho), _LEAST)
     c, d, scale, c_error, d_error, scale_error, converged, limit = maximise(
         part,
         _profile,
@@ -65,7 +70,7 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
         names=8,
         minimum=BURR.minimum,
         floor=_LEAST,
-        near=None if near is None else _coordinates(part, near),
+        near=start,
     )
     return Estimate(
         parameters={"c": c, "d": d, "scale": scale},
@@ -73,13 +78,6 @@ def _estimate(part: Part, near: Parameters | None) -> Estimate:
         converged=converged == 1,
         limit=np.nan_to_num(limit).astype(np.int8),
     )
-
-
-def _coordinates(part: Part, near: Parameters) -> tuple[Floats, Floats]:
-    """Return a and q of given parameters."""
-    with np.errstate(invalid="ignore"):
-        rho = near["c"] * (part.log_statistics.log_mean - np.log(near["scale"]))
-        return np.log(near["c"]), np.maximum(np.logaddexp(0, rho), _LEAST)
 
 
 def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
@@ -94,16 +92,13 @@ def _finish(points: WeightedSamples, at: Floats, converged: Mask) -> Floats:
         # A maximum at the floor is the Weibull limit. Wherever the search ends, it is a local one
         # if the power law above the smallest sample, to which c grows without bound, is likelier.
         reached = at[0] + rho - np.log(level) - level
-        weibull, power_law = converged & (at[1] <= 2 * _LEAST), _power_law(points) >= reached
+        weibull = converged & (at[1] <= 2 * _LEAST)
+        # The limit of the profile as c goes to infinity, -log mean log(x / smallest x).
+        power_law = -np.log(-np.where(points.weight > 0, points.log, 0).min(axis=-1))
         limit = np.where(weibull, Reason.AT_LIMIT, Reason.OK)
-        limit = np.where(power_law, Reason.AT_PARETO_LIMIT, limit)
+        limit = np.where(power_law >= reached, Reason.AT_PARETO_LIMIT, limit)
         interior = (limit == Reason.OK) & np.isfinite(errors).all(axis=0)
     return np.stack([c, d, scale, *errors, converged & interior, limit])
-
-
-def _power_law(points: WeightedSamples) -> Floats:
-    """Return the limit of the profile as c goes to infinity, ``-log mean log(x / smallest x)``."""
-    return np.asarray(-np.log(-np.where(points.weight > 0, points.log, 0).min(axis=-1)))
 
 
 def _start(points: WeightedSamples) -> Floats:

@@ -25,7 +25,7 @@ from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters
 from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.summary.dispatch import Part
 
-__all__ = ["GAMMA", "gamma_shape"]
+__all__ = ["GAMMA", "gamma_shape", "gap_of_shape"]
 
 _ITERATIONS = 20
 _TOLERANCE = 1e-12
@@ -54,7 +54,7 @@ def gamma_shape(gap: Floats) -> tuple[Floats, Mask]:
         step = np.full_like(k, np.inf)
         for _ in range(_ITERATIONS):
             # Newton in 1/k, in which the equation is nearly linear.
-            inverse = 1 / k + (gap - _gap_of_shape(k)) / (k**2 * _gap_slope(k))
+            inverse = 1 / k + (gap - gap_of_shape(k)) / (k**2 * _gap_slope(k))
             step = np.abs(k * inverse - 1)
             k = 1 / inverse
             if not (step > _TOLERANCE).any():
@@ -62,7 +62,8 @@ def gamma_shape(gap: Floats) -> tuple[Floats, Mask]:
     return k, np.asarray(step <= 1e-9)
 
 
-def _gap_of_shape(k: Floats) -> Floats:
+def gap_of_shape(k: Floats) -> Floats:
+    """Return log(k) - digamma(k)."""
     # Both terms grow while their difference falls: the asymptotic series keeps its digits.
     series = (1 + (1 - 0.1 / k**2) / (6 * k)) / (2 * k)
     return np.where(k > 1e3, series, np.log(k) - special.digamma(k))

@@ -23,6 +23,7 @@ from scipy import special
 
 from chdstat._core.arrays import spans, take_rows
 from chdstat._core.positive import Counts, Floats
+from chdstat.fit._gamma import gap_of_shape
 
 __all__ = [
     "COMPONENTS",
@@ -30,6 +31,7 @@ __all__ = [
     "ComponentFamily",
     "MixtureFamily",
     "Summaries",
+    "cumulative",
     "summaries_of_bins",
     "summaries_of_each",
     "summaries_of_samples",
@@ -87,9 +89,15 @@ def summaries_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> Summa
     nearly equal ones, come into groups of their own.
     """
     step = max(1, _CHUNK // log_sorted.shape[-1])
-    groups = [_group(log_sorted[part], n[part], most) for part in spans(len(n), step)]
-    values = (np.concatenate(pieces) for pieces in zip(*groups, strict=True))
-    count, log, square, ratio, origin = values
+    pieces = []
+    for part in spans(len(n), step):
+        y, origin = _relative(log_sorted[part], n[part])
+        edges = _edges(y, n[part], most)
+        count = np.diff(edges, axis=-1).astype(np.float64)
+        below = (np.take_along_axis(cumulative(v), edges, axis=-1) for v in (y, y * y, np.exp(y)))
+        means = (np.diff(sums, axis=-1) / np.maximum(count, 1) for sums in below)
+        pieces.append((count, *means, origin))
+    count, log, square, ratio, origin = map(np.concatenate, zip(*pieces, strict=True))
     return Summaries(count, log, square, ratio, origin, np.full(len(n), SPREAD_FLOOR))
 
 
@@ -125,15 +133,6 @@ def summaries_of_bins(
     as_they_are = Summaries(count, y, square, ratio, origin[:, 0], least)
     ratio = ratio * (h / 2) / np.sinh(h / 2)
     return as_they_are, Summaries(count, y, square - h * h / 12, ratio, origin[:, 0], sharp)
-
-
-def _group(log_sorted: Floats, n: Counts, most: int) -> tuple[Floats, ...]:
-    y, origin = _relative(log_sorted, n)
-    edges = _edges(y, n, most)
-    count = np.diff(edges, axis=-1).astype(np.float64)
-    used = np.maximum(count, 1)
-    sums = (_sums_below(values, edges) for values in (y, y * y, np.exp(y)))
-    return count, *(np.diff(below, axis=-1) / used for below in sums), origin
 
 
 def _relative(log_sorted: Floats, n: Counts) -> tuple[Floats, Floats]:
@@ -185,10 +184,11 @@ def _spikes(gaps: Floats) -> Counts:
     return np.argpartition(contrast, -kept, axis=-1)[:, -kept:]
 
 
-def _sums_below(values: Floats, edges: Counts) -> Floats:
-    sums = np.zeros((len(values), values.shape[-1] + 1))
+def cumulative(values: Floats) -> Floats:
+    """Return sums of the values before each, and of all of them, shape (row, value + 1)."""
+    sums = np.zeros((values.shape[0], values.shape[1] + 1))
     np.cumsum(values, axis=-1, out=sums[:, 1:])
-    return np.take_along_axis(sums, edges, axis=-1)
+    return sums
 
 
 MixtureFamily = Literal["lognormal", "gamma"]
@@ -269,16 +269,13 @@ def _bounded_gamma(state: Floats, floor: Floats) -> Floats:
 
 def _log_shape(gap: Floats) -> Floats:
     """Solve log(k) - digamma(k) = gap for log(k), to 1e-7, by interpolation in a table."""
-    log_gap, log_shape = _shapes()
-    return np.interp(np.log(gap), log_gap, log_shape)
+    return np.interp(np.log(gap), *_log_gaps_and_shapes())
 
 
 @cache
-def _shapes() -> tuple[Floats, Floats]:
+def _log_gaps_and_shapes() -> tuple[Floats, Floats]:
     log_shape = np.linspace(np.log(2 / SPREAD_FLOOR**2), np.log(1e-4), 16384)
-    k = np.exp(log_shape)
-    series = (1 + (1 - 0.1 / k**2) / (6 * k)) / (2 * k)
-    return np.log(np.where(k > 1e3, series, np.log(k) - special.digamma(k))), log_shape
+    return np.log(gap_of_shape(np.exp(log_shape))), log_shape
 
 
 COMPONENTS = {

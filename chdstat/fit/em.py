@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chdstat._core.positive import Counts, Floats, Mask
-from chdstat.fit.components import ComponentFamily, Summaries
+from chdstat.fit.components import ComponentFamily, Summaries, cumulative
 
 __all__ = [
     "Result",
@@ -240,7 +240,7 @@ def insertions(
     """
     below = _sums_below(summaries, family)
     old = log_density(summaries.log, family.statistic(summaries), family.coefficients(state))
-    old_below = _cumulative(summaries.count * old)
+    old_below = cumulative(summaries.count * old)
     for lengths in windows:
         start, stop = _best_window(below, old_below, summaries.floor, lengths)
         ends = np.stack([start, stop])
@@ -302,13 +302,7 @@ def _state(summaries: Summaries, family: ComponentFamily, sums: Floats) -> Float
 def _sums_below(summaries: Summaries, family: ComponentFamily) -> Floats:
     """Return sums of 1, y, t(y) and y^2 over the groups below each edge, shape (4, row, edge)."""
     means = (1.0, summaries.log, family.statistic(summaries), summaries.square)
-    return np.stack([_cumulative(summaries.count * mean) for mean in means])
-
-
-def _cumulative(values: Floats) -> Floats:
-    sums = np.zeros((values.shape[0], values.shape[1] + 1))
-    np.cumsum(values, axis=-1, out=sums[:, 1:])
-    return sums
+    return np.stack([cumulative(summaries.count * mean) for mean in means])
 
 
 def _variance(below: Floats, floor: Floats, start: Counts, stop: Counts) -> Floats:

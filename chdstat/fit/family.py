@@ -176,9 +176,15 @@ def _maximise_block(
     at, here = start, surface(points, start)
     damping = np.zeros(len(rows))
     for _ in range(_ITERATIONS):
-        step = _within(at, _step(_along(at, here, floor), damping), floor)
+        step = np.clip(_step(_along(at, here, floor), damping), -_REACH, _REACH)
+        # What steps are small in comparison with: 1, or a positive parameter that is less.
+        unit = np.ones_like(at)
+        if np.isfinite(floor):
+            # Towards the floor, a step goes to a hundredth of what there is.
+            step[1] = np.maximum(step[1], np.maximum(-0.99 * at[1], floor - at[1]))
+            unit[1] = np.minimum(at[1], 1)
         # The last step is taken on trust: what it leaves is of the order of its square.
-        done = (np.abs(step) < tolerance * _unit(at, floor)).all(axis=0) & (damping == 0)
+        done = (np.abs(step) < tolerance * unit).all(axis=0) & (damping == 0)
         best[:, rows] = np.where(done, at + step, at)
         converged[rows] = done
         active = ~done & np.isfinite(step).all(axis=0) & (damping < 1e8)
@@ -310,13 +316,6 @@ def _try_others(
     converged[rows] = np.where(better, done, converged[rows])
 
 
-def _unit(at: Floats, floor: float) -> Floats | float:
-    """Return what steps are small in comparison with: 1, or a positive parameter that is less."""
-    if not np.isfinite(floor):
-        return 1.0
-    return np.stack([np.ones_like(at[1]), np.minimum(at[1], 1)])
-
-
 def _along(at: Floats, here: Floats, floor: float) -> Floats:
     """Return the derivatives along the floor for rows that lie on it and would fall through."""
     held = (at[1] <= floor) & (here[2] < 0)
@@ -325,14 +324,6 @@ def _along(at: Floats, here: Floats, floor: float) -> Floats:
     value, slope, _, curvature, _, _ = here
     zero = np.zeros_like(value)
     return np.where(held, np.stack([value, slope, zero, curvature, zero, zero - 1]), here)
-
-
-def _within(at: Floats, step: Floats, floor: float) -> Floats:
-    """Cut steps that go too far; towards the floor, to a hundredth of what there is."""
-    step = np.clip(step, -_REACH, _REACH)
-    if np.isfinite(floor):
-        step[1] = np.maximum(step[1], np.maximum(-0.99 * at[1], floor - at[1]))
-    return step
 
 
 def _step(here: Floats, damping: Floats) -> Floats:

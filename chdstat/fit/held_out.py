@@ -160,7 +160,14 @@ def _compare(
     halves: Halves, families: Sequence[Family], near: Sequence[Parameters]
 ) -> tuple[Floats, npt.NDArray[np.int8], Floats]:
     """Return the losses less the log mean, the best, and its margin over its standard error."""
-    density = _crosswise(halves, families, near)
+    # Log densities of log x under the fit to the other half, 0 where there is no sample.
+    points, twice = halves.points, halves.n.size
+    density = np.empty((len(families), *points.log.shape))
+    for to, family, at in zip(density, families, near, strict=True):
+        fitted = estimate_part(halves, family, at)[0].parameters
+        swapped = {name: np.roll(values, twice // 2) for name, values in fitted.items()}
+        to[:] = family.log_density(points, take(swapped, points))
+    np.copyto(density, 0, where=points.weight == 0)
     rows, n = halves.n.size // 2, halves.n.reshape(2, -1).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         loss = -density.sum(axis=-1).reshape(-1, 2, rows).sum(axis=1).T / n[:, np.newaxis]
@@ -171,18 +178,3 @@ def _compare(
         square = np.vecdot(difference, difference).reshape(2, -1).sum(axis=0) / n - margin**2
         error = np.sqrt(np.maximum(square, 0) / (n - 1))
     return loss, best, np.stack([margin, np.where(np.isfinite(margin), error, np.nan)])
-
-
-def _crosswise(halves: Halves, families: Sequence[Family], near: Sequence[Parameters]) -> Floats:
-    """Return log densities of log x under the fit to the other half, shape (family, row, sample).
-
-    They are 0 where there is no sample.
-    """
-    points, twice = halves.points, halves.n.size
-    density = np.empty((len(families), *points.log.shape))
-    for to, family, at in zip(density, families, near, strict=True):
-        fitted = estimate_part(halves, family, at)[0].parameters
-        swapped = {name: np.roll(values, twice // 2) for name, values in fitted.items()}
-        to[:] = family.log_density(points, take(swapped, points))
-    np.copyto(density, 0, where=points.weight == 0)
-    return density

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import special
 
-from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.positive import Floats
 from chdstat._core.reasons import Reason
 from chdstat.fit.families import Estimate, Family, Parameters, get_family
 from chdstat.fit.results import Fit, counts_of, fit_variables, label_fit
@@ -161,6 +161,9 @@ def fit_part(part: Part, family: Family) -> Fit:
     parameters = estimate.parameters
     log_likelihood = np.asarray(family.log_likelihood(part, parameters) + zero_log_likelihood(part))
     count = len(parameters) + 1
+    no_error = np.isnan(list(estimate.standard_errors.values())).any(axis=0)
+    few = part.n < max(family.errors_from.values(), default=0)
+    why = np.where(few, Reason.TOO_FEW, np.where(no_error, Reason.NOT_REGULAR, Reason.OK))
     with np.errstate(invalid="ignore", divide="ignore"):
         # Nulls say nothing about the shape: only their own share is estimated from all samples.
         of_shape = len(parameters) * np.log(part.n)
@@ -175,18 +178,8 @@ def fit_part(part: Part, family: Family) -> Fit:
         bic=bic,
         converged=estimate.converged,
         reason=reason,
-        error_reason=_why_no_errors(part.n, reason, family, estimate.standard_errors),
+        error_reason=np.where(reason == Reason.OK, why, reason).astype(np.int8),
     )
-
-
-def _why_no_errors(
-    n: Counts, reason: npt.NDArray[np.int8], family: Family, errors: Parameters
-) -> npt.NDArray[np.int8]:
-    """Return the code of why one or more standard errors are NaN, shape (...)."""
-    none = np.isnan(list(errors.values())).any(axis=0)
-    few = n < max(family.errors_from.values(), default=0)
-    why = np.where(few, Reason.TOO_FEW, np.where(none, Reason.NOT_REGULAR, Reason.OK))
-    return np.asarray(np.where(reason == Reason.OK, why, reason), dtype=np.int8)
 
 
 def estimate_part(
@@ -206,7 +199,7 @@ def estimate_part(
         reason[at_limit] = estimate.limit[at_limit]
     ok = np.asarray(reason == Reason.OK)
     kept = Estimate(
-        parameters=_keep(estimate.parameters, ok),
+        parameters={n: np.where(ok, value, np.nan) for n, value in estimate.parameters.items()},
         standard_errors={
             name: np.where(ok & (part.n >= family.errors_from.get(name, 0)), value, np.nan)
             for name, value in estimate.standard_errors.items()
@@ -221,7 +214,3 @@ def zero_log_likelihood(part: Part) -> Floats:
     zeros = part.n_null + part.n_zero
     total = np.maximum(part.n_good, 1)
     return np.asarray(special.xlogy(zeros, zeros / total) + special.xlogy(part.n, part.n / total))
-
-
-def _keep(values: Parameters, ok: Mask) -> dict[str, Floats]:
-    return {name: np.where(ok, value, np.nan) for name, value in values.items()}

@@ -60,17 +60,11 @@ def _covariance(solution: Solution, summaries: Summaries) -> Floats:
     """
     shares = em.responsibilities(summaries, solution.family, solution.state)
     share = shares / np.maximum(summaries.count, 1)
-    scores = np.stack(
-        [*_weight_scores(solution, share), *_parameter_scores(solution, summaries, share)]
-    )
+    weight = np.exp(solution.state[0])[..., np.newaxis]
+    of_weights = [share[j] / weight[j] - share[-1] / weight[-1] for j in range(len(weight) - 1)]
+    scores = np.stack([*of_weights, *_parameter_scores(solution, summaries, share)])
     information = np.einsum("irc,jrc,rc->rij", scores, scores, summaries.count, optimize=True)
     return _inverse(information)
-
-
-def _weight_scores(solution: Solution, share: Floats) -> Iterator[Floats]:
-    weight = np.exp(solution.state[0])[..., np.newaxis]
-    for j in range(len(weight) - 1):
-        yield share[j] / weight[j] - share[-1] / weight[-1]
 
 
 def _parameter_scores(solution: Solution, summaries: Summaries, share: Floats) -> Iterator[Floats]:

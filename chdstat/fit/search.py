@@ -163,8 +163,8 @@ class Objective:
         """Run EM to the end of the plan, and judge where it ends by what is closest to the samples.
 
         Where groups lose more than the plan's `loss` per sample, EM goes on with the samples. Of
-        bins, the last maximisation takes Sheppard's corrections into account. Moving the samples to the
-        centres of bins costs all mixtures alike about the same, so the likelihoods are shifted by
+        bins, the last maximisation takes Sheppard's corrections into account. Moving the samples to
+        the centres of bins costs all mixtures about the same, so the likelihoods are shifted by
         what it costs one component.
         """
         summaries, plan, origin = self.summaries, self.plan, self.summaries.origin

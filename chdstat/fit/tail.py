@@ -210,7 +210,11 @@ def tail_of_part(
     k = candidates(part.n.ravel(), None if share == "auto" else share)
     k = k.reshape(*part.n.shape, k.shape[-1])
     reason[(reason == Reason.OK) & (k[..., 0] < MINIMUM_EXCESSES)] = Reason.TOO_FEW
-    reason[(reason == Reason.OK) & _tied(part)] = Reason.TIED
+    if part.x.shape[-1] > 1:
+        # Where the largest value occurs more than once.
+        last = np.maximum(part.n - 1, 1)[..., np.newaxis]
+        one, other = (np.take_along_axis(part.sorted, i, axis=-1)[..., 0] for i in (last - 1, last))
+        reason[(reason == Reason.OK) & (part.n > 1) & (one == other)] = Reason.TIED
     usable = np.asarray(reason == Reason.OK)
     ascending, n = part.sorted[usable], part.n[usable]
     found = pareto_tail(ascending, n, k[usable], usable)
@@ -287,15 +291,6 @@ def effective_tail_index(distribution: Any, share: float = 0.1) -> Floats:
     slope = np.subtract(*ends) / (2 * _STEP) / u
     # With f' = f (log f)', the derivative is -1 - (1 - F) (log f)' / f.
     return np.asarray(-1 - share * slope / distribution.pdf(u))
-
-
-def _tied(part: PositivePart) -> Mask:
-    """Say where the largest value occurs more than once."""
-    last = np.maximum(part.n - 1, 1)[..., np.newaxis]
-    if part.x.shape[-1] < 2:
-        return np.zeros(part.n.shape, dtype=bool)
-    ends = np.take_along_axis(part.sorted, np.concatenate([last - 1, last], axis=-1), axis=-1)
-    return np.asarray((part.n > 1) & (ends[..., 0] == ends[..., 1]))
 
 
 def _gamma_index(part: PositivePart, excesses: Counts) -> Floats:

@@ -297,12 +297,23 @@ def unimodal_scores(
     log_n = log_samples(part.n)
     fits = (fit_part(part, FAMILIES[name]) for name in SELECTED) if fits is None else fits
     scores = [fit.log_likelihood - rest - 0.5 * (len(fit.parameters) + 1) * log_n for fit in fits]
-    low, high = _ends(part, usable)
+    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
+    high = np.take_along_axis(part.log_sorted, last, axis=-1)[..., 0]
+    low, high = np.where(usable, part.log_sorted[..., 0], 0.0), np.where(usable, high, 1.0)
+    mean, n = part.log_statistics.log_mean, part.n.astype(np.float64)
+    # Between the extremes a and b, log-uniform and uniform: -n log(log b - log a), and
+    # sum(log x) - n log(b - a), without b or a, which may be as large as there are numbers.
+    log_range = high + np.log(-np.expm1(low - high))
     scores += [
         np.where(bounded, value - 0.5 * _BOUNDED * log_n, -np.inf)
-        for value in _between_ends(part, low, high)
+        for value in (-n * np.log(high - low), n * (mean - log_range))
     ]
-    scores += [value - 0.5 * (_BOUNDED - 1) * log_n for value in _from_an_end(part, low, high)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Exponential above the smallest, or below the largest.
+        scores += [
+            -part.n * (np.log(distance) + 1) - 0.5 * (_BOUNDED - 1) * log_n
+            for distance in (mean - low, high - mean)
+        ]
     return np.where(usable, np.fmax.reduce(scores), np.nan)
 
 
@@ -321,7 +332,9 @@ def edge_scores(ascending: Floats, n: Counts, bar: Floats) -> Floats:
         Score to be beaten, shape (row,).
     """
     log_n = log_samples(n)
-    mirrored = _mirrored(ascending, n)
+    # Log 1/x, in ascending order.
+    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
+    mirrored = np.sort(np.where(valid, -ascending, np.inf), axis=-1)
     best = np.fmax(
         _gamma_above_a_floor(ascending, n) - 0.5 * _ABOVE_FLOOR * log_n,
         _gamma_above_a_floor(mirrored, n) - 0.5 * _BELOW_CEILING * log_n,
@@ -335,37 +348,6 @@ def edge_scores(ascending: Floats, n: Counts, bar: Floats) -> Floats:
         value = likelihood(values[rows], n[rows]) - 0.5 * _LOG_CONCAVE * log_n[rows]
         best[rows] = np.fmax(best[rows], value)
     return best
-
-
-def _ends(part: PositivePart, usable: Mask) -> tuple[Floats, Floats]:
-    """Return log radiance of the smallest and the largest sample; 0 and 1 where not usable."""
-    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
-    high = np.take_along_axis(part.log_sorted, last, axis=-1)[..., 0]
-    return np.where(usable, part.log_sorted[..., 0], 0.0), np.where(usable, high, 1.0)
-
-
-def _between_ends(part: PositivePart, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Return log-likelihoods of log x under a log-uniform and a uniform distribution.
-
-    They are -n log(log b - log a) and sum(log x) - n log(b - a), between the extremes a and b.
-    """
-    # log(b - a) without b or a, which may be as large as there are numbers.
-    log_range = high + np.log(-np.expm1(low - high))
-    n = part.n.astype(np.float64)
-    return -n * np.log(high - low), n * (part.log_statistics.log_mean - log_range)
-
-
-def _from_an_end(part: PositivePart, low: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Return log-likelihoods of log x, exponential above the smallest, or below the largest."""
-    mean = part.log_statistics.log_mean
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return -part.n * (np.log(mean - low) + 1), -part.n * (np.log(high - mean) + 1)
-
-
-def _mirrored(ascending: Floats, n: Counts) -> Floats:
-    """Return log 1/x in ascending order."""
-    valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
-    return np.sort(np.where(valid, -ascending, np.inf), axis=-1)
 
 
 def _gamma_above_a_floor(ascending: Floats, n: Counts) -> Floats:

@@ -135,11 +135,14 @@ def blocks(part: Part, usable: Mask, *, thin: bool = False) -> Iterator[Weighted
     n = part.n.ravel()
     rows = np.flatnonzero(usable)
     rows = rows[np.argsort(n[rows], kind="stable")]
-    width = _THIN if thin else _width(part)
+    held = part.counts if isinstance(part, PositiveHistogram) else part.x
+    width = _THIN if thin else held.shape[-1]
     start = 0
     while start < len(rows):
         # A block has as many rows as there may be of the widest in it.
-        step = max(1, _CHUNK // min(width, _reach(n, rows, start)))
+        least = max(1, int(n[rows[start]]))
+        widest = int(n[rows[min(start + _CHUNK // least, len(rows) - 1)]])
+        step = max(1, _CHUNK // min(width, widest))
         here = rows[start : start + step]
         if isinstance(part, PositiveHistogram):
             yield _bins(part, here)
@@ -174,16 +177,6 @@ def sum_over_samples(
     for points in blocks(part, known.ravel() & (part.n.ravel() > 0)):
         total[points.rows] = np.vecdot(points.weight, of_points(points))
     return total.reshape(part.n.shape)
-
-
-def _width(part: Part) -> int:
-    return int((part.counts if isinstance(part, PositiveHistogram) else part.x).shape[-1])
-
-
-def _reach(n: npt.NDArray[np.int64], rows: npt.NDArray[np.intp], start: int) -> int:
-    """Return an upper bound of the samples per row in the block that starts here."""
-    least = max(1, int(n[rows[start]]))
-    return int(n[rows[min(start + _CHUNK // least, len(rows) - 1)]])
 
 
 def _samples(part: PositivePart, rows: npt.NDArray[np.intp]) -> WeightedSamples:

@@ -201,7 +201,9 @@ class Table:
         for part in spans(len(rows), max(1, _CHUNK // n)):
             for columns in spans(n, _CHUNK):
                 some = None if bads is None else bads[part, columns]
-                self._count(rows[part, columns], part, some)
+                slots = self._slots(rows[part, columns], part, some)
+                slots += np.arange(part.start, part.stop)[:, np.newaxis] * self._counts.shape[1]
+                np.add.at(self._counts.reshape(-1), slots.ravel(), 1)
         zeros = np.zeros((len(rows), 1), block.dtype)
         self._counts[np.arange(len(rows)), self._slots(zeros, slice(None))[:, 0]] -= nulls.ravel()
         self.null_count += nulls
@@ -231,11 +233,6 @@ class Table:
         """Return a copy of the counts, shape (..., slot)."""
         return self._counts.reshape(*self.support.low.shape, self._counts.shape[-1]).copy()
 
-    def _count(self, x: npt.NDArray[Any], part: slice, bad: Mask | None) -> None:
-        slots = self._slots(x, part, bad)
-        slots += np.arange(part.start, part.stop)[:, np.newaxis] * self._counts.shape[1]
-        np.add.at(self._counts.reshape(-1), slots.ravel(), 1)
-
     def _slots(
         self, x: npt.NDArray[Any], part: slice, bad: Mask | None = None
     ) -> npt.NDArray[np.intp]:
@@ -256,28 +253,20 @@ class Table:
 
 def _masks(x: npt.NDArray[Any], null: Mask | None, bad: Mask | None) -> tuple[Mask, Mask | None]:
     for name, mask in (("null", null), ("bad", bad)):
-        _check_mask(name, mask, x.shape)
-    bad = _bad_mask(x, bad)
+        if mask is None:
+            continue
+        try:
+            np.broadcast_to(mask, x.shape)
+        except ValueError as error:
+            expected = f"the {name} mask must broadcast to the samples' shape {x.shape}"
+            message = f"{expected}, got {mask.shape}"
+            raise InputError(message) from error
+    # Two reductions tell the usual case, no bad sample at all, from the rest.
+    if not all_good(x):
+        bad = is_bad(x) if bad is None else bad | is_bad(x)
     if null is None:
         null = x == 0
     elif (null & (x != 0)).any():
         message = "the null mask marks samples that are not 0; null samples are exactly 0"
         raise InputError(message)
-    return (null, None) if bad is None else (null & ~bad, bad)
-
-
-def _bad_mask(x: npt.NDArray[Any], bad: Mask | None) -> Mask | None:
-    # Two reductions tell the usual case, no bad sample at all, from the rest.
-    if not all_good(x):
-        bad = is_bad(x) if bad is None else bad | is_bad(x)
-    return None if bad is None else np.broadcast_to(bad, x.shape)
-
-
-def _check_mask(name: str, mask: Mask | None, shape: tuple[int, ...]) -> None:
-    if mask is None:
-        return
-    try:
-        np.broadcast_to(mask, shape)
-    except ValueError as error:
-        message = f"the {name} mask must broadcast to the samples' shape {shape}, got {mask.shape}"
-        raise InputError(message) from error
+    return (null, None) if bad is None else (null & ~bad, np.broadcast_to(bad, x.shape))

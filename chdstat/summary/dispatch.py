@@ -218,13 +218,10 @@ def run(
     if isinstance(x, Histogram):
         return of_part(PositiveHistogram.of(x))
     if dataset is not None:
-        return _dataset(dataset, variables(of_part(PositiveHistogram.of_dataset(dataset))))
+        import xarray as xr
+
+        found = variables(of_part(PositiveHistogram.of_dataset(dataset)))
+        coords = {name: dataset[name] for name in ("y", "x", "channel") if name in dataset.coords}
+        named = {name: (("y", "x", *dims), values) for name, (dims, values) in found.items()}
+        return xr.Dataset(named, coords=coords, attrs=dataset.attrs)
     return of_part(PositivePart.given(cast("npt.ArrayLike", x), null=null))
-
-
-def _dataset(source: xr.Dataset, variables: Mapped) -> xr.Dataset:
-    import xarray as xr
-
-    coords = {name: source[name] for name in ("y", "x", "channel") if name in source.coords}
-    named = {name: (("y", "x", *dims), values) for name, (dims, values) in variables.items()}
-    return xr.Dataset(named, coords=coords, attrs=source.attrs)

@@ -173,7 +173,12 @@ class Summary:
             If the block has no channel axis, or another shape before its samples than the first.
         """
         x = as_pixels(block, name="block")
-        self._check(x)
+        if self.shape not in (None, x.shape[:-1]):
+            message = (
+                f"every block must have the shape of the first before its samples, {self.shape}, "
+                f"got {x.shape[:-1]}"
+            )
+            raise InputError(message)
         null, bad = sample_masks(x)
         good = None if bad is None else ~bad
         # The histograms go first: they are what may refuse the block.
@@ -250,14 +255,6 @@ class Summary:
             linear=self._linear.read(),
             log=self._log.read(),
         )
-
-    def _check(self, x: npt.NDArray[Any]) -> None:
-        if self.shape not in (None, x.shape[:-1]):
-            message = (
-                f"every block must have the shape of the first before its samples, {self.shape}, "
-                f"got {x.shape[:-1]}"
-            )
-            raise InputError(message)
 
 
 def summarize(
