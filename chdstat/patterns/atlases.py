@@ -24,8 +24,8 @@ from chdstat.errors import InputError
 from chdstat.patterns.clusters import Groups, find_groups
 from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of
 from chdstat.summary.bins import Support
-from chdstat.summary.histograms import StreamingHistogram
 from chdstat.summary.dispatch import PositiveHistogram
+from chdstat.summary.histograms import StreamingHistogram
 
 if TYPE_CHECKING:
     import xarray as xr
