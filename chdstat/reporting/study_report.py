@@ -43,7 +43,8 @@ def verdicts(study: Study) -> Axes:
 
 def overview(study: Study) -> Figure:
     """Draw all images, each under an exposure of its own."""
-    figure = viz.map_grid(len(study.scenes), columns=min(4, len(study.scenes)), aspect=0.8)
+    columns = min(4, len(study.scenes))
+    figure = viz.map_grid(len(study.scenes), columns=columns, aspect=0.2 * columns)
     for ax, scene in zip(figure.axes, study.scenes, strict=True):
         viz.image_map(scene.data.summary["mean"].values, title=verbatim(scene.name), ax=ax)
     return figure

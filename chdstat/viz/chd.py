@@ -164,7 +164,7 @@ def draw_histograms(
     colors: Sequence[Any],
     outlines: Sequence[Any] | None = None,
     dashes: Sequence[Any] = ("-",),
-) -> None:
+) -> tuple[float, float]:
     """Draw histograms of one scale over each other, over the radiance that holds samples.
 
     Parameters
@@ -177,6 +177,11 @@ def draw_histograms(
         Colours of their areas and, where these are not the same, of their outlines.
     dashes
         Line styles of their outlines, in turn.
+
+    Returns
+    -------
+    tuple of float
+        Ends of the bins that hold samples. The axis goes on to a whole decade, or to 0.
     """
     scale = next(iter(found.values())).scale
     ends: list[float] = []
@@ -192,15 +197,17 @@ def draw_histograms(
     if not ends:
         where = (0.5, 0.5)
         ax.annotate("no positive samples", where, xycoords="axes fraction", ha="center", fontsize=7)
+    ax.set_xscale(scale)
     if scale == "log":
-        ax.set_xscale("log")
-        low, high = np.log10([min(ends, default=1e-5), max(ends, default=1e5)])
-        ax.set_xlim(10 ** np.floor(low), 10 ** np.ceil(high))
+        low, high = min(ends, default=1e-5), max(ends, default=1e5)
+        ax.set_xlim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
     else:
-        ax.set_xlim(min([0.0, *ends]), max(ends, default=1.0))
+        low, high = min(ends, default=0.0), max(ends, default=1.0)
+        ax.set_xlim(min(0.0, low), high)
     ax.set_ylim(bottom=0)
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
+    return low, high
 
 
 def _draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> None:

@@ -210,7 +210,8 @@ def finding_plots(shown: Mapping[str, PlotData], *, fig: Figure | None = None) -
     columns = min(_COLUMNS if len(labels) == 1 else _COLUMNS - 1, max(1, len(plots)))
     height = 1.45 if len(labels) == 1 else 1.6
     width = WIDTH if columns > 2 else WIDTH * (0.42 + 0.29 * (columns - 1))
-    figure = page(fig, height * -(-len(plots) // columns) + 0.42, width)
+    rows = -(-len(plots) // columns)
+    figure = page(fig, height * rows + 0.42, width)
     axes = grid(figure, len(plots), columns)
     for ax, (title, plot) in zip(axes, shown.items(), strict=True):
         series = {verbatim(NAMES.get(name, name)): xy for name, xy in plot.series.items()}
@@ -221,7 +222,7 @@ def finding_plots(shown: Mapping[str, PlotData], *, fig: Figure | None = None) -
             ax.set_ylabel(_raised(textwrap.fill(plot.y_label, _LABEL)))
     if len(labels) == 1:
         figure.supxlabel(_raised(plots[0].x_label), fontsize=8)
-        figure.supylabel(_raised(plots[0].y_label), fontsize=8)
+        figure.supylabel(_raised(textwrap.fill(plots[0].y_label, _LABEL * rows)), fontsize=8)
     _draw_legends(figure, axes)
     return figure
 

@@ -371,7 +371,7 @@ def firefly_pair(
     for color, pixel in zip(_PAIR, pixels.values(), strict=True):
         _frame(seen, pixel, color, linewidth=1.5)
     for ax, counted in ((left, linear), (right, log)):
-        draw_histograms(ax, counted, colors=_PAIR, dashes=_DASHES)
+        ax.set_xlim(draw_histograms(ax, counted, colors=_PAIR, dashes=_DASHES))
     left.set_xlabel(f"radiance in {UNIT}")
     right.set_xlabel("the same on a logarithmic scale")
     if left.patches:
@@ -416,7 +416,7 @@ def view_pair(
         bare(ax, verbatim(name), fontsize=8, color=color, fontweight="bold")
     shown = dict(list(log.items())[:4])
     for ax, (region, found) in zip(right.subplots(2, 2).flat, shown.items(), strict=False):
-        draw_histograms(ax, found, colors=_PAIR, dashes=_DASHES)
+        ax.set_xlim(draw_histograms(ax, found, colors=_PAIR, dashes=_DASHES))
         ax.set_title(verbatim(region), fontsize=7, loc="left", pad=2)
         ax.tick_params(labelsize=6, pad=1.5)
     for empty in right.axes[len(shown) :]:
