@@ -390,8 +390,8 @@ def _given(model: Given, learned: Mapping[str, LearnedEstimator]) -> dict[Any, M
 
 def _seen(model: Model, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     """Return the pixels of an image of this shape that trained a model, rows (y, x)."""
-    if hasattr(model, "seen"):  # it may have been trained on several images
-        return np.asarray(model.seen(shape))
+    if hasattr(model, "train_pixels_of"):  # it may have been trained on several images
+        return np.asarray(model.train_pixels_of(shape))
     return model.train_pixels if model.train_shape == shape else np.zeros((0, 2), np.int64)
 
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from chdstat._core.image_scales import mean_radiance
 from chdstat.estimators.estimates import estimate, write_estimates
-from chdstat.estimators.mlp import MLP
+from chdstat.estimators.mlp import MLP, PRESETS, Preset
 from chdstat.estimators.models import load_model, train_model
 from chdstat.estimators.neighbourhood import Fireflies
 from chdstat.estimators.outliers import Cascade
@@ -36,7 +36,7 @@ from chdstat.estimators.registry import (
     register_learned,
 )
 from chdstat.estimators.shrinkage import james_stein
-from chdstat.estimators.training import PRESETS, History, Preset
+from chdstat.estimators.training import History
 
 __all__ = [
     "MLP",

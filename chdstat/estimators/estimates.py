@@ -48,7 +48,7 @@ def estimate(
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
-    balance: float = 0.5,
+    loss_weight: float = 0.5,
     level: float = 0.9,
     denoise: bool = False,
     seed: Seed = 0,
@@ -72,7 +72,7 @@ def estimate(
         scene is followed as far as it pays, which is measured on these samples.
     spp
         Use the first so many samples; None uses all.
-    balance
+    loss_weight
         0 for the least MSE, 1 for the least relMSE, and what lies between. It matters little
         without a reference, and not to networks with one answer.
     level
@@ -112,7 +112,7 @@ def estimate(
     >>> found.radiance.shape, found.certainty.shape
     ((16, 16, 3), (16, 16))
     """
-    options = _Options(spp, balance, level, denoise, seed_number(seed), iterations, progress)
+    options = _Options(spp, loss_weight, level, denoise, seed_number(seed), iterations, progress)
     return _Image.of(samples, model, options).final
 
 
@@ -122,7 +122,7 @@ def write_estimates(
     model: AnyModel | str | Path | None = None,
     *,
     spp: int | None = None,
-    balance: float = 0.5,
+    loss_weight: float = 0.5,
     level: float = 0.9,
     denoise: bool = False,
     seed: Seed = 0,
@@ -138,7 +138,7 @@ def write_estimates(
     ----------
     path
         The file, ending in .exr; one that is there already is replaced at the end.
-    samples, model, spp, balance, level, denoise, seed, iterations, progress
+    samples, model, spp, loss_weight, level, denoise, seed, iterations, progress
         As for `estimate`.
 
     Returns
@@ -163,7 +163,7 @@ def write_estimates(
     ['certainty', 'high', 'low', 'mean']
     """
     target = checked_target(path, ".exr")
-    options = _Options(spp, balance, level, denoise, seed_number(seed), iterations, progress)
+    options = _Options(spp, loss_weight, level, denoise, seed_number(seed), iterations, progress)
     image = _Image.of(samples, model, options)
     return write_exr(
         target,
@@ -179,7 +179,7 @@ class _Options:
     """Options of `estimate`."""
 
     spp: int | None
-    balance: float
+    loss_weight: float
     level: float
     denoise: bool
     seed: int
@@ -218,8 +218,8 @@ class _Image:
         model: AnyModel | str | Path | None,
         options: _Options,
     ) -> _Image:
-        if not 0 <= options.balance <= 1:
-            message = f"balance must lie between 0 (MSE) and 1 (relMSE), got {options.balance}"
+        if not 0 <= options.loss_weight <= 1:
+            message = f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {options.loss_weight}"
             raise InputError(message)
         check_probability(level=options.level)
         if model is not None and options.iterations is not None:
@@ -259,7 +259,7 @@ class _Image:
                 x,
                 features=samples.features if own.inputs.features else None,
                 direct=direct_of(samples).read() if own.inputs.direct else None,
-                balance=options.balance,
+                loss_weight=options.loss_weight,
                 level=options.level,
                 trust=1.0 if known else None,
             )
@@ -305,7 +305,7 @@ class _Image:
         else:
             for batch in rendering:
                 stream.update(batch)
-        found = stream.estimate(balance=options.balance, level=options.level)
+        found = stream.estimate(loss_weight=options.loss_weight, level=options.level)
         # Where no sample varied nothing was learned.
         about = stream.model.provenance if model is not None or stream.iterations else {}
         training = "while rendering, without a reference" if model is None else "before"
@@ -333,7 +333,7 @@ class _Image:
             "spp": self.source.spp,
             "estimator": self.model.name,
             "training": self.training,
-            "balance": self.options.balance if isinstance(self.model, Progressive) else "none",
+            "loss_weight": self.options.loss_weight if isinstance(self.model, Progressive) else "none",
             "level": "none" if np.isnan(self.first.level) else self.first.level,
             "denoiser": "Open Image Denoise" if self.options.denoise else "none",
             "samples": self.source.attrs,

@@ -6,33 +6,131 @@
 32
 
 The samples of one channel go in as they were drawn, the radiance of that channel comes out.
+`PRESETS` are published networks, each a frozen list of choices.
+
+Weights are NumPy arrays, a matrix (in, out) and a bias (out,) per layer. Training runs on one CPU
+thread: these networks are so small that starting a kernel costs more than running it, and one
+thread makes the result repeatable.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from itertools import pairwise
-from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import all_good, as_samples, is_bad, warn_left_out
-from chdstat.errors import InputError, StoreError
-from chdstat.estimators.model_files import read_model, write_model
+from chdstat._core.arrays import all_good, as_samples, generator, is_bad, spans, warn_left_out
+from chdstat._core.executor import track
+from chdstat.errors import InputError
 from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.registry import LearnedEstimator, register_learned
-from chdstat.estimators.training import PRESETS, History, Preset, Trained, train
+from chdstat.estimators.training import (
+    Trained,
+    TrainedModel,
+    check_iterations,
+    descend,
+    provenance_of,
+    threads,
+)
+from chdstat.estimators.validation import (
+    PUBLISHED_PIXELS,
+    check_spp,
+    checked_pixels,
+    draw_pixels,
+    training_batches,
+)
 from chdstat.samples import Samples
 
-__all__ = ["MLP"]
+if TYPE_CHECKING:
+    import torch
+
+__all__ = ["MLP", "PRESETS", "RECORD_EVERY", "Preset", "evaluate", "initial_weights"]
 
 Array = npt.NDArray[Any]
+Weights = list[npt.NDArray[np.float32]]
+
+RECORD_EVERY = 100
+"""Iterations between two rows of the history."""
+_VALIDATION_ROWS = 16_384
+"""Rows of the validation part that a row of the history looks at, at most."""
+_ROWS_AT_ONCE = 65_536
 
 
-class MLP:
+@dataclass(frozen=True, kw_only=True)
+class Preset:
+    """How a network is built and trained; what the source leaves open is marked as chosen here.
+
+    Attributes
+    ----------
+    name, source
+        What it is called by, and where it was published.
+    inputs
+        Samples of one channel that go in, in the order drawn.
+    hidden
+        Neurons of each dense layer (ReLU, chosen here); one linear output follows.
+    pixels
+        Pixels drawn for training: 6400 where the image has them and at least a quarter of it
+        remains to judge, 93 x 93 pixels or more; half of a smaller image.
+    validation_share
+        Part of the batches that only validate.
+    iterations
+        Minibatches seen.
+    learning_rate
+        Constant step size.
+    minibatch
+        Rows per iteration, drawn with replacement; chosen here.
+    optimiser
+        Adam with its usual moments (0.9, 0.999); chosen here.
+    initialisation
+        He-uniform matrices, zero biases; chosen here.
+    scaling
+        Radiance is divided by one constant, the mean training reference, and multiplied by it
+        afterwards, so that training does not depend on the unit of radiance; chosen here.
+    """
+
+    name: str
+    source: str
+    inputs: int = 32
+    hidden: tuple[int, ...] = (32, 32, 32)
+    pixels: int = PUBLISHED_PIXELS
+    validation_share: float = 0.1
+    iterations: int = 30_000
+    learning_rate: float = 0.005
+    minibatch: int = 256
+    optimiser: str = "adam"
+    initialisation: str = "he-uniform"
+    scaling: str = "training mean"
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Neurons of every layer, input and output among them."""
+        return (self.inputs, *self.hidden, 1)
+
+
+PRESETS = {"elek2019": Preset(name="elek2019", source="Elek, Thomas and Forbes 2019")}
+"""Published networks by name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _TrainedMLP(Trained):
+    """All that training leaves behind.
+
+    Attributes
+    ----------
+    weights
+        A matrix (in, out) and a bias (out,) per layer.
+    scale
+        Mean training reference; the network works in units of it.
+    """
+
+    weights: Weights
+    scale: float
+
+
+class MLP(TrainedModel[_TrainedMLP]):
     """A network from samples of one channel to their pixel's radiance.
 
     Make one with `MLP.preset` or `MLP.load`.
@@ -43,9 +141,12 @@ class MLP:
     Variance Reduction", 2019.
     """
 
-    def __init__(self, config: Preset, *, trained: Trained | None = None) -> None:
+    kind = "mlp"
+
+    def __init__(self, config: Preset) -> None:
         self.config = config
-        self._trained = trained
+        self.name = config.name
+        self._trained = None
 
     @classmethod
     def preset(cls, name: str) -> Self:
@@ -62,34 +163,9 @@ class MLP:
         return cls(PRESETS[name])
 
     @property
-    def name(self) -> str:
-        """Name of its preset."""
-        return self.config.name
-
-    @property
     def inputs(self) -> int:
         """Samples per estimate."""
         return self.config.inputs
-
-    @property
-    def train_pixels(self) -> npt.NDArray[np.int64]:
-        """Pixels that it was trained on, rows (y, x)."""
-        return self._state.train_pixels
-
-    @property
-    def train_shape(self) -> tuple[int, int]:
-        """Height and width of the image that it was trained on."""
-        return self._state.train_shape
-
-    @property
-    def history(self) -> History:
-        """How the training went."""
-        return History(*self._state.history.T)
-
-    @property
-    def provenance(self) -> dict[str, Any]:
-        """Where it comes from: scene, seed, pixels, batches, iterations, chdstat version."""
-        return dict(self._state.provenance)
 
     def __repr__(self) -> str:
         state = "untrained" if self._trained is None else f"scene {self.provenance['scene']!r}"
@@ -129,8 +205,51 @@ class MLP:
         InputError
             If there are too few samples, or too few pixels with good ones.
         """
-        self._trained = train(
-            self.config, samples, seed=seed, iterations=iterations, pixels=pixels, progress=progress
+        check_iterations(iterations)
+        config, shape = self.config, samples.shape[:2]
+        check_spp(samples, config.inputs)
+        if pixels is None:
+            chosen = draw_pixels(shape, config.pixels, seed=seed)
+        else:
+            chosen = checked_pixels(pixels, shape)
+        batches, references = training_batches(samples, chosen, config.inputs)
+        if len(batches) < 2:
+            message = (
+                f"training needs at least 2 batches without a bad sample, got {len(batches)} from "
+                f"{len(chosen)} pixels with {samples.spp} spp; give a larger image or more samples"
+            )
+            raise InputError(message)
+        scale = float(references.mean())
+        # In units of the scene's mean, in place, for they are large. Black stays black.
+        batches /= np.float32(scale or 1.0)
+        references /= scale or 1.0
+        weights, history = _fit(
+            config,
+            batches,
+            references.astype(np.float32),
+            iterations=config.iterations if iterations is None else iterations,
+            rng=generator(seed).spawn(1)[0],
+            progress=progress,
+        )
+        history[:, 1:] *= scale**2
+        provenance = provenance_of(
+            samples.name,
+            samples.attrs,
+            samples.shape,
+            seed=seed,
+            pixels_wanted=config.pixels if pixels is None else len(chosen),
+            pixels_used=len(chosen),
+            batches_used=len(batches),
+            batches_excluded=len(chosen) * (samples.spp // config.inputs) - len(batches),
+            iterations=int(history[-1, 0]) if len(history) else 0,
+        )
+        self._trained = _TrainedMLP(
+            weights=weights,
+            scale=scale,
+            history=history,
+            train_pixels=chosen,
+            train_shape=shape,
+            provenance=provenance,
         )
         return self
 
@@ -162,106 +281,135 @@ class MLP:
                 f"got shape {samples.shape}"
             )
             raise InputError(message)
-        return self._predict_rows(samples.reshape(-1, self.inputs)).reshape(samples.shape[:-1])
-
-    def save(self, path: str | Path) -> None:
-        """Write the trained network and its provenance to a safetensors file.
-
-        Raises
-        ------
-        InputError
-            If nothing was trained yet.
-        StoreError
-            If the file cannot be written.
-        """
-        state = self._state
-        about = {
-            "kind": "mlp",
-            "preset": asdict(self.config),
-            "scale": state.scale,
-            "train_shape": state.train_shape,
-            "provenance": state.provenance,
-        }
-        arrays: dict[str, Array] = {f"weight{i}": w for i, w in enumerate(state.weights)}
-        arrays |= {"history": state.history, "train_pixels": state.train_pixels}
-        write_model(Path(path), arrays, about)
-
-    @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a trained network; this runs no code from the file.
-
-        Raises
-        ------
-        StoreError
-            If there is no such file, it is damaged, or it holds something else.
-        """
-        arrays, about = read_model(Path(path))
-        try:
-            preset = dict(about["preset"])
-            config = Preset(**{**preset, "hidden": tuple(preset["hidden"])})
-            count = 2 * (len(config.sizes) - 1)
-            trained = Trained(
-                [arrays[f"weight{i}"] for i in range(count)],
-                arrays["history"],
-                arrays["train_pixels"],
-                (int(about["train_shape"][0]), int(about["train_shape"][1])),
-                float(about["scale"]),
-                dict(about["provenance"]),
-            )
-        except (KeyError, IndexError, TypeError, ValueError) as error:
-            message = f"{path} does not hold a whole network ({error!r}); train or copy it again"
-            raise StoreError(message) from error
-        _check_weights(trained.weights, config, path)
-        return cls(config, trained=trained)
-
-    @property
-    def _state(self) -> Trained:
-        if self._trained is None:
-            message = f"{self.name} is not trained yet; call train(samples) or MLP.load(path)"
-            raise InputError(message)
-        return self._trained
-
-    def _predict_rows(self, samples: Array) -> npt.NDArray[np.float32]:
-        from chdstat.estimators.network import evaluate
-
-        if not all_good(samples):
-            samples = np.where(is_bad(samples), mean_of_good(samples)[..., np.newaxis], samples)
-        rows = samples.astype(np.float32, copy=False)
-        estimate = evaluate(_absorb_scale(self._state), rows)
+        rows = samples.reshape(-1, self.inputs)
+        if not all_good(rows):
+            rows = np.where(is_bad(rows), mean_of_good(rows)[..., np.newaxis], rows)
+        rows = rows.astype(np.float32, copy=False)
+        # The network works on radiance itself; that of a black scene estimates black.
+        first, *between, matrix, bias = self.state.weights
+        scale = np.float32(self.state.scale)
+        weights = [first / (scale or np.float32(1)), *between, matrix * scale, bias * scale]
+        estimate = evaluate(weights, rows)
         lost = ~np.isfinite(estimate)
         estimate[lost] = rows[lost].mean(axis=-1, dtype=np.float64)
-        return estimate
+        return estimate.reshape(samples.shape[:-1])
+
+    def _to_file(self, state: _TrainedMLP) -> tuple[dict[str, Array], dict[str, Any]]:
+        arrays: dict[str, Array] = {f"weight{i}": w for i, w in enumerate(state.weights)}
+        return arrays, {"preset": asdict(self.config), "scale": state.scale}
+
+    @classmethod
+    def _from_file(
+        cls, arrays: dict[str, Array], about: Mapping[str, Any], common: dict[str, Any]
+    ) -> Self:
+        preset = dict(about["preset"])
+        model = cls(Preset(**{**preset, "hidden": tuple(preset["hidden"])}))
+        sizes = model.config.sizes
+        weights = [arrays[f"weight{i}"] for i in range(2 * (len(sizes) - 1))]
+        shapes = [s for pair in pairwise(sizes) for s in (pair, pair[1:])]
+        if [w.shape for w in weights] != shapes or not all(np.isfinite(w).all() for w in weights):
+            message = f"finite weights of layers {sizes} are wanted"
+            raise ValueError(message)
+        model._trained = _TrainedMLP(weights=weights, scale=float(about["scale"]), **common)
+        return model
 
 
-def _absorb_scale(state: Trained) -> list[npt.NDArray[np.float32]]:
-    """Return weights that work on radiance itself; a network of a black scene answers black."""
-    first, *between, matrix, bias = state.weights
-    scale = np.float32(state.scale)
-    return [first / (scale or np.float32(1)), *between, matrix * scale, bias * scale]
+def initial_weights(sizes: Sequence[int], rng: np.random.Generator) -> Weights:
+    """Draw He-uniform matrices and zero biases for layers of the given sizes (He et al. 2015)."""
+    weights: Weights = []
+    for fan_in, fan_out in pairwise(sizes):
+        limit = np.sqrt(6 / fan_in)
+        weights.append(rng.uniform(-limit, limit, (fan_in, fan_out)).astype(np.float32))
+        weights.append(np.zeros(fan_out, np.float32))
+    return weights
 
 
-def _check_weights(weights: list[npt.NDArray[np.float32]], preset: Preset, path: object) -> None:
-    sizes = preset.sizes
-    shapes = [s for pair in pairwise(sizes) for s in (pair, pair[1:])]
-    if [w.shape for w in weights] != shapes or not all(np.isfinite(w).all() for w in weights):
-        message = f"{path} does not hold finite weights of layers {sizes}; train or copy it again"
-        raise StoreError(message)
+def evaluate(weights: Weights, x: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Run a network over rows (row, input), on the GPU where torch finds one; result (row,)."""
+    import torch
+
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    parameters = [torch.tensor(w, device=device) for w in weights]
+    result = np.empty(len(x), np.float32)
+    with torch.inference_mode():
+        for part in spans(len(x), _ROWS_AT_ONCE):
+            # Torch has no negative strides, such as those of a reversed view.
+            rows = torch.tensor(np.ascontiguousarray(x[part]), device=device)
+            result[part] = _forward(parameters, rows).cpu().numpy()
+    return result
 
 
-def _trained(preset: Preset, samples: Samples, **options: Any) -> MLP:
-    return MLP(preset).train(samples, **options)
+def _forward(parameters: Sequence[torch.Tensor], x: torch.Tensor) -> torch.Tensor:
+    import torch
+
+    *hidden, matrix, bias = parameters
+    for layer in range(0, len(hidden), 2):
+        x = torch.relu(torch.addmm(hidden[layer + 1], x, hidden[layer]))
+    return torch.addmm(bias, x, matrix)[:, 0]
 
 
-_ELEK = PRESETS["elek2019"]
-register_learned(
-    LearnedEstimator(
-        _ELEK.name,
-        partial(_trained, _ELEK),
-        _ELEK.source,
-        inputs=_ELEK.inputs,
-        pixels=_ELEK.pixels,
-        label="Elek et al. 2019",
-        place=8,
-        default=True,
-    )
-)
+def _fit(
+    preset: Preset,
+    batches: npt.NDArray[np.float32],
+    references: npt.NDArray[np.float32],
+    *,
+    iterations: int,
+    rng: np.random.Generator,
+    progress: bool | None,
+) -> tuple[Weights, npt.NDArray[np.float64]]:
+    """Minimise the squared error on batches (batch, channel, sample) and references.
+
+    Returns
+    -------
+    weights : list of ndarray
+        As after the last record at which all of them were finite.
+    history : ndarray
+        Rows of `History`.
+    """
+    import torch
+
+    count, channels, n = batches.shape
+    order = rng.permutation(count)
+    held_out = max(1, round(count * preset.validation_share))
+    # The channels of a batch stay together on one side of the split.
+    in_order = (order[:, np.newaxis] * channels + np.arange(channels)).reshape(-1)
+    validation, train = np.split(in_order, [held_out * channels])
+    validation = validation[:_VALIDATION_ROWS]
+    x, y = batches.reshape(-1, n), references.reshape(-1)
+    of_mean = (x.mean(axis=1) - y) ** 2
+    inputs, targets = torch.from_numpy(x), torch.from_numpy(y)
+    outside = inputs[validation], targets[validation]
+
+    def loss(rows: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.mse_loss(_forward(parameters, rows), wanted)
+
+    def losses() -> Iterator[tuple[torch.Tensor, npt.NDArray[np.int64]]]:
+        for part in spans(iterations, RECORD_EVERY):
+            # One gather for many minibatches: indexing would otherwise dominate.
+            rows = rng.choice(train, size=(part.stop - part.start, preset.minibatch))
+            drawn = torch.from_numpy(rows)
+            for k, pair in enumerate(zip(inputs[drawn], targets[drawn], strict=True)):
+                yield loss(*pair), rows[k]
+
+    weights = initial_weights(preset.sizes, rng)
+    parameters = [torch.tensor(w, requires_grad=True) for w in weights]
+    history = []
+    with threads(1), track("training", iterations, unit="it", show=progress) as advance:
+        for iteration, seen in descend(
+            parameters,
+            losses(),
+            iterations=iterations,
+            every=RECORD_EVERY,
+            learning_rate=preset.learning_rate,
+            advance=advance,
+        ):
+            current = [p.detach().numpy().copy() for p in parameters]
+            if not all(np.isfinite(w).all() for w in current):
+                break
+            weights = current
+            with torch.inference_mode():
+                held_out_loss = loss(*outside)
+            minibatch_losses, rows = zip(*seen, strict=True)
+            fit, baseline = torch.stack(minibatch_losses).mean(), of_mean[np.stack(rows)].mean()
+            history.append((iteration, fit, held_out_loss, baseline, of_mean[validation].mean()))
+    return weights, np.array(history, np.float64).reshape(-1, 5)

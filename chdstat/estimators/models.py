@@ -1,4 +1,4 @@
-"""Models: estimators that learn, trained by name, and read from files whatever they are.
+"""Models: the registered estimators that learn, trained by name, and read from any model file.
 
 >>> from chdstat.estimators import load_model, train_model
 >>> # train_model(samples, "elek2019").save("scene.safetensors"); load_model("scene.safetensors")
@@ -7,26 +7,157 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeGuard
 
+import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, seed_number
+from chdstat._core.arrays import Seed, as_pixels, seed_number
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators.mlp import MLP
-from chdstat.estimators.model_files import read_model
-from chdstat.estimators.progressive import Progressive
-from chdstat.estimators.progressive.inputs import Input
-from chdstat.estimators.registry import Estimator, LearnedEstimator, lookup, names
+from chdstat.estimators.mlp import MLP, PRESETS, Preset
+from chdstat.estimators.progressive.inputs import Features, Input
+from chdstat.estimators.progressive.model import Progressive
+from chdstat.estimators.registry import (
+    Estimator,
+    LearnedEstimator,
+    lookup,
+    names,
+    register,
+    register_learned,
+)
+from chdstat.estimators.rows import reordered
+from chdstat.estimators.training import read_model
 from chdstat.samples import Image, Samples, samples_of
 
-__all__ = ["AnyModel", "check_choice", "first_samples", "load_model", "train_model"]
+__all__ = [
+    "AnyModel",
+    "check_choice",
+    "first_samples",
+    "load_model",
+    "self_trained",
+    "train_model",
+]
 
 AnyModel = MLP | Progressive
-"""What can be trained, saved, and asked for estimates."""
+"""What can be trained and saved."""
 
-_KINDS: dict[str, type[AnyModel]] = {"mlp": MLP, "progressive": Progressive}
+_KINDS: dict[str, type[AnyModel]] = {kind.kind: kind for kind in (MLP, Progressive)}
+_SOURCE = "this library, after Zirr et al. 2018, doi:10.1111/cgf.13335"
+_PIXELS = 8192
+"""That a progressive estimator wants to train on."""
+
+
+def _train_preset(preset: Preset, samples: Samples, **options: Any) -> MLP:
+    return MLP(preset).train(samples, **options)
+
+
+def _train_progressive(inputs: Collection[Input], samples: Samples, **options: Any) -> Progressive:
+    return Progressive(inputs=inputs).train(samples, **options)
+
+
+_ELEK = PRESETS["elek2019"]
+register_learned(
+    LearnedEstimator(
+        _ELEK.name,
+        partial(_train_preset, _ELEK),
+        _ELEK.source,
+        inputs=_ELEK.inputs,
+        pixels=_ELEK.pixels,
+        label="Elek et al. 2019",
+        place=8,
+        default=True,
+    )
+)
+_ROWS: tuple[tuple[str, str, float, tuple[Input, ...]], ...] = (
+    ("progressive", "progressive (ours)", 0.5, ()),
+    ("progressive_mse", "progressive, for MSE", 0.0, ()),
+    ("progressive_relmse", "progressive, for relMSE", 1.0, ()),
+    ("progressive_features", "progressive, with features", 0.5, ("features",)),
+    ("progressive_direct", "progressive, with direct light apart", 0.5, ("direct",)),
+)
+"""Name, label, loss weight and inputs of each; those of the same inputs share a training."""
+_TRAININGS = {inputs: partial(_train_progressive, inputs) for *_, inputs in _ROWS}
+for _name, _label, _loss_weight, _inputs in _ROWS:
+    register_learned(
+        LearnedEstimator(
+            _name,
+            _TRAININGS[_inputs],
+            _SOURCE,
+            inputs=None,
+            pixels=_PIXELS,
+            label=_label,
+            place=9,
+            default=_name == "progressive",
+            options={"loss_weight": _loss_weight},
+            uses_features="features" in _inputs,
+            joint_channels=True,
+            uses_direct="direct" in _inputs,
+        )
+    )
+
+
+@register(
+    "self_trained",
+    source="this library, after Lehtinen et al. 2018",
+    label="self-trained (ours)",
+    place=9,
+    minimum_samples=4,
+    uses_neighbours=True,
+    joint_channels=True,
+    uses_features=True,
+    learns=True,
+)
+def self_trained(
+    x: npt.ArrayLike,
+    *,
+    features: Features | None = None,
+    seed: int = 0,
+    iterations: int | None = None,
+    progress: bool | None = False,
+) -> npt.NDArray[np.float32]:
+    """Train a progressive estimator on an image's own samples, and estimate from all of them.
+
+    No reference and no second render is needed. It learns from splits of each pixel's samples, so
+    that the truth is the expectation of what it learns from, with features and neighbours
+    for inputs. In which order the samples come makes no difference.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample), at least 4.
+    features
+        First-hit features of the image, as of `Samples.features`.
+    seed, iterations, progress
+        As for `Progressive.train`.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit of `x`.
+
+    Raises
+    ------
+    InputError
+        If `x` is no image, or has less than 4 samples.
+
+    References
+    ----------
+    J. Lehtinen et al., "Noise2Noise: learning image restoration without clean data", ICML 2018.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> image = rng.exponential(size=(16, 16, 3, 16))
+    >>> self_trained(image, iterations=5).shape
+    (16, 16, 3)
+    """
+    samples = as_pixels(x, minimum=2, image=True)
+    image = Samples.from_array(reordered(samples)[0], features=features, axes="yxcs")
+    model = Progressive(inputs=["features", "neighbours"] if features else ["neighbours"])
+    model.train(image, seed=seed, iterations=iterations, progress=progress)
+    return model.predict(image.read(), features=features, trust=1.0)
 
 
 def train_model(

@@ -1,99 +1,66 @@
-"""Training of the paper's network: from an image's samples to weights, history and provenance.
+"""Training of networks: the one loop, what it leaves behind, and the file of a trained model.
 
-`PRESETS` are published networks, each a frozen list of choices.
+A file holds named arrays and JSON in the safetensors format, which runs no code when it is read.
+Torch is imported when something trains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import contextlib
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 
 import chdstat
-from chdstat._core.arrays import generator
-from chdstat._core.executor import track
-from chdstat.errors import InputError
-from chdstat.estimators.validation import (
-    PUBLISHED_PIXELS,
-    check_spp,
-    checked_pixels,
-    draw_pixels,
-    training_batches,
+from chdstat._core.files import checksum, replacing
+from chdstat.errors import InputError, StoreError
+
+if TYPE_CHECKING:
+    import torch
+
+__all__ = [
+    "History",
+    "Trained",
+    "TrainedModel",
+    "check_iterations",
+    "descend",
+    "provenance_of",
+    "read_model",
+    "threads",
+    "write_model",
+]
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+_KEY = "chdstat"
+"""Header entry that marks a file as ours: a checksum of it and the arrays, and the JSON. What else
+a file holds is not looked at."""
+_FOREIGN = (
+    AttributeError,
+    LookupError,
+    OSError,
+    RecursionError,
+    SafetensorError,
+    TypeError,
+    ValueError,
 )
-from chdstat.samples import Samples
-
-__all__ = ["PRESETS", "History", "Preset", "Trained", "train"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Preset:
-    """How a network is built and trained; what the source leaves open is marked as chosen here.
-
-    Attributes
-    ----------
-    name, source
-        What it is called by, and where it was published.
-    inputs
-        Samples of one channel that go in, in the order drawn.
-    hidden
-        Neurons of each dense layer (ReLU, chosen here); one linear output follows.
-    pixels
-        Pixels drawn for training: 6400 where the image has them and at least a quarter of it
-        remains to judge, 93 x 93 pixels or more; half of a smaller image.
-    validation_share
-        Part of the batches that only watch.
-    iterations
-        Minibatches seen.
-    learning_rate
-        Constant step size.
-    minibatch
-        Rows per iteration, drawn with replacement; chosen here.
-    optimiser
-        Adam with its usual moments (0.9, 0.999); chosen here.
-    initialisation
-        He-uniform matrices, zero biases; chosen here.
-    scaling
-        Radiance is divided by one constant, the mean training reference, and multiplied by it
-        afterwards, so that training does not depend on the unit of radiance; chosen here.
-    """
-
-    name: str
-    source: str
-    inputs: int = 32
-    hidden: tuple[int, ...] = (32, 32, 32)
-    pixels: int = PUBLISHED_PIXELS
-    validation_share: float = 0.1
-    iterations: int = 30_000
-    learning_rate: float = 0.005
-    minibatch: int = 256
-    optimiser: str = "adam"
-    initialisation: str = "he-uniform"
-    scaling: str = "training mean"
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Neurons of every layer, input and output among them."""
-        return (self.inputs, *self.hidden, 1)
-
-
-PRESETS = {
-    preset.name: preset
-    for preset in (
-        Preset(
-            name="elek2019",
-            source="Elek, Thomas and Forbes 2019",
-        ),
-    )
-}
-"""Published networks by name."""
+"""What damaged bytes may raise in the libraries that read them."""
 
 
 @dataclass(frozen=True)
 class History:
-    """How the training went; every field has shape (record,), errors are squared radiance.
+    """How the training went; every field has shape (record,).
+
+    Losses of `MLP` are squared radiance, those of `Progressive` in units of what the sample mean
+    loses on average.
 
     Attributes
     ----------
@@ -102,9 +69,9 @@ class History:
     train_loss
         Mean loss of the minibatches since the record before.
     validation_loss
-        Loss on (up to 16384 rows of) the validation part.
+        Loss on held-out rows.
     train_baseline, validation_baseline
-        Squared error of the sample mean on the same rows.
+        Loss of the sample mean on the same rows.
     """
 
     iteration: npt.NDArray[np.float64]
@@ -114,129 +81,279 @@ class History:
     validation_baseline: npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trained:
-    """All that training leaves behind.
+    """What the training of any network leaves behind.
 
     Attributes
     ----------
-    weights
-        A matrix (in, out) and a bias (out,) per layer.
     history
         Rows of `History`.
     train_pixels
         Pixels used, rows (y, x).
     train_shape
-        Height and width of the image they lie in.
-    scale
-        Mean training reference; the network works in units of it.
+        Height and width of the image that they lie in, of several the first.
     provenance
         Where it comes from, ready for JSON.
     """
 
-    weights: list[npt.NDArray[np.float32]]
     history: npt.NDArray[np.float64]
     train_pixels: npt.NDArray[np.int64]
     train_shape: tuple[int, int]
-    scale: float
     provenance: Mapping[str, Any]
 
 
-def train(
-    preset: Preset,
-    samples: Samples,
-    *,
-    seed: int,
-    iterations: int | None = None,
-    pixels: npt.ArrayLike | None = None,
-    progress: bool | None = None,
-) -> Trained:
-    """Train a network on a part of an image's pixels; see `MLP.train`."""
-    wanted = preset.iterations if iterations is None else iterations
-    if wanted < 1:
-        message = f"iterations must be at least 1, got {wanted}"
+State = TypeVar("State", bound=Trained)
+
+
+class TrainedModel(ABC, Generic[State]):
+    """An estimator that is trained once, then estimates, and can be saved."""
+
+    name: str
+    kind: ClassVar[str]
+    """What its files are told by."""
+    _trained: State | None
+
+    @property
+    def train_pixels(self) -> npt.NDArray[np.int64]:
+        """Pixels that it was trained on, rows (y, x)."""
+        return self.state.train_pixels
+
+    @property
+    def train_shape(self) -> tuple[int, int]:
+        """Height and width of the image that it was trained on, of several the first."""
+        return self.state.train_shape
+
+    @property
+    def history(self) -> History:
+        """How the training went."""
+        return History(*self.state.history.T)
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Where it comes from: scene, seed, pixels, iterations, chdstat version."""
+        return dict(self.state.provenance)
+
+    def save(self, path: str | Path) -> None:
+        """Write the trained network and its provenance to a safetensors file.
+
+        Raises
+        ------
+        InputError
+            If nothing was trained yet.
+        StoreError
+            If the file cannot be written.
+        """
+        state = self.state
+        arrays, about = self._to_file(state)
+        arrays |= {"history": state.history, "train_pixels": state.train_pixels}
+        common = {"train_shape": state.train_shape, "provenance": state.provenance}
+        write_model(Path(path), arrays, {"kind": self.kind, **about, **common})
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a trained network; this runs no code from the file.
+
+        Raises
+        ------
+        StoreError
+            If there is no such file, it is damaged, or it holds something else.
+        """
+        arrays, about = read_model(Path(path))
+        try:
+            kind = about.get("kind")
+            if kind != cls.kind:
+                message = f"{path} holds a model of kind {kind!r}, not {cls.kind!r}"
+                raise StoreError(message)
+            common = {
+                "history": arrays["history"],
+                "train_pixels": arrays["train_pixels"].astype(np.int64, copy=False),
+                "train_shape": (int(about["train_shape"][0]), int(about["train_shape"][1])),
+                "provenance": dict(about["provenance"]),
+            }
+            return cls._from_file(arrays, about, common)
+        except (AttributeError, KeyError, IndexError, TypeError, ValueError) as error:
+            message = f"{path} does not hold a whole network ({error!r}); train or copy it again"
+            raise StoreError(message) from error
+
+    @abstractmethod
+    def _to_file(self, state: State) -> tuple[Arrays, dict[str, Any]]:
+        """Return the arrays and the JSON of a file, beside those of every `Trained`."""
+
+    @classmethod
+    @abstractmethod
+    def _from_file(cls, arrays: Arrays, about: Mapping[str, Any], common: dict[str, Any]) -> Self:
+        """Return the estimator of a file; `common` are the fields of `Trained`."""
+
+    @property
+    def state(self) -> State:
+        """What training left behind.
+
+        Raises
+        ------
+        InputError
+            If nothing was trained yet.
+        """
+        if self._trained is None:
+            known = f"call train(samples) or {type(self).__name__}.load(path)"
+            message = f"{self.name} is not trained yet; {known}"
+            raise InputError(message)
+        return self._trained
+
+
+def provenance_of(
+    scene: str, attrs: Mapping[str, Any], shape: Sequence[int], **facts: Any
+) -> dict[str, Any]:
+    """Return where a trained network comes from: the samples, what is known beside, our version."""
+    samples = {"scene": scene, "samples": attrs, "samples_shape": list(shape)}
+    return {**samples, **facts, "chdstat": chdstat.__version__}
+
+
+def check_iterations(iterations: int | None) -> None:
+    """Refuse to train for less than one iteration.
+
+    Raises
+    ------
+    InputError
+        If there are fewer; None is the estimator's own number.
+    """
+    if iterations is not None and iterations < 1:
+        message = f"iterations must be at least 1, got {iterations}"
         raise InputError(message)
-    check_spp(samples, preset.inputs)
-    shape = samples.shape[:2]
-    if pixels is None:
-        chosen = draw_pixels(shape, preset.pixels, seed=seed)
-    else:
-        chosen = checked_pixels(pixels, shape)
-    batches, references = training_batches(samples, chosen, preset.inputs)
-    if len(batches) < 2:
-        message = (
-            f"training needs at least 2 batches without a bad sample, got {len(batches)} from "
-            f"{len(chosen)} pixels with {samples.spp} spp; give a larger image or more samples"
-        )
-        raise InputError(message)
-    scale = float(references.mean())
-    weights, history = _fit(
-        preset,
-        *_scaled(batches, references, scale),
-        iterations=wanted,
-        rng=generator(seed).spawn(1)[0],
-        progress=progress,
-    )
-    history[:, 1:] *= scale**2
-    provenance = {
-        "scene": samples.name,
-        "samples": samples.attrs,
-        "samples_shape": list(samples.shape),
-        "seed": seed,
-        "pixels_wanted": preset.pixels if pixels is None else len(chosen),
-        "pixels_used": len(chosen),
-        "batches_used": len(batches),
-        "batches_excluded": len(chosen) * (samples.spp // preset.inputs) - len(batches),
-        "iterations": int(history[-1, 0]) if len(history) else 0,
-        "chdstat": chdstat.__version__,
-    }
-    return Trained(weights, history, chosen, shape, scale, provenance)
 
 
-def _scaled(
-    batches: npt.NDArray[np.float32], references: npt.NDArray[np.float64], scale: float
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Divide by the scene's mean; batches in place, for they are large. Black stays black."""
-    unit = scale or 1.0
-    batches /= np.float32(unit)
-    return batches, (references / unit).astype(np.float32)
+Losses = tuple[Any, ...]
 
 
-def _fit(
-    preset: Preset,
-    batches: npt.NDArray[np.float32],
-    references: npt.NDArray[np.float32],
+def descend(
+    parameters: Sequence[torch.Tensor],
+    losses: Iterator[Losses],
     *,
     iterations: int,
-    rng: np.random.Generator,
-    progress: bool | None,
-) -> tuple[list[npt.NDArray[np.float32]], npt.NDArray[np.float64]]:
-    """Run the descent on batches (batch, channel, sample) and references (batch, channel)."""
-    from chdstat.estimators.network import TrainingRows, descend, initial_weights
+    every: int,
+    learning_rate: float,
+    annealed: bool = False,
+    largest_gradient: float | None = None,
+    after_step: Callable[[], object] = lambda: None,
+    advance: Callable[[float], None],
+) -> Iterator[tuple[int, list[Losses]]]:
+    """Minimise a loss with Adam, and yield whenever a row of the history is due.
 
-    count, channels, n = batches.shape
-    order = rng.permutation(count)
-    watching = max(1, round(count * preset.validation_share))
-    inputs, targets = batches.reshape(-1, n), references.reshape(-1)
-    data = TrainingRows(
-        inputs,
-        targets,
-        baseline=(inputs.mean(axis=1) - targets) ** 2,
-        train=_rows(order[watching:], channels),
-        validation=_rows(order[:watching], channels),
+    Parameters
+    ----------
+    parameters
+        What is trained, in place.
+    losses
+        Of each minibatch the loss, and whatever its record needs; the next one is asked for when
+        the parameters have changed.
+    iterations
+        How many there are.
+    every
+        Iterations between two records; the last iteration makes one, too.
+    learning_rate
+        Step size; where `annealed`, it falls as a cosine from this to 0.
+    largest_gradient
+        Norm at which gradients are cut.
+    after_step, advance
+        Called after every iteration, `advance` with 1.
+
+    Yields
+    ------
+    iteration : int
+        Iterations done.
+    seen : list
+        What `losses` gave since the record before, the losses without their gradients.
+    """
+    import torch
+
+    optimiser = torch.optim.Adam(parameters, lr=learning_rate, fused=True)
+    schedule = (
+        torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations) if annealed else None
     )
-    with track("training", iterations, unit="it", show=progress) as advance:
-        return descend(
-            initial_weights(preset.sizes, rng),
-            data,
-            iterations=iterations,
-            minibatch=preset.minibatch,
-            learning_rate=preset.learning_rate,
-            rng=rng,
-            advance=advance,
-        )
+    seen: list[Losses] = []
+    for iteration, (loss, *others) in enumerate(losses, 1):
+        optimiser.zero_grad()
+        loss.backward()
+        if largest_gradient is not None:
+            torch.nn.utils.clip_grad_norm_(parameters, largest_gradient)
+        optimiser.step()
+        if schedule is not None:
+            schedule.step()
+        after_step()
+        seen.append((loss.detach(), *others))
+        if iteration % every == 0 or iteration == iterations:
+            yield iteration, seen
+            seen = []
+        advance(1)
 
 
-def _rows(batches: npt.NDArray[np.int64], channels: int) -> npt.NDArray[np.int64]:
-    """Return the rows of batches: their channels stay together on one side of the split."""
-    return (batches[:, np.newaxis] * channels + np.arange(channels)).reshape(-1)
+@contextlib.contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Let torch use so many threads while the context lasts."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def write_model(path: Path, arrays: Mapping[str, npt.NDArray[Any]], about: Any) -> None:
+    """Write a model file; an existing one is replaced as a whole or not at all.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written.
+    """
+    contiguous = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+    text = json.dumps(about, default=str)
+    # One entry: of several the order would be left to chance.
+    header = {_KEY: f"{_checksum(text, contiguous)} {text}"}
+    try:
+        with replacing(path) as partial:
+            save_file(contiguous, partial, metadata=header)
+    except (OSError, SafetensorError) as error:
+        message = f"cannot write a model to {path}: {error}"
+        raise StoreError(message) from error
+
+
+def read_model(path: Path) -> tuple[Arrays, Any]:
+    """Read the arrays and the JSON of a model file.
+
+    Raises
+    ------
+    StoreError
+        If there is no such file, it is damaged, or chdstat has not written it.
+    """
+    if not path.is_file():
+        message = f"no model at {path}; train one with: chdstat train SCENE -o {path}"
+        raise StoreError(message)
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = file.metadata() or {}
+            if _KEY not in header:
+                message = f"{path} is a safetensors file, but not a chdstat model"
+                raise StoreError(message)
+            arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+        expected, _, text = header[_KEY].partition(" ")
+        if expected != _checksum(text, arrays):
+            message = (
+                f"{path} is damaged, or of an earlier chdstat that wrote no checksum: weights and "
+                "header do not agree with it; train or copy it again"
+            )
+            raise StoreError(message)
+        return arrays, json.loads(text)
+    except _FOREIGN as error:
+        message = f"{path} is damaged or not a chdstat model ({error}); train or copy it again"
+        raise StoreError(message) from error
+
+
+def _checksum(text: str, arrays: Mapping[str, npt.NDArray[Any]]) -> str:
+    """Return the checksum of a header and of all arrays, in whatever order they lie."""
+    parts = [text.encode()]
+    for name, array in sorted(arrays.items()):
+        parts += [f"{name} {array.dtype.str} {array.shape}".encode(), array.tobytes()]
+    return f"{checksum(b''.join(parts)):08x}"

@@ -9,7 +9,7 @@ A batch with a bad sample has no reference (NaN): it neither trains nor judges.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,12 +30,17 @@ __all__ = [
     "draw_pixels",
     "judging_pixels",
     "training_batches",
+    "training_pixels",
     "without",
 ]
 
 PUBLISHED_PIXELS = 6400
 """Pixels that Elek, Thomas and Forbes 2019 train on."""
 
+_PIXELS = 8192
+"""Of one image, at most, where several may train together."""
+_MOST_PIXELS = 4 * _PIXELS
+"""Of all images together: more take memory, and tell little."""
 _ROUNDING = 1e-13
 """Share of a sum that is as good as nothing: what rounding leaves of all of it less all of it."""
 
@@ -224,6 +229,37 @@ def checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray
         message = f"pixels must lie in the image of {shape[1]} x {shape[0]} pixels (y, x)"
         raise InputError(message)
     return np.unique(chosen, axis=0).astype(np.int64)
+
+
+def training_pixels(
+    images: Sequence[Samples], given: Any, *, seed: int
+) -> list[npt.NDArray[np.int64]]:
+    """Return the pixels of several images that train together, rows (y, x).
+
+    An image draws fewer beside many others, from those that it draws alone.
+
+    Parameters
+    ----------
+    images
+        All that train together.
+    given
+        An array for each, or None to draw them.
+    seed
+        Where the draw starts.
+
+    Raises
+    ------
+    InputError
+        If there are not as many arrays as images, or one is not of pixels of its image.
+    """
+    if given is None:
+        count = min(_PIXELS, _MOST_PIXELS // len(images))
+        return [draw_pixels(image.shape[:2], count, seed=seed) for image in images]
+    if len(given) != len(images):
+        message = f"pixels must be one array for each of {len(images)} images, got {len(given)}"
+        raise InputError(message)
+    shapes = (image.shape[:2] for image in images)
+    return [checked_pixels(one, shape) for one, shape in zip(given, shapes, strict=True)]
 
 
 def training_batches(

@@ -32,7 +32,7 @@ COSTLY = (
         "chdstat.analysis",
         "chdstat.estimators.estimates",
     ),
-    *("chdstat.estimators.network", "chdstat.estimators.progressive.network"),
+    "chdstat.estimators.progressive.network",
 )
 TIMED = ("chdstat.rendering.capture", "chdstat.studies.run")
 EVENTS = ("open", "os.rename", "os.mkdir", "os.remove", "os.rmdir")

@@ -182,15 +182,21 @@ def test_error_and_coverage_at_any_number_of_samples(source):
     print(f"\n{source}: one model, {test.sum()} pixels that trained nothing")
     for n in SIZES:
         judge = Judge(samples, n)
-        for balance in (0.0, 0.5, 1.0):
-            found = model.estimate(judge.x, balance=balance)
+        for loss_weight in (0.0, 0.5, 1.0):
+            found = model.estimate(judge.x, loss_weight=loss_weight)
             within = (judge.reference >= found.low) & (judge.reference <= found.high)
             part = judge_of_pixels(judge, found.radiance, test)
             more = f"90 % intervals hold {within[test].mean():.1%}"
             certainty = found.certainty[test].mean()
-            print(row(f"{n} spp, balance {balance}", part, f"{more}, certainty {certainty:.2f}"))
+            print(
+                row(
+                    f"{n} spp, loss weight {loss_weight}",
+                    part,
+                    f"{more}, certainty {certainty:.2f}",
+                )
+            )
             assert np.isfinite(found.radiance).all()
-            if balance == 0:
+            if loss_weight == 0:
                 assert part["MSE"] < 1.02
 
 

@@ -105,7 +105,7 @@ def test_with_a_reference(as_benchmark):
 
 @pytest.mark.slow
 def test_of_another_scene(as_benchmark):
-    """Each network on all other images, at both ends of the balance and between them."""
+    """Each network on all other images, at both ends of the loss weight and between them."""
     known = worlds()
     moved = asked = 0
     print(f"\n{'':64}{'N':>5}{'MSE':>8}{'relMSE':>16}")
@@ -114,9 +114,9 @@ def test_of_another_scene(as_benchmark):
         for other, (image, truth) in known.items():
             if other == name:
                 continue
-            for n, balance in ((4, 0.5), (16, 0.0), (16, 0.5), (16, 1.0), (64, 0.5)):
+            for n, loss_weight in ((4, 0.5), (16, 0.0), (16, 0.5), (16, 1.0), (64, 0.5)):
                 x = image.read(ss=slice(0, n))
-                found = model.predict(x, balance=balance)
+                found = model.predict(x, loss_weight=loss_weight)
                 pairs = errors(found, x.mean(axis=-1, dtype=np.float64), truth)
                 asked += 1
                 if pairs[0][1] > 1e-6:

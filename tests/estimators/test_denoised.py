@@ -74,7 +74,7 @@ def test_what_is_certain_stays(network, model):
     samples = image()
     asked = [denoised("progressive_mse", with_certainty=True)]
     found = chd.compare(samples, asked, n=16, model=model)
-    said = model.estimate(samples.read(ss=slice(0, 16)), balance=0)
+    said = model.estimate(samples.read(ss=slice(0, 16)), loss_weight=0)
     expected = said.radiance * (2 - said.certainty[..., np.newaxis])
     assert found.estimates[0] == pytest.approx(expected, rel=1e-4)
 

@@ -61,7 +61,7 @@ def test_only_the_first_samples_count():
 
 def test_a_model_is_taken_as_it_is_or_from_its_file(model, tmp_path):
     model.save(tmp_path / "a.safetensors")
-    asked = {"balance": 1.0, "level": 0.5}
+    asked = {"loss_weight": 1.0, "level": 0.5}
     expected = model.estimate(image().read(), **asked)
     for given in (model, tmp_path / "a.safetensors", str(tmp_path / "a.safetensors")):
         found = estimate(image(), given, **asked)
@@ -121,7 +121,7 @@ def test_what_cannot_be_estimated_is_refused_and_leaves_no_file(tmp_path, model,
     monkeypatch.chdir(tmp_path)
     other, short = image(channels=1), image(spp=2)
     for options, match in (
-        ((image(), model, {"balance": 2}), "balance must lie between 0"),
+        ((image(), model, {"loss_weight": 2}), "loss_weight must lie between 0"),
         ((image(), model, {"level": 1.0}), "level must lie between 0 and 1"),
         ((image(), None, {"spp": 17}), "spp must be from 1 to 16"),
         ((other, model, {}), "3 channels, got 1"),

@@ -64,7 +64,7 @@ def test_a_black_scene_is_black():
     ("options", "match"),
     [
         ({"spp": 8}, "set where it is made: 16, got 8 here"),
-        ({"balance": 2}, "balance must lie between 0"),
+        ({"loss_weight": 2}, "loss_weight must lie between 0"),
         ({"level": 0}, "level must lie between 0 and 1"),
         ({"iterations": 0}, "iterations must be at least 1"),
     ],

@@ -10,8 +10,8 @@ from safetensors.numpy import save_file
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, PRESETS, Preset
-from chdstat.estimators.model_files import write_model
-from chdstat.estimators.network import RECORD_EVERY, evaluate, initial_weights
+from chdstat.estimators.mlp import RECORD_EVERY, evaluate, initial_weights
+from chdstat.estimators.training import write_model
 from chdstat.estimators.validation import draw_pixels
 
 
@@ -200,7 +200,11 @@ def test_foreign_files_are_refused_and_nothing_in_them_runs(tmp_path):
 
 def test_a_file_with_parts_missing_or_of_the_wrong_shape_is_refused(tmp_path):
     path = tmp_path / "model"
-    about = {"preset": {"name": "x", "source": "y", "hidden": [4]}, "train_shape": [2, 2]}
+    about = {
+        "kind": "mlp",
+        "preset": {"name": "x", "source": "y", "hidden": [4]},
+        "train_shape": [2, 2],
+    }
     write_model(path, {"weight0": np.zeros((32, 4))}, about)
     with pytest.raises(StoreError, match="whole network"):
         MLP.load(path)

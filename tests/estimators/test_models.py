@@ -9,8 +9,8 @@ from safetensors.numpy import save_file
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, Progressive
-from chdstat.estimators.model_files import write_model
 from chdstat.estimators.models import first_samples, load_model, train_model
+from chdstat.estimators.training import write_model
 
 
 def image(spp=64, features=False):

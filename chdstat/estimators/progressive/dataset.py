@@ -1,222 +1,273 @@
-"""Training sets of the progressive estimator, with a reference or from split samples.
+"""Samples of pixels as the progressive estimator takes them: their profiles, and sets that train.
 
-An image, or several with a reference, gives pixels with their samples and auxiliary features. With
-a reference many samples a pixel are kept, and the mean of those not learned from is the reference.
-Without one, pixels of a part of the image are kept, each with splits of its own samples.
+A profile is what a pixel's samples look like, octave by octave of luminance, in constant memory. It
+is to our estimator what the cascade is to `chdstat.estimators.zirr2018`: every sample enters the
+two octaves next to its luminance, linearly in the logarithm, with its weight and with its radiance
+in all channels. Profiles add up, do not depend on the order of the samples, and keep their mean
+exactly, as the radiance in all octaves together is that of all samples. Where a renderer says how
+much of each sample is direct light, direct and indirect light are counted separately, each in
+octaves of its own: the two parts together are still all radiance.
+
+In training, the samples of a pixel are cut in two at random: one part to learn from, one for the
+target. The mean of the other samples is an unbiased target, however noisy it is (Lehtinen et al.
+2018, "Noise2Noise: learning image restoration without clean data"); where there are many more of
+them, it is as good as a reference. So the same splits serve both ways of training.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
+from scipy import sparse
 
-from chdstat._core.arrays import is_bad
+from chdstat._core.arrays import LUMINANCE, as_pixels, as_samples, is_bad, spans
+from chdstat._core.executor import in_order
 from chdstat.errors import InputError
-from chdstat.estimators.neighbourhood import shared_patches
-from chdstat.estimators.progressive.auxiliary import BANDS, RADII, Features, describe, pool_around
-from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.progressive.splits import MinibatchSource, SampleSplits
-from chdstat.estimators.validation import check_spp, checked_pixels, draw_pixels
-from chdstat.samples import Samples
+from chdstat.estimators.validation import without
 
-__all__ = [
-    "AuxiliaryFeatures",
-    "TrainingConfig",
-    "TrainingImage",
-    "TrainingPixels",
-    "TrainingSet",
-    "auxiliary_features",
-    "chosen_pixels",
-    "shared_estimates",
-    "with_reference",
-    "without_reference",
-]
+__all__ = ["OCTAVES", "Profile", "SampleSplits", "TrainingSet"]
 
-_PIXELS = 8192
-"""Of a scene, at most."""
-_MOST_PIXELS = 4 * _PIXELS
-"""Of all scenes together: more take memory, and tell little."""
+OCTAVES = 24
+_LOWEST = -12
+"""The first octave stands for luminance up to 2^-12 of the unit, the last for 2^11 and more."""
+_TOP = OCTAVES - 1 - 2.0**-10
+_SAMPLES_AT_ONCE = 2**16
+"""Small enough for all that is made of a block to stay in the cache."""
+_FEW = 4
+_PARTS = 2
+"""Direct and indirect light."""
+_ROUNDING = 1e-5
+"""Share of a sample by which its direct part may exceed it: sums of single precision."""
+_SMALLEST, _LARGEST = float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max)
+"""Radiance that samples can be measured in, in single precision."""
+
+_MOST_SAMPLES = 2**17
+"""Samples of a minibatch: of many samples, fewer rows tell as much."""
+_EQUAL = 1e-12
+"""Part of the squares below which what is left of them is rounding: samples are equal."""
+_MARKS, _TRIED = 2048, 2**15
+"""Samples that an image is recognised by, at most, and how many are drawn to find them."""
+
+Array = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
+Indices = npt.NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class TrainingImage:
-    """An image that trains.
+@dataclass
+class Profile:
+    """Sums over the good samples of pixels.
 
     Attributes
     ----------
-    samples
-        The image.
-    features
-        Its first-hit features, where they are looked at.
+    bins
+        Weight of the samples in each octave, then their radiance in each channel in units of
+        `unit`; shape (..., octave, 1 + channel). Nulls enter no octave, samples of negative
+        luminance the lowest. Of two parts, the octaves of the direct light come first, then those
+        of the indirect.
+    count
+        Good samples, nulls among them, shape (...).
     unit
-        Its mean radiance.
-    pixels
-        Which of its pixels train, rows (y, x); None for all.
-    direct
-        The direct part of the samples, where it is looked at.
+        Radiance that octaves are counted from: that of the image, so that a brighter image of
+        the same scene has the same profiles.
     """
 
-    samples: Samples
-    features: Features | None
+    bins: Floats
+    count: npt.NDArray[np.int64]
     unit: float
-    pixels: npt.NDArray[np.int64] | None
-    direct: Samples | None = None
-
-
-@dataclass(frozen=True)
-class TrainingPixels:
-    """The good pixels of a scene.
-
-    Attributes
-    ----------
-    rows
-        Samples in units of the scene's mean radiance, shape (pixel, channel, sample).
-    described
-        Of the first hit, shape (pixel, number).
-    pixels
-        Where they are, rows (y, x).
-    excluded
-        Pixels left out for a bad sample.
-    direct
-        The direct part of the samples, of the shape and in the unit of `rows`; None where it is not
-        looked at.
-    """
-
-    rows: npt.NDArray[np.float32]
-    described: npt.NDArray[np.float32]
-    pixels: npt.NDArray[np.int64]
-    excluded: int
-    direct: npt.NDArray[np.float32] | None
 
     @classmethod
-    def of(cls, scene: TrainingImage, spp: int) -> TrainingPixels:
-        """Read that many samples of each pixel."""
-        shape = scene.samples.shape[:2]
-        pixels = np.argwhere(np.ones(shape, bool)) if scene.pixels is None else scene.pixels
-        every, good = _rows(scene.samples, pixels, spp)
-        first = None
-        if scene.direct is not None:
-            first, also = _rows(scene.direct, pixels, spp)
-            good &= also
-        rows, pixels = _in_unit(every, good, scene.unit), pixels[good]
-        direct = None if first is None else _in_unit(first, good, scene.unit)
-        described = describe(scene.features, shape)[tuple(pixels.T)]
-        return cls(rows, described, pixels, int((~good).sum()), direct)
+    def empty(cls, shape: tuple[int, ...], channels: int, *, unit: float, parts: int = 1) -> Self:
+        """Return profiles without a sample, to add others to; float64, for very many samples."""
+        bins = np.zeros((*shape, parts * OCTAVES, 1 + channels))
+        return cls(bins, np.zeros(shape, np.int64), unit)
+
+    @classmethod
+    def of(cls, x: npt.ArrayLike, *, unit: float, direct: npt.ArrayLike | None = None) -> Self:
+        """Return the profiles of samples (..., channel, sample).
+
+        A sample of which any channel is NaN or infinite is left out.
+
+        Parameters
+        ----------
+        x
+            Linear radiance, shape (..., channel, sample).
+        unit
+            Radiance that octaves are counted from.
+        direct
+            Emission and direct light of each sample, of the same shape: then this part and the
+            rest, which is indirect, are counted separately. A sample that is bad in either is left
+            out of both. Direct light may exceed a sample only where either is negative.
+
+        Raises
+        ------
+        InputError
+            If `x` has no channels, `unit` is no positive, normal float32, or `direct` is of
+            another shape or exceeds the samples.
+
+        Examples
+        --------
+        >>> one = Profile.of([[1.0, 0.0, 8.0]], unit=1.0)
+        >>> one.count.item(), one.bins.sum(axis=0).tolist(), one.mean().tolist()
+        (3, [2.0, 9.0], [3.0])
+
+        >>> two = Profile.of([[1.0, 0.0, 8.0]], unit=1.0, direct=[[1.0, 0.0, 2.0]])
+        >>> two.parts, two.bins.reshape(2, 24, 2).sum(axis=1).tolist(), two.mean().tolist()
+        (2, [[2.0, 3.0], [1.0, 6.0]], [3.0])
+        """
+        samples = as_pixels(x)
+        if not _SMALLEST <= unit <= _LARGEST:
+            message = (
+                f"unit must be a positive radiance, {_SMALLEST:.1g} to {_LARGEST:.1g}, got {unit}"
+            )
+            raise InputError(message)
+        own = None if direct is None else as_samples(direct, name="direct")
+        if own is not None and own.shape != samples.shape:
+            message = f"direct must have the shape of x, {samples.shape}, got {own.shape}"
+            raise InputError(message)
+        return cls(*_blocks_of(samples, own, np.float32(unit)), unit)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept."""
+        return self.bins.nbytes + self.count.nbytes
+
+    @property
+    def parts(self) -> int:
+        """Parts of a sample: 2 where direct and indirect light are counted separately, else 1."""
+        return int(self.bins.shape[-2]) // OCTAVES
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return int(self.bins.shape[-1]) - 1
+
+    def add(self, other: Profile) -> None:
+        """Add the samples of other profiles of the same pixels."""
+        self.bins += other.bins
+        self.count += other.count
+
+    def mean(self) -> Floats:
+        """Return the mean of the good samples, shape (..., channel); NaN where there is none."""
+        count = np.where(self.count > 0, self.count, np.nan)[..., np.newaxis]
+        return np.asarray(self.bins[..., 1:].sum(axis=-2) * self.unit / count)
+
+    def variance_of_mean(self) -> Floats:
+        """Return the variance of the mean as far as octaves tell, shape (..., channel).
+
+        It is in squared units of `unit`. Of parts it is the sum of theirs: profiles do not tell
+        how these go together.
+        """
+        count = np.maximum(self.count, 1)[..., np.newaxis].astype(np.float64)
+        weight, radiance = self.bins[..., :1], self.bins[..., 1:].astype(np.float64)
+        squares = radiance**2 / np.where(weight > 0, weight, np.inf)
+        of_parts = np.stack(np.split(radiance, self.parts, axis=-2)).sum(axis=-2)
+        within = ((of_parts / count) ** 2).sum(axis=0)
+        return np.asarray(np.maximum(squares.sum(axis=-2) / count - within, 0) / count)
+
+    def reshape(self, *shape: int) -> Self:
+        """Return the same profiles with their pixels in another shape."""
+        bins = self.bins.reshape(*shape, *self.bins.shape[-2:])
+        return type(self)(bins, self.count.reshape(shape), self.unit)
+
+    def __getitem__(self, pixels: Any) -> Self:
+        """Return the profiles of some pixels."""
+        return type(self)(self.bins[pixels], self.count[pixels], self.unit)
 
 
-def chosen_pixels(
-    images: Sequence[Samples], given: Any, *, reference: bool, seed: int
-) -> list[npt.NDArray[np.int64] | None]:
-    """Return the pixels of each image that train, rows (y, x): those given, or drawn, or all.
+def _blocks_of(
+    total: Floats, direct: Floats | None, unit: np.float32
+) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return bins and counts of samples (..., channel, sample), block by block on all cores."""
+    *shape, channels, n = total.shape
+    parts = 1 if direct is None else _PARTS
+    rows = total.reshape(-1, channels, n)
+    own = None if direct is None else direct.reshape(rows.shape)
+    bins = np.empty((len(rows), parts * OCTAVES, 1 + channels), np.float32)
+    count = np.empty(len(rows), np.int64)
 
-    An image draws fewer beside many others, from those that it draws alone.
+    def enter(here: slice) -> None:
+        x = rows[here] if own is None else _separated(rows[here], own[here])
+        found, good = _bins_of(x.reshape(-1, channels, n), unit)
+        bins[here], count[here] = found.reshape(bins[here].shape), good[::parts]
 
-    Parameters
-    ----------
-    images
-        All that train together.
-    given
-        An array for each, or None.
-    reference
-        Whether there is one: then pixels are drawn where none are given.
-    seed
-        Where the draw starts.
+    blocks = list(spans(len(rows), max(1, _SAMPLES_AT_ONCE // (n * parts))))
+    # A few blocks are done before threads have started.
+    for _ in map(enter, blocks) if len(blocks) <= _FEW else in_order(enter, blocks):
+        pass
+    return bins.reshape(*shape, *bins.shape[1:]), count.reshape(shape)
 
-    Raises
-    ------
-    InputError
-        If there are not as many arrays as images, or one is not of pixels of its image.
+
+def _separated(total: Floats, direct: Floats) -> Floats:
+    """Return direct and indirect light of rows, shape (row, part, channel, sample).
+
+    A sample of which any channel is bad in either is NaN in both.
     """
-    if given is None and not reference:
-        return [None] * len(images)
-    if given is None:
-        count = min(_PIXELS, _MOST_PIXELS // len(images))
-        return [draw_pixels(image.shape[:2], count, seed=seed) for image in images]
-    if len(given) != len(images):
-        message = f"pixels must be one array for each of {len(images)} images, got {len(given)}"
+    bad = np.asarray((is_bad(direct) | is_bad(total)).any(axis=1, keepdims=True))
+    lights = np.empty((len(total), _PARTS, *total.shape[1:]), np.result_type(direct, total))
+    lights[:, 0] = np.where(bad, np.nan, direct)
+    rest = np.where(bad, np.nan, total) - lights[:, 0]
+    rounded = (rest < 0) & (total >= 0) & (lights[:, 0] >= 0)
+    above = np.asarray(rounded & (rest < -_ROUNDING * lights[:, 0]))
+    if above.any():
+        row, channel, sample = np.argwhere(above)[0]
+        message = (
+            "direct light must be part of the samples, but of one it is "
+            f"{direct[row, channel, sample]:.6g} and the whole {total[row, channel, sample]:.6g}; "
+            "give what was rendered with the same seed"
+        )
         raise InputError(message)
-    shapes = (image.shape[:2] for image in images)
-    return [checked_pixels(one, shape) for one, shape in zip(given, shapes, strict=True)]
+    lights[:, 1] = np.where(rounded, 0, rest)
+    return lights
 
 
-def _in_unit(
-    rows: npt.NDArray[np.float32], good: npt.NDArray[np.bool_], unit: float
-) -> npt.NDArray[np.float32]:
-    """Return good rows in another unit; the array is overwritten."""
-    kept = rows if good.all() else rows[good]
-    kept /= np.float32(unit)
-    return kept
+def _bins_of(x: Floats, unit: np.float32) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return bins (row, octave, 1 + channel) and good samples of rows (row, channel, sample).
 
-
-def _rows(
-    samples: Samples, pixels: npt.NDArray[np.int64], spp: int
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-    """Return samples (pixel, channel, sample), and which pixels have no bad one."""
-    rows = np.empty((len(pixels), samples.shape[2], spp), np.float32)
-    place = np.full(samples.shape[:2], -1)
-    place[tuple(pixels.T)] = np.arange(len(pixels))
-    for ys, xs, ss, block in samples.blocks():
-        kept = block[..., : max(rows.shape[-1] - ss.start, 0)]
-        here = place[ys, xs]
-        if kept.shape[-1]:
-            rows[here[here >= 0], :, ss.start : ss.start + kept.shape[-1]] = kept[here >= 0]
-    return rows, np.asarray(~is_bad(rows).any(axis=(1, 2)))
-
-
-_LADDER = (4, 8, 16, 16, 32, 32, 64, 64, 128, 256, 512)
-"""Numbers of samples to learn from where there is a reference: as people ask for them."""
-_MOST_SPP = 2048
-_ITERATIONS = 6000
-_ITERATIONS_ALONE = 2000
-"""Without a reference: more of them learn the noise of the targets."""
-_FEWEST = 4
-_HALVES = 2
-"""Samples of each part of a split, at least: the targets are cut in two."""
-_SPLITS = ((0.5, 2), (0.75, 8))
-"""Shares of the samples to learn from, and how many splits of each are made for estimates from
-similar pixels: the larger share is nearer to all samples, which are estimated from in the end."""
-_SPLITS_OF_SIZE = 5
-"""Splits of each size that is given, instead."""
-_WINDOW = 256
-"""Side of the part of a large image that trains: more would take long and tell little."""
-
-Image = npt.NDArray[np.float32]
-
-
-@dataclass(frozen=True)
-class AuxiliaryFeatures:
-    """Features of pixels beside their samples, one row a pixel.
-
-    Attributes
-    ----------
-    described
-        Of the first hit, shape (pixel, number).
-    bands, weight
-        Of the neighbourhood, shape (pixel, radius, band, 1 + channel) and (pixel, radius).
+    The bins are the product of a sparse matrix, with the two weights of each sample in its column,
+    and of the samples: one loop in C for all channels, on all cores.
     """
+    rows, channels, n = x.shape
+    bad = is_bad(x).any(axis=1)
+    values = np.empty((rows, n, 1 + channels), np.float32)
+    # Other channels than three weigh the same.
+    weights = LUMINANCE if channels == 3 else np.full(channels, 1 / channels, np.float32)
+    with np.errstate(over="ignore", under="ignore", invalid="ignore"):
+        for channel in range(channels):
+            np.divide(x[:, channel], unit, out=values[..., 1 + channel], casting="same_kind")
+        if bad.any():
+            values[bad] = 0
+        luminance = values[..., 1:] @ weights
+    np.not_equal(luminance, 0, out=values[..., 0], casting="unsafe")
+    octave = np.clip(luminance, 2.0**_LOWEST, 2.0 ** (_LOWEST + OCTAVES), out=luminance)
+    np.log2(octave, out=octave)
+    octave -= _LOWEST
+    np.minimum(octave, _TOP, out=octave)
+    lower = octave.astype(np.int32)
+    upper_weight = np.subtract(octave, lower, out=octave)
+    lower += np.arange(0, rows * OCTAVES, OCTAVES, dtype=np.int32)[:, np.newaxis]
+    matrix = sparse.csc_array(
+        (
+            np.stack([1 - upper_weight, upper_weight], axis=-1).ravel(),
+            np.stack([lower, lower + 1], axis=-1).ravel(),
+            np.arange(0, 2 * rows * n + 1, 2, dtype=np.int32),
+        ),
+        shape=(rows * OCTAVES, rows * n),
+        copy=False,
+    )
+    bins = matrix @ values.reshape(rows * n, -1)
+    return bins.reshape(rows, OCTAVES, -1), n - bad.sum(axis=1)
 
-    described: npt.NDArray[np.float32]
-    bands: npt.NDArray[np.float32]
-    weight: npt.NDArray[np.float32]
 
-    @classmethod
-    def nothing(cls, pixels: int) -> AuxiliaryFeatures:
-        """Return no features."""
-        empty = np.zeros((pixels, 0), np.float32)
-        return cls(empty, np.zeros((pixels, 0, BANDS, 1), np.float32), empty)
+@dataclass(eq=False, kw_only=True)
+class TrainingSet(ABC):
+    """Pixels that train a network, whose samples are cut in two at random for every minibatch.
 
-    def __getitem__(self, pixels: npt.NDArray[np.int64] | slice) -> AuxiliaryFeatures:
-        """Return that of some pixels."""
-        return AuxiliaryFeatures(self.described[pixels], self.bands[pixels], self.weight[pixels])
-
-
-@dataclass(frozen=True)
-class TrainingConfig:
-    """Options of a training.
+    What can be drawn of a pixel are its samples one by one, or batches of them.
 
     Attributes
     ----------
@@ -224,223 +275,176 @@ class TrainingConfig:
         Numbers of samples to learn from; each minibatch draws one.
     reference
         Whether targets are as good as the truth.
-    iterations, minibatch, learning_rate
-        The step size falls as a cosine from its start to 0.
+    iterations
+        Minibatches to train with.
+    auxiliary
+        Auxiliary features of the pixels by name, one row a pixel.
+    pixels
+        The pixels in their images, rows (y, x), scene by scene.
+    excluded
+        Number of pixels that were left out for a bad sample.
+    scenes
+        What provenance says of each scene; ``pixels_used`` of it are here.
+    counts
+        Samples in each of what can be drawn of a pixel: 1, or those of a batch.
+    mean, variance
+        Mean radiance in the unit of the profiles, and variance of a sample in the square of it,
+        shape (pixel, channel).
     """
 
-    sizes: Sequence[int]
-    reference: bool
-    iterations: int
-    minibatch: int = 1024
-    learning_rate: float = 2e-3
+    sizes: Sequence[int] = ()
+    reference: bool = False
+    iterations: int = 0
+    auxiliary: Mapping[str, Array] = field(default_factory=dict)
+    pixels: Indices = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    excluded: int = 0
+    scenes: Sequence[Mapping[str, Any]] = ()
+    counts: Indices = field(init=False)
+    mean: npt.NDArray[np.float64] = field(init=False)
+    variance: npt.NDArray[np.float64] = field(init=False)
+
+    def __len__(self) -> int:
+        return len(self.mean)
+
+    @abstractmethod
+    def draw(
+        self, pixels: Indices, n: int, rows: int, rng: np.random.Generator
+    ) -> tuple[Indices, Indices]:
+        """Draw about `rows` of the given pixels, and about n of their samples to learn from.
+
+        All pixels share the places of their samples: these are exchangeable.
+        """
+
+    @abstractmethod
+    def minibatch(self, rows: Indices, drawn: Indices) -> tuple[Profile, dict[str, Array], Array]:
+        """Return what to learn from, and the target, for pixels `rows` and their samples `drawn`.
+
+        Returns
+        -------
+        profile, auxiliary
+            Inputs of the network.
+        target
+            Mean of the other samples, in the unit of the profiles, shape (row, channel); 0 where
+            there are none.
+        """
+
+    @abstractmethod
+    def mean_of(self, rows: Indices, drawn: Indices) -> npt.NDArray[np.float64]:
+        """Return the mean of some samples of some pixels, shape (row, channel)."""
+
+    def halves(
+        self, rows: Indices, drawn: Indices, rng: np.random.Generator
+    ) -> tuple[npt.NDArray[np.float64], tuple[int, int]]:
+        """Return the means of two halves of the other samples, at random, and how many each has.
+
+        The means have shape (2, row, channel).
+        """
+        others = rng.permutation(np.setdiff1d(np.arange(len(self.counts)), drawn))
+        one, two = np.array_split(others, 2)
+        means = np.stack([self.mean_of(rows, half) for half in (one, two)])
+        return means, (int(self.counts[one].sum()), int(self.counts[two].sum()))
+
+    def noise(
+        self, rows: Indices, drawn: Indices, rng: np.random.Generator
+    ) -> npt.NDArray[np.float64]:
+        """Return an unbiased estimate of the variance of the target, shape (row, channel).
+
+        Of halves of a and b samples, with the means t and u, it is ``(t - u)^2 a b / (a + b)^2``.
+        """
+        means, (a, b) = self.halves(rows, drawn, rng)
+        return np.asarray((means[1] - means[0]) ** 2 * (a * b / (a + b) ** 2))
+
+    def marks(self, rng: np.random.Generator) -> tuple[Indices, Array]:
+        """Return samples by which the images are recognised, and their pixels.
+
+        Returns
+        -------
+        pixels : ndarray
+            Number of the image, y and x, shape (mark, 3); none where single samples are not kept.
+        samples : ndarray
+            In units of the image's radiance, shape (mark, channel).
+        """
+        del rng
+        return np.zeros((0, 3), np.int64), np.zeros((0, self.mean.shape[1]), np.float32)
 
 
-@dataclass(frozen=True)
-class TrainingSet:
-    """Pixels that train a network, and how.
+@dataclass(eq=False, kw_only=True)
+class SampleSplits(TrainingSet):
+    """Pixels whose samples are all kept.
 
     Attributes
     ----------
-    splits, auxiliary, config
-        For `training.learn`.
-    pixels
-        The pixels of `splits` in their images, rows (y, x), scene by scene.
-    excluded
-        Pixels left out for a bad sample.
-    parts
-        How many of the pixels each scene gave, in order.
+    samples
+        Good samples, shape (pixel, channel, sample); kept in units of `unit`.
+    unit
+        Radiance that all is measured in.
+    direct
+        The direct part of the samples, of their shape, where it is an input.
+    prepared
+        Splits to choose from in place of new ones, because much was computed for them: samples to
+        learn from, and estimates from those of similar pixels, shape (pixel, channel), radiance.
+        One of them is of all samples.
     """
 
-    splits: MinibatchSource
-    auxiliary: AuxiliaryFeatures
-    config: TrainingConfig
-    pixels: npt.NDArray[np.int64]
-    excluded: int
-    parts: Sequence[int]
+    samples: Array
+    unit: float
+    direct: Array | None = None
+    prepared: Sequence[tuple[Indices, Array]] = ()
 
+    def __post_init__(self) -> None:
+        scale = np.float32(self.unit)
+        self.samples = np.asarray(self.samples / scale, np.float32)
+        self._direct = None if self.direct is None else (self.direct / scale).reshape(-1)
+        self._total = self.samples.sum(axis=-1, dtype=np.float64)
+        self._shared = {drawn.tobytes(): shared for drawn, shared in self.prepared}
+        self.spp = self.samples.shape[-1]
+        self.counts = np.ones(self.spp, np.int64)
+        self.mean = self._total / self.spp
+        squares = np.einsum("rcn,rcn->rc", self.samples, self.samples, dtype=np.float64)
+        around = squares - self._total**2 / self.spp
+        around[around <= _EQUAL * squares] = 0
+        self.variance = around / max(self.spp - 1, 1)
 
-def with_reference(
-    scenes: Sequence[TrainingImage],
-    *,
-    sizes: Sequence[int] | None,
-    iterations: int | None,
-) -> TrainingSet:
-    """Return pixels with all their samples: the means of those not learned from are references.
+    def draw(
+        self, pixels: Indices, n: int, rows: int, rng: np.random.Generator
+    ) -> tuple[Indices, Indices]:
+        """Draw about `rows` of the given pixels, fewer of many samples, and n of their samples."""
+        chosen = rng.choice(pixels, size=max(1, min(rows, _MOST_SAMPLES // n)))
+        if not self.prepared:
+            return chosen, rng.permutation(self.spp)[:n]
+        usable = [drawn for drawn, _ in self.prepared if len(drawn) == n]
+        return chosen, usable[rng.integers(len(usable))]
 
-    Each scene is measured in its own unit, so that none counts for being bright. All have as many
-    samples as the one with the fewest.
-
-    Raises
-    ------
-    InputError
-        If there are too few samples per pixel for a size and an equally large reference, a size
-        is less than 1, or the scenes differ in channels or features.
-    """
-    wanted = _LADDER if sizes is None else tuple(sizes)
-    if not wanted or min(wanted) < 1:
-        message = f"sizes must be one or more numbers of samples from 1, got {wanted}"
-        raise InputError(message)
-    for scene in scenes:
-        check_spp(scene.samples, min(wanted) if sizes is None else max(wanted))
-    _check_same("channels", [scene.samples.shape[2] for scene in scenes])
-    spp = min(_MOST_SPP, *(scene.samples.spp for scene in scenes))
-    # One scene at a time: the samples of all pixels of one are much larger than what is kept.
-    read = [TrainingPixels.of(scene, spp) for scene in scenes]
-    _check_same("numbers of the first hit", [image.described.shape[1] for image in read])
-    config = TrainingConfig(
-        sizes=[n for n in wanted if n <= spp // 2],
-        reference=True,
-        iterations=_ITERATIONS if iterations is None else iterations,
-    )
-    rows = _joined([image.rows for image in read])
-    direct = [image.direct for image in read if image.direct is not None]
-    nothing = AuxiliaryFeatures.nothing(len(rows))
-    return TrainingSet(
-        splits=SampleSplits(rows, unit=1.0, direct=_joined(direct) if direct else None),
-        auxiliary=AuxiliaryFeatures(
-            np.concatenate([image.described for image in read]), nothing.bands, nothing.weight
-        ),
-        config=config,
-        pixels=np.concatenate([image.pixels for image in read]),
-        excluded=sum(image.excluded for image in read),
-        parts=[len(image.rows) for image in read],
-    )
-
-
-def _joined(parts: Sequence[Image]) -> Image:
-    """Return pixels of several scenes as those of one; what is one already is not copied."""
-    return np.concatenate(parts) if len(parts) > 1 else parts[0]
-
-
-def _check_same(what: str, found: Sequence[int]) -> None:
-    if len(set(found)) > 1:
-        message = f"scenes that train together must have the same {what}, got {list(found)}"
-        raise InputError(message)
-
-
-def without_reference(
-    scene: TrainingImage,
-    *,
-    neighbours: bool,
-    sizes: Sequence[int] | None,
-    iterations: int | None,
-    rng: np.random.Generator,
-) -> TrainingSet:
-    """Return pixels of a scene, each with splits of its own samples.
-
-    Parameters
-    ----------
-    scene
-        Of which a part is read, if it is large.
-    neighbours
-        Whether similar pixels around are an input; their estimates are computed for every split.
-    sizes, iterations, rng
-        As for the others.
-
-    Raises
-    ------
-    InputError
-        If there are fewer than 4 samples per pixel, or not at least 2 to learn from and 2 others.
-    """
-    spp = scene.samples.spp
-    if spp < _FEWEST:
-        message = f"learning from halves of the samples needs at least {_FEWEST} spp, got {spp}"
-        raise InputError(message)
-    splits = [(_share_of(spp, share), times) for share, times in _SPLITS]
-    if sizes is not None:
-        splits = [(n, _SPLITS_OF_SIZE) for n in sizes]
-    if not splits or not all(_HALVES <= n <= spp - _HALVES for n, _ in splits):
-        message = (
-            f"without a reference, sizes must be numbers of samples from {_HALVES} to "
-            f"{spp - _HALVES}, got {sizes}"
+    def minibatch(self, rows: Indices, drawn: Indices) -> tuple[Profile, dict[str, Array], Array]:
+        """Return what to learn from, and the target; see `TrainingSet.minibatch`."""
+        index = self._index(rows, drawn)
+        seen = self.samples.reshape(-1).take(index)
+        profile = Profile.of(
+            seen, unit=1.0, direct=None if self._direct is None else self._direct.take(index)
         )
-        raise InputError(message)
-    ys, xs = _window(scene, rng)
-    part = scene.samples.read(ys, xs)
-    shape = part.shape[:2]
-    prepared = _prepared(part, splits, rng) if neighbours else []
-    config = TrainingConfig(
-        sizes=[len(places) for places, _ in prepared] or [n for n, _ in splits],
-        reference=False,
-        iterations=_ITERATIONS_ALONE if iterations is None else iterations,
-    )
-    features = scene.features and {k: v[ys, xs] for k, v in scene.features.items()}
-    profile = Profile.of(part, unit=scene.unit) if neighbours else None
-    rows = part.reshape(-1, *part.shape[2:])
-    direct = None if scene.direct is None else scene.direct.read(ys, xs).reshape(rows.shape)
-    chosen = np.full(scene.samples.shape[:2], scene.pixels is None)
-    if scene.pixels is not None:
-        chosen[tuple(scene.pixels.T)] = True
-    wanted = chosen[ys, xs].ravel()
-    bad = is_bad(rows).any(axis=(1, 2))
-    if direct is not None:
-        bad |= is_bad(direct).any(axis=(1, 2))
-    good = np.flatnonzero(wanted & ~bad)
-    corner = np.array([ys.start, xs.start])
-    return TrainingSet(
-        splits=SampleSplits(
-            rows[good],
-            unit=scene.unit,
-            prepared=[(places, shared[good]) for places, shared in prepared],
-            shared=shared_estimates(part)[good] if neighbours else None,
-            direct=None if direct is None else direct[good],
-        ),
-        auxiliary=auxiliary_features(features, shape, profile)[good],
-        config=config,
-        pixels=np.stack(np.unravel_index(good, shape), axis=-1) + corner,
-        excluded=int((wanted & bad).sum()),
-        parts=[len(good)],
-    )
+        auxiliary = {name: array[rows] for name, array in self.auxiliary.items()}
+        if self._shared:
+            auxiliary["shared"] = self._shared[drawn.tobytes()][rows] / np.float32(self.unit)
+        others = without(self._total[rows], seen.sum(axis=-1, dtype=np.float64))
+        return profile, auxiliary, np.asarray(others / max(self.spp - len(drawn), 1), np.float32)
 
+    def mean_of(self, rows: Indices, drawn: Indices) -> npt.NDArray[np.float64]:
+        """Return the mean of some samples of some pixels, shape (row, channel)."""
+        index = self._index(rows, drawn)
+        return np.asarray(self.samples.reshape(-1).take(index).mean(-1, np.float64))
 
-def auxiliary_features(
-    features: Features | None, shape: tuple[int, int], profile: Profile | None = None
-) -> AuxiliaryFeatures:
-    """Return the auxiliary features of pixels; of the neighbourhood where there is a profile."""
-    count = shape[0] * shape[1]
-    described = describe(features, shape).reshape(count, -1)
-    if profile is None:
-        nothing = AuxiliaryFeatures.nothing(count)
-        return AuxiliaryFeatures(described, nothing.bands, nothing.weight)
-    bands, weight = pool_around(profile, features)
-    return AuxiliaryFeatures(
-        described, bands.reshape(count, *bands.shape[2:]), weight.reshape(count, len(RADII))
-    )
+    def marks(self, rng: np.random.Generator) -> tuple[Indices, Array]:
+        """Draw samples that no other pixel has; see `TrainingSet.marks`."""
+        rows, places = rng.integers(len(self), size=_TRIED), rng.integers(self.spp, size=_TRIED)
+        drawn = self.samples[rows, :, places]
+        _, first, count = np.unique(drawn, axis=0, return_index=True, return_counts=True)
+        chosen = rng.permutation(first[(count == 1) & drawn[first].all(axis=1)])[:_MARKS]
+        used = [scene["pixels_used"] for scene in self.scenes]
+        image = np.repeat(np.arange(len(used)), used)[rows[chosen]]
+        return np.column_stack([image, self.pixels[rows[chosen]]]), drawn[chosen]
 
-
-def _share_of(spp: int, share: float) -> int:
-    """Return a share of the samples, at least 2, with at least 2 to spare: they are cut in two."""
-    return min(max(round(share * spp), _HALVES), spp - _HALVES)
-
-
-def _prepared(
-    image: Image, splits: Sequence[tuple[int, int]], rng: np.random.Generator
-) -> list[tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]]:
-    """Return splits of each size, with estimates from similar pixels (pixel, channel)."""
-    spp, found = image.shape[-1], []
-    for n, times in splits:
-        # Of many samples, fewer splits differ enough, and each takes longer.
-        for _ in range(times if spp <= 128 else max(1, times // 3)):
-            places = rng.permutation(spp)
-            found += [places[:n], places[n:]] if 2 * n == spp else [places[:n]]
-    return [(places, shared_estimates(image[..., places])) for places in found]
-
-
-def shared_estimates(image: Image) -> npt.NDArray[np.float32]:
-    """Return estimates from similar pixels around (pixel, channel), 0 where there are none."""
-    estimates = np.nan_to_num(shared_patches(image), nan=0, posinf=0)
-    return np.asarray(estimates.reshape(-1, estimates.shape[-1]), np.float32)
-
-
-def _window(scene: TrainingImage, rng: np.random.Generator) -> tuple[slice, slice]:
-    """Return the part of an image that trains, around one of the chosen pixels."""
-    shape = scene.samples.shape[:2]
-    most = [max(length - _WINDOW, 0) for length in shape]
-    if scene.pixels is None or not len(scene.pixels):
-        starts = [int(rng.integers(last + 1)) for last in most]
-    else:
-        middle = scene.pixels[rng.integers(len(scene.pixels))]
-        starts = [int(start) for start in np.clip(middle - _WINDOW // 2, 0, most)]
-    ends = (min(start + _WINDOW, length) for start, length in zip(starts, shape, strict=True))
-    ys, xs = (slice(start, end) for start, end in zip(starts, ends, strict=True))
-    return ys, xs
+    def _index(self, rows: Indices, drawn: Indices) -> Indices:
+        """Return where the samples are, shape (row, channel, sample)."""
+        _, channels, spp = self.samples.shape
+        starts = (rows[:, np.newaxis] * channels + np.arange(channels)) * spp
+        return np.asarray(starts[..., np.newaxis] + drawn)

@@ -8,48 +8,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator
+from chdstat._core.arrays import as_pixels, generator, warn_left_out
 from chdstat._core.image_scales import mean_radiance
-from chdstat.errors import InputError
-from chdstat.estimators.progressive.dataset import (
-    TrainingImage,
-    chosen_pixels,
-    with_reference,
-    without_reference,
-)
-from chdstat.estimators.progressive.inputs import Input, InputConfig
-from chdstat.estimators.progressive.learned import (
+from chdstat.errors import InputError, StoreError
+from chdstat.estimators.order import mean_of_good
+from chdstat.estimators.progressive import shrinkage, training
+from chdstat.estimators.progressive.dataset import Profile
+from chdstat.estimators.progressive.error_model import ErrorModel
+from chdstat.estimators.progressive.inputs import (
     Estimates,
-    Learned,
-    Origin,
-    read_learned,
-    write_learned,
+    Features,
+    Input,
+    InputConfig,
+    keep_constants,
+    shared_estimates,
+    unchanged,
 )
-from chdstat.estimators.progressive.prediction import (
-    PredictionInput,
-    estimate_input,
-    estimate_profiles,
-    share_of_input,
-    share_of_profiles,
-)
-from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.training import History
-from chdstat.estimators.validation import direct_of
+from chdstat.estimators.rows import reordered
+from chdstat.estimators.training import TrainedModel, check_iterations
+from chdstat.estimators.validation import training_pixels
 from chdstat.samples import Samples
 
 __all__ = ["Progressive"]
 
+_MEASURED = 2**14
+"""Pixels that trust is measured on, where each is estimated separately: more tell little more."""
+_FEWEST = 4
+"""Samples that trust is measured with: two halves, one of them cut in two."""
+
 Array = npt.NDArray[Any]
-Features = Mapping[str, Array]
 
 
-class Progressive:
+class Progressive(TrainedModel[training.Learned]):
     """A network that reweighs the samples of a pixel octave by octave of their luminance.
 
     It takes any number of samples in any order, all channels together, and scales with their unit.
@@ -58,8 +53,8 @@ class Progressive:
     and is the mean where it has learned nothing.
 
     With a reference it learns two estimates, one for the least MSE and one for the least relMSE;
-    `balance` mixes them. Without one it learns from halves of each pixel's own samples, whose
-    expectation is the truth: then every estimate is unbiased, and `balance` matters little.
+    `loss_weight` mixes them. Without one it learns from halves of each pixel's own samples, whose
+    expectation is the truth: then every estimate is unbiased, and `loss_weight` matters little.
     How far it is then followed is measured on pixels that did not train it, so that an image which
     does not help it keeps its means.
 
@@ -68,7 +63,7 @@ class Progressive:
     Parameters
     ----------
     inputs
-        What it sees beside the samples of a pixel, any of: "features", what the camera rays hit
+        What it takes beside the samples of a pixel, any of: "features", what the camera rays hit
         (albedo, normal, depth and position); "neighbours", the profiles of the pixels around and
         what `shared_patches` makes of those that are similar, which is learned without a
         reference; "direct", direct and indirect light separately, as `chdstat.render` tells them
@@ -93,14 +88,14 @@ class Progressive:
     ((32, 32, 1), (32, 32), True)
     """
 
-    name = "progressive"
+    kind = name = "progressive"
 
     def __init__(self, *, inputs: Iterable[Input] = ()) -> None:
         self.inputs = InputConfig.of(inputs)
-        self._learned: Learned | None = None
+        self._trained: training.Learned | None = None
 
     def __repr__(self) -> str:
-        known = "untrained" if self._learned is None else f"scene {self.provenance['scene']!r}"
+        known = "untrained" if self._trained is None else f"scene {self.provenance['scene']!r}"
         return f"<Progressive {', '.join([*self.inputs.names, known])}>"
 
     @property
@@ -109,48 +104,25 @@ class Progressive:
 
         Of several images it is the geometric mean of theirs.
         """
-        return self._state.unit
+        return self.state.unit
 
     @property
     def channels(self) -> int:
         """Channels of the samples that it takes."""
-        return self._state.network.architecture.channels
+        return self.state.network.channels
 
     @property
     def train_pixels(self) -> npt.NDArray[np.int64]:
         """Pixels that it was trained on in images of `train_shape`, rows (y, x)."""
-        return self.seen(self.train_shape)
+        return self.train_pixels_of(self.train_shape)
 
-    @property
-    def train_shape(self) -> tuple[int, int]:
-        """Height and width of the image that it was trained on, of several the first."""
-        return self._state.train_shape
-
-    def seen(self, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+    def train_pixels_of(self, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
         """Return the pixels that it was trained on in images of a shape, rows (y, x).
 
         Several scenes may have the same shape: then a pixel that trained in one of them counts as
-        seen in all, so that it does not matter which image is which.
+        used in all, so that it does not matter which image is which.
         """
-        scenes = self.provenance["scenes"]
-        ends = np.cumsum([scene["pixels_used"] for scene in scenes])
-        parts = np.split(self._state.train_pixels, ends[:-1])
-        found = [
-            part
-            for part, scene in zip(parts, scenes, strict=True)
-            if tuple(scene["samples_shape"][:2]) == tuple(shape)
-        ]
-        return np.unique(np.concatenate(found or [np.empty((0, 2), np.int64)]), axis=0)
-
-    @property
-    def history(self) -> History:
-        """How the training went; losses are in units of what the sample mean loses on average."""
-        return History(*self._state.history.T)
-
-    @property
-    def provenance(self) -> dict[str, Any]:
-        """Where it comes from: scene, seed, pixels, iterations, chdstat version."""
-        return dict(self._state.provenance)
+        return self.state.pixels_of(shape)
 
     def trained_on(self, attrs: Mapping[str, Any]) -> bool:
         """Return whether a scene that trained it is the one that samples with `attrs` are of."""
@@ -206,39 +178,37 @@ class Progressive:
             reference, there are several images without one, or they differ in channels, or one
             has no features, or no direct part of all samples, where these are inputs.
         """
-        from chdstat.estimators.progressive.training import train_network
-
-        if iterations is not None and iterations < 1:
-            message = f"iterations must be at least 1, got {iterations}"
-            raise InputError(message)
+        check_iterations(iterations)
         images = [samples] if isinstance(samples, Samples) else list(samples)
         supervised = not self.inputs.neighbours if reference is None else reference
-        self.inputs.check_training(images, reference=supervised)
+        if not images:
+            message = "training needs at least one image, got none"
+            raise InputError(message)
+        if supervised and self.inputs.neighbours:
+            message = "neighbours are learned from without a reference; pass reference=False"
+            raise InputError(message)
         given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
-        chosen = chosen_pixels(images, given, reference=supervised, seed=seed)
-        scenes = [
-            TrainingImage(
-                image,
-                self.inputs.features_of(image),
-                mean_radiance(image),
-                own,
-                direct_of(image) if self.inputs.direct else None,
-            )
-            for image, own in zip(images, chosen, strict=True)
-        ]
         if supervised:
-            training_set = with_reference(scenes, sizes=sizes, iterations=iterations)
+            chosen = training_pixels(images, given, seed=seed)
+            training_set = training.with_reference(
+                images, chosen, self.inputs, sizes=sizes, iterations=iterations
+            )
+        elif len(images) > 1:
+            message = (
+                f"without a reference, give the one image that is to be improved, got {len(images)}"
+            )
+            raise InputError(message)
         else:
-            training_set = without_reference(
-                scenes[0],
-                neighbours=self.inputs.neighbours,
+            training_set = training.without_reference(
+                images[0],
+                None if given is None else training_pixels(images, given, seed=seed)[0],
+                self.inputs,
                 sizes=sizes,
                 iterations=iterations,
                 rng=generator(seed),
             )
-        origins = [Origin.of(scene.samples, scene.unit) for scene in scenes]
-        self._learned = train_network(
-            training_set, origins, inputs=self.inputs, seed=seed, progress=progress
+        self._trained = training.train_network(
+            training_set, self.inputs, seed=seed, progress=progress
         )
         return self
 
@@ -248,19 +218,13 @@ class Progressive:
         *,
         features: Features | None = None,
         direct: npt.ArrayLike | None = None,
-        balance: float = 0.5,
+        loss_weight: float = 0.5,
         unit: float | None = None,
         trust: float | None = None,
     ) -> npt.NDArray[np.float32]:
-        """Estimate radiance; as `estimate`, without certainty and interval.
-
-        Returns
-        -------
-        ndarray
-            Shape (..., channel).
-        """
-        given = self._input(x, features=features, direct=direct, balance=balance, unit=unit)
-        return self._estimate_trusted(given, trust, level=None).radiance
+        """Estimate radiance, shape (..., channel); as `estimate`, without interval."""
+        beside: dict[str, Any] = {"features": features, "direct": direct, "unit": unit}
+        return self.estimate(x, **beside, loss_weight=loss_weight, level=None, trust=trust).radiance
 
     def estimate(
         self,
@@ -268,9 +232,9 @@ class Progressive:
         *,
         features: Features | None = None,
         direct: npt.ArrayLike | None = None,
-        balance: float = 0.5,
+        loss_weight: float = 0.5,
         unit: float | None = None,
-        level: float = 0.9,
+        level: float | None = 0.9,
         trust: float | None = None,
     ) -> Estimates:
         """Estimate radiance, with certainty and interval.
@@ -285,18 +249,18 @@ class Progressive:
             First-hit features of the image.
         direct
             Direct part of the samples, of the shape of `x`, where it is an input.
-        balance
+        loss_weight
             0 for the least MSE, 1 for the least relMSE, and what lies between.
         unit
             Mean radiance of the image that `x` is a part of, as of `mean_radiance`: then parts of
             it are estimated as the whole is, if neighbours are no input. None measures it on `x`.
         level
-            Probability of the interval.
+            Probability of the interval; None leaves it out (NaN).
         trust
             How far to go from the mean to the estimate, 0 to 1. None follows it on the very
             samples that trained it; on another image it is measured how far that pays, as `trust`
-            does. A part of an image, whose `unit` is given,
-            is too little for that, and is taken to be of a scene that trained it.
+            does. A part of an image, whose `unit` is given, is too little for that, and is taken to
+            be of a scene that trained it.
 
         Raises
         ------
@@ -304,11 +268,24 @@ class Progressive:
             If it is not trained, `x` has another number of channels or is no image where it must
             be, features or direct part are missing, or an option is out of range.
         """
-        if not 0 < level < 1:
+        if level is not None and not 0 < level < 1:
             message = f"level must lie between 0 and 1, got {level}"
             raise InputError(message)
-        given = self._input(x, features=features, direct=direct, balance=balance, unit=unit)
-        return self._estimate_trusted(given, trust, level=level)
+        if trust is not None and not 0 <= trust <= 1:
+            message = f"trust must lie between 0 and 1, or be None, got {trust}"
+            raise InputError(message)
+        lights, measured = self._checked(x, direct, loss_weight, unit)
+        known = trust is not None or unit is not None or self.state.recognises(lights[0])
+        if not known:
+            trust = self._measured_trust(lights, features, measured, loss_weight)
+        return self._of_samples(
+            lights,
+            features,
+            measured,
+            share=1.0 if trust is None else trust,
+            loss_weight=loss_weight,
+            level=level,
+        )
 
     def trust(
         self,
@@ -316,7 +293,7 @@ class Progressive:
         *,
         features: Features | None = None,
         direct: npt.ArrayLike | None = None,
-        balance: float = 0.5,
+        loss_weight: float = 0.5,
         unit: float | None = None,
     ) -> float:
         """Measure how far from the mean to the estimate it pays to go, without a reference.
@@ -327,12 +304,7 @@ class Progressive:
         error over pixels off. Of fewer than 4 samples nothing is known, and the share is 0. A
         model that was trained on these very samples knows the other half, and is trusted too much.
 
-        Parameters
-        ----------
-        x
-            Samples as for `estimate`; the more pixels the better.
-        features, direct, balance, unit
-            As for `estimate`.
+        The arguments are those of `estimate`; the more pixels the better.
 
         Returns
         -------
@@ -344,99 +316,150 @@ class Progressive:
         InputError
             As for `estimate`.
         """
-        given = self._input(x, features=features, direct=direct, balance=balance, unit=unit)
-        return share_of_input(self._state, self.inputs, given)
+        lights, measured = self._checked(x, direct, loss_weight, unit)
+        return self._measured_trust(lights, features, measured, loss_weight)
 
-    def of_profile(
+    def check(self, channels: int, loss_weight: float) -> None:
+        """Refuse samples of other channels than it takes, and a loss weight out of range."""
+        if channels != self.channels:
+            message = (
+                f"the model was trained on samples with {self.channels} channels, got {channels}; "
+                "train one for these"
+            )
+            raise InputError(message)
+        if not 0 <= loss_weight <= 1:
+            message = f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {loss_weight}"
+            raise InputError(message)
+
+    def _checked(
         self,
-        profile: Profile,
-        *,
-        features: Features | None = None,
-        balance: float = 0.5,
-        level: float = 0.9,
-        trust: float = 1.0,
-    ) -> Estimates:
-        """Estimate from profiles, which `Stream` keeps in place of samples.
+        x: npt.ArrayLike,
+        direct: npt.ArrayLike | None,
+        loss_weight: float,
+        unit: float | None,
+    ) -> tuple[list[Array], float]:
+        """Return the samples, their direct part where it is an input, and the unit."""
+        samples = as_pixels(x)
+        warn_left_out(samples, channel_axis=-2, within="chdstat.estimators")
+        self.check(samples.shape[-2], loss_weight)
+        part = self.inputs.direct_of(direct, samples.shape)
+        lights = [samples] if part is None else [samples, part]
+        return lights, mean_radiance(samples) if unit is None else unit
 
-        Raises
-        ------
-        InputError
-            As for `estimate`; or if neighbours are an input, which need samples.
-        """
-        return estimate_profiles(
-            self._state,
-            self.inputs,
-            profile,
-            trust,
-            features=features,
-            balance=balance,
-            level=level,
-        )
-
-    def trust_between(
-        self,
-        halves: Sequence[Profile],
-        *,
-        features: Features | None = None,
-        balance: float = 0.5,
+    def _measured_trust(
+        self, lights: list[Array], features: Features | None, unit: float, loss_weight: float
     ) -> float:
-        """Measure between profiles of two halves of the samples how far it pays to go, as `trust`.
+        """Compare the estimate from each half of the samples with the other half."""
+        spp = lights[0].shape[-1]
+        if spp < _FEWEST:
+            return 0.0
+        rows = [light.reshape(-1, *light.shape[-2:]) for light in lights]
+        if len(rows[0]) > _MEASURED and not (self.inputs.features or self.inputs.neighbours):
+            chosen = np.sort(generator(0).choice(len(rows[0]), _MEASURED, replace=False))
+            lights = [light[chosen] for light in rows]
+        lights = reordered(*lights)
+        halves = [[light[..., first::2] for light in lights] for first in range(2)]
+        # As far as all samples will be trusted, half of them are.
+        options: dict[str, Any] = {"share": 1.0, "loss_weight": loss_weight, "spp": spp}
+        found = [
+            self._of_samples(half, features, unit, level=None, **options).radiance
+            for half in halves
+        ]
+        moves = [
+            shrinkage.moves_between(half[0], radiance, other[0], unit=unit)
+            for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
+        ]
+        return shrinkage.shrinkage_factor(moves)
 
-        Raises
-        ------
-        InputError
-            As for `of_profile`.
-        """
-        return share_of_profiles(
-            self._state, self.inputs, halves, features=features, balance=balance
+    def _of_samples(
+        self,
+        lights: list[Array],
+        features: Features | None,
+        unit: float,
+        *,
+        share: float,
+        loss_weight: float,
+        level: float | None,
+        spp: int | None = None,
+    ) -> Estimates:
+        from chdstat.estimators.progressive.network import estimate_pixels
+
+        state, samples, profile = self.state, lights[0], None
+        if self.inputs.neighbours:
+            profile = Profile.of(as_pixels(samples, image=True), unit=unit)
+        auxiliary = self.inputs.auxiliary(
+            features, samples.shape[:-2], described=state.network.described, profile=profile
         )
+        if self.inputs.neighbours:
+            auxiliary["shared"] = shared_estimates(samples) / np.float32(unit)
+        rows = [light.reshape(-1, *light.shape[-2:]) for light in lights]
 
-    def save(self, path: str | Path) -> None:
-        """Write the trained network and its provenance to a safetensors file.
+        def profile_of(part: slice) -> Profile:
+            own, *direct = (light[part] for light in rows)
+            return Profile.of(own, unit=unit, direct=direct[0] if direct else None)
 
-        Raises
-        ------
-        InputError
-            If nothing was trained yet.
-        StoreError
-            If the file cannot be written.
-        """
-        write_learned(path, self._state, self.inputs.names)
+        found = estimate_pixels(
+            state,
+            profile_of,
+            auxiliary,
+            samples.shape[:-2],
+            share=share,
+            loss_weight=loss_weight,
+            level=level,
+            spp=spp,
+        )
+        # A profile may overflow, or hold no sample that is good in all channels.
+        lost = ~np.isfinite(found.radiance).all(axis=-1)
+        if lost.any():
+            with np.errstate(over="ignore"):
+                mean = mean_of_good(samples[lost]).astype(np.float32)
+            found.radiance[lost] = found.low[lost] = found.high[lost] = mean
+            found.certainty[lost] = 0
+        if samples.shape[-1] > 1:
+            first = samples[..., 0]
+            # Of nearly all images one sample a pixel tells that there is light.
+            lit = bool(first.any() or samples.any())
+            keep_constants(found, first, unchanged(first, samples), lit=lit)
+        return found
+
+    def _to_file(self, state: training.Learned) -> tuple[dict[str, Array], dict[str, Any]]:
+        sizes, shares = state.network.shrinkage or shrinkage.FULL
+        pixels, samples = state.marks
+        arrays: dict[str, Array] = {
+            "trust.sizes": sizes,
+            "trust.shares": shares,
+            "marks.places": pixels,
+            "marks.samples": samples,
+        }
+        arrays |= {f"network.{name}": w for name, w in state.network.to_arrays().items()}
+        arrays |= {f"spread.{name}": a for name, a in vars(state.error_model).items()}
+        about = {"shape": state.network.shape, "inputs": list(self.inputs.names)}
+        return arrays, about | {"unit": state.unit}
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read a trained network; this runs no code from the file.
+    def _from_file(
+        cls, arrays: dict[str, Array], about: Mapping[str, Any], common: dict[str, Any]
+    ) -> Self:
+        from chdstat.estimators.progressive.network import Network
 
-        Raises
-        ------
-        StoreError
-            If there is no such file, it is damaged, or it holds something else.
-        """
-        model = cls()
-        model._learned, model.inputs = read_learned(path)
-        return model
+        def below(prefix: str) -> dict[str, Array]:
+            return {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}
 
-    @property
-    def _state(self) -> Learned:
-        if self._learned is None:
-            message = f"{self.name} is not trained yet; call train(samples) or load(path)"
-            raise InputError(message)
-        return self._learned
-
-    def _input(self, x: npt.ArrayLike, **given: Any) -> PredictionInput:
-        return PredictionInput.of(x, self.inputs, self.channels, **given)
-
-    def _estimate_trusted(
-        self, given: PredictionInput, trust: float | None, *, level: float | None
-    ) -> Estimates:
-        if trust is None:
-            known = not given.whole or self._state.fingerprint.match(
-                given.samples, self.provenance["scenes"]
+        if "trust.shares" not in arrays:
+            message = (
+                "this model was trained by an earlier version, which did not measure how far it "
+                "pays to follow the network; train it again"
             )
-            share = 1.0 if known else share_of_input(self._state, self.inputs, given)
-        elif 0 <= trust <= 1:
-            share = trust
-        else:
-            message = f"trust must lie between 0 and 1, or be None, got {trust}"
-            raise InputError(message)
-        return estimate_input(self._state, self.inputs, given, share, level=level)
+            raise StoreError(message)
+        network = Network(**about["shape"]).eval()
+        network.load_arrays(below("network."))
+        network.shrinkage = shrinkage.checked_shares(**below("trust."))
+        model = cls(inputs=about["inputs"])
+        model._trained = training.Learned(
+            network=network,
+            error_model=ErrorModel(**below("spread.")),
+            unit=float(about["unit"]),
+            marks=(arrays["marks.places"], arrays["marks.samples"]),
+            **common,
+        )
+        return model

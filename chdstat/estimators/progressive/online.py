@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,23 +18,21 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import generator
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, TrainingConfig, TrainingSet
-from chdstat.estimators.progressive.error_model import ErrorModel
-from chdstat.estimators.progressive.inputs import Architecture, InputConfig
-from chdstat.estimators.progressive.learned import (
-    Fingerprint,
-    Learned,
-    Origin,
-    Trust,
-    provenance_of,
-)
-from chdstat.estimators.progressive.splits import BATCHES, BatchProfiles, BatchSplits
+from chdstat.estimators.progressive.dataset import OCTAVES, Profile, TrainingSet
+from chdstat.estimators.progressive.inputs import Auxiliary, InputConfig, some_rows
+from chdstat.estimators.progressive.training import Learned, finished, scene_record
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
 
-__all__ = ["OnlineTrainer"]
+__all__ = ["BATCHES", "BatchProfiles", "BatchSplits", "OnlineTrainer"]
 
+BATCHES = 8
+"""Of a pixel: 3 kB of RGB."""
+_BRIGHTEST = 1e15
+"""Radiance, in units of the image's, that can still be squared in single precision."""
+_ROUNDING = 2e-6
+"""Relative difference of two means below which it is that of their sums in single precision."""
 _PIXELS = 2**16
 """Of an image that train: those of a larger one would take much memory and tell little more."""
 _VALIDATION = 0.1
@@ -44,6 +42,129 @@ _FEWEST = 4
 _ERROR_SIZES = 3
 """Numbers of samples at which errors are measured: each takes a while."""
 
+Array = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
+
+
+class BatchProfiles:
+    """Samples of some pixels, the k-th of each in the batch k modulo their number.
+
+    Parameters
+    ----------
+    pixels, channels
+        How many there are.
+    unit
+        Radiance that all is measured in.
+    batches
+        How many a pixel has.
+    parts
+        2 where direct and indirect light are counted separately, else 1.
+
+    Examples
+    --------
+    >>> kept = BatchProfiles(1, 1, unit=1.0, batches=2)
+    >>> kept.add(np.array([[[1.0, 5.0, 3.0]]]))
+    >>> kept.sums[..., 0].tolist()
+    [[4.0], [5.0]]
+    """
+
+    def __init__(
+        self, pixels: int, channels: int, *, unit: float, batches: int = BATCHES, parts: int = 1
+    ) -> None:
+        self.unit = unit
+        self.spp = 0
+        self.bins = np.zeros((batches, pixels, parts * OCTAVES, 1 + channels), np.float32)
+        self.sums = np.zeros((batches, pixels, channels))
+        self.count = np.zeros((batches, pixels), np.int64)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that are kept."""
+        return self.bins.nbytes + self.sums.nbytes + self.count.nbytes
+
+    @property
+    def sizes(self) -> Indices:
+        """Samples in each batch, bad ones among them, shape (batch,)."""
+        return (self.spp + np.arange(len(self.bins))[::-1]) // len(self.bins)
+
+    def add(self, x: npt.NDArray[Any], direct: npt.NDArray[Any] | None = None) -> None:
+        """Add samples (pixel, channel, sample), going on with the batch after the last one.
+
+        Of two parts, `direct` is the direct part of the samples.
+        """
+        step = len(self.bins)
+        for first in range(min(x.shape[-1], step)):
+            batch = (self.spp + first) % step
+            own = None if direct is None else direct[..., first::step]
+            profile = Profile.of(x[..., first::step], unit=self.unit, direct=own)
+            self.bins[batch] += profile.bins
+            self.sums[batch] += profile.bins[..., 1:].sum(axis=-2, dtype=np.float64)
+            self.count[batch] += profile.count
+        self.spp += x.shape[-1]
+
+    def usable(self) -> Indices:
+        """Return the pixels that have no bad sample, and none too bright to be squared."""
+        whole = (self.count == self.sizes[:, np.newaxis]).all(axis=0)
+        return np.flatnonzero(whole & (self.sums < _BRIGHTEST).all(axis=(0, 2)))
+
+
+@dataclass(eq=False, kw_only=True)
+class BatchSplits(TrainingSet):
+    """Pixels whose samples are kept as profiles of batches; of these some are drawn, not samples.
+
+    Attributes
+    ----------
+    batches
+        The samples so far.
+    chosen
+        Which of its pixels to take.
+    """
+
+    batches: BatchProfiles
+    chosen: Indices
+
+    def __post_init__(self) -> None:
+        self.counts = self.batches.sizes[self.batches.sizes > 0]
+        self._sums = self.batches.sums[: len(self.counts), self.chosen]
+        self.spp = int(self.counts.sum())
+        if not self.sizes:
+            # About as many as 1, 2, 3 and so on batches hold, all but the last two of them.
+            filled = len(self.counts)
+            self.sizes = [round(k * self.spp / filled) for k in range(1, filled - 1)]
+        self.mean = self._sums.sum(axis=0) / self.spp
+        # That between batches is unbiased: the expectation of sum_b n_b (m_b - m)^2 / (B - 1), with
+        # means m over n samples, is the variance of one sample (the mean square between groups;
+        # Fisher 1925, Statistical Methods for Research Workers, chapter 7).
+        sizes = self.counts[:, np.newaxis, np.newaxis]
+        differences = self._sums / sizes - self.mean
+        differences[np.abs(differences) <= _ROUNDING * self.mean] = 0
+        self.variance = (sizes * differences**2).sum(axis=0) / max(len(sizes) - 1, 1)
+
+    def draw(
+        self, pixels: Indices, n: int, rows: int, rng: np.random.Generator
+    ) -> tuple[Indices, Indices]:
+        """Draw pixels, and as many batches as come nearest to n samples, and one at least."""
+        chosen, filled = rng.choice(pixels, size=max(1, rows)), len(self.counts)
+        seen = min(max(round(n * filled / self.spp), 1), filled - 1)
+        return chosen, rng.permutation(filled)[:seen]
+
+    def minibatch(self, rows: Indices, drawn: Indices) -> tuple[Profile, dict[str, Array], Array]:
+        """Return what to learn from, and the target; see `TrainingSet.minibatch`."""
+        here = self.chosen[rows]
+        bins = self.batches.bins[drawn[0]].take(here, axis=0)
+        for batch in drawn[1:]:
+            bins += self.batches.bins[batch].take(here, axis=0)
+        profile = Profile(bins, np.full(len(rows), self.counts[drawn].sum()), 1.0)
+        others = np.setdiff1d(np.arange(len(self.counts)), drawn)
+        target = self.mean_of(rows, others).astype(np.float32)
+        return profile, some_rows(self.auxiliary, rows), target
+
+    def mean_of(self, rows: Indices, drawn: Indices) -> Floats:
+        """Return the mean of some batches of some pixels, shape (row, channel)."""
+        total = sum(self._sums[batch].take(rows, axis=0) for batch in drawn)
+        return np.asarray(total / max(self.counts[drawn].sum(), 1))
+
 
 class OnlineTrainer:
     """A network, and the samples that it learns from, kept in memory that does not grow.
@@ -52,55 +173,41 @@ class OnlineTrainer:
     ----------
     shape, channels
         Height and width of the image, and channels of a sample.
+    inputs
+        Of the estimator.
     unit
         Mean radiance of the image.
-    described
-        Of the first hit, shape (pixel, number).
+    auxiliary
+        Auxiliary features of its pixels.
     seed
         Draws the pixels that train, the first weights and the minibatches.
     start
         What was learned before, to go on from; None starts anew.
-    parts
-        2 where direct and indirect light are separate inputs, else 1.
     """
 
     def __init__(
         self,
         shape: tuple[int, int],
         channels: int,
+        inputs: InputConfig,
         *,
         unit: float,
-        described: npt.NDArray[np.float32],
+        auxiliary: Auxiliary,
         seed: int,
         start: Learned | None,
-        parts: int = 1,
     ) -> None:
-        self._shape, self._seed, self._start = shape, seed, start
+        self._shape, self._inputs, self._seed, self._start = shape, inputs, seed, start
         self._rng = generator(seed)
         self._rows = self._rng.permutation(shape[0] * shape[1])[:_PIXELS]
-        self._validation_count = max(1, round(_VALIDATION * len(self._rows)))
-        self._auxiliary = replace(
-            AuxiliaryFeatures.nothing(len(self._rows)), described=described[self._rows]
-        )
-        self._parts = parts
-        self._batches = BatchProfiles(len(self._rows), channels, unit=unit, parts=parts)
+        self._held_out = max(1, round(_VALIDATION * len(self._rows)))
+        self._auxiliary = some_rows(auxiliary, self._rows)
+        self.batches = BatchProfiles(len(self._rows), channels, unit=unit, parts=inputs.parts)
         self._learned = start
-        self._network = None if start is None else copy.deepcopy(start.network)
-        self._history = np.empty((0, 5)) if start is None else start.history
-
-    @property
-    def unit(self) -> float:
-        """Radiance that all is measured in; it may be set while no sample had light."""
-        return self._batches.unit
-
-    @unit.setter
-    def unit(self, unit: float) -> None:
-        self._batches.unit = unit
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes that are kept of the samples."""
-        return self._batches.nbytes
+        self._network: Network | None = None
+        self._history = np.empty((0, 5))
+        if start is not None:
+            self._history, self._network = start.history, copy.deepcopy(start.network)
+            self._network.shrinkage = None
 
     @property
     def iterations(self) -> int:
@@ -110,10 +217,10 @@ class OnlineTrainer:
     def add(self, samples: npt.NDArray[Any], direct: npt.NDArray[Any] | None = None) -> None:
         """Take more samples of the image, shape (y, x, channel, sample), and the direct part."""
         given = (samples,) if direct is None else (samples, direct)
-        self._batches.add(*(x.reshape(-1, *x.shape[2:])[self._rows] for x in given))
+        self.batches.add(*(x.reshape(-1, *x.shape[2:])[self._rows] for x in given))
 
     def learn(self, iterations: int, advance: Callable[[float], None]) -> None:
-        """Learn from the samples so far; `advance` is told of every iteration.
+        """Learn from the samples so far; `advance` is called after every iteration.
 
         Where the samples of no pixel differ, the mean is the truth, and there is nothing to learn.
 
@@ -122,19 +229,20 @@ class OnlineTrainer:
         InputError
             If there are fewer than 4 samples per pixel, or too few pixels without a bad sample.
         """
-        from chdstat.estimators.progressive.training import learn
+        from chdstat.estimators.progressive.network import learn, new_network
 
-        pixels = self._usable()
-        training_set = self._training_set(pixels, iterations)
-        if not training_set.splits.variance.any():
+        training_set, validation = self._training_set(iterations, {})
+        if not training_set.variance.any():
             advance(iterations)
             return
-        held_out = pixels < self._validation_count
+        if self._network is None:
+            self._network = new_network(training_set, self._inputs, seed=self._seed)
+        train = np.setdiff1d(np.arange(len(training_set)), validation)
         history = learn(
-            self._current_network(),
+            self._network,
             training_set,
-            train=np.flatnonzero(~held_out),
-            validation=np.flatnonzero(held_out),
+            train=train,
+            validation=validation,
             rng=self._rng,
             advance=advance,
         )
@@ -145,92 +253,53 @@ class OnlineTrainer:
     def learned(self, attrs: Mapping[str, Any]) -> Learned | None:
         """Return what was learned so far from samples of some provenance; None before it was."""
         if self._learned is None and self._network is not None:
-            self._learned = self._summed_up(self._network, attrs)
+            training_set, validation = self._training_set(self.iterations, attrs)
+            sizes = training_set.sizes
+            self._learned = finished(
+                copy.deepcopy(self._network),
+                replace(training_set, sizes=sizes[:: -(-len(sizes) // _ERROR_SIZES)]),
+                self._inputs,
+                validation=validation,
+                rng=generator(self._seed).spawn(1)[0],
+                seed=self._seed,
+                history=self._history,
+                unit=self.batches.unit,
+                sizes=sorted(set(sizes)),
+                on_the_fly=True,
+                buckets=BATCHES,
+                began_from=None if self._start is None else self._start.provenance,
+            )
         return self._learned
 
-    def _usable(self) -> npt.NDArray[np.int64]:
-        """Return the places in `_rows` of pixels to learn from and to validate on."""
-        if self._batches.dealt < _FEWEST:
+    def _training_set(
+        self, iterations: int, attrs: Mapping[str, Any]
+    ) -> tuple[BatchSplits, Indices]:
+        """Return the pixels to learn from, and which of them validate."""
+        if self.batches.spp < _FEWEST:
             message = (
                 f"learning needs at least {_FEWEST} samples of each pixel, got "
-                f"{self._batches.dealt}; call update(samples) first"
+                f"{self.batches.spp}; call update(samples) first"
             )
             raise InputError(message)
-        pixels = self._batches.usable()
-        held_out = int((pixels < self._validation_count).sum())
-        if not 0 < held_out < len(pixels):
+        pixels = self.batches.usable()
+        validation = np.flatnonzero(pixels < self._held_out)
+        if not 0 < len(validation) < len(pixels):
             message = (
                 "learning needs pixels without a bad sample, to train and to validate; got "
                 f"{len(pixels)} of {len(self._rows)}: give a larger image"
             )
             raise InputError(message)
-        return pixels
-
-    def _training_set(self, pixels: npt.NDArray[np.int64], iterations: int) -> TrainingSet:
-        parts = BatchSplits(self._batches, pixels)
         places = np.unravel_index(self._rows[pixels], self._shape)
-        return TrainingSet(
-            splits=parts,
-            auxiliary=self._auxiliary[pixels],
-            config=TrainingConfig(sizes=parts.sizes, reference=False, iterations=iterations),
+        shape = (*self._shape, self.batches.sums.shape[-1], self.batches.spp)
+        scene = str(attrs.get("scene", "samples"))
+        record = scene_record(scene, attrs, shape, unit=self.batches.unit, pixels_used=len(pixels))
+        training_set = BatchSplits(
+            batches=self.batches,
+            chosen=pixels,
+            iterations=iterations,
+            auxiliary=some_rows(self._auxiliary, pixels),
             pixels=np.stack(places, axis=-1),
             excluded=len(self._rows) - len(pixels),
-            parts=[len(pixels)],
+            scenes=[record],
         )
-
-    def _current_network(self) -> Network:
-        """Return the network to go on with, a new one where there is none."""
-        import torch
-
-        from chdstat.estimators.progressive.network import Network
-
-        if self._network is None:
-            described = self._auxiliary.described.shape[1]
-            with torch.random.fork_rng():
-                torch.manual_seed(self._seed)
-                shape = Architecture(self._batches.channels, described, parts=self._parts)
-                self._network = Network(shape)
-        return self._network
-
-    def _summed_up(self, network: Network, attrs: Mapping[str, Any]) -> Learned:
-        from chdstat.estimators.progressive.training import measure_trust
-
-        pixels = self._usable()
-        training_set = self._training_set(pixels, self.iterations)
-        sizes = training_set.config.sizes
-        few = replace(training_set.config, sizes=sizes[:: -(-len(sizes) // _ERROR_SIZES)])
-        held_out = np.flatnonzero(pixels < self._validation_count)
-        rng = generator(self._seed).spawn(1)[0]
-        reduced = replace(training_set, config=few)
-        shrunk, trust = measure_trust(network, reduced, held_out, rng)
-        error_model = ErrorModel.learn(shrunk, reduced, pixels=held_out, rng=rng)
-        return Learned(
-            network=copy.deepcopy(network),
-            error_model=error_model,
-            unit=self._batches.unit,
-            history=self._history,
-            train_pixels=training_set.pixels,
-            train_shape=self._shape,
-            provenance=self._provenance(training_set, attrs, trust),
-            trust=trust,
-            fingerprint=Fingerprint.none(self._batches.channels),
-        )
-
-    def _provenance(
-        self, training_set: TrainingSet, attrs: Mapping[str, Any], trust: Trust
-    ) -> dict[str, Any]:
-        scene = str(attrs.get("scene", "samples"))
-        shape = (*self._shape, self._batches.channels, self._batches.dealt)
-        features = bool(training_set.auxiliary.described.shape[1])
-        return {
-            **provenance_of(
-                [Origin(scene, attrs, shape, self._batches.unit)],
-                training_set,
-                inputs=InputConfig(features=features, direct=self._parts > 1),
-                seed=self._seed,
-                trust=trust,
-            ),
-            "on_the_fly": True,
-            "buckets": BATCHES,
-            "began_from": None if self._start is None else self._start.provenance,
-        }
+        return training_set, validation

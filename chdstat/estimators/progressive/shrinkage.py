@@ -9,9 +9,9 @@ and every share below :math:`2 \alpha` is better than the mean (Stein's shrinkag
 target; Rousselle et al. 2012, doi:10.1145/2366145.2366214, choose between filters by two halves of
 the samples likewise). Three cases differ in what is known:
 
-With a reference, `reference_trust` finds shares for pixels of each brightness, brightened and
-darkened apart: those with the least error among those under which neither MSE nor relMSE exceeds
-the mean's, and the image keeps its mean radiance.
+With a reference, `reference_shares` finds shares for pixels of each brightness, brightened and
+darkened separately: those with the least error among those under which neither MSE nor relMSE
+exceeds the mean's, and the image keeps its mean radiance.
 
 Without one, `own_shares` are two, for brightened and for darkened pixels: the largest that the
 measurement, on pixels that did not train the network, does not speak against and that is better
@@ -29,28 +29,45 @@ variance v at all samples, ``a = 2 v / (2 v + b^2)``, and the mixture has the sq
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Self
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import optimize, special
 
+from chdstat._core.arrays import spans
 from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.progressive.error_model import ValidationBatch, ratio
-from chdstat.estimators.progressive.inputs import FLOOR, GROUPS, LOSSES, MOST_TRUST
-from chdstat.estimators.progressive.learned import Trust
-from chdstat.estimators.progressive.profile import Profile
+from chdstat.estimators.progressive.dataset import TrainingSet
+from chdstat.estimators.progressive.error_model import (
+    BRIGHTNESS,
+    FLOOR,
+    LOSSES,
+    of_size,
+    ratio,
+    validate,
+)
+
+if TYPE_CHECKING:
+    from chdstat.estimators.progressive.network import Network
 
 __all__ = [
-    "Move",
-    "keeping_mean",
+    "FULL",
+    "GROUPS",
+    "Moves",
+    "checked_shares",
+    "measure_shrinkage",
+    "moves_between",
     "own_shares",
-    "reference_trust",
+    "reference_shares",
+    "shares_keeping_mean",
     "shrinkage_factor",
 ]
 
+GROUPS = 2 * len(BRIGHTNESS)
+"""Groups of pixels with a share of their own: of each brightness, brightened and darkened ones."""
+_LARGEST = 1.5
+"""Share of a move at most: beyond 1 where others are held back and the image would lose light."""
 _GUARDED = (0.5, 0.75)
 """Powers of the weights of the errors that a trained network shall not make worse: those of its
 loss, since at 0 and 1 few bright or many dark pixels decide, and the measurement is all noise."""
@@ -64,26 +81,100 @@ _SAME = 1e-6
 """Relative difference below which an estimate is the mean, summed in another order."""
 _RIDGE = 1e-3
 """Draws shares to 0 that no pixel speaks for."""
+_ROWS_AT_ONCE = 1024
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.floating[Any]]
+FULL = np.ones(1), np.ones((1, len(LOSSES), GROUPS))
+"""Shares that follow all estimates all the way."""
+Moves = tuple[npt.NDArray[np.int64], Floats, Floats, Floats, Floats]
+"""Estimates of pixels beside their means, and targets that neither has seen: rows, which pixels,
+shape (row,); mean, estimate and target, in units of the image's radiance, and noise, unbiased for
+the variance of the target, all of shape (row, channel)."""
 
 
-def reference_trust(batches: Sequence[ValidationBatch]) -> Trust:
-    """Return the shares that pay where targets are as good as the truth.
+def measure_shrinkage(
+    network: Network,
+    training_set: TrainingSet,
+    validation: npt.NDArray[np.int64],
+    rng: np.random.Generator,
+) -> tuple[Floats, Floats]:
+    """Return how far from the mean it pays to go to what a network estimates.
+
+    Returns
+    -------
+    sizes : ndarray
+        Numbers of samples that shares are known for, ascending.
+    shares : ndarray
+        0 for the mean, 1 for the estimate, beyond 1 where others are held back; shape (size, loss,
+        group), groups of pixels as of `network.group_weights`.
+    """
+    if training_set.reference:
+        # Rare lamps and fireflies are in all pixels, hardly in a tenth of them.
+        pixels = np.arange(len(training_set))
+        return reference_shares(validate(network, training_set, pixels=pixels, rng=rng))
+    held_out = validate(network, training_set, pixels=validation, rng=rng)
+    # Without a reference the two estimates are nearly one.
+    others = (held_out[name] for name in ("target", "noise"))
+    moves = held_out["rows"], held_out["mean"], held_out["estimate"].mean(axis=0), *others
+    shares = shares_keeping_mean(*own_shares(*moves), _mean_change(network, training_set))
+    return np.ones(1), np.tile(shares, (1, len(LOSSES), 1))
+
+
+def checked_shares(sizes: Floats, shares: Floats) -> tuple[Floats, Floats]:
+    """Return shares as of `measure_shrinkage`.
+
+    Raises
+    ------
+    ValueError
+        If they have another shape, or lie out of range.
+    """
+    if shares.shape != (len(sizes), len(LOSSES), GROUPS) or not len(sizes):
+        expected = f"(size, {len(LOSSES)}, {GROUPS}), size {len(sizes)}"
+        message = f"shares must have shape {expected}, got {shares.shape}"
+        raise ValueError(message)
+    if not ((shares >= 0) & (shares <= _LARGEST)).all():
+        message = f"shares must lie between 0 and {_LARGEST}"
+        raise ValueError(message)
+    return sizes, shares
+
+
+def _mean_change(network: Network, training_set: TrainingSet) -> Floats:
+    """Return what a network adds to the mean of all samples of pixels, shape (pixel, channel).
+
+    It is the mean of what it adds under each loss, in units of the image's radiance, and nothing
+    where all samples are the same light: there the mean is kept.
+    """
+    import torch
+
+    everything, found = np.arange(len(training_set.counts)), []
+    for block in spans(len(training_set), _ROWS_AT_ONCE):
+        rows = np.arange(block.start, block.stop)
+        profile, auxiliary, _ = training_set.minibatch(rows, everything)
+        with torch.inference_mode():
+            estimate, mean, _ = network(profile, auxiliary)
+        found.append((estimate.mean(dim=1) - mean).numpy().astype(np.float64))
+    noisy = training_set.variance.any(axis=-1, keepdims=True)
+    lit = training_set.mean.any(axis=-1, keepdims=True)
+    return np.where(noisy | ~lit, np.concatenate(found), 0)
+
+
+def reference_shares(validation: dict[str, Array]) -> tuple[Floats, Floats]:
+    """Return the shares that pay where targets are as good as the truth; see `measure_shrinkage`.
 
     Parameters
     ----------
-    batches
-        Of pixels of the image, at several numbers of samples.
+    validation
+        Estimates of pixels of the image, at several numbers of samples, as of `validate`.
     """
-    sizes = sorted({batch.size for batch in batches})
-    of_size = [[batch for batch in batches if batch.size == n] for n in sizes]
-    shares = [[_best_shares(found, loss) for loss in range(len(LOSSES))] for found in of_size]
-    return Trust(np.array(sizes, np.float64), np.array(shares))
+    sizes = np.unique(validation["size"])
+    shares = [
+        [_best_shares(of_size(validation, n), loss) for loss in range(len(LOSSES))] for n in sizes
+    ]
+    return sizes.astype(np.float64), np.array(shares)
 
 
-def _best_shares(batches: Sequence[ValidationBatch], loss: int) -> Floats:
+def _best_shares(validation: dict[str, Array], loss: int) -> Floats:
     """Return the share of each group under which one of the errors is least.
 
     Neither error exceeds the mean's, and the image keeps its mean.
@@ -92,10 +183,8 @@ def _best_shares(batches: Sequence[ValidationBatch], loss: int) -> Floats:
 
     from chdstat.estimators.progressive.network import group_weights
 
-    rows = np.concatenate([batch.rows for batch in batches])
-    mean = np.concatenate([batch.mean for batch in batches])
-    target = np.concatenate([batch.target for batch in batches])
-    move = np.concatenate([batch.estimate[loss] for batch in batches]) - mean
+    rows, mean, target = (validation[name] for name in ("rows", "mean", "target"))
+    move = validation["estimate"][loss] - mean
     group = group_weights(torch.from_numpy(mean), torch.from_numpy(move)).numpy()
     # Each pixel counts once, however often it was drawn: lamps are few.
     once = 1 / np.bincount(rows)[rows][:, np.newaxis]
@@ -137,7 +226,7 @@ def _least(gains: Sequence[tuple[Floats, Floats]], loss: int, radiance: Floats) 
         np.zeros(GROUPS),
         jac=lambda a: slope(a, loss) + 2 * ridge @ a,
         method="SLSQP",
-        bounds=[(0, MOST_TRUST)] * GROUPS,
+        bounds=[(0, _LARGEST)] * GROUPS,
         constraints=[
             {"type": "eq", "fun": lambda a: radiance @ a, "jac": lambda _: radiance},
             *(
@@ -151,101 +240,30 @@ def _least(gains: Sequence[tuple[Floats, Floats]], loss: int, radiance: Floats) 
         ],
         options={"maxiter": 200},
     )
-    return np.asarray(np.clip(found.x, 0, MOST_TRUST))
+    return np.asarray(np.clip(found.x, 0, _LARGEST))
 
 
-@dataclass(frozen=True)
-class Move:
-    """Estimates of pixels beside their means, and targets that neither has seen.
+def moves_between(samples: Array, estimate: Array, others: Array, *, unit: float) -> Moves:
+    """Return the moves to an estimate (..., channel) from the means of samples.
 
-    Attributes
+    Parameters
     ----------
-    rows
-        Which pixels, shape (row,).
-    mean, estimate, target
-        In units of the image's radiance, shape (row, channel).
-    noise
-        Unbiased for the variance of the target, shape (row, channel).
+    samples, others
+        Of the same pixels, shape (..., channel, sample), at least 2 others.
+    estimate
+        In the unit of the samples.
+    unit
+        Mean radiance of the image.
     """
-
-    rows: npt.NDArray[np.int64]
-    mean: Floats
-    estimate: Floats
-    target: Floats
-    noise: Floats
-
-    @classmethod
-    def joined(cls, moves: Iterable[Move]) -> Self:
-        """Return all of several as one, those that are not finite or move nothing as means."""
-        arrays = zip(*(vars(move).values() for move in moves), strict=True)
-        rows, mean, found, target, noise = (np.concatenate(parts) for parts in arrays)
-        usable = np.isfinite(found - mean) & np.isfinite(target) & np.isfinite(noise)
-        mean, found, target, noise = (np.where(usable, a, 0) for a in (mean, found, target, noise))
-        same = np.abs(found - mean) <= _SAME * np.abs(mean)
-        return cls(rows, mean, np.where(same, mean, found), target, noise)
-
-    @property
-    def change(self) -> Floats:
-        """What estimates add to means."""
-        return self.estimate - self.mean
-
-    @property
-    def darker(self) -> Floats:
-        """The darker one of estimate and mean."""
-        return np.minimum(self.estimate, self.mean)
-
-    @property
-    def up(self) -> npt.NDArray[np.bool_]:
-        """Which pixels are brightened, in all channels alike, shape (row, channel)."""
-        return np.broadcast_to(self.change.sum(axis=-1, keepdims=True) > 0, self.mean.shape)
-
-    @classmethod
-    def of(cls, batch: ValidationBatch) -> Self:
-        """Return that of a batch, whose estimates without a reference are nearly one."""
-        return cls(batch.rows, batch.mean, batch.estimate.mean(axis=0), batch.target, batch.noise)
-
-    @classmethod
-    def of_profiles(cls, profile: Profile, estimate: Array, other: Profile) -> Self:
-        """Return that of an estimate (..., channel) from profiles, and of other samples."""
-        mean, found, target, noise = (
-            (np.asarray(a, np.float64) / scale).reshape(-1, profile.channels)
-            for a, scale in (
-                (profile.mean(), profile.unit),
-                (estimate, profile.unit),
-                (other.mean(), profile.unit),
-                (other.variance_of_mean(), 1.0),
-            )
-        )
-        return cls(np.arange(len(mean)), mean, found, target, noise)
-
-    @classmethod
-    def between(cls, samples: Array, estimate: Array, others: Array, *, unit: float) -> Self:
-        """Return that of an estimate (..., channel), and of other samples of the same pixels.
-
-        Parameters
-        ----------
-        samples, others
-            Shape (..., channel, sample), at least 2 others.
-        estimate
-            In the unit of the samples.
-        unit
-            Mean radiance of the image.
-        """
-        channels = samples.shape[-2]
-        mean, found, *parts = (
-            (np.asarray(a, np.float64) / unit).reshape(-1, channels)
-            for a in (
-                mean_of_good(samples),
-                estimate,
-                mean_of_good(others[..., 0::2]),
-                mean_of_good(others[..., 1::2]),
-            )
-        )
-        noise = (parts[0] - parts[1]) ** 2 / 4
-        return cls(np.arange(len(mean)), mean, found, (parts[0] + parts[1]) / 2, noise)
+    one, two = (mean_of_good(others[..., first::2]) for first in range(2))
+    mean, found, one, two = (
+        (np.asarray(a, np.float64) / unit).reshape(-1, samples.shape[-2])
+        for a in (mean_of_good(samples), estimate, one, two)
+    )
+    return np.arange(len(mean)), mean, found, (one + two) / 2, (one - two) ** 2 / 4
 
 
-def shrinkage_factor(moves: Iterable[Move]) -> float:
+def shrinkage_factor(moves: Sequence[Moves]) -> float:
     r"""Return how far it pays to follow a network of another scene, 0 to 1.
 
     With the standard error s over pixels of the share :math:`\alpha`, it is
@@ -257,45 +275,62 @@ def shrinkage_factor(moves: Iterable[Move]) -> float:
     moves
         Of pixels of the image at hand.
     """
-    all_of_it = Move.joined(moves)
-    target = all_of_it.target
+    rows, *arrays = map(np.concatenate, zip(*moves, strict=True))
+    mean, estimate, target, noise = _cleaned(*arrays)
+    darker = np.minimum(estimate, mean)
     # It is not even presumed that truths lie about the estimates.
-    pull = _pull(all_of_it)
-    wanted = [(target, all_of_it.darker, power) for power in _FOREIGN]
-    wanted += [(target, target, 1.0), (pull * target, pull * all_of_it.estimate, 1.0)]
-    return _smallest_share(all_of_it, wanted, standard_errors=0.0)
+    pull = _pull(rows, mean, estimate, target, noise)
+    wanted = [(target, darker, power) for power in _FOREIGN]
+    wanted += [(target, target, 1.0), (pull * target, pull * estimate, 1.0)]
+    return _smallest_share(rows, mean, estimate - mean, wanted, standard_errors=0.0)
 
 
-def own_shares(moves: Iterable[Move]) -> tuple[float, float]:
+def own_shares(
+    rows: npt.NDArray[np.int64], mean: Floats, estimate: Floats, target: Floats, noise: Floats
+) -> tuple[float, float]:
     r"""Return how far it pays to brighten and to darken pixels, 0 to 1, without a reference.
 
     With the standard error s over pixels of the share :math:`\alpha`, it is
     :math:`\min(\alpha + s, 2 (\alpha - s))`, the smallest one for several weights of the errors,
-    and 0 where little is left of it.
-
-    Parameters
-    ----------
-    moves
-        Of pixels that did not train the network, but are of the same image.
+    and 0 where little is left of it. The arguments are `Moves` of pixels that did not train the
+    network, but are of the same image.
     """
-    both = Move.joined(moves)
-    likely = _likely(both)
-    wanted = [(both.target, both.darker, power) for power in _GUARDED]
-    wanted += [(likely, likely, 1.0)]
+    mean, estimate, target, noise = _cleaned(mean, estimate, target, noise)
+    change = estimate - mean
+    sides = _sides(change)
+    likely = _likely(rows, estimate, target, noise, change)
+    darker = np.minimum(estimate, mean)
+    wanted = [(target, darker, power) for power in _GUARDED] + [(likely, likely, 1.0)]
     up, down = (
-        _smallest_share(both, wanted, standard_errors=1.0, side=side)
-        for side in (both.up, ~both.up)
+        _smallest_share(rows, mean, np.where(side, change, 0), wanted, standard_errors=1.0)
+        for side in sides
     )
     return up, down
 
 
-def keeping_mean(brightened: float, darkened: float, change: Floats) -> Trust:
-    """Return trust of at most these shares under which an image keeps its mean, which is unbiased.
+def _cleaned(mean: Floats, estimate: Floats, target: Floats, noise: Floats) -> list[Floats]:
+    """Return moves in which those that are not finite, or hardly move, stay at the mean."""
+    usable = np.isfinite(estimate - mean) & np.isfinite(target) & np.isfinite(noise)
+    mean, estimate, target, noise = (
+        np.where(usable, a, 0) for a in (mean, estimate, target, noise)
+    )
+    same = np.abs(estimate - mean) <= _SAME * np.abs(mean)
+    return [mean, np.where(same, mean, estimate), target, noise]
+
+
+def _sides(change: Floats) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Return which pixels are brightened, and which are not, in all channels the same."""
+    up = np.broadcast_to(change.sum(axis=-1, keepdims=True) > 0, change.shape)
+    return up, ~up
+
+
+def shares_keeping_mean(brightened: float, darkened: float, change: Floats) -> Floats:
+    """Return shares of the groups under which an image keeps its mean, which is unbiased.
 
     Parameters
     ----------
     brightened, darkened
-        As of `own_shares`.
+        Shares at most, as of `own_shares`.
     change
         What the network adds to the mean of all samples of each pixel, shape (pixel, channel).
     """
@@ -303,13 +338,13 @@ def keeping_mean(brightened: float, darkened: float, change: Floats) -> Trust:
     up, down = radiance[radiance > 0].sum(), -radiance[radiance < 0].sum()
     moved = min(brightened * up, darkened * down)
     if not moved > 0:
-        return Trust.even(0.0)
-    trust = Trust.even(1.0)
-    half = GROUPS // 2
-    return replace(trust, shares=trust.shares * np.repeat([moved / up, moved / down], half))
+        return np.zeros(GROUPS)
+    return np.repeat([moved / up, moved / down], GROUPS // 2)
 
 
-def _likely(moves: Move) -> Floats:
+def _likely(
+    rows: npt.NDArray[np.int64], found: Floats, target: Floats, noise: Floats, change: Floats
+) -> Floats:
     """Return radiances that scatter about the estimates as the truths do.
 
     Targets scatter more than the truths, by their noise, and best guesses of the truths less, while
@@ -319,14 +354,13 @@ def _likely(moves: Move) -> Floats:
     of two halves of the targets, relative to the estimates and cut at `_BRIGHTEST`, and one
     standard error more, by the square of what the cut leaves of a relative change.
     """
-    rows, found, target, noise = moves.rows, moves.estimate, moves.target, moves.noise
     scale = np.sqrt(found**2 + FLOOR)
     # Two halves of equal size have this mean and this variance of it.
     halves = [(target + side * np.sqrt(np.maximum(noise, 0))) / scale for side in (-1, 1)]
     cut = [np.minimum(half, _BRIGHTEST) for half in halves]
     likely = found.copy()
-    for pixels in (moves.up, ~moves.up):
-        weight = np.where(pixels, (moves.change / scale) ** 2, 0)
+    for pixels in _sides(change):
+        weight = np.where(pixels, (change / scale) ** 2, 0)
         below = np.bincount(rows, weight.sum(axis=-1))
         if not below.any():
             continue
@@ -354,7 +388,9 @@ def _log_normal(width: float, like: Floats) -> Floats:
     return np.asarray(np.exp(np.sqrt(width) * special.ndtri(rank / len(like)) - width / 2))
 
 
-def _pull(moves: Move) -> Floats:
+def _pull(
+    rows: npt.NDArray[np.int64], mean: Floats, found: Floats, target: Floats, noise: Floats
+) -> Floats:
     r"""Return the part of the truth's mean that has the least relative error, for each estimate.
 
     Of log-normal truths with the mean y and the variance :math:`c^2 y^2` it is
@@ -363,10 +399,9 @@ def _pull(moves: Move) -> Floats:
     error more; where relative errors have their floor, it counts for less. Darkened pixels are
     only nearer to it: for them it is 1.
     """
-    rows, found, target, noise = moves.rows, moves.estimate, moves.target, moves.noise
-    scale = found**2 + FLOOR
-    up = moves.change > 0
-    weight = np.where(up, moves.change**2 / scale, 0)
+    scale, change = found**2 + FLOOR, found - mean
+    up = change > 0
+    weight = np.where(up, change**2 / scale, 0)
     below = np.bincount(rows, weight.sum(axis=-1))
     if not below.any():
         return np.ones_like(found)
@@ -379,18 +414,16 @@ def _pull(moves: Move) -> Floats:
 
 
 def _smallest_share(
-    moves: Move,
+    rows: npt.NDArray[np.int64],
+    mean: Floats,
+    change: Floats,
     wanted: Sequence[tuple[Floats, Floats, float]],
     *,
     standard_errors: float,
-    side: npt.NDArray[np.bool_] | None = None,
 ) -> float:
     """Return the smallest share that pays, of those for (truth, radiance, power of its weight)."""
-    change = moves.change if side is None else np.where(side, moves.change, 0)
     share = min(
-        _share(
-            moves.rows, change, truth - moves.mean, (radiance**2 + FLOOR) ** -power, standard_errors
-        )
+        _share(rows, change, truth - mean, (radiance**2 + FLOOR) ** -power, standard_errors)
         for truth, radiance, power in wanted
     )
     return share if share >= _LEAST else 0.0

@@ -16,12 +16,18 @@ from chdstat._core.arrays import as_pixels
 from chdstat._core.executor import track
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.auxiliary import Features, describe
-from chdstat.estimators.progressive.learned import Estimates
+from chdstat.estimators.progressive.dataset import Profile
+from chdstat.estimators.progressive.inputs import (
+    Estimates,
+    Features,
+    auxiliary_features,
+    keep_constants,
+    unchanged,
+)
 from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.progressive.online import OnlineTrainer
-from chdstat.estimators.progressive.prediction import with_constants
-from chdstat.estimators.progressive.profile import ConstantPixels, Profile
+from chdstat.estimators.progressive.shrinkage import shrinkage_factor
+from chdstat.estimators.training import check_iterations
 
 __all__ = ["Stream", "follow", "schedule"]
 
@@ -101,32 +107,39 @@ class Stream:
         seed: int = 0,
         attrs: Mapping[str, Any] | None = None,
     ) -> None:
-        if learns:
-            _check_learning(model, features)
-        self._model = model
+        if model.inputs.neighbours:
+            message = (
+                f"a stream takes a model without neighbours, which need the samples; got {model!r}"
+            )
+            raise InputError(message)
+        if learns and model.inputs.features and not features:
+            message = (
+                "the model looks at first-hit features, but the stream got none; pass features="
+            )
+            raise InputError(message)
+        self._model, self._unit = model, unit
         self.features = features
-        self._unit = unit
         self._learns, self._seed, self._attrs = learns, seed, dict(attrs or {})
         self._trainer: OnlineTrainer | None = None
-        self._profile: Profile | None = None
+        # Of all samples; and of every other one and those between, where trust is measured.
+        self._profiles: list[Profile] = []
         self._foreign = not (learns or unit is not None or model.trained_on(self._attrs))
-        self._halves: list[Profile] = []
-        """Of every other sample, and of those between, where trust is measured."""
-        self._constant: ConstantPixels | None = None
-        self._drawn = 0
+        self._spp = 0
+        self._first: npt.NDArray[Any] | None = None
+        self._same: npt.NDArray[np.bool_] = np.empty(0, bool)
+        self._lit = False
 
     @property
     def model(self) -> Progressive:
         """The estimator, with all that it has learned so far; `Progressive.save` keeps it."""
         if self._trainer is not None:
-            found = self._trainer.learned(self._attrs)
-            self._model._learned = found or self._model._learned
+            self._model._trained = self._trainer.learned(self._attrs) or self._model._trained
         return self._model
 
     @property
     def count(self) -> npt.NDArray[np.int64]:
         """Good samples so far, shape (...)."""
-        return self._state.count
+        return self._profile.count
 
     @property
     def iterations(self) -> int:
@@ -136,8 +149,10 @@ class Stream:
     @property
     def nbytes(self) -> int:
         """Bytes that are kept."""
-        kept = self._profile, *self._halves, self._trainer, self._constant
-        return sum(part.nbytes for part in kept if part is not None)
+        kept = sum(profile.nbytes for profile in self._profiles)
+        if self._trainer is not None:
+            kept += self._trainer.batches.nbytes
+        return kept if self._first is None else kept + self._first.nbytes + self._same.nbytes
 
     def update(self, x: npt.ArrayLike, direct: npt.ArrayLike | None = None) -> None:
         """Add samples (..., channel, sample) of the same pixels as before.
@@ -157,41 +172,33 @@ class Stream:
         """
         samples = as_pixels(x)
         part = self._model.inputs.direct_of(direct, samples.shape)
-        shape, channels = samples.shape[:-2], samples.shape[-2]
-        if self._profile is None:
-            unit = mean_radiance(samples) if self._unit is None else self._unit
-            if self._learns:
-                self._trainer = self._new_trainer(shape, channels, unit)
-            self._profile = Profile.empty(shape, channels, unit=unit, parts=self._parts)
-            if self._foreign:
-                self._halves = [
-                    Profile.empty(shape, channels, unit=unit, parts=self._parts) for _ in range(2)
-                ]
+        if not self._profiles:
+            self._begin(samples)
         kept = self._profile
-        if self._unit is None and not kept.bins.any():
-            # Black so far: the unit is that of the first batch with light.
-            kept.unit = mean_radiance(samples)
-            for half in self._halves:
-                half.unit = kept.unit
-            if self._trainer is not None:
-                self._trainer.unit = kept.unit
-        if (kept.count.shape, kept.channels) != (shape, channels):
+        if (*kept.count.shape, kept.channels) != samples.shape[:-1]:
             message = (
                 f"the stream holds pixels {kept.count.shape} with {kept.channels} channels, got "
                 f"samples of shape {samples.shape}"
             )
             raise InputError(message)
-        kept.add(Profile.of(samples, unit=kept.unit, direct=part))
-        for first, half in enumerate(self._halves):
-            every = slice((first + self._drawn) % 2, None, 2)
+        if self._unit is None and not kept.bins.any():
+            # Black so far: the unit is that of the first batch with light.
+            unit = mean_radiance(samples)
+            for profile in self._profiles:
+                profile.unit = unit
+            if self._trainer is not None:
+                self._trainer.batches.unit = unit
+        halves = [slice((first + self._spp) % 2, None, 2) for first in range(2)]
+        for profile, every in zip(self._profiles, (slice(None), *halves), strict=False):
             own = None if part is None else part[..., every]
             if samples[..., every].shape[-1]:
-                half.add(Profile.of(samples[..., every], unit=kept.unit, direct=own))
-        self._drawn += samples.shape[-1]
-        if self._constant is not None:
-            self._constant.add(samples)
-        elif samples.shape[-1]:
-            self._constant = ConstantPixels.of(samples)
+                profile.add(Profile.of(samples[..., every], unit=kept.unit, direct=own))
+        self._spp += samples.shape[-1]
+        if self._first is None:
+            self._first = samples[..., 0].copy()
+            self._same = np.ones(self._first.shape[:-1], bool)
+        self._same &= unchanged(self._first, samples)
+        self._lit = self._lit or bool(samples[..., 0].any() or samples.any())
         if self._trainer is not None:
             self._trainer.add(samples, part)
 
@@ -211,9 +218,7 @@ class Stream:
             If the stream does not learn, there are fewer than 4 samples, or too few pixels without
             a bad sample.
         """
-        if iterations < 1:
-            message = f"iterations must be at least 1, got {iterations}"
-            raise InputError(message)
+        check_iterations(iterations)
         if self._trainer is None:
             message = _NOTHING_YET if self._learns else _FIXED
             raise InputError(message)
@@ -222,10 +227,10 @@ class Stream:
 
     def mean(self) -> npt.NDArray[np.floating[Any]]:
         """Return the sample mean so far, shape (..., channel)."""
-        return self._state.mean()
+        return self._profile.mean()
 
     def estimate(
-        self, *, balance: float = 0.5, level: float = 0.9, trust: float | None = None
+        self, *, loss_weight: float = 0.5, level: float = 0.9, trust: float | None = None
     ) -> Estimates:
         """Estimate from all samples so far; see `Progressive.estimate`.
 
@@ -235,68 +240,97 @@ class Stream:
         Before a new model has learned anything it is the mean, its certainty is 0, and nothing is
         said of its error: the ends of the interval, and its level, are NaN.
         """
-        state = self._state
+        profile = self._profile
         if self._trainer is not None and self._trainer.iterations == 0:
-            return _of_nothing(state)
-        if trust is None and self._halves:
-            trust = self.model.trust_between(self._halves, features=self.features, balance=balance)
-        found = self.model.of_profile(
+            mean = profile.mean().astype(np.float32)
+            unknown = np.full_like(mean, np.nan)
+            certainty = np.zeros(mean.shape[:-1], np.float32)
+            return Estimates(mean, certainty, unknown, unknown, np.nan)
+        self.model.check(profile.channels, loss_weight)
+        if trust is None:
+            trust = self._measured_trust(loss_weight) if self._foreign else 1.0
+        found = self._of_profile(profile, share=trust, loss_weight=loss_weight, level=level)
+        if self._first is not None and self._spp > 1:
+            keep_constants(found, self._first, self._same, lit=self._lit)
+        return found
+
+    def _begin(self, samples: npt.NDArray[Any]) -> None:
+        """Prepare to keep what is needed of pixels like these."""
+        *shape, channels = samples.shape[:-1]
+        inputs, start = self._model.inputs, self._model._trained
+        unit = mean_radiance(samples) if self._unit is None else self._unit
+        if self._learns:
+            if len(shape) != 2:
+                message = (
+                    f"learning takes an image (y, x, channel, sample), got pixels {tuple(shape)}"
+                )
+                raise InputError(message)
+            if start is not None and self._model.channels != channels:
+                message = f"the model takes {self._model.channels} channels, got {channels}"
+                raise InputError(message)
+            self._trainer = OnlineTrainer(
+                (shape[0], shape[1]),
+                channels,
+                inputs,
+                unit=unit,
+                auxiliary=auxiliary_features(
+                    self.features if inputs.features else None, (shape[0], shape[1])
+                ),
+                seed=self._seed,
+                start=start,
+            )
+        self._profiles = [
+            Profile.empty(tuple(shape), channels, unit=unit, parts=inputs.parts)
+            for _ in range(3 if self._foreign else 1)
+        ]
+
+    def _of_profile(
+        self,
+        profile: Profile,
+        *,
+        share: float,
+        loss_weight: float,
+        level: float | None,
+        spp: int | None = None,
+    ) -> Estimates:
+        from chdstat.estimators.progressive.network import estimate_pixels
+
+        state, shape, rows = self.model.state, profile.count.shape, profile.reshape(-1)
+        return estimate_pixels(
             state,
-            features=self.features,
-            balance=balance,
+            lambda part: rows[part],
+            self._model.inputs.auxiliary(self.features, shape, described=state.network.described),
+            shape,
+            share=share,
+            loss_weight=loss_weight,
             level=level,
-            trust=1.0 if trust is None else trust,
+            spp=spp,
         )
-        return found if self._constant is None else with_constants(found, self._constant)
+
+    def _measured_trust(self, loss_weight: float) -> float:
+        """Compare the estimate from the profiles of one half of the samples with the other half."""
+        halves = self._profiles[1:]
+        spp = sum(int(half.count.max(initial=0)) for half in halves)
+        if spp < _FEWEST:
+            return 0.0
+        moves = []
+        for half, other in zip(halves, halves[::-1], strict=True):
+            found = self._of_profile(
+                half, share=1.0, loss_weight=loss_weight, level=None, spp=spp
+            ).radiance
+            mean, estimate, target = (
+                (np.asarray(a, np.float64) / half.unit).reshape(-1, half.channels)
+                for a in (half.mean(), found, other.mean())
+            )
+            noise = np.asarray(other.variance_of_mean(), np.float64).reshape(mean.shape)
+            moves.append((np.arange(len(mean)), mean, estimate, target, noise))
+        return shrinkage_factor(moves)
 
     @property
-    def _parts(self) -> int:
-        return 2 if self._model.inputs.direct else 1
-
-    @property
-    def _state(self) -> Profile:
-        if self._profile is None:
+    def _profile(self) -> Profile:
+        if not self._profiles:
             raise InputError(_NOTHING_YET)
-        return self._profile
-
-    def _new_trainer(self, shape: tuple[int, ...], channels: int, unit: float) -> OnlineTrainer:
-        if len(shape) != 2:
-            message = f"learning takes an image (y, x, channel, sample), got pixels {shape}"
-            raise InputError(message)
-        start = self._model._learned
-        if start is not None and self._model.channels != channels:
-            message = f"the model takes {self._model.channels} channels, got {channels}"
-            raise InputError(message)
-        size = shape[0], shape[1]
-        described = describe(self.features if self._model.inputs.features else None, size)
-        return OnlineTrainer(
-            size,
-            channels,
-            unit=unit,
-            described=described.reshape(size[0] * size[1], -1),
-            seed=self._seed,
-            start=start,
-            parts=self._parts,
-        )
-
-
-def _check_learning(model: Progressive, features: Features | None) -> None:
-    if model.inputs.neighbours:
-        message = (
-            "learning from a stream takes a model without neighbours, which need the samples; got "
-            f"{model!r}"
-        )
-        raise InputError(message)
-    if model.inputs.features and not features:
-        message = "the model looks at first-hit features, but the stream got none; pass features="
-        raise InputError(message)
-
-
-def _of_nothing(profile: Profile) -> Estimates:
-    """Return the mean, of which nothing more is known."""
-    mean = profile.mean().astype(np.float32)
-    unknown = np.full_like(mean, np.nan)
-    return Estimates(mean, np.zeros(mean.shape[:-1], np.float32), unknown, unknown, np.nan)
+        return self._profiles[0]
 
 
 _ITERATIONS = 2000
@@ -361,9 +395,7 @@ def schedule(spp: int, iterations: int | None = None) -> dict[int, int]:
     if spp < _FEWEST:
         message = f"learning while rendering needs at least {_FEWEST} spp, got {spp}"
         raise InputError(message)
-    if total < 1:
-        message = f"iterations must be at least 1, got {total}"
-        raise InputError(message)
+    check_iterations(iterations)
     marks = [spp]
     while marks[0] // 2 >= _FIRST:
         marks.insert(0, marks[0] // 2)

@@ -1,340 +1,430 @@
-"""Training, against a reference or against other samples of the same image.
+"""Training of the progressive estimator: from images to what was learned.
 
-Squared errors are divided by a power of ``y^2 + 0.01 m^2``, m being the image's mean. With a
-reference, y is the reference, and the powers 0 and 1 make the two estimates minimise MSE and
-relMSE. Without one, y is the estimate itself, held fixed: then the weight says which pixels matter,
-and the minimiser remains the mean of the target, whatever its noise (the relative loss of Lehtinen
-et al. 2018, "Noise2Noise: learning image restoration without clean data").
-
-A tenth of the pixels is held out, to validate, to measure how far it pays to follow the network,
-and to fit its error model.
+With a reference many samples are kept of some pixels of each image, and the mean of those not
+learned from is the reference. Without one, pixels of a part of the image are kept, with all their
+samples. A tenth of the pixels is held out, to validate, to measure how far it pays to follow the
+network, and to fit its error model.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from chdstat._core.arrays import generator, spans
-from chdstat._core.executor import cores, in_order, track
+from chdstat._core.arrays import generator, is_bad
+from chdstat._core.executor import track
+from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.dataset import AuxiliaryFeatures, TrainingConfig, TrainingSet
-from chdstat.estimators.progressive.error_model import ErrorModel, Floats, validation_batches
-from chdstat.estimators.progressive.inputs import FLOOR, Architecture, InputConfig
-from chdstat.estimators.progressive.learned import (
-    Fingerprint,
-    Learned,
-    Origin,
-    Trust,
-    provenance_of,
+from chdstat.estimators.progressive.dataset import Profile, SampleSplits, TrainingSet
+from chdstat.estimators.progressive.error_model import ErrorModel
+from chdstat.estimators.progressive.inputs import (
+    InputConfig,
+    auxiliary_features,
+    shared_estimates,
+    some_rows,
 )
-from chdstat.estimators.progressive.network import (
-    Network,
-    NetworkOutput,
-    ShrunkNetwork,
-    device,
-    encode,
-    threads,
-)
-from chdstat.estimators.progressive.shrinkage import Move, keeping_mean, own_shares, reference_trust
-from chdstat.estimators.progressive.splits import Minibatch, MinibatchSource
+from chdstat.estimators.progressive.shrinkage import measure_shrinkage
+from chdstat.estimators.training import Trained, provenance_of
+from chdstat.estimators.validation import check_spp, direct_of
+from chdstat.samples import Samples
 
-__all__ = ["learn", "measure_trust", "train_network"]
+if TYPE_CHECKING:
+    from chdstat.estimators.progressive.network import Network
 
-_DARKEST = 1e-3
-"""Mean radiance of a channel, in units of the image's, below which it counts as this: relative
-errors of a channel that is black would outweigh all others."""
-_WITH_REFERENCE = (0.0, 1.0)
-_WITHOUT = (0.5, 0.75)
-"""Powers of the squared radiance in the loss of each output. Without a reference they only say
-which pixels matter; at the ends few bright or many dark ones do, and both errors are larger."""
+__all__ = [
+    "Learned",
+    "finished",
+    "scene_record",
+    "train_network",
+    "with_reference",
+    "without_reference",
+]
+
+_LADDER = (4, 8, 16, 16, 32, 32, 64, 64, 128, 256, 512)
+"""Numbers of samples to learn from where there is a reference: as people ask for them."""
+_MOST_SPP = 2048
+_ITERATIONS = 6000
+_ITERATIONS_ALONE = 2000
+"""Without a reference: more of them learn the noise of the targets."""
+_FEWEST = 4
+_HALVES = 2
+"""Samples of each part of a split, at least: the targets are cut in two."""
+_SPLITS = ((0.5, 2), (0.75, 8))
+"""Shares of the samples to learn from, and how many splits of each are made for estimates from
+similar pixels: the larger share is nearer to all samples, which are estimated from in the end."""
+_SPLITS_OF_SIZE = 5
+"""Splits of each size that is given, instead."""
+_WINDOW = 256
+"""Side of the part of a large image that trains: more would take long and tell little."""
 _VALIDATION = 0.1
 """Share of the pixels held out for validation, to measure how large the errors are."""
 _VALIDATION_ALONE, _MOST_VALIDATION = 512, 0.25
 """Without a reference that takes at least so many, up to this share: what they measure is noisy."""
-_FEWEST = 2
-_RECORDS, _APART = 40, 10
-"""Records of a training at most, and iterations from one to the next at least: each takes a few."""
-_VALIDATION_ROWS = 4096
-_ROWS_AT_ONCE = 1024
-_LARGEST_GRADIENT = 10.0
-"""Norm at which gradients are cut: a firefly shall not undo many steps, nor often be cut."""
-_KEEP = 0.995
-"""Of the average of the weights at each step, as Polyak and Juditsky 1992 average them: the targets
-are noisy, and so is each step."""
-_AVERAGED = 0.1
-"""Share of the steps that the average covers at most: a short training would keep its beginning."""
+_ENOUGH, _FEWEST_MARKS = 0.5, 4
+"""Of the marks that are expected among the samples of an image: some pixels may be bad."""
+_SAME = 1e-6
+"""Logarithm of a ratio up to which samples are the same, in whatever unit."""
 
 Array = npt.NDArray[np.float32]
-Pixels = npt.NDArray[np.int64]
+Indices = npt.NDArray[np.int64]
 
 
-def train_network(
-    training_set: TrainingSet,
-    origins: Sequence[Origin],
-    *,
+@dataclass(frozen=True, kw_only=True)
+class Learned(Trained):
+    """What the training of a progressive estimator leaves behind.
+
+    Attributes
+    ----------
+    network, error_model
+        What estimates, and what knows how large its errors are.
+    unit
+        Mean radiance of the image that it was trained on.
+    marks
+        Some of the samples that trained it, and their pixels, as of `TrainingSet.marks`: an array
+        has no provenance, and by them its image is recognised.
+    """
+
+    network: Network
+    error_model: ErrorModel
+    unit: float
+    marks: tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]
+
+    def __post_init__(self) -> None:
+        used = sum(int(scene["pixels_used"]) for scene in self.provenance["scenes"])
+        if self.train_pixels.shape != (used, 2):
+            message = f"its scenes have {used} pixels, got {self.train_pixels.shape}"
+            raise ValueError(message)
+
+    def pixels_of(self, shape: tuple[int, int]) -> Indices:
+        """Return the pixels that trained in any image of a shape, rows (y, x)."""
+        scenes = self.provenance["scenes"]
+        ends = np.cumsum([scene["pixels_used"] for scene in scenes])
+        found = [
+            pixels
+            for pixels, scene in zip(np.split(self.train_pixels, ends[:-1]), scenes, strict=True)
+            if tuple(scene["samples_shape"][:2]) == tuple(shape)
+        ]
+        return np.unique(np.concatenate(found or [np.empty((0, 2), np.int64)]), axis=0)
+
+    def recognises(self, x: npt.NDArray[Any]) -> bool:
+        """Return whether samples (y, x, channel, sample), in any order and unit, trained it."""
+        pixels, samples = self.marks
+        for number, scene in enumerate(self.provenance["scenes"]):
+            own, (*shape, spp) = pixels[:, 0] == number, scene["samples_shape"]
+            if x.ndim != 4 or list(x.shape[:3]) != shape or not own.any():
+                continue
+            _, ys, xs = pixels[own].T
+            drawn = x[ys, xs].mean(axis=1, dtype=np.float64)
+            known = samples[own].mean(axis=1)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                ratio = np.round(np.log(drawn / known[:, np.newaxis]) / _SAME)
+            # One factor, that of the units, leads from many marks to a sample of their pixel.
+            near = np.concatenate([ratio, ratio + 1], axis=1)
+            found = np.concatenate([np.unique(row[np.isfinite(row)]) for row in near])
+            most = np.unique(found, return_counts=True)[1].max(initial=0)
+            expected = own.sum() * min(1.0, x.shape[-1] / spp)
+            if most >= max(_ENOUGH * expected, _FEWEST_MARKS):
+                return True
+        return False
+
+
+def scene_record(
+    name: str, attrs: Mapping[str, Any], shape: Sequence[int], *, unit: float, pixels_used: int
+) -> dict[str, Any]:
+    """Return what provenance says of an image that trained, ready for JSON."""
+    return {
+        "scene": name,
+        "samples": dict(attrs),
+        "samples_shape": list(shape),
+        "unit": unit,
+        "pixels_used": pixels_used,
+    }
+
+
+def with_reference(
+    images: Sequence[Samples],
+    pixels: Sequence[Indices],
     inputs: InputConfig,
-    seed: int,
-    progress: bool | None,
-) -> Learned:
-    """Train a new network; pixels held out for validation tell how large its errors are.
+    *,
+    sizes: Sequence[int] | None,
+    iterations: int | None,
+) -> SampleSplits:
+    """Return pixels with all their samples: the means of those not learned from are references.
+
+    Each scene is measured in its own unit, so that none counts for being bright. All have as many
+    samples as the one with the fewest.
+
+    Raises
+    ------
+    InputError
+        If there are too few samples per pixel for a size and an equally large reference, a size
+        is less than 1, the scenes differ in channels or features, or an input is missing.
+    """
+    features = [inputs.features_of(image) for image in images]
+    lights = [(image, direct_of(image)) if inputs.direct else (image,) for image in images]
+    wanted = _LADDER if sizes is None else tuple(sizes)
+    if not wanted or min(wanted) < 1:
+        message = f"sizes must be one or more numbers of samples from 1, got {wanted}"
+        raise InputError(message)
+    for image in images:
+        check_spp(image, min(wanted) if sizes is None else max(wanted))
+    _check_same("channels", [image.shape[2] for image in images])
+    spp = min(_MOST_SPP, *(image.spp for image in images))
+    found, kept, auxiliary, scenes = [], [], [], []
+    # One scene at a time: the samples of all pixels of one are much larger than what is kept.
+    for image, own, parts, known in zip(images, pixels, lights, features, strict=True):
+        unit = mean_radiance(image)
+        rows = [_samples_of(part, own, spp) for part in parts]
+        good = ~np.any([is_bad(part).any(axis=(1, 2)) for part in rows], axis=0)
+        kept.append(own[good])
+        found.append([_good_in_unit(part, good, unit) for part in rows])
+        every = {} if known is None else auxiliary_features(known, image.shape[:2])
+        auxiliary.append(some_rows(every, np.ravel_multi_index(tuple(kept[-1].T), image.shape[:2])))
+        scenes.append(
+            scene_record(image.name, image.attrs, image.shape, unit=unit, pixels_used=len(kept[-1]))
+        )
+    if inputs.features:
+        _check_same("numbers of the first hit", [one["described"].shape[1] for one in auxiliary])
+    samples, *direct = (_joined(parts) for parts in zip(*found, strict=True))
+    return SampleSplits(
+        samples=samples,
+        unit=1.0,
+        direct=direct[0] if direct else None,
+        sizes=[n for n in wanted if n <= spp // 2],
+        reference=True,
+        iterations=_ITERATIONS if iterations is None else iterations,
+        auxiliary={name: _joined([one[name] for one in auxiliary]) for name in auxiliary[0]},
+        pixels=np.concatenate(kept),
+        excluded=sum(map(len, pixels)) - sum(map(len, kept)),
+        scenes=scenes,
+    )
+
+
+def without_reference(
+    image: Samples,
+    pixels: Indices | None,
+    inputs: InputConfig,
+    *,
+    sizes: Sequence[int] | None,
+    iterations: int | None,
+    rng: np.random.Generator,
+) -> SampleSplits:
+    """Return pixels of an image, of a part of it if it is large, to split their own samples.
 
     Parameters
     ----------
-    training_set
-        What to train with.
-    origins
-        The images that it was made of, at least one.
+    image, pixels
+        The image, and which of its pixels train, rows (y, x); None for all.
     inputs
-        Of the estimator.
-    seed
-        Draws the first weights, the pixels held out, and the minibatches.
-    progress
-        Show a progress bar; None shows it on a terminal.
+        Where neighbours are an input, estimates from similar pixels are computed for every split.
+    sizes, iterations
+        As for `Progressive.train`.
+    rng
+        Draws the part of the image, and the splits.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than 4 samples per pixel, not at least 2 to learn from and 2 others, or
+        an input is missing.
+    """
+    known, spp = inputs.features_of(image), image.spp
+    unit = mean_radiance(image)
+    lights = (image, direct_of(image)) if inputs.direct else (image,)
+    if spp < _FEWEST:
+        message = f"learning from halves of the samples needs at least {_FEWEST} spp, got {spp}"
+        raise InputError(message)
+    splits = [
+        (min(max(round(share * spp), _HALVES), spp - _HALVES), times) for share, times in _SPLITS
+    ]
+    if sizes is not None:
+        splits = [(n, _SPLITS_OF_SIZE) for n in sizes]
+    if not splits or not all(_HALVES <= n <= spp - _HALVES for n, _ in splits):
+        message = (
+            f"without a reference, sizes must be numbers of samples from {_HALVES} to "
+            f"{spp - _HALVES}, got {sizes}"
+        )
+        raise InputError(message)
+    ys, xs = _window(image.shape[:2], pixels, rng)
+    part = image.read(ys, xs)
+    shape = part.shape[:2]
+    prepared = _prepared(part, splits, rng) if inputs.neighbours else []
+    rows = [light.read(ys, xs).reshape(-1, *part.shape[2:]) for light in lights]
+    chosen = np.full(image.shape[:2], pixels is None)
+    if pixels is not None:
+        chosen[tuple(pixels.T)] = True
+    wanted = chosen[ys, xs].ravel()
+    bad = np.any([is_bad(light).any(axis=(1, 2)) for light in rows], axis=0)
+    good = np.flatnonzero(wanted & ~bad)
+    every = auxiliary_features(
+        None if known is None else {name: field[ys, xs] for name, field in known.items()},
+        (shape[0], shape[1]),
+        Profile.of(part, unit=unit) if inputs.neighbours else None,
+    )
+    record = scene_record(image.name, image.attrs, image.shape, unit=unit, pixels_used=len(good))
+    return SampleSplits(
+        samples=rows[0][good],
+        unit=unit,
+        direct=rows[1][good] if inputs.direct else None,
+        prepared=[(drawn, shared[good]) for drawn, shared in prepared],
+        sizes=[len(drawn) for drawn, _ in prepared if len(drawn) < spp] or [n for n, _ in splits],
+        iterations=_ITERATIONS_ALONE if iterations is None else iterations,
+        auxiliary=some_rows(every, good),
+        pixels=np.stack(np.unravel_index(good, shape), axis=-1) + np.array([ys.start, xs.start]),
+        excluded=int((wanted & bad).sum()),
+        scenes=[record],
+    )
+
+
+def _good_in_unit(rows: Array, good: npt.NDArray[np.bool_], unit: float) -> Array:
+    """Return good rows in another unit; the array is overwritten."""
+    kept = rows if good.all() else rows[good]
+    kept /= np.float32(unit)
+    return kept
+
+
+def _samples_of(image: Samples, pixels: Indices, spp: int) -> Array:
+    """Return samples (pixel, channel, sample) of some pixels of an image."""
+    rows = np.empty((len(pixels), image.shape[2], spp), np.float32)
+    place = np.full(image.shape[:2], -1)
+    place[tuple(pixels.T)] = np.arange(len(pixels))
+    for ys, xs, ss, block in image.blocks():
+        kept = block[..., : max(spp - ss.start, 0)]
+        here = place[ys, xs]
+        if kept.shape[-1]:
+            rows[here[here >= 0], :, ss.start : ss.start + kept.shape[-1]] = kept[here >= 0]
+    return rows
+
+
+def _joined(arrays: Sequence[Array]) -> Array:
+    """Return pixels of several scenes as those of one; one array alone is not copied."""
+    return np.concatenate(arrays) if len(arrays) > 1 else arrays[0]
+
+
+def _check_same(what: str, found: Sequence[int]) -> None:
+    if len(set(found)) > 1:
+        message = f"scenes that train together must have the same {what}, got {list(found)}"
+        raise InputError(message)
+
+
+def _prepared(
+    image: npt.NDArray[Any], splits: Sequence[tuple[int, int]], rng: np.random.Generator
+) -> list[tuple[Indices, Array]]:
+    """Return splits of each size and all samples, with estimates from similar pixels."""
+    spp = image.shape[-1]
+    found = []
+    for n, times in splits:
+        # Of many samples, fewer splits differ enough, and each takes longer.
+        for _ in range(times if spp <= 128 else max(1, times // 3)):
+            places = rng.permutation(spp)
+            found += [places[:n], places[n:]] if 2 * n == spp else [places[:n]]
+    found.append(np.arange(spp))
+    return [(drawn, shared_estimates(image[..., drawn])) for drawn in found]
+
+
+def _window(
+    shape: tuple[int, int], pixels: Indices | None, rng: np.random.Generator
+) -> tuple[slice, slice]:
+    """Return the part of an image that trains, around one of the chosen pixels."""
+    most = [max(length - _WINDOW, 0) for length in shape]
+    if pixels is None or not len(pixels):
+        starts = [int(rng.integers(last + 1)) for last in most]
+    else:
+        middle = pixels[rng.integers(len(pixels))]
+        starts = [int(start) for start in np.clip(middle - _WINDOW // 2, 0, most)]
+    ends = (min(start + _WINDOW, length) for start, length in zip(starts, shape, strict=True))
+    ys, xs = (slice(start, end) for start, end in zip(starts, ends, strict=True))
+    return ys, xs
+
+
+def train_network(
+    training_set: SampleSplits, inputs: InputConfig, *, seed: int, progress: bool | None
+) -> Learned:
+    """Train a new network; pixels held out for validation tell how large its errors are.
 
     Raises
     ------
     InputError
         If there are too few pixels.
     """
-    count = len(training_set.pixels)
-    if count < _FEWEST:
+    from chdstat.estimators.progressive.network import learn, new_network
+
+    count = len(training_set)
+    if count < 2:
         message = (
-            f"training needs at least {_FEWEST} pixels without a bad sample, got {count}; give a "
-            "larger image"
+            f"training needs at least 2 pixels without a bad sample, got {count}; give a larger "
+            "image"
         )
         raise InputError(message)
     rng = generator(seed).spawn(1)[0]
     order = rng.permutation(count)
-    held_out = _validation_count(count, alone=not training_set.config.reference)
-    auxiliary = training_set.auxiliary
-    architecture = Architecture(
-        channels=origins[0].shape[2],
-        described=auxiliary.described.shape[1],
-        neighbours=auxiliary.weight.shape[1] > 0,
-        parts=training_set.splits.parts,
-    )
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
-        network = Network(architecture)
-    with track("training", training_set.config.iterations, unit="it", show=progress) as advance:
+    held_out = max(1, round(count * _VALIDATION))
+    if not training_set.reference:
+        held_out = max(held_out, min(_VALIDATION_ALONE, round(count * _MOST_VALIDATION)))
+    validation, train = np.split(order, [held_out])
+    network = new_network(training_set, inputs, seed=seed)
+    with track("training", training_set.iterations, unit="it", show=progress) as advance:
         history = learn(
-            network,
-            training_set,
-            train=order[held_out:],
-            validation=order[:held_out],
-            rng=rng,
-            advance=advance,
+            network, training_set, train=train, validation=validation, rng=rng, advance=advance
         )
-    shrunk, trust = measure_trust(network, training_set, order[:held_out], rng)
-    error_model = ErrorModel.learn(shrunk, training_set, pixels=order[:held_out], rng=rng)
-    return Learned(
-        network=network,
-        error_model=error_model,
-        unit=float(np.exp(np.mean(np.log([origin.unit for origin in origins])))),
+    units = [scene["unit"] for scene in training_set.scenes]
+    return finished(
+        network,
+        training_set,
+        inputs,
+        validation=validation,
+        rng=rng,
+        seed=seed,
         history=history,
-        train_pixels=training_set.pixels,
-        train_shape=(origins[0].shape[0], origins[0].shape[1]),
-        provenance=provenance_of(origins, training_set, inputs=inputs, seed=seed, trust=trust),
-        trust=trust,
-        fingerprint=Fingerprint.of(training_set, origins[0].shape[2], generator(seed).spawn(2)[1]),
+        unit=float(np.exp(np.mean(np.log(units)))),
     )
 
 
-def _validation_count(count: int, *, alone: bool) -> int:
-    """Return how many of the pixels are held out."""
-    usual = round(count * _VALIDATION)
-    more = min(_VALIDATION_ALONE, round(count * _MOST_VALIDATION)) if alone else 0
-    return max(1, usual, more)
-
-
-def measure_trust(
+def finished(
     network: Network,
     training_set: TrainingSet,
+    inputs: InputConfig,
+    *,
     validation: npt.NDArray[np.int64],
     rng: np.random.Generator,
-) -> tuple[ShrunkNetwork, Trust]:
-    """Return a network that goes as far from the mean as it pays, and how far that is."""
-    if training_set.config.reference:
-        # Rare lamps and fireflies are in all pixels, hardly in a tenth of them.
-        pixels = np.arange(len(training_set.pixels))
-        trust = reference_trust(validation_batches(network, training_set, pixels=pixels, rng=rng))
-    else:
-        held_out = validation_batches(network, training_set, pixels=validation, rng=rng)
-        shares = own_shares(map(Move.of, held_out))
-        trust = keeping_mean(*shares, mean_change(network, training_set))
-    return ShrunkNetwork(network, trust), trust
+    seed: int,
+    history: npt.NDArray[np.float64],
+    unit: float,
+    **facts: Any,
+) -> Learned:
+    """Measure how far to follow a trained network and how large its errors are.
 
-
-def mean_change(network: torch.nn.Module, training_set: TrainingSet) -> Floats:
-    """Return what a network adds to the mean of all samples of pixels, shape (pixel, channel).
-
-    It is the mean of what it adds under each loss, in units of the image's radiance, and nothing
-    where all samples are the same light: there the mean is kept.
+    The network is not shrunk yet; the pixels of `validation` did not train it, and `rng` draws
+    splits of them. Provenance also holds the `facts`.
     """
-    splits, found = training_set.splits, []
-    for block in spans(len(splits), _ROWS_AT_ONCE):
-        profile, shared = splits.whole(np.arange(block.start, block.stop))
-        with torch.inference_mode():
-            output = network(encode(profile, training_set.auxiliary[block], shared, "cpu"))
-        found.append((output.estimate.mean(dim=1) - output.mean).numpy().astype(np.float64))
-    noisy = splits.variance.any(axis=-1, keepdims=True)
-    lit = splits.mean.any(axis=-1, keepdims=True)
-    return np.where(noisy | ~lit, np.concatenate(found), 0)
-
-
-def learn(
-    network: Network,
-    training_set: TrainingSet,
-    *,
-    train: Pixels,
-    validation: Pixels,
-    rng: np.random.Generator,
-    advance: Callable[[float], None],
-) -> npt.NDArray[np.float64]:
-    """Train a network in place.
-
-    Parameters
-    ----------
-    network
-        Left with the average of its weights over the last steps.
-    training_set
-        What to train with.
-    train, validation
-        Indices of the pixels that train and of those held out for validation.
-    rng
-        Draws minibatches.
-    advance
-        Told of every iteration.
-
-    Returns
-    -------
-    ndarray
-        Rows (iteration, train loss, validation loss, train baseline, validation baseline), where
-        the baseline is the sample mean under the same loss.
-    """
-    splits, auxiliary, config = training_set.splits, training_set.auxiliary, training_set.config
-    network.to(device()).train()
-    keep = min(_KEEP, max(0.0, 1 - 1 / (_AVERAGED * config.iterations)))
-    average = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(keep))  # type: ignore[no-untyped-call]
-    optimiser = torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, config.iterations)
-    losses_of = _Losses.of(splits, reference=config.reference)
-    validation_parts = _validation_parts(splits, validation, config, rng)
-    every, seen, history = max(_APART, config.iterations // _RECORDS), [], []
-    with threads(max(1, cores() - 1)):
-        parts = _minibatches(splits, train, config, rng)
-        for iteration, part in enumerate(parts, 1):
-            losses = losses_of(_forward(network, part, auxiliary), part)
-            optimiser.zero_grad()
-            losses[0].backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(network.parameters(), _LARGEST_GRADIENT)
-            optimiser.step()
-            schedule.step()
-            average.update_parameters(network)
-            seen.append([float(value.detach()) for value in losses])
-            if iteration % every == 0 or iteration == config.iterations:
-                held_out = _validate(average.module, validation_parts, auxiliary, losses_of)
-                fit, baseline = np.mean(seen, axis=0)
-                history.append((iteration, fit, held_out[0], baseline, held_out[1]))
-                seen.clear()
-            advance(1)
-    network.load_state_dict(average.module.state_dict())
-    network.to("cpu").eval()
-    return np.array(history)
-
-
-def _minibatches(
-    splits: MinibatchSource, train: Pixels, config: TrainingConfig, rng: np.random.Generator
-) -> Iterator[Minibatch]:
-    """Yield minibatches, each drawn while the one before it trains."""
-    own = rng.spawn(1)[0]
-
-    def draw(size: int) -> Minibatch:
-        return splits.draw(train, size, config.minibatch, own)
-
-    # One worker, so that the draws come in order.
-    return in_order(draw, rng.choice(config.sizes, config.iterations).tolist(), workers=1)
-
-
-@dataclass(frozen=True)
-class _Losses:
-    """The losses, in units of what the mean of as many samples loses on average.
-
-    Attributes
-    ----------
-    floor
-        Of squared radiance, shape (channel,).
-    powers
-        Of the squared radiance that squared errors are divided by, shape (loss,).
-    scale
-        What one sample loses under each loss, shape (loss,).
-    reference
-        Whether a target is as good as the truth.
-    """
-
-    floor: torch.Tensor
-    powers: tuple[float, ...]
-    scale: npt.NDArray[np.float64]
-    reference: bool
-
-    @classmethod
-    def of(cls, splits: MinibatchSource, *, reference: bool) -> _Losses:
-        mean, variance = splits.mean, splits.variance
-        floor = FLOOR * np.maximum(mean.mean(axis=0), _DARKEST) ** 2
-        powers = _WITH_REFERENCE if reference else _WITHOUT
-        scale = np.array([(variance / (mean**2 + floor) ** power).mean() for power in powers])
-        place = torch.from_numpy(floor.astype(np.float32)).to(device())
-        return cls(place, powers, np.where(scale > 0, scale, 1.0), reference)
-
-    def __call__(self, output: NetworkOutput, part: Minibatch) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the loss of both estimates together, and that of the mean."""
-        target = self._target(part)
-        truth = target if self.reference else output.estimate.mean(dim=1).detach()
-        weight = torch.stack(
-            [
-                part.size / scale / (truth**2 + self.floor) ** power
-                for power, scale in zip(self.powers, self.scale, strict=True)
-            ],
-            dim=1,
-        )
-        errors = output.estimate - target[:, None], (output.mean - target)[:, None]
-        loss, baseline = ((weight * error**2).mean() for error in errors)
-        return loss, baseline
-
-    def _target(self, part: Minibatch) -> torch.Tensor:
-        return torch.from_numpy(part.target).to(self.floor.device)
-
-
-def _forward(
-    network: torch.nn.Module, part: Minibatch, auxiliary: AuxiliaryFeatures
-) -> NetworkOutput:
-    place = next(network.parameters()).device.type
-    return network(encode(part.profile, auxiliary[part.rows], part.shared, place))  # type: ignore[no-any-return]
-
-
-def _validate(
-    network: torch.nn.Module,
-    validation_parts: Sequence[Minibatch],
-    auxiliary: AuxiliaryFeatures,
-    losses_of: _Losses,
-) -> tuple[float, float]:
-    """Return the loss and the baseline's over fixed splits; NaN where no pixel is held out."""
-    with torch.inference_mode():
-        found = [losses_of(_forward(network, part, auxiliary), part) for part in validation_parts]
-    values = np.array([[float(value) for value in pair] for pair in found]).reshape(-1, 2)
-    loss, baseline = values.mean(axis=0) if len(values) else (np.nan, np.nan)
-    return float(loss), float(baseline)
-
-
-def _validation_parts(
-    splits: MinibatchSource, pixels: Pixels, config: TrainingConfig, rng: np.random.Generator
-) -> list[Minibatch]:
-    """Draw the splits of validation: the same for every record, at the middle number of samples."""
-    size = sorted(config.sizes)[len(config.sizes) // 2]
-    return [splits.draw(pixels, size, _VALIDATION_ROWS, rng)] if len(pixels) else []
+    network.shrinkage = measure_shrinkage(network, training_set, validation, rng)
+    scenes = training_set.scenes
+    shape = scenes[0]["samples_shape"]
+    provenance = provenance_of(
+        ", ".join(scene["scene"] for scene in scenes),
+        scenes[0]["samples"],
+        shape,
+        scenes=list(scenes),
+        reference=training_set.reference,
+        inputs=list(inputs.names),
+        seed=seed,
+        pixels_used=len(training_set.pixels),
+        pixels_excluded=training_set.excluded,
+        sizes=sorted(set(training_set.sizes)),
+        iterations=training_set.iterations,
+        trust=float(network.shrinkage[1].mean()),
+    )
+    return Learned(
+        network=network,
+        error_model=ErrorModel.learn(network, training_set, pixels=validation, rng=rng),
+        unit=unit,
+        marks=training_set.marks(generator(seed).spawn(2)[1]),
+        history=history,
+        train_pixels=training_set.pixels,
+        train_shape=(shape[0], shape[1]),
+        provenance=provenance | facts,
+    )

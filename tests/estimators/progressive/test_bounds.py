@@ -4,45 +4,46 @@ import numpy as np
 import pytest
 
 from chdstat.estimators.progressive.error_model import (
-    BALANCES,
     BRIGHTNESS,
-    ERROR_TERMS,
     LEVELS,
+    LOSS_WEIGHTS,
+    LOSSES,
     USUAL,
     ErrorModel,
-    ValidationBatch,
+    error_terms,
     ratio,
     upper_bound,
 )
-from chdstat.estimators.progressive.inputs import LOSSES
 
 
-def batches(rng, scale, *, pixels=300, noise=2.0, tail=1.0, draws=4):
-    """Return trials whose squared errors are `scale` times the usual, and the truth of each pixel.
+def validation(rng, scale, *, pixels=300, noise=2.0, tail=1.0, draws=4):
+    """Return estimates whose squared errors are `scale` times the usual, and the truths of pixels.
 
     The noise of the targets has `noise` times the variance of a usual error, and a gamma tail.
     """
     estimate = rng.lognormal(size=(pixels, 1))
-    error_terms = rng.gamma(2, 0.5, size=(pixels, 1, ERROR_TERMS)) * estimate[..., np.newaxis] ** 2
-    usual = error_terms @ USUAL
+    mean = estimate * rng.gamma(4, 0.25, size=estimate.shape)
+    variance = rng.gamma(2, 0.5, size=estimate.shape) * estimate**2
+    certainty = rng.random(pixels)
+    usual = error_terms(estimate, mean, certainty, variance) @ USUAL
     truth = estimate + np.sqrt(scale * usual) * rng.normal(size=usual.shape)
-    found = []
-    for _ in range(draws):
-        width = np.sqrt(2 * noise * usual * tail)
-        halves = [
-            truth + width * (rng.gamma(1 / tail, size=usual.shape) - 1 / tail) for _ in range(2)
+    width = np.sqrt(2 * noise * usual * tail)
+    halves = np.array(
+        [
+            [truth + width * (rng.gamma(1 / tail, size=usual.shape) - 1 / tail) for _ in range(2)]
+            for _ in range(draws)
         ]
-        found.append(
-            ValidationBatch(
-                size=8,
-                rows=np.arange(pixels),
-                estimate=np.stack([estimate] * len(LOSSES)),
-                mean=estimate,
-                target=sum(halves) / 2,
-                noise=(halves[0] - halves[1]) ** 2 / 4,
-                error_terms=np.stack([error_terms] * len(LOSSES)),
-            )
-        )
+    )
+    found = {
+        "size": np.full(draws * pixels, 8),
+        "rows": np.tile(np.arange(pixels), draws),
+        "estimate": np.tile(estimate, (len(LOSSES), draws, 1)),
+        "certainty": np.tile(certainty, (len(LOSSES), draws)),
+        "mean": np.tile(mean, (draws, 1)),
+        "variance": np.tile(variance, (draws, 1)),
+        "target": np.concatenate(halves.mean(axis=1)),
+        "noise": np.concatenate((halves[:, 0] - halves[:, 1]) ** 2 / 4),
+    }
     return found, truth
 
 
@@ -55,7 +56,7 @@ def test_the_bound_is_seldom_too_small_and_not_much_too_large(scale, pixels):
     """
     rng = np.random.default_rng(0)
     found = np.array(
-        [upper_bound(batches(rng, scale, pixels=pixels)[0], 0)[1] / USUAL[1] for _ in range(40)]
+        [upper_bound(validation(rng, scale, pixels=pixels)[0], 0)[1] / USUAL[1] for _ in range(40)]
     )
     assert (found < 0.85 * scale).sum() <= 12
     assert np.median(found) < (2.5 if pixels == 1000 else 6) * max(scale, 1)
@@ -69,16 +70,23 @@ def test_intervals_of_bounded_weights_hold_the_truth():
     rng = np.random.default_rng(1)
     shares, narrow = [], []
     for _ in range(20):
-        found, truth = batches(rng, 0.2, noise=0.1)
+        found, truth = validation(rng, 0.2, noise=0.1)
         for factor, kept in ((1, shares), (0.25, narrow)):
             weights = np.tile(upper_bound(found, 0), (2, 1)) * factor
             error_model = ErrorModel(
-                weights, np.empty(0), np.empty((0, len(BALANCES), len(BRIGHTNESS), len(LEVELS)))
+                weights, np.empty(0), np.empty((0, len(LOSS_WEIGHTS), len(BRIGHTNESS), len(LEVELS)))
             )
-            one = found[0]
-            variance, count = error_model.variance(one.error_terms, 0.5), np.full(len(truth), 8)
+            own = (found[name] for name in ("estimate", "mean", "certainty", "variance"))
+            variance = error_model.variance(error_terms(*own), 0.5)[: len(truth)]
+            count = np.full(len(truth), 8)
             low, high = (
-                error_model.quantile(one.estimate[0], variance, count, balance=0.5, level=level)
+                error_model.quantile(
+                    found["estimate"][0, : len(truth)],
+                    variance,
+                    count,
+                    loss_weight=0.5,
+                    level=level,
+                )
                 for level in (0.05, 0.95)
             )
             kept.append(((low <= truth) & (truth <= high)).mean())
@@ -105,10 +113,10 @@ def test_pixels_that_count_for_nothing_change_nothing():
 def test_one_pixel_alone_has_usual_errors():
     assert ratio(np.array([1.0]), np.array([2.0])) == (0.0, np.inf)
     assert ratio(np.zeros(3), np.zeros(3)) == (0.0, np.inf)
-    found, _ = batches(np.random.default_rng(3), 1.0, pixels=1)
+    found, _ = validation(np.random.default_rng(3), 1.0, pixels=1)
     assert (upper_bound(found, 1) == USUAL).all()
 
 
 def test_no_error_at_all_still_leaves_an_interval():
-    found, _ = batches(np.random.default_rng(4), 0.0, noise=0.0)
+    found, _ = validation(np.random.default_rng(4), 0.0, noise=0.0)
     assert (upper_bound(found, 0)[:5] > 0).all()

@@ -1,10 +1,10 @@
-"""Buckets: what is dealt is all there, can be cut in two at random, and takes constant memory."""
+"""Batches: what is kept is all there, can be cut in two at random, and takes constant memory."""
 
 import numpy as np
 import pytest
 
-from chdstat.estimators.progressive.profile import Profile
-from chdstat.estimators.progressive.splits import BatchProfiles, BatchSplits
+from chdstat.estimators.progressive.dataset import Profile
+from chdstat.estimators.progressive.online import BatchProfiles, BatchSplits
 
 
 def draws(n, *, pixels=40, seed=0):
@@ -21,21 +21,21 @@ def filled(x, *ends, unit=0.5, **options):
 
 def parts(x, **options):
     kept = filled(x, **options)
-    return BatchSplits(kept, kept.usable())
+    return BatchSplits(batches=kept, chosen=kept.usable())
 
 
 @pytest.mark.parametrize("ends", [(), (1,), (3, 20), (8, 16, 24)])
 def test_samples_are_dealt_in_turn_however_they_arrive(ends):
     x = draws(29)
     kept = filled(x, *ends)
-    for bucket in range(8):
-        expected = Profile.of(x[..., bucket::8], unit=0.5)
-        assert kept.bins[bucket] == pytest.approx(expected.bins, rel=1e-4, abs=1e-5)
-        assert (kept.count[bucket] == kept.sizes[bucket]).all()
-        assert (expected.count == kept.sizes[bucket]).all()
+    for batch in range(8):
+        expected = Profile.of(x[..., batch::8], unit=0.5)
+        assert kept.bins[batch] == pytest.approx(expected.bins, rel=1e-4, abs=1e-5)
+        assert (kept.count[batch] == kept.sizes[batch]).all()
+        assert (expected.count == kept.sizes[batch]).all()
 
 
-def test_all_buckets_together_are_the_profile_of_all_samples():
+def test_all_batches_together_are_the_profile_of_all_samples():
     x = draws(50)
     kept, whole = filled(x, 16, 32), Profile.of(x, unit=0.5)
     assert kept.bins.sum(axis=0) == pytest.approx(whole.bins, rel=1e-4, abs=1e-5)
@@ -44,14 +44,14 @@ def test_all_buckets_together_are_the_profile_of_all_samples():
 
 
 def test_the_order_matters_only_for_the_dealing():
-    """A shift by one sample is the negative control: it changes every bucket."""
+    """A shift by one sample is the negative control: it changes every batch."""
     x = draws(32)
     rounds = x.reshape(40, 3, 4, 8)
     same = rounds[:, :, [2, 0, 3, 1]].reshape(x.shape)
     first, second, other = filled(x), filled(same), filled(np.roll(x, 1, axis=-1))
     assert second.bins == pytest.approx(first.bins, rel=1e-4, abs=1e-5)
-    for bucket in range(8):
-        assert np.abs(other.bins[bucket] - first.bins[bucket]).max() > 1
+    for batch in range(8):
+        assert np.abs(other.bins[batch] - first.bins[batch]).max() > 1
 
 
 def test_memory_does_not_grow():
@@ -66,31 +66,34 @@ def test_memory_does_not_grow():
 def test_both_parts_together_are_all_samples(spp):
     made = parts(draws(spp))
     for n in made.sizes:
-        part = made.draw(np.arange(40), n, 100, np.random.default_rng(1))
-        assert abs(part.size - n) <= max(spp // 8, 1)
-        assert (part.profile.count == part.size).all()
-        both = part.size * part.profile.mean() + (spp - part.size) * part.target
-        assert both / spp == pytest.approx(made.mean[part.rows], rel=1e-5)
+        rows, drawn = made.draw(np.arange(40), n, 100, np.random.default_rng(1))
+        profile, _, target = made.minibatch(rows, drawn)
+        size = made.counts[drawn].sum()
+        assert abs(size - n) <= max(spp // 8, 1)
+        assert (profile.count == size).all()
+        both = size * profile.mean() + (spp - size) * target
+        assert both / spp == pytest.approx(made.mean[rows], rel=1e-5)
 
 
 def test_no_part_is_empty_or_all():
     made = parts(draws(16))
     for n, size in ((0, 2), (1, 2), (8, 8), (16, 14), (99, 14)):
-        assert made.draw(np.arange(40), n, 10, np.random.default_rng(0)).size == size
+        _, drawn = made.draw(np.arange(40), n, 10, np.random.default_rng(0))
+        assert made.counts[drawn].sum() == size
 
 
 def test_halves_share_no_sample_with_each_other_or_with_the_part():
     made, rng = parts(draws(32)), np.random.default_rng(2)
-    part = made.draw(np.arange(40), 16, 30, rng)
-    first, second = made.halves(part, rng).means
-    assert (first + second) / 2 == pytest.approx(part.target, rel=1e-5)
+    rows, drawn = made.draw(np.arange(40), 16, 30, rng)
+    (first, second), _ = made.halves(rows, drawn, rng)
+    assert (first + second) / 2 == pytest.approx(made.minibatch(rows, drawn)[2], rel=1e-5)
     assert np.abs(first - second).min() > 0
 
 
 def test_uneven_halves_tell_the_variance_of_the_target_without_bias():
-    """Three buckets of eight samples are left: 3 x 5000 pixels, within five deviations."""
+    """Three batches of eight samples are left: 3 x 5000 pixels, within five deviations."""
     made, rng = parts(draws(64, pixels=5000), unit=1.0), np.random.default_rng(2)
-    noise = made.halves(made.draw(np.arange(5000), 40, 5000, rng), rng).noise
+    noise = made.noise(*made.draw(np.arange(5000), 40, 5000, rng), rng)
     assert abs(noise.mean() - 1 / 24) < 5 * noise.std() / np.sqrt(noise.size)
 
 
@@ -117,9 +120,9 @@ def test_pixels_with_a_bad_sample_or_beyond_single_precision_are_not_used():
     assert np.isfinite(made.variance).all()
 
 
-def test_few_samples_fill_few_buckets():
+def test_few_samples_fill_few_batches():
     made = parts(draws(5))
     assert made.spp == 5
     assert made.sizes == [1, 2, 3]
-    part = made.draw(np.arange(40), 3, 10, np.random.default_rng(0))
-    assert set(part.places.tolist()) < set(range(5))
+    _, drawn = made.draw(np.arange(40), 3, 10, np.random.default_rng(0))
+    assert set(drawn.tolist()) < set(range(5))

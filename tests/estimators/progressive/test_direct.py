@@ -13,15 +13,12 @@ import chdstat as chd
 from chdstat.comparison import denoised
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import Profile, Progressive, Stream, lookup
-from chdstat.estimators.model_files import read_model, write_model
 from chdstat.estimators.models import train_model
-from chdstat.estimators.progressive import entries
-from chdstat.estimators.progressive.dataset import AuxiliaryFeatures
-from chdstat.estimators.progressive.error_model import error_terms_of
-from chdstat.estimators.progressive.inputs import Architecture
-from chdstat.estimators.progressive.network import Network, encode
-from chdstat.estimators.progressive.profile import OCTAVES
-from chdstat.estimators.progressive.splits import BatchProfiles, BatchSplits, SampleSplits
+from chdstat.estimators.progressive.dataset import OCTAVES, SampleSplits
+from chdstat.estimators.progressive.error_model import error_terms
+from chdstat.estimators.progressive.network import Network
+from chdstat.estimators.progressive.online import BatchProfiles, BatchSplits
+from chdstat.estimators.training import read_model, write_model
 from chdstat.estimators.validation import direct_of
 
 
@@ -142,59 +139,58 @@ def test_parts_add_up():
 
 def test_splits_and_buckets_hold_the_parts_of_the_samples_they_draw():
     x, direct = halves((50, 3, 24))
-    splits = SampleSplits(x, unit=0.5, direct=direct)
-    part = splits.draw(np.arange(50), 8, 20, np.random.default_rng(0))
+    splits = SampleSplits(samples=x, unit=0.5, direct=direct)
+    rows, drawn = splits.draw(np.arange(50), 8, 20, np.random.default_rng(0))
+    profile, _, target = splits.minibatch(rows, drawn)
     expected = Profile.of(
-        x[part.rows][..., part.places] / 0.5,
-        unit=1.0,
-        direct=direct[part.rows][..., part.places] / 0.5,
+        x[rows][..., drawn] / 0.5, unit=1.0, direct=direct[rows][..., drawn] / 0.5
     )
-    assert (splits.parts, part.profile.parts) == (2, 2)
-    assert part.profile.bins == pytest.approx(expected.bins, rel=1e-4, abs=1e-4)
-    plain = SampleSplits(x, unit=0.5).draw(np.arange(50), 8, 20, np.random.default_rng(0))
-    assert (plain.target == part.target).all()
+    assert profile.parts == 2
+    assert profile.bins == pytest.approx(expected.bins, rel=1e-4, abs=1e-4)
+    plain = SampleSplits(samples=x, unit=0.5)
+    assert (plain.minibatch(rows, drawn)[2] == target).all()
     kept = BatchProfiles(50, 3, unit=0.5, parts=2)
     for first in range(0, 24, 6):
         kept.add(x[..., first : first + 6], direct[..., first : first + 6])
-    dealt = BatchSplits(kept, np.arange(50)).draw(np.arange(50), 12, 20, np.random.default_rng(0))
-    assert dealt.profile.parts == BatchSplits(kept, np.arange(50)).parts == 2
+    batches = BatchSplits(batches=kept, chosen=np.arange(50))
+    found = batches.minibatch(*batches.draw(np.arange(50), 12, 20, np.random.default_rng(0)))
+    assert found[0].parts == 2
     both = kept.bins.sum(axis=0)
     assert both == pytest.approx(Profile.of(x, unit=0.5, direct=direct).bins, rel=1e-4, abs=1e-3)
 
 
+def terms(output, profile):
+    """Return the error terms of the first loss."""
+    estimate, mean, certainty = (tensor.numpy().astype(np.float64) for tensor in output)
+    return error_terms(estimate[:, 0], mean, certainty[:, 0], profile.variance_of_mean())
+
+
 def test_a_network_of_parts_begins_near_the_mean():
     x, direct = halves((20, 3, 16))
-    shape = Architecture(3, parts=2)
     with torch.random.fork_rng():
-        network = Network(shape).requires_grad_(requires_grad=False)
+        network = Network(3, parts=2).requires_grad_(requires_grad=False)
     profile = Profile.of(x, unit=1.0, direct=direct)
-    network_input = encode(
-        profile, AuxiliaryFeatures.nothing(20), np.zeros((20, 0), np.float32), "cpu"
-    )
-    assert network._encoded(network_input).shape == (20, shape.inputs)
-    output = network(network_input)
-    assert output.mean.numpy() == pytest.approx(x.mean(axis=-1), rel=1e-4)
-    error_terms = error_terms_of(output, profile, 0)
-    assert np.isfinite(error_terms).all()
-    assert (error_terms >= 0).all()
+    output = network(profile, {})
+    assert output[1].numpy() == pytest.approx(x.mean(axis=-1), rel=1e-4)
+    assert np.isfinite(terms(output, profile)).all()
+    assert (terms(output, profile) >= 0).all()
 
 
 def test_constant_parts_have_no_noise():
     x = np.full((5, 3, 16), 3.0)
     profile = Profile.of(x, unit=1.0, direct=x / 3)
-    network_input = encode(
-        profile, AuxiliaryFeatures.nothing(5), np.zeros((5, 0), np.float32), "cpu"
-    )
     with torch.random.fork_rng(), torch.inference_mode():
-        output = Network(Architecture(3, parts=2))(network_input)
+        output = Network(3, parts=2)(profile, {})
     # Octaves tell a sample's luminance to 1 %: what is left of the variance is of that.
-    assert error_terms_of(output, profile, 0)[..., 3] == pytest.approx(0, abs=0.02)
+    assert terms(output, profile)[..., 3] == pytest.approx(0, abs=0.02)
 
 
-def test_a_shape_of_old_files_has_one_part():
-    shape = Architecture(channels=3, described=0, neighbours=False, width=8, layers=1)
-    assert shape.parts == 1
-    assert shape.inputs == OCTAVES * 4 + 1
+def test_a_network_of_old_files_has_one_part():
+    shape = {"channels": 3, "described": 0, "neighbours": False, "width": 8, "layers": 1}
+    with torch.random.fork_rng():
+        network = Network(**shape)
+    assert network.shape["parts"] == 1
+    assert network.hidden[0].in_features == OCTAVES * 4 + 1
 
 
 def error(image: Lit, fresh: Lit, *, direct: bool) -> float:
@@ -203,7 +199,7 @@ def error(image: Lit, fresh: Lit, *, direct: bool) -> float:
         image.samples, sizes=(32,), iterations=150, progress=False
     )
     few = fresh.samples.first(32)
-    found = model.predict(few.read(), direct=direct_of(few).read(), balance=0.0)
+    found = model.predict(few.read(), direct=direct_of(few).read(), loss_weight=0.0)
     return fresh.error(found) / fresh.error(few.read().mean(axis=-1))
 
 
@@ -323,10 +319,6 @@ def test_a_stream_takes_both_and_says_the_same(model):
         (lambda m, x: m.predict(x, direct=2 * x), "must be part of the samples"),
         (lambda m, x: Stream(m).update(x), "pass direct=, the direct part"),
         (
-            lambda m, x: m.of_profile(Profile.of(x, unit=1.0)),
-            r"sees 2 part\(s\) of a sample, got 1",
-        ),
-        (
             lambda m, x: m.train(chd.Samples.from_array(x), iterations=1),
             "direct light of all 8 samples is wanted, this image has none",
         ),
@@ -359,12 +351,12 @@ def test_whoever_does_not_look_at_it_may_be_told(trained, image):
 @pytest.fixture
 def quick(monkeypatch):
     """Let those who train in comparisons do so for a moment."""
-    plain = entries.Progressive.train
+    plain = Progressive.train
 
     def train(self, samples, **options):
         return plain(self, samples, **(options | {"iterations": 3}))
 
-    monkeypatch.setattr(entries.Progressive, "train", train)
+    monkeypatch.setattr(Progressive, "train", train)
 
 
 def test_a_comparison_tells_those_who_look_at_it(quick):

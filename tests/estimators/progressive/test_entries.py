@@ -5,8 +5,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators import lookup, self_trained
-from chdstat.estimators.progressive import entries
+from chdstat.estimators import Progressive, lookup, self_trained
 
 NAMES = ("progressive", "progressive_mse", "progressive_relmse")
 
@@ -15,13 +14,13 @@ NAMES = ("progressive", "progressive_mse", "progressive_relmse")
 def quick(monkeypatch):
     """Let those who train in comparisons do so for a moment, and count them."""
     made = []
-    plain = entries.Progressive.train
+    plain = Progressive.train
 
     def train(self, samples, **options):
         made.append(self)
         return plain(self, samples, **(options | {"iterations": 3}))
 
-    monkeypatch.setattr(entries.Progressive, "train", train)
+    monkeypatch.setattr(Progressive, "train", train)
     return made
 
 
@@ -37,7 +36,7 @@ def test_a_model_at_hand_is_not_trained_again(quick, trained, image):
     samples = image(16, 32, seed=9).samples
     found = chd.compare(samples, ["mean", *NAMES], n=8, model=trained)
     assert quick == []
-    expected = trained.predict(samples.read(ss=slice(0, 8)), balance=1.0)
+    expected = trained.predict(samples.read(ss=slice(0, 8)), loss_weight=1.0)
     assert found.estimates[3] == pytest.approx(expected, rel=0.05, abs=1e-3)
 
 

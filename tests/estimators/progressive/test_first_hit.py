@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.auxiliary import describe, similarity_fields
+from chdstat.estimators import Profile
+from chdstat.estimators.progressive.inputs import describe, pool_around
 
 
 def features(height=8, width=10, seed=0):
@@ -26,10 +27,10 @@ def test_all_features_are_of_about_unit_size():
 
 
 def test_those_that_are_missing_are_left_out():
-    assert describe(None, (8, 10)).shape == (8, 10, 0)
+
     assert describe({}, (8, 10)).shape == (8, 10, 0)
     assert describe({"depth": np.ones((8, 10))}, (8, 10)).shape == (8, 10, 1)
-    assert similarity_fields({"uv": np.ones((8, 10))}, (8, 10)) == {}
+    assert describe({"uv": np.ones((8, 10))}, (8, 10)).shape == (8, 10, 0)
 
 
 def test_the_unit_of_length_and_the_place_of_the_world_do_not_matter():
@@ -45,7 +46,8 @@ def test_what_is_not_finite_gives_finite_numbers(name):
     holes[name][1, 1] = np.inf
     holes[name][2, 2] = -np.inf
     assert np.isfinite(describe(holes, (8, 10))).all()
-    assert np.isfinite(similarity_fields(holes, (8, 10))[name]).all()
+    profile = Profile.of(np.ones((8, 10, 3, 4)), unit=1.0)
+    assert all(np.isfinite(found).all() for found in pool_around(profile, holes))
 
 
 def test_an_image_of_one_surface_is_described():

@@ -11,7 +11,7 @@ from safetensors.numpy import save_file
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import MLP, Progressive
-from chdstat.estimators.model_files import read_model, write_model
+from chdstat.estimators.training import read_model, write_model
 
 BALANCES = (0.0, 0.5, 1.0)
 
@@ -29,10 +29,11 @@ def smooth(image):
 
 
 @pytest.mark.parametrize("factor", [2.0**-40, 0.125, 2.0**60])
-@pytest.mark.parametrize("balance", BALANCES)
-def test_powers_of_two_scale_the_estimate_to_the_bit(trained, fresh, factor, balance):
+@pytest.mark.parametrize("loss_weight", BALANCES)
+def test_powers_of_two_scale_the_estimate_to_the_bit(trained, fresh, factor, loss_weight):
     found, scaled = (
-        trained.estimate(x, balance=balance) for x in (fresh.x, fresh.x * np.float32(factor))
+        trained.estimate(x, loss_weight=loss_weight)
+        for x in (fresh.x, fresh.x * np.float32(factor))
     )
     assert (scaled.radiance == found.radiance * np.float32(factor)).all()
     assert (scaled.certainty == found.certainty).all()
@@ -92,9 +93,9 @@ def test_it_tends_to_the_mean(trained):
     assert far < 0.02
 
 
-def test_balance_goes_from_one_answer_to_the_other(trained, fresh):
-    ends = [trained.predict(fresh.x, balance=b, trust=1.0) for b in (0.0, 1.0)]
-    middle = trained.predict(fresh.x, balance=0.25, trust=1.0)
+def test_the_loss_weight_goes_from_one_estimate_to_the_other(trained, fresh):
+    ends = [trained.predict(fresh.x, loss_weight=b, trust=1.0) for b in (0.0, 1.0)]
+    middle = trained.predict(fresh.x, loss_weight=0.25, trust=1.0)
     assert middle == pytest.approx(0.75 * ends[0] + 0.25 * ends[1], rel=1e-4, abs=1e-6)
     assert np.abs(ends[1] - ends[0]).max() > 0
 
@@ -129,10 +130,10 @@ def wild(x):
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 @pytest.mark.parametrize("unit", [None, 1.0, 1e-30])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("balance", BALANCES)
-def test_no_estimate_is_nan_where_the_mean_is_finite(trained, fresh, unit, dtype, balance):
+@pytest.mark.parametrize("loss_weight", BALANCES)
+def test_no_estimate_is_nan_where_the_mean_is_finite(trained, fresh, unit, dtype, loss_weight):
     x = wild(fresh.x).astype(dtype)
-    found = trained.estimate(x, balance=balance, unit=unit)
+    found = trained.estimate(x, loss_weight=loss_weight, unit=unit)
     mean = chd.estimators.mean(x)
     assert (np.isfinite(found.radiance) == np.isfinite(mean)).all()
     for end in (found.low, found.high):
@@ -174,8 +175,14 @@ def test_a_single_lit_sample_in_a_black_image(trained):
         (lambda m: m.predict(np.ones((4, 4, 2, 8))), "with 3 channels, got 2"),
         (lambda m: m.predict(np.ones(8)), r"\(..., channel, sample\), got \(8,\)"),
         (lambda m: m.predict(np.ones((4, 4, 3, 0))), "at least 1 sample"),
-        (lambda m: m.predict(np.ones((4, 3, 8)), balance=1.1), "balance must lie .* got 1.1"),
-        (lambda m: m.predict(np.ones((4, 3, 8)), balance=np.nan), "balance must lie .* got nan"),
+        (
+            lambda m: m.predict(np.ones((4, 3, 8)), loss_weight=1.1),
+            "loss_weight must lie .* got 1.1",
+        ),
+        (
+            lambda m: m.predict(np.ones((4, 3, 8)), loss_weight=np.nan),
+            "loss_weight must lie .* got nan",
+        ),
         (lambda m: m.estimate(np.ones((4, 3, 8)), level=1.0), "level must lie .* got 1.0"),
         (lambda m: m.estimate(np.ones((4, 3, 8)), level=0.0), "level must lie .* got 0.0"),
         (lambda m: m.predict(np.ones((4, 3, 8)), unit=0.0), "unit must be a positive radiance"),
@@ -212,8 +219,8 @@ def test_an_untrained_one_says_so(tmp_path):
 def test_a_saved_one_comes_back_to_the_bit(trained, fresh, tmp_path):
     trained.save(tmp_path / "model.safetensors")
     loaded = Progressive.load(tmp_path / "model.safetensors")
-    for balance in BALANCES:
-        found, expected = (m.estimate(fresh.x, balance=balance) for m in (loaded, trained))
+    for loss_weight in BALANCES:
+        found, expected = (m.estimate(fresh.x, loss_weight=loss_weight) for m in (loaded, trained))
         for name in ("radiance", "certainty", "low", "high"):
             assert (getattr(found, name) == getattr(expected, name)).all()
     assert loaded.provenance == json.loads(json.dumps(trained.provenance))

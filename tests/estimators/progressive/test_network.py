@@ -5,35 +5,34 @@ import pytest
 import torch
 
 from chdstat.estimators import Profile
-from chdstat.estimators.progressive.auxiliary import BANDS, RADII
-from chdstat.estimators.progressive.dataset import AuxiliaryFeatures
-from chdstat.estimators.progressive.inputs import LOSSES, Architecture
-from chdstat.estimators.progressive.network import Network, device, encode
+from chdstat.estimators.progressive.error_model import LOSSES
+from chdstat.estimators.progressive.inputs import BANDS, RADII
+from chdstat.estimators.progressive.network import Network
 
 SHAPES = [
-    Architecture(3),
-    Architecture(1),
-    Architecture(3, described=5),
-    Architecture(3, described=5, neighbours=True),
+    {"channels": 3},
+    {"channels": 1},
+    {"channels": 3, "described": 5},
+    {"channels": 3, "described": 5, "neighbours": True},
 ]
 
 
-def network_input(shape, rows=20, n=16, seed=0):
+def given(shape, rows=20, n=16, seed=0):
+    """Return the inputs of a network: profiles, and what is known beside."""
     rng = np.random.default_rng(seed)
-    profile = Profile.of(rng.gamma(0.5, size=(rows, shape.channels, n)), unit=0.5)
-    pools = len(RADII) if shape.neighbours else 0
-    auxiliary = AuxiliaryFeatures(
-        rng.normal(size=(rows, shape.described)),
-        rng.random((rows, pools, BANDS, 1 + shape.channels)),
-        rng.random((rows, pools)),
-    )
-    shared = rng.random((rows, shape.channels if shape.neighbours else 0))
-    return encode(profile, auxiliary, shared, "cpu")
+    channels = shape["channels"]
+    profile = Profile.of(rng.gamma(0.5, size=(rows, channels, n)), unit=0.5)
+    auxiliary = {"described": rng.normal(size=(rows, shape.get("described", 0)))}
+    if "neighbours" in shape:
+        auxiliary["bands"] = rng.random((rows, len(RADII), BANDS, 1 + channels))
+        auxiliary["weight"] = rng.random((rows, len(RADII)))
+        auxiliary["shared"] = rng.random((rows, channels))
+    return profile, auxiliary
 
 
 def scrambled(shape, seed=0):
     torch.manual_seed(seed)
-    network = Network(shape).eval()
+    network = Network(**shape).eval()
     torch.nn.init.normal_(network.answer.weight)
     return network
 
@@ -44,91 +43,92 @@ def own_random_state():
         yield
 
 
-def test_torch_computes_somewhere():
-    assert device() in {"cpu", "cuda"}
-    assert torch.zeros(1, device=device()).item() == 0
-
-
 @pytest.mark.parametrize("shape", SHAPES)
-def test_shapes_of_what_goes_in_and_comes_out(shape):
-    network = scrambled(shape)
-    assert network._encoded(network_input(shape)).shape == (20, shape.inputs)
-    output = network(network_input(shape))
-    assert output.estimate.shape == (20, len(LOSSES), shape.channels)
-    assert output.mean.shape == (20, shape.channels)
-    assert output.certainty.shape == (20, len(LOSSES))
+def test_shapes_of_what_comes_out(shape):
+    estimate, mean, certainty = scrambled(shape)(*given(shape))
+    assert estimate.shape == (20, len(LOSSES), shape["channels"])
+    assert mean.shape == (20, shape["channels"])
+    assert certainty.shape == (20, len(LOSSES))
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_it_begins_near_the_mean(channels):
-    output = Network(Architecture(channels))(network_input(Architecture(channels)))
-    difference = (output.estimate - output.mean[:, None]).abs().max()
+    estimate, mean, _ = Network(channels)(*given({"channels": channels}))
+    difference = (estimate - mean[:, None]).abs().max()
     assert 0 < difference < 0.01
 
 
 def test_the_estimate_lies_between_the_mean_and_the_proposal():
-    shape = Architecture(3)
-    network, seen = scrambled(shape), network_input(shape)
-    output = network(seen)
-    assert ((output.certainty > 0) & (output.certainty < 1)).all()
-    assert (output.estimate >= 0).all()
-    mean = seen.bins[..., 1:].sum(dim=1)
-    assert output.mean.detach().numpy() == pytest.approx(mean.numpy())
+    profile, auxiliary = given({"channels": 3})
+    estimate, mean, certainty = scrambled({"channels": 3})(profile, auxiliary)
+    assert ((certainty > 0) & (certainty < 1)).all()
+    assert (estimate >= 0).all()
+    assert mean.detach().numpy() == pytest.approx(profile.mean() / profile.unit, rel=1e-5)
 
 
 def test_with_ever_more_samples_of_the_same_kind_it_tends_to_the_mean():
-    shape = Architecture(3)
-    network, seen = scrambled(shape), network_input(shape)
+    network, (profile, _) = scrambled({"channels": 3}), given({"channels": 3})
     distances = []
-    for count in (2.0**16, 2.0**24):
-        seen.count.fill_(count)
-        output = network(seen)
-        distances.append((output.estimate - output.mean[:, None]).abs().max().item())
-        assert output.certainty.max() <= 2**12 / (2**12 + count)
+    for times in (2**12, 2**20):
+        many = Profile(profile.bins * times, profile.count * times, profile.unit)
+        estimate, mean, certainty = network(many, {})
+        distances.append((estimate - mean[:, None]).abs().max().item())
+        assert certainty.max() <= 2**12 / (2**12 + 16 * times)
     assert distances[1] < 0.01 * distances[0]
 
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_gradients_reach_every_weight(shape):
     network = scrambled(shape)
-    network(network_input(shape)).estimate.square().sum().backward()
+    network(*given(shape))[0].square().sum().backward()
     for name, weight in network.named_parameters():
         assert weight.grad is not None, name
         assert weight.grad.abs().max() > 0, name
 
 
 def test_each_row_is_on_its_own():
-    shape = Architecture(3, described=5, neighbours=True)
-    network, seen = scrambled(shape), network_input(shape)
-    part = type(seen)(**{name: value[3:5] for name, value in vars(seen).items()})
-    assert network(part).estimate.detach().numpy() == pytest.approx(
-        network(seen).estimate[3:5].detach().numpy(), rel=1e-5
+    shape = {"channels": 3, "described": 5, "neighbours": True}
+    network, (profile, auxiliary) = scrambled(shape), given(shape)
+    part = network(profile[3:5], {name: array[3:5] for name, array in auxiliary.items()})
+    assert part[0].detach().numpy() == pytest.approx(
+        network(profile, auxiliary)[0][3:5].detach().numpy(), rel=1e-5
     )
 
 
-def test_black_and_very_bright_pixels_have_finite_answers():
-    shape = Architecture(3)
+def test_black_and_very_bright_pixels_have_finite_estimates():
     x = np.zeros((2, 3, 8))
     x[1] = 1e30
-    profile = Profile.of(x, unit=1.0)
-    seen = encode(profile, AuxiliaryFeatures.nothing(2), np.zeros((2, 0), np.float32), "cpu")
-    assert torch.isfinite(scrambled(shape)(seen).estimate).all()
+    estimate, _, _ = scrambled({"channels": 3})(Profile.of(x, unit=1.0), {})
+    assert torch.isfinite(estimate).all()
+
+
+def test_shares_between_sizes_move_estimates_part_of_the_way():
+    network, (profile, _) = scrambled({"channels": 3}), given({"channels": 3})
+    whole, mean, certainty = network(profile, {})
+    shares = np.zeros((2, len(LOSSES), 14))
+    shares[1] = 1
+    network.shrinkage = np.array([4.0, 64.0]), shares
+    for shrunk in (network, network.at_spp(16)):
+        estimate, _, sure = shrunk(profile, {})
+        torch.testing.assert_close(estimate, (whole + mean[:, None]) / 2)
+        torch.testing.assert_close(sure, certainty / 2)
+    torch.testing.assert_close(network.at_spp(1000)(profile, {})[0], whole)
 
 
 def test_arrays_go_out_and_come_in():
-    shape = Architecture(3)
-    one, other = scrambled(shape, 0), scrambled(shape, 1)
+    one, other = (scrambled({"channels": 3}, seed) for seed in range(2))
     other.load_arrays(one.to_arrays())
-    assert torch.equal(one(network_input(shape)).estimate, other(network_input(shape)).estimate)
+    inputs = given({"channels": 3})
+    assert torch.equal(one(*inputs)[0], other(*inputs)[0])
 
 
 def test_arrays_that_do_not_fit_are_refused():
-    network = Network(Architecture(3))
+    network = Network(3)
     arrays = network.to_arrays()
     with pytest.raises(ValueError, match="finite"):
         network.load_arrays(arrays | {"answer.bias": np.full_like(arrays["answer.bias"], np.nan)})
     with pytest.raises(ValueError, match="size mismatch"):
-        network.load_arrays(Network(Architecture(1)).to_arrays())
+        network.load_arrays(Network(1).to_arrays())
     del arrays["answer.bias"]
     with pytest.raises(ValueError, match="answer.bias"):
         network.load_arrays(arrays)

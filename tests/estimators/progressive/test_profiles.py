@@ -5,8 +5,8 @@ import pytest
 
 from chdstat.errors import InputError
 from chdstat.estimators import Profile
-from chdstat.estimators.progressive import profile
-from chdstat.estimators.progressive.profile import OCTAVES
+from chdstat.estimators.progressive import dataset
+from chdstat.estimators.progressive.dataset import OCTAVES
 
 
 def samples(shape=(6, 5, 3, 40), seed=0):
@@ -62,7 +62,7 @@ def test_the_order_of_samples_does_not_matter():
 @pytest.mark.parametrize("at_once", [1, 100, 999, 10**6])
 def test_blocks_of_any_size_give_the_same_profiles(monkeypatch, at_once):
     expected = Profile.of(samples(), unit=1.0)
-    monkeypatch.setattr(profile, "_SAMPLES_AT_ONCE", at_once)
+    monkeypatch.setattr(dataset, "_SAMPLES_AT_ONCE", at_once)
     found = Profile.of(samples(), unit=1.0)
     assert (found.bins == expected.bins).all()
     assert (found.count == expected.count).all()

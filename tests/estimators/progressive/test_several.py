@@ -8,9 +8,9 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import Progressive, Stream
-from chdstat.estimators.model_files import read_model, write_model
 from chdstat.estimators.progressive.error_model import ERROR_TERMS
-from chdstat.estimators.progressive.shrinkage import Move, shrinkage_factor
+from chdstat.estimators.progressive.shrinkage import moves_between, shrinkage_factor
+from chdstat.estimators.training import read_model, write_model
 from chdstat.estimators.validation import judging_pixels
 
 
@@ -77,11 +77,11 @@ def test_the_scene_with_the_fewest_samples_sets_their_number():
 def test_seen_pixels_are_told_by_the_shape_of_the_image():
     drawn = [[[0, 0], [1, 2], [3, 4]], [[5, 6], [7, 8]], [[1, 2], [9, 9]]]
     model = trained([flat(), varied(), flat(seed=3)], pixels=drawn)
-    assert model.seen((24, 24)).tolist() == [[0, 0], [1, 2], [3, 4], [9, 9]]
-    assert model.seen((24, 20)).tolist() == [[5, 6], [7, 8]]
-    assert model.seen((8, 8)).shape == (0, 2)
+    assert model.train_pixels_of((24, 24)).tolist() == [[0, 0], [1, 2], [3, 4], [9, 9]]
+    assert model.train_pixels_of((24, 20)).tolist() == [[5, 6], [7, 8]]
+    assert model.train_pixels_of((8, 8)).shape == (0, 2)
     assert model.train_shape == (24, 24)
-    np.testing.assert_array_equal(model.train_pixels, model.seen((24, 24)))
+    np.testing.assert_array_equal(model.train_pixels, model.train_pixels_of((24, 24)))
 
 
 def test_a_comparison_leaves_out_what_was_seen_in_any_scene_of_that_shape():
@@ -147,7 +147,7 @@ def test_a_saved_model_is_the_same(both, tmp_path):
     loaded = Progressive.load(tmp_path / "model.safetensors")
     np.testing.assert_array_equal(loaded.predict(x), both.predict(x))
     assert loaded.provenance == both.provenance
-    np.testing.assert_array_equal(loaded.seen((24, 20)), both.seen((24, 20)))
+    np.testing.assert_array_equal(loaded.train_pixels_of((24, 20)), both.train_pixels_of((24, 20)))
 
 
 def test_a_file_whose_pixels_do_not_fit_its_scenes_is_refused(both, tmp_path):
@@ -166,8 +166,10 @@ def share_of(samples, estimate):
     """Return how far a foreign estimate is followed, measured between halves of samples."""
     halves = samples[..., 0::2], samples[..., 1::2]
     return shrinkage_factor(
-        Move.between(half, estimate(half), other, unit=1.0)
-        for half, other in zip(halves, halves[::-1], strict=True)
+        [
+            moves_between(half, estimate(half), other, unit=1.0)
+            for half, other in zip(halves, halves[::-1], strict=True)
+        ]
     )
 
 
@@ -222,20 +224,20 @@ def test_what_moves_nothing_or_the_wrong_way_is_not_trusted():
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_trust_does_not_depend_on_the_unit_or_on_bad_pixels(foreign):
     x = varied().read(ss=slice(0, 16))
-    for balance in (0, 1):
-        found = foreign.trust(x, balance=balance)
-        assert foreign.trust(x * np.float32(2**-30), balance=balance) == found
+    for loss_weight in (0, 1):
+        found = foreign.trust(x, loss_weight=loss_weight)
+        assert foreign.trust(x * np.float32(2**-30), loss_weight=loss_weight) == found
     broken = np.concatenate([x, np.full_like(x[:1], np.nan)])
     assert foreign.trust(broken, unit=3.0) == pytest.approx(foreign.trust(x, unit=3.0))
 
 
 @pytest.mark.parametrize("n", [1, 4, 16])
-@pytest.mark.parametrize("balance", [0, 0.5, 1])
-def test_a_foreign_model_is_no_worse_than_the_mean(foreign, balance, n):
+@pytest.mark.parametrize("loss_weight", [0, 0.5, 1])
+def test_a_foreign_model_is_no_worse_than_the_mean(foreign, loss_weight, n):
     """One that learned a constant is much worse when it is followed: the negative control."""
     scene = varied(height=48, width=48, spp=512, seed=3)
     x, truth = scene.read(ss=slice(0, n)), scene.read().mean(axis=-1, dtype=np.float64)
-    followed, found = (foreign.predict(x, balance=balance, trust=t) for t in (1.0, None))
+    followed, found = (foreign.predict(x, loss_weight=loss_weight, trust=t) for t in (1.0, None))
     worse = []
     for power in (0, 1):
         weight = (truth**2 + 0.01 * truth.mean() ** 2) ** -float(power)
@@ -265,22 +267,22 @@ def test_a_model_is_followed_as_far_from_a_store_a_stream_and_an_array(foreign):
 
 def test_a_model_of_the_same_kind_of_scene_is_trusted(foreign):
     x = flat(height=48, width=48, seed=9).read(ss=slice(0, 16))
-    assert foreign.trust(x, balance=0) > 0.8
+    assert foreign.trust(x, loss_weight=0) > 0.8
     assert ((foreign.predict(x) - 1) ** 2).mean() < 0.7 * ((x.mean(axis=-1) - 1) ** 2).mean()
 
 
-@pytest.mark.parametrize("balance", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("loss_weight", [0.0, 0.5, 1.0])
 def test_the_interval_of_a_model_that_is_not_followed_is_not_narrower_than_the_means(
-    foreign, balance
+    foreign, loss_weight
 ):
     """What it expects of its own errors may rest on how far it moves, and here it does not."""
     x = varied(seed=7).read(ss=slice(0, 16))
     error_model = replace(
-        foreign._learned.error_model, weights=np.tile(np.eye(ERROR_TERMS)[2], (2, 1))
+        foreign._trained.error_model, weights=np.tile(np.eye(ERROR_TERMS)[2], (2, 1))
     )
     model = Progressive()
-    model._learned = replace(foreign._learned, error_model=error_model)
-    found = model.estimate(x, balance=balance, trust=0.0)
+    model._trained = replace(foreign._trained, error_model=error_model)
+    found = model.estimate(x, loss_weight=loss_weight, trust=0.0)
     error = x.std(axis=-1, ddof=1) / 4
     assert np.median((found.high - found.low) / error) > 2.5
 
@@ -301,13 +303,14 @@ def test_trust_mixes_with_the_mean(both):
 
 def test_an_image_is_measured_and_a_part_of_one_is_not(both):
     x = varied(seed=7).read(ss=slice(0, 8))
-    share = both.trust(x, balance=0)
+    share = both.trust(x, loss_weight=0)
     assert 0 <= share <= 1
     np.testing.assert_array_equal(
-        both.predict(x, balance=0), both.predict(x, balance=0, trust=share)
+        both.predict(x, loss_weight=0), both.predict(x, loss_weight=0, trust=share)
     )
     np.testing.assert_array_equal(
-        both.predict(x, balance=0, unit=1.0), both.predict(x, balance=0, unit=1.0, trust=1.0)
+        both.predict(x, loss_weight=0, unit=1.0),
+        both.predict(x, loss_weight=0, unit=1.0, trust=1.0),
     )
 
 
@@ -317,5 +320,5 @@ def test_trust_out_of_range_is_refused_and_few_samples_tell_nothing(both):
     for wrong in (1.5, -0.1, np.nan):
         with pytest.raises(InputError, match=r"between 0 and 1, or be None, got"):
             both.predict(x, trust=wrong)
-    with pytest.raises(InputError, match="balance must lie"):
-        both.trust(x, balance=2)
+    with pytest.raises(InputError, match="loss_weight must lie"):
+        both.trust(x, loss_weight=2)

@@ -3,41 +3,42 @@
 import numpy as np
 import pytest
 
-from chdstat.estimators.progressive.splits import SampleSplits
+from chdstat.estimators.progressive.dataset import SampleSplits
 
 
 def splits(seed=0, **options):
     rng = np.random.default_rng(seed)
-    return SampleSplits(rng.exponential(size=(50, 3, 24)).astype(np.float32), unit=0.5, **options)
+    x = rng.exponential(size=(50, 3, 24)).astype(np.float32)
+    return SampleSplits(samples=x, unit=0.5, **options)
 
 
 def test_both_parts_together_are_all_samples():
     made = splits()
-    part = made.draw(np.arange(50), 6, 40, np.random.default_rng(1))
-    seen = part.profile.mean()
-    assert part.rows.shape == (40,)
-    assert len(set(part.places.tolist())) == 6
-    both = (6 * seen + 18 * part.target) / 24
-    assert both == pytest.approx(made.mean[part.rows], rel=1e-5)
+    rows, drawn = made.draw(np.arange(50), 6, 40, np.random.default_rng(1))
+    profile, _, target = made.minibatch(rows, drawn)
+    assert rows.shape == (40,)
+    assert len(set(drawn.tolist())) == 6
+    both = (6 * profile.mean() + 18 * target) / 24
+    assert both == pytest.approx(made.mean[rows], rel=1e-5)
 
 
 def test_only_the_given_pixels_are_drawn():
-    part = splits().draw(np.array([3, 7]), 6, 100, np.random.default_rng(1))
-    assert set(part.rows.tolist()) == {3, 7}
+    rows, _ = splits().draw(np.array([3, 7]), 6, 100, np.random.default_rng(1))
+    assert set(rows.tolist()) == {3, 7}
 
 
 def test_large_samples_make_small_minibatches():
     rng = np.random.default_rng(0)
-    made = SampleSplits(np.ones((4, 1, 2**13), np.float32), unit=1.0)
-    assert len(made.draw(np.arange(4), 2**12, 1024, rng).rows) == 32
+    made = SampleSplits(samples=np.ones((4, 1, 2**13), np.float32), unit=1.0)
+    assert len(made.draw(np.arange(4), 2**12, 1024, rng)[0]) == 32
 
 
 def test_halves_share_no_sample_with_each_other_or_with_the_part():
     made = splits()
     rng = np.random.default_rng(2)
-    part = made.draw(np.arange(50), 6, 40, rng)
-    first, second = made.halves(part, rng).means
-    assert (first + second) / 2 == pytest.approx(part.target, rel=1e-5)
+    rows, drawn = made.draw(np.arange(50), 6, 40, rng)
+    (first, second), _ = made.halves(rows, drawn, rng)
+    assert (first + second) / 2 == pytest.approx(made.minibatch(rows, drawn)[2], rel=1e-5)
     assert np.abs(first - second).min() > 0
 
 
@@ -45,8 +46,8 @@ def test_uneven_halves_tell_the_variance_of_the_target_without_bias():
     """Three samples are left, in halves of two and one: 40,000 pixels, within five deviations."""
     rng = np.random.default_rng(0)
     x = rng.normal(8, 1, size=(40_000, 1, 7)).astype(np.float32)
-    made = SampleSplits(x, unit=1.0)
-    noise = made.halves(made.draw(np.arange(40_000), 4, 40_000, rng), rng).noise
+    made = SampleSplits(samples=x, unit=1.0)
+    noise = made.noise(*made.draw(np.arange(40_000), 4, 40_000, rng), rng)
     assert abs(noise.mean() - 1 / 3) < 5 * noise.std() / np.sqrt(noise.size)
 
 
@@ -54,12 +55,13 @@ def test_mean_and_variance_are_those_of_the_samples():
     x = np.random.default_rng(0).exponential(size=(50, 3, 24)).astype(np.float32) / 0.5
     assert splits().mean == pytest.approx(x.mean(axis=-1), rel=1e-5)
     assert splits().variance == pytest.approx(x.var(axis=-1, ddof=1), rel=1e-4)
-    constant = SampleSplits(np.full((2, 1, 9), 0.1, np.float32), unit=1.0)
+    constant = SampleSplits(samples=np.full((2, 1, 9), 0.1, np.float32), unit=1.0)
     assert constant.variance == pytest.approx(0, abs=1e-8)
 
 
 def test_prepared_splits_are_kept_to():
     places, shared = np.array([1, 5]), np.full((50, 3), 4.0, np.float32)
-    part = splits(prepared=[(places, shared)]).draw(np.arange(50), 2, 10, np.random.default_rng(0))
-    assert (part.places == places).all()
-    assert (part.shared == 8).all()
+    made = splits(prepared=[(places, shared)])
+    rows, drawn = made.draw(np.arange(50), 2, 10, np.random.default_rng(0))
+    assert (drawn == places).all()
+    assert (made.minibatch(rows, drawn)[1]["shared"] == 8).all()

@@ -1,21 +1,19 @@
 """Spread: errors are told without a reference, and quantiles are those of the radiance."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
 
+from chdstat.estimators.progressive.dataset import SampleSplits
 from chdstat.estimators.progressive.error_model import (
     BRIGHTNESS,
     ERROR_TERMS,
     LEVELS,
     ErrorModel,
-    ValidationBatch,
-    _calibrate,
-    _weights,
+    calibrate,
+    error_terms,
+    least_squares,
 )
-from chdstat.estimators.progressive.splits import SampleSplits
 
 
 def test_halves_of_what_was_not_seen_tell_squared_errors_without_bias():
@@ -27,37 +25,42 @@ def test_halves_of_what_was_not_seen_tell_squared_errors_without_bias():
     rng = np.random.default_rng(0)
     y, p = 1.0, 1.3
     x = rng.exponential(y, size=(40_000, 1, 32)).astype(np.float32)
-    splits = SampleSplits(x, unit=1.0)
-    part = splits.draw(np.arange(40_000), 8, 4096, rng)
-    rows = np.arange(40_000)
-    whole = replace(part, rows=rows)
-    first, second = splits.halves(whole, rng).means
+    splits = SampleSplits(samples=x, unit=1.0)
+    _, drawn = splits.draw(np.arange(40_000), 8, 4096, rng)
+    (first, second), _ = splits.halves(np.arange(40_000), drawn, rng)
     assert first.shape == (40_000, 1)
     assert ((p - first) * (p - second)).mean() == pytest.approx((p - y) ** 2, abs=0.01)
     assert ((p - first) ** 2).mean() > (p - y) ** 2 + 0.05
 
 
-def batch(rng, rows=4000, *, size=16):
-    """Return estimates whose errors have the causes 1, 3 and none else; gamma distributed truth."""
-    estimate = rng.lognormal(size=(1, rows, 1))
-    error_terms = rng.gamma(1, 1, size=(1, rows, 1, ERROR_TERMS)) * estimate[..., np.newaxis] ** 2
-    variance = 0.02 * error_terms[..., 1] + 0.05 * error_terms[..., 3]
-    truth = rng.gamma(estimate**2 / variance, variance / estimate)[0]
-    return ValidationBatch(
-        size=size,
-        rows=np.arange(rows),
-        estimate=np.repeat(estimate, 2, axis=0),
-        mean=estimate[0],
-        target=truth,
-        noise=np.zeros_like(truth),
-        error_terms=np.repeat(error_terms, 2, axis=0),
-    )
+def validation(rng, rows=4000, *, size=16, dark=0.0):
+    """Return estimates whose errors have the terms 1, 3 and none else; gamma distributed truth."""
+    estimate = rng.lognormal(-dark, 1 + dark, size=(rows, 1))
+    variance = rng.gamma(1, 1, size=estimate.shape) * estimate**2
+    expected = 0.02 * estimate**2 + 0.05 * variance
+    truth = rng.gamma(estimate**2 / expected, expected / estimate)
+    certainty = rng.random(rows)
+    return {
+        "size": np.full(rows, size),
+        "rows": np.arange(rows),
+        "estimate": np.stack([estimate, estimate]),
+        "certainty": np.stack([certainty, certainty]),
+        "mean": estimate * rng.gamma(2, 0.5, size=estimate.shape),
+        "variance": variance,
+        "target": truth,
+        "noise": np.zeros_like(truth),
+    }
 
 
-def test_causes_get_the_weights_that_they_have():
+def terms(found):
+    """Return the error terms of estimates."""
+    return error_terms(*(found[name] for name in ("estimate", "mean", "certainty", "variance")))
+
+
+def test_error_terms_get_the_weights_that_they_have():
     """Least squares of 40,000 rows with a fixed seed; weights have standard errors below 0.004."""
     rng = np.random.default_rng(0)
-    weights = _weights([batch(rng) for _ in range(10)], 0)
+    weights = least_squares(validation(rng, 40_000, dark=2.0), 0)
     expected = np.array([0, 0.02, 0, 0.05, 0, 0])
     assert weights == pytest.approx(expected, abs=0.012)
     assert (weights >= 0).all()
@@ -66,12 +69,12 @@ def test_causes_get_the_weights_that_they_have():
 def test_levels_beyond_the_calibrated_ones_are_wider_still():
     rng = np.random.default_rng(0)
     weights = np.full((2, ERROR_TERMS), 0.05)
-    one = [batch(rng)]
-    normal = _calibrate(weights, one, one)[np.newaxis]
+    one = validation(rng)
+    normal = calibrate(weights, one, one)[np.newaxis]
     error_model = ErrorModel(weights, np.array([16.0]), normal)
     estimate, count = np.ones((1, 1)), np.array([16])
     high = [
-        error_model.quantile(estimate, 0.1 * estimate, count, balance=0.5, level=level).item()
+        error_model.quantile(estimate, 0.1 * estimate, count, loss_weight=0.5, level=level).item()
         for level in (0.99, 0.995, 0.9995, 0.99995)
     ]
     assert (np.diff(high) > 0.01).all()
@@ -81,15 +84,17 @@ def test_calibrated_quantiles_hold_as_often_as_stated():
     """8000 trials calibrate and 8000 judge: a share strays by 0.03 once in a million seeds."""
     rng = np.random.default_rng(1)
     weights = np.tile([1e-4, 0.06, 0.0, 0.02, 0.0, 0.0], (2, 1))  # not the true ones
-    two = [batch(rng), batch(rng)]
-    normal = _calibrate(weights, two, two)[np.newaxis]
+    known = validation(rng, 8000)
+    normal = calibrate(weights, known, known)[np.newaxis]
     error_model = ErrorModel(weights, np.array([16.0]), normal)
-    fresh = batch(rng, 8000)
-    variance = error_model.variance(fresh.error_terms, 0.5)
+    fresh = validation(rng, 8000)
+    variance = error_model.variance(terms(fresh), 0.5)
     count = np.full(8000, 16)
     for level in (0.05, 0.25, 0.5, 0.95):
-        end = error_model.quantile(fresh.estimate[0], variance, count, balance=0.5, level=level)
-        assert (fresh.target <= end).mean() == pytest.approx(level, abs=0.03)
+        end = error_model.quantile(
+            fresh["estimate"][0], variance, count, loss_weight=0.5, level=level
+        )
+        assert (fresh["target"] <= end).mean() == pytest.approx(level, abs=0.03)
 
 
 def test_without_a_reference_quantiles_are_those_of_a_gamma_distribution():
@@ -98,7 +103,7 @@ def test_without_a_reference_quantiles_are_those_of_a_gamma_distribution():
     )
     mean, variance, count = np.full((1, 1), 5.0), np.full((1, 1), 1.0), np.array([16])
     for level in (0.05, 0.5, 0.95):
-        found = error_model.quantile(mean, variance, count, balance=0.5, level=level)
+        found = error_model.quantile(mean, variance, count, loss_weight=0.5, level=level)
         assert found.item() == pytest.approx(stats.gamma.ppf(level, 25, scale=1 / 5), rel=0.01)
 
 
@@ -109,7 +114,7 @@ def test_quantiles_between_sizes_and_beyond_them():
 
     def high(count):
         ends = np.ones((1, 1)), np.full((1, 1), 0.01)
-        return error_model.quantile(*ends, np.array([count]), balance=0.75, level=0.9).item()
+        return error_model.quantile(*ends, np.array([count]), loss_weight=0.75, level=0.9).item()
 
     assert high(4) > high(16) > high(64)
     assert high(0) == high(1) == high(4)
@@ -123,7 +128,7 @@ def test_quantiles_are_radiance_whatever_the_variance():
     estimate = np.array([[0.0, 1e-9, 1.0, 1e20]])
     for variance in (0.0, 1.0, 1e30):
         found = error_model.quantile(
-            estimate, np.full((1, 4), variance), np.array([8]), balance=0.5, level=0.05
+            estimate, np.full((1, 4), variance), np.array([8]), loss_weight=0.5, level=0.05
         )
         assert (found >= 0).all()
         assert np.isfinite(found).all()
@@ -140,22 +145,27 @@ def test_few_bright_pixels_with_other_errors_have_quantiles_of_their_own():
         estimate = np.where(rows < lamps, 16.0, 0.25)[:, np.newaxis]
         wide = np.where(rows < lamps, 0.4, 0.1)[:, np.newaxis] * estimate
         truth = rng.gamma(estimate**2 / wide**2, wide**2 / estimate)
-        error_terms = np.broadcast_to(
-            estimate[..., np.newaxis] ** 2, (2, *estimate.shape, ERROR_TERMS)
-        )
-        both = np.stack([estimate, estimate])
-        return ValidationBatch(16, rows, both, estimate, truth, np.zeros_like(truth), error_terms)
+        return {
+            "size": np.full(len(rows), 16),
+            "rows": rows,
+            "estimate": np.stack([estimate, estimate]),
+            "certainty": np.zeros((2, len(rows))),
+            "mean": estimate,
+            "variance": np.zeros_like(truth),
+            "target": truth,
+            "noise": np.zeros_like(truth),
+        }
 
     error_model = ErrorModel(
-        weights, np.array([16.0]), _calibrate(weights, [lit(0, 1)], [lit(20, 4)])[None]
+        weights, np.array([16.0]), calibrate(weights, lit(0, 1), lit(20, 4))[None]
     )
     fresh = lit(1980, 1)
-    count = np.full(len(fresh.rows), 16)
-    variance = error_model.variance(fresh.error_terms, 0.5)
+    count = np.full(len(fresh["rows"]), 16)
+    variance = error_model.variance(terms(fresh), 0.5)
     low, high = (
-        error_model.quantile(fresh.estimate[0], variance, count, balance=0.5, level=level)
+        error_model.quantile(fresh["estimate"][0], variance, count, loss_weight=0.5, level=level)
         for level in (0.05, 0.95)
     )
-    holds = (low <= fresh.target) & (fresh.target <= high)
-    assert holds[fresh.rows < 1980].mean() > 0.8
-    assert 0.87 < holds[fresh.rows >= 1980].mean() < 0.95
+    holds = (low <= fresh["target"]) & (fresh["target"] <= high)
+    assert holds[fresh["rows"] < 1980].mean() > 0.8
+    assert 0.87 < holds[fresh["rows"] >= 1980].mean() < 0.95

@@ -6,7 +6,7 @@ import pytest
 import chdstat as chd
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators import Profile, Progressive, Stream
+from chdstat.estimators import Progressive, Stream
 from chdstat.patterns import CHD, Component, truth_of
 
 
@@ -142,8 +142,8 @@ def test_samples_without_channels_are_refused(trained):
 
 
 def test_one_that_looks_at_neighbours_needs_the_samples(alone):
-    with pytest.raises(InputError, match="needs the samples"):
-        alone.of_profile(Profile.of(np.ones((4, 4, 3, 8)), unit=1.0))
+    with pytest.raises(InputError, match="neighbours, which need the samples"):
+        Stream(alone)
 
 
 # --- learning while they arrive -----------------------------------------------------------------
@@ -233,14 +233,14 @@ def test_learning_goes_on_from_where_it_was(source):
     stream = learner(source, iterations=(30,))
     before = stream.model
     first = before.history.validation_loss[-1]
-    weights = before._learned.network.to_arrays()
+    weights = before._trained.network.to_arrays()
     stream.learn(iterations=1)
     history = stream.model.history
     assert stream.iterations == 31
     assert (np.diff(history.iteration) > 0).all()
     # One step of a new network would be near the loss of the mean.
     assert abs(history.validation_loss[-1] - first) < abs(history.validation_baseline[-1] - first)
-    after = stream.model._learned.network.to_arrays()
+    after = stream.model._trained.network.to_arrays()
     assert any((after[name] != w).any() for name, w in weights.items())
 
 
@@ -254,7 +254,7 @@ def test_memory_does_not_grow_where_it_learns(source):
 
 def test_the_same_seed_learns_the_same(source):
     first, again, other = (
-        learner(source, iterations=(4,), seed=seed).model._learned.network.to_arrays()
+        learner(source, iterations=(4,), seed=seed).model._trained.network.to_arrays()
         for seed in (1, 1, 2)
     )
     assert all((first[name] == again[name]).all() for name in first)
@@ -277,7 +277,7 @@ def test_what_was_learned_is_a_model_like_any_other(source, taught, tmp_path):
 def test_one_that_was_trained_before_learns_on(source, trained):
     start = trained.predict(source.x)
     model = Progressive()
-    model._learned = trained._learned
+    model._trained = trained._trained
     stream = Stream(model, learns=True, unit=1.0)
     stream.update(source.x)
     expected = trained.predict(source.x, unit=1.0)
@@ -343,6 +343,6 @@ def test_learning_needs_a_stream_that_learns_an_image(trained, source):
     with pytest.raises(InputError, match="the stream holds pixels"):
         fresh.update(source.x[1:])
     model = Progressive()
-    model._learned = trained._learned
+    model._trained = trained._trained
     with pytest.raises(InputError, match="takes 3 channels, got 1"):
         Stream(model, learns=True).update(np.ones((4, 4, 1, 8)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from chdstat.estimators import Profile
-from chdstat.estimators.progressive.auxiliary import BANDS, RADII, pool_around
+from chdstat.estimators.progressive.inputs import BANDS, RADII, pool_around
 
 
 def profiles(seed=0, shape=(12, 14, 3, 16)):

@@ -8,18 +8,17 @@ import torch
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators import Profile, Progressive
-from chdstat.estimators.progressive.network import NetworkOutput
-from chdstat.estimators.progressive.splits import Minibatch, SampleSplits
-from chdstat.estimators.progressive.training import _Losses
+from chdstat.estimators import Progressive
+from chdstat.estimators.progressive.dataset import SampleSplits
+from chdstat.estimators.progressive.network import weighted_losses
 
 
 def test_it_beats_the_mean_on_pixels_that_it_has_not_seen(trained, image):
     """With 4800 estimates of a fixed seed, errors of 0.8 of the mean's stray by less than 0.1."""
     for n in (8, 32):
         fresh = image(40, n, seed=7)
-        assert fresh.error(trained.predict(fresh.x, balance=0.0, trust=1.0)) < 0.95
-    worse = fresh.error(np.roll(trained.predict(fresh.x, balance=0.0, trust=1.0), 1, axis=0))
+        assert fresh.error(trained.predict(fresh.x, loss_weight=0.0, trust=1.0)) < 0.95
+    worse = fresh.error(np.roll(trained.predict(fresh.x, loss_weight=0.0, trust=1.0), 1, axis=0))
     assert worse > 1  # negative control: the measure tells estimates of other pixels
 
 
@@ -41,11 +40,11 @@ def test_intervals_contain_the_radiance_as_often_as_stated(image):
     samples = image(64, 512, seed=0).samples
     trained = Progressive().train(samples, sizes=(8, 32), iterations=150, progress=False)
     fresh = image(40, 32, seed=11)
-    for balance in (0.0, 0.5, 1.0):
-        found = trained.estimate(fresh.x, balance=balance, trust=1.0)
+    for loss_weight in (0.0, 0.5, 1.0):
+        found = trained.estimate(fresh.x, loss_weight=loss_weight, trust=1.0)
         within = (found.low <= fresh.radiance) & (fresh.radiance <= found.high)
         assert 0.88 < within.mean() < 0.97
-        half = trained.estimate(fresh.x, balance=balance, trust=1.0, level=0.5)
+        half = trained.estimate(fresh.x, loss_weight=loss_weight, trust=1.0, level=0.5)
         within = (half.low <= fresh.radiance) & (fresh.radiance <= half.high)
         assert 0.45 < within.mean() < 0.65
 
@@ -53,12 +52,12 @@ def test_intervals_contain_the_radiance_as_often_as_stated(image):
 def test_the_same_seed_trains_the_same_network_and_another_does_not(image):
     source = image(12, 32, seed=2)
     first, again, other = (
-        Progressive().train(source.samples, iterations=5, seed=seed, progress=False)._learned
+        Progressive().train(source.samples, iterations=5, seed=seed, progress=False)._trained
         for seed in (0, 0, 1)
     )
     weights = [found.network.to_arrays() for found in (first, again, other)]
     assert all((weights[0][name] == weights[1][name]).all() for name in weights[0])
-    assert (first.trust.shares == again.trust.shares).all()
+    assert (first.network.shrinkage[1] == again.network.shrinkage[1]).all()
     assert any((weights[0][name] != weights[2][name]).any() for name in weights[0])
 
 
@@ -94,25 +93,19 @@ def test_the_global_state_of_torch_and_numpy_is_left_alone(image):
 
 
 def judge_of(targets, *, reference):
-    """Return the gradient of the loss for one common estimate of all pixels, per aim."""
+    """Return the gradient of the loss for one common estimate of all pixels, of each loss."""
     rows = len(targets)
     rng = np.random.default_rng(1)
-    splits = SampleSplits(rng.exponential(size=(rows, 1, 8)).astype(np.float32), unit=1.0)
-    losses_of = _Losses.of(splits, reference=reference)
-    part = Minibatch(
-        rows=np.arange(rows),
-        places=np.arange(4),
-        size=4,
-        profile=Profile.of(np.ones((rows, 1, 4)), unit=1.0),
-        shared=np.zeros((rows, 0), np.float32),
-        target=targets[:, np.newaxis].astype(np.float32),
-    )
+    x = rng.exponential(size=(rows, 1, 8)).astype(np.float32)
+    training_set = SampleSplits(samples=x, unit=1.0, reference=reference)
+    losses_of = weighted_losses(training_set, torch.device("cpu"))
+    target = targets[:, np.newaxis].astype(np.float32)
 
     def gradient(level):
         estimate = torch.full((2,), float(level), requires_grad=True)
         everywhere = estimate[None, :, None].expand(rows, 2, 1)
-        output = NetworkOutput(everywhere, torch.ones(rows, 1), torch.ones(rows, 2))
-        losses_of(output, part)[0].backward()
+        output = everywhere, torch.ones(rows, 1), torch.ones(rows, 2)
+        losses_of(output, target, 4)[0].backward()
         return estimate.grad.numpy()
 
     return gradient

@@ -1,18 +1,16 @@
 """Trust without a reference: a network that learned nothing of use leaves the means alone."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 import chdstat as chd
 from chdstat.estimators import Progressive
-from chdstat.estimators.progressive.inputs import GROUPS
-from chdstat.estimators.progressive.learned import Trust
+from chdstat.estimators.progressive.error_model import between_sizes
 from chdstat.estimators.progressive.shrinkage import (
-    Move,
-    keeping_mean,
+    GROUPS,
+    checked_shares,
     own_shares,
+    shares_keeping_mean,
     shrinkage_factor,
 )
 
@@ -21,31 +19,32 @@ def moves(rng, share, *, pixels=300, draws=4):
     """Return moves from the mean of which `share` of their length would be best."""
     mean = rng.lognormal(size=(pixels, 3))
     move = 0.5 * mean * rng.normal(size=mean.shape)
-    found = []
-    for _ in range(draws):
-        noise = 0.5 * mean * rng.normal(size=mean.shape)
-        target = mean + share * move + noise
-        estimate = np.maximum(mean + move, 0)
-        found.append(Move(np.arange(pixels), mean, estimate, target, (0.5 * mean) ** 2))
-    return found
+    noise = [0.5 * mean * rng.normal(size=mean.shape) for _ in range(draws)]
+    return (
+        np.tile(np.arange(pixels), draws),
+        np.tile(mean, (draws, 1)),
+        np.tile(np.maximum(mean + move, 0), (draws, 1)),
+        np.concatenate([mean + share * move + one for one in noise]),
+        np.tile((0.5 * mean) ** 2, (draws, 1)),
+    )
 
 
 def test_what_pays_is_followed_and_what_does_not_is_not():
     rng = np.random.default_rng(0)
-    assert min(own_shares(moves(rng, 1.0))) > 0.9
-    assert own_shares(moves(rng, 0.4)) == pytest.approx((0.45, 0.45), abs=0.2)
-    assert shrinkage_factor(moves(rng, 0.4)) == pytest.approx(0.35, abs=0.2)
+    assert min(own_shares(*moves(rng, 1.0))) > 0.9
+    assert own_shares(*moves(rng, 0.4)) == pytest.approx((0.45, 0.45), abs=0.2)
+    assert shrinkage_factor([moves(rng, 0.4)]) == pytest.approx(0.35, abs=0.2)
     for none in (0.0, -1.0):
-        assert own_shares(moves(rng, none)) == (0, 0)
-        assert shrinkage_factor(moves(rng, none)) == 0
+        assert own_shares(*moves(rng, none)) == (0, 0)
+        assert shrinkage_factor([moves(rng, none)]) == 0
 
 
 def test_one_pixel_and_no_move_are_no_evidence():
     rng = np.random.default_rng(1)
-    still = [replace(move, estimate=move.mean) for move in moves(rng, 1.0)]
-    for none in (moves(rng, 1.0, pixels=1), still):
-        assert own_shares(none) == (0, 0)
-        assert shrinkage_factor(none) == 0
+    rows, mean, _, *others = moves(rng, 1.0)
+    for none in (moves(rng, 1.0, pixels=1), (rows, mean, mean, *others)):
+        assert own_shares(*none) == (0, 0)
+        assert shrinkage_factor([none]) == 0
 
 
 @pytest.mark.parametrize("scatter", [0.0, 1.0])
@@ -59,26 +58,24 @@ def test_dark_pixels_are_not_brightened_to_the_mean_of_their_like(scatter):
     truth = np.exp(scatter * rng.normal(size=(20000, 1)) - scatter**2 / 2)
     mean, target = (truth * rng.gamma(4, 1 / 4, size=truth.shape) for _ in range(2))
     noise = truth**2 / 4
-    move = Move(np.arange(len(truth)), mean, np.ones_like(truth), target, noise)
-    share, _ = own_shares([move])
+    share, _ = own_shares(np.arange(len(truth)), mean, np.ones_like(truth), target, noise)
     error = (((mean + share * (1 - mean)) - truth) ** 2 / (truth**2 + 0.01)).mean()
     of_mean = ((mean - truth) ** 2 / (truth**2 + 0.01)).mean()
     assert error <= 1.02 * of_mean
     assert share > 0.9 if scatter == 0 else share < 0.7
 
 
-def test_shares_lie_between_sizes_along_the_logarithm():
-    shares = np.zeros((2, 2, GROUPS))
-    shares[1] = 1
-    trust = Trust(np.array([4.0, 64.0]), shares)
-    assert trust.at(np.array([0, 4, 16, 64, 1000]))[:, 0, 0].tolist() == [0, 0, 0.5, 1, 1]
-    assert trust.fixed(16).at(np.array([1, 1000]))[:, 1, 3].tolist() == [0.5, 0.5]
+def test_sizes_are_interpolated_along_the_logarithm():
+    below, above, part = between_sizes(np.array([4.0, 64.0]), np.array([0, 4, 16, 64, 1000]))
+    assert below.tolist() == [0, 0, 0, 1, 1]
+    assert above.tolist() == [1, 1, 1, 1, 1]
+    assert part.tolist() == [0, 0, 0.5, 0, 0]
 
 
 @pytest.mark.parametrize("wrong", [np.full((1, 2, GROUPS), -0.1), np.zeros((2, 2, GROUPS))])
-def test_trust_that_is_none_is_refused(wrong):
-    with pytest.raises(ValueError, match="trust must lie|shares must have shape"):
-        Trust(np.ones(1), wrong)
+def test_shares_that_are_none_are_refused(wrong):
+    with pytest.raises(ValueError, match="shares must lie|shares must have shape"):
+        checked_shares(np.ones(1), wrong)
 
 
 def test_brightened_and_darkened_pixels_are_in_balance():
@@ -86,16 +83,16 @@ def test_brightened_and_darkened_pixels_are_in_balance():
     mean = rng.exponential(size=(5000, 3))
     change = np.where(mean > 1, -0.3 * (mean - 1), 0.1 * (1 - mean))
     for given in ((0.8, 0.8), (0.2, 0.9), (1.0, 0.1)):
-        trust = keeping_mean(*given, change)
-        up, down = trust.shares[0, 0, 0], trust.shares[0, 0, -1]
+        shares = shares_keeping_mean(*given, change)
+        up, down = shares[0], shares[-1]
         radiance = change.sum(axis=-1)
         gained, lost = radiance[radiance > 0].sum(), -radiance[radiance < 0].sum()
         assert up * gained == pytest.approx(down * lost)
         assert up == pytest.approx(given[0]) or down == pytest.approx(given[1])
         assert up <= given[0] + 1e-9
         assert down <= given[1] + 1e-9
-    assert not keeping_mean(0.8, 0.8, -0.5 * mean).shares.any()
-    assert not keeping_mean(0.8, 0.0, change).shares.any()
+    assert not shares_keeping_mean(0.8, 0.8, -0.5 * mean).any()
+    assert not shares_keeping_mean(0.8, 0.0, change).any()
 
 
 def test_an_estimate_from_the_samples_that_trained_it_keeps_the_mean_of_the_image():

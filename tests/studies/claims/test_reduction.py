@@ -206,13 +206,13 @@ def assert_close(found, first, *, factor=1.0, tolerance=2e-5):
         assert (change <= most).all(), name
 
 
-@pytest.mark.parametrize("balance", [0.0, 0.5, 1.0])
-def test_constant_images_are_kept_exactly(ours, balance):
+@pytest.mark.parametrize("loss_weight", [0.0, 0.5, 1.0])
+def test_constant_images_are_kept_exactly(ours, loss_weight):
     for level in LEVELS:
         x = np.full((EDGE, EDGE, 3, N), level, np.float32)
-        assert (ours(x, balance=balance).radiance == np.float32(level)).all()
+        assert (ours(x, loss_weight=loss_weight).radiance == np.float32(level)).all()
         # The unit of the image that it is a part of, if it is told, changes nothing either.
-        assert (ours(x, balance=balance, unit=0.3).radiance == np.float32(level)).all()
+        assert (ours(x, loss_weight=loss_weight, unit=0.3).radiance == np.float32(level)).all()
 
 
 def test_pixels_of_one_light_are_kept_among_noisy_ones(ours):
