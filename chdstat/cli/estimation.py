@@ -95,7 +95,9 @@ def estimate(
     model: Annotated[
         Path | None, typer.Option(help="A trained model, in place of training one here.")
     ] = None,
-    loss_weight: Annotated[float, typer.Option(help="From 0, least MSE, to 1, least relMSE.")] = 0.5,
+    loss_weight: Annotated[
+        float, typer.Option(help="From 0, least MSE, to 1, least relMSE.")
+    ] = 0.5,
     level: Annotated[float, typer.Option(help="Probability of the interval.")] = 0.9,
     denoise: Annotated[
         bool, typer.Option("--denoise", help="Denoise the estimate with Open Image Denoise.")

@@ -219,7 +219,9 @@ class _Image:
         options: _Options,
     ) -> _Image:
         if not 0 <= options.loss_weight <= 1:
-            message = f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {options.loss_weight}"
+            message = (
+                f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {options.loss_weight}"
+            )
             raise InputError(message)
         check_probability(level=options.level)
         if model is not None and options.iterations is not None:
@@ -333,7 +335,9 @@ class _Image:
             "spp": self.source.spp,
             "estimator": self.model.name,
             "training": self.training,
-            "loss_weight": self.options.loss_weight if isinstance(self.model, Progressive) else "none",
+            "loss_weight": self.options.loss_weight
+            if isinstance(self.model, Progressive)
+            else "none",
             "level": "none" if np.isnan(self.first.level) else self.first.level,
             "denoiser": "Open Image Denoise" if self.options.denoise else "none",
             "samples": self.source.attrs,
