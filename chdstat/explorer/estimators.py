@@ -1,17 +1,17 @@
 """Estimates of one place by fixed and trained estimators, and their errors.
 
 `batches_of` cuts the samples of a place into batches; `scored` and `scored_around` let the fixed
-estimators estimate from them, `scored_learners` the trained ones. An estimator that looks at the
+estimators estimate from them, `Learner.score` a trained one. An estimator that looks at the
 pixels around is given a part of the image, not all of it: its estimate is close to that of
 `chdstat.estimate`, not the same to the bit.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+import timeit
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from chdstat.estimators import MLP, Progressive, registry
 from chdstat.estimators.models import AnyModel, load_model
 from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
+from chdstat.explorer.view import Box, Pixel
 
 __all__ = [
     "BATCHES_AROUND",
@@ -38,7 +39,6 @@ __all__ = [
     "quick_names",
     "scored",
     "scored_around",
-    "scored_learners",
 ]
 
 _MOST_BATCHES = 32
@@ -196,23 +196,12 @@ def fixed(*, neighbours: bool = False) -> dict[str, registry.Estimator]:
 def quick_names() -> frozenset[str]:
     """Return the estimators that are quick enough for a click: 4 ms for all batches, tried once."""
     x = np.random.default_rng(0).gamma(0.5, size=(_MOST_BATCHES, 3, 32)).astype(np.float32)
-    quick = set()
-    for name, entry in fixed().items():
-        seconds = []
-        for _ in range(3):
-            start = time.perf_counter()
-            entry(x)
-            seconds.append(time.perf_counter() - start)
-        if min(seconds) < _QUICK:
-            quick.add(name)
-    return frozenset(quick)
+    timed = ((n, timeit.repeat(partial(e, x), number=1, repeat=3)) for n, e in fixed().items())
+    return frozenset(name for name, seconds in timed if min(seconds) < _QUICK)
 
 
 def scored(
-    batches: ScoringBatches,
-    *,
-    names: Collection[str] | None = None,
-    step: Step = lambda: None,
+    batches: ScoringBatches, *, names: Collection[str] | None = None, step: Step = lambda: None
 ) -> list[ScoredEstimate]:
     """Score every fixed estimator of one pixel.
 
@@ -299,6 +288,58 @@ class Learner:
     model: AnyModel
     _trust: dict[tuple[int, int], float] = field(default_factory=dict, repr=False)
 
+    def score(
+        self,
+        batches: ScoringBatches,
+        source: StoreSource | None,
+        place: Pixel | Box,
+        unit: float | None,
+    ) -> ScoredEstimate | None:
+        """Return the estimate of a place; None where the model does not apply.
+
+        That is one for another number of samples or channels, and one that looks around where there
+        is no image, as for a region.
+
+        Parameters
+        ----------
+        batches
+            Batches of the place.
+        source
+            The store that has the pixels around; None where there is none.
+        place
+            (y, x), or the four numbers of a region.
+        unit
+            Mean radiance of the image; None where it is not known.
+        """
+        model, n = self.model, batches.n
+        if isinstance(model, MLP):
+            fits = model.inputs == n
+            return _score(self.name, model.predict(batches.x), batches) if fits else None
+        if model.channels != batches.x.shape[-2]:
+            return None
+        names = ("radiance", "certainty", "low", "high")
+        if model.inputs.features or model.inputs.neighbours:
+            lacking = source is None or (model.inputs.features and not source.samples.features)
+            if source is None or lacking or len(place) != 2:
+                return None
+            batches = batches.first(BATCHES_AROUND)
+            spp = len(batches.x) * n
+            window, (y, x), (ys, xs) = source.around(*place, spp, radius=_AROUND_LEARNED)
+            features, trust = self._features(source, ys, xs), self.trust(source, n)
+            found = [
+                model.estimate(cut, features=features, unit=unit, trust=trust)
+                for cut in _cut(window, n)
+            ]
+            fields = [np.stack([getattr(e, name)[y, x] for e in found]) for name in names]
+        else:
+            # Without an image, the batches of the place tell the shrinkage.
+            trust = self.trust(source, n) if source else model.trust(batches.x, unit=unit)
+            estimated = model.estimate(batches.x, unit=unit, trust=trust)
+            fields = [getattr(estimated, name) for name in names]
+        certainty, low, high = (_average(values) for values in fields[1:])
+        one = _score(self.name, fields[0], batches)
+        return replace(one, certainty=float(certainty), low=low, high=high)
+
     def trust(self, source: StoreSource, n: int) -> float:
         """Return the shrinkage of a model on an image, from n samples of each pixel.
 
@@ -311,20 +352,16 @@ class Learner:
         if key not in self._trust:
             ys, xs = (
                 slice((k - _PART) // 2, (k + _PART) // 2) if k > _PART else slice(None)
-                for k in samples.shape[:2]
+                for k in source.size
             )
-            features = _features(self.model, source, ys, xs)
-            window = samples.read(ys, xs, slice(n))
+            window, features = samples.read(ys, xs, slice(n)), self._features(source, ys, xs)
             self._trust[key] = self.model.trust(window, features=features)
         return self._trust[key]
 
-
-def _features(
-    model: Progressive, source: StoreSource, ys: slice, xs: slice
-) -> Mapping[str, Image] | None:
-    if not model.inputs.features:
-        return None
-    return {name: own[ys, xs] for name, own in source.samples.features.items()}
+    def _features(self, source: StoreSource, ys: slice, xs: slice) -> dict[str, Image] | None:
+        if not isinstance(self.model, Progressive) or not self.model.inputs.features:
+            return None
+        return {name: own[ys, xs] for name, own in source.samples.features.items()}
 
 
 def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
@@ -351,84 +388,3 @@ def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
             )
             raise InputError(message)
     return found
-
-
-def scored_learners(
-    found: Sequence[Learner],
-    batches: ScoringBatches,
-    source: StoreSource | None,
-    place: tuple[int, ...],
-    unit: float | None,
-    *,
-    step: Step = lambda: None,
-) -> list[ScoredEstimate]:
-    """Score trained estimators on the batches of a place.
-
-    Left out is what does not apply: a model for another number of samples or channels, and one
-    that looks around where there is no image, as for a region.
-
-    Parameters
-    ----------
-    found
-        The estimators.
-    batches
-        Batches of the place.
-    source
-        The store that has the pixels around; None where there is none.
-    place
-        (y, x), or the four numbers of a region.
-    unit
-        Mean radiance of the image; None where it is not known.
-    step
-        Called before each; whatever it raises ends the computation.
-    """
-    estimates = []
-    for learner in found:
-        step()
-        model, some = learner.model, batches
-        if isinstance(model, MLP):
-            if model.inputs == batches.n:
-                estimates.append(_score(learner.name, model.predict(batches.x), batches))
-            continue
-        if model.channels != batches.x.shape[-2]:
-            continue
-        if model.inputs.features or model.inputs.neighbours:
-            if source is None or len(place) != 2:
-                continue
-            if model.inputs.features and not source.samples.features:
-                continue
-            some = batches.first(BATCHES_AROUND)
-            fields = _around(learner, model, some, source, (place[0], place[1]), unit)
-        else:
-            # Without an image, the batches of the place tell the shrinkage.
-            trust = (
-                learner.trust(source, batches.n) if source else model.trust(batches.x, unit=unit)
-            )
-            estimated = model.estimate(batches.x, unit=unit, trust=trust)
-            fields = {name: getattr(estimated, name) for name in _FIELDS}
-        one = _score(learner.name, fields["radiance"], some)
-        certainty, low, high = (_average(fields[name]) for name in _FIELDS[1:])
-        estimates.append(replace(one, certainty=float(certainty), low=low, high=high))
-    return estimates
-
-
-_FIELDS = ("radiance", "certainty", "low", "high")
-
-
-def _around(
-    learner: Learner,
-    model: Progressive,
-    some: ScoringBatches,
-    source: StoreSource,
-    place: tuple[int, int],
-    unit: float | None,
-) -> dict[str, npt.NDArray[Any]]:
-    """Return estimates of a pixel from a part of the image around it, batch by batch."""
-    spp = len(some.x) * some.n
-    window, (y, x), (ys, xs) = source.around(*place, spp, radius=_AROUND_LEARNED)
-    features, trust = _features(model, source, ys, xs), learner.trust(source, some.n)
-    found = [
-        model.estimate(cut, features=features, unit=unit, trust=trust)
-        for cut in _cut(window, some.n)
-    ]
-    return {name: np.stack([getattr(e, name)[y, x] for e in found]) for name in _FIELDS}

@@ -25,13 +25,7 @@ from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part
 from chdstat.inference import MORE_THAN_TESTED, N_MEANS, sizes_of_means
 from chdstat.inference.normality_of_means import means_of_block
-from chdstat.patterns.classification import (
-    Label,
-    finish_patterns,
-    luminance_part,
-    patterns_of_part,
-    patterns_variables,
-)
+from chdstat.patterns import classification
 from chdstat.samples.samples import Mapped
 
 __all__ = ["IMAGES", "MAPS", "Map", "MapKind", "map_kind", "of_overall", "ramp", "rgba", "walk"]
@@ -149,7 +143,7 @@ MAPS: dict[str, MapKind] = {
             "pattern",
             "Pattern",
             "primary label",
-            {int(label): label.name.lower().replace("_", " ") for label in Label},
+            {int(label): label.name.lower().replace("_", " ") for label in classification.Label},
         ),
         MapKind("n_needed", "N needed for Gaussian averages", "samples, luminance"),
     )
@@ -213,7 +207,9 @@ def walk(source: StoreSource, name: str, step: Step) -> Map:
             block = source.read(ys, xs)
             variables: Mapped = {"label": ((), np.empty(0))}
             if name == "pattern":
-                variables = patterns_variables(patterns_of_part(luminance_part(block)))
+                part = classification.luminance_part(block)
+                found = classification.patterns_of_part(part)
+                variables = classification.patterns_variables(found)
                 values[ys, xs] = variables["label"][1]
             else:
                 values[ys, xs] = _value(name, block)
@@ -221,8 +217,8 @@ def walk(source: StoreSource, name: str, step: Step) -> Map:
 
     if name == "pattern":
         # Over the image, flags are decided with p-values corrected for its size.
-        found = source.samples.assemble(parts(), progress=False)
-        values = finish_patterns(found)["label"].to_numpy().astype(np.float32)
+        whole = source.samples.assemble(parts(), progress=False)
+        values = classification.finish_patterns(whole)["label"].to_numpy().astype(np.float32)
     else:
         for _ in parts():
             pass
@@ -233,8 +229,17 @@ def _value(name: str, block: Image) -> npt.NDArray[Any]:
     if name.startswith(_ERROR):
         return _error_ratio(name.removeprefix(_ERROR), block)
     if name == "n_needed":
-        return _needed(block)
-    part = luminance_part(block)
+        spp = block.shape[-1]
+        if spp < N_MEANS:
+            return np.full(block.shape[:2], np.nan)
+        bad, sizes = is_bad(block).any(axis=-2), sizes_of_means(spp)
+        with np.errstate(invalid="ignore", over="ignore"):
+            light = np.where(bad, np.nan, luminance(block))[..., np.newaxis, :]
+        needed = means_of_block(light, sizes).n_needed[..., 0]
+        # The place of the N needed among those tested; one more where it is larger.
+        place = np.where(needed > 0, np.searchsorted(sizes, needed), np.nan)
+        return np.where(needed == MORE_THAN_TESTED, len(sizes), place)
+    part = classification.luminance_part(block)
     if name == "tail_index":
         return tail_of_part(part).xi
     if name == "finite_variance":
@@ -243,19 +248,6 @@ def _value(name: str, block: Image) -> npt.NDArray[Any]:
         return np.where(tail.reason == Reason.OK, verdict, np.nan)
     best = select_part(part, [FAMILIES[family] for family in SELECTED]).best
     return np.where(best < 0, np.nan, best)
-
-
-def _needed(block: Image) -> npt.NDArray[Any]:
-    """Return the place of the N needed among those tested; one more where it is larger."""
-    if block.shape[-1] < N_MEANS:
-        return np.full(block.shape[:2], np.nan)
-    sizes = sizes_of_means(block.shape[-1])
-    bad = is_bad(block).any(axis=-2)
-    with np.errstate(invalid="ignore", over="ignore"):
-        light = np.where(bad, np.nan, luminance(block))[..., np.newaxis, :]
-    needed = means_of_block(light, sizes).n_needed[..., 0]
-    place = np.searchsorted(sizes, needed).astype(np.float64)
-    return np.where(needed == MORE_THAN_TESTED, len(sizes), np.where(needed > 0, place, np.nan))
 
 
 def _error_ratio(name: str, block: Image) -> npt.NDArray[Any]:

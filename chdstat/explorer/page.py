@@ -27,7 +27,7 @@ from bokeh.plotting import figure
 
 from chdstat.explorer.estimators import fixed
 from chdstat.explorer.maps import IMAGES, MAPS, Map, ramp
-from chdstat.explorer.panels import DASHES, LOG_X, LOG_Y, PanelData, Trace, extent
+from chdstat.explorer.panels import DASHES, PANELS, PanelData, Trace, extent
 from chdstat.explorer.selection import EXPORTS
 from chdstat.explorer.sources import Source, StoreSource
 from chdstat.explorer.view import BATCH_SIZES, FITS
@@ -42,14 +42,6 @@ TEXT = "#e8e9ea"
 FAINT = "#b4b8bd"
 _LINES = "#3a3e44"
 _MISSING = "#000000"
-_PANELS = {
-    "linear": ("Linear histogram", "radiance", "density"),
-    "log": ("Log10 histogram", "radiance", "density per decade"),
-    "qq": ("Quantiles", "quantiles of the family", "of the samples"),
-    "running": ("Running mean", "spp", "radiance"),
-    "averages": ("Averages of N samples", "radiance", "density"),
-}
-"""Title and axes of each panel."""
 # A click soon after another, and one that is held for a while, are clicks as well.
 _EVENTS = {
     "tap": "tap",
@@ -145,7 +137,7 @@ class Page:
                 for names in (("x", "y", "color", "text"), ("left", "right", "top", "bottom"))
             )
             self._images = [self._image(f"image{i}") for i in range(len(self._titles))]
-            self._panels = {name: _panel(name) for name in _PANELS}
+            self._panels = {name: _panel(name) for name in PANELS}
             plots = [image["figure"] for image in self._images]
             plots += [panel for panel, _ in self._panels.values()]
             for root in (*plots, self.inbox, self.outbox):
@@ -239,7 +231,7 @@ class Page:
             "channels": [*channels, ("luminance", "luminance")] if len(channels) > 1 else [],
             "batches": BATCH_SIZES,
             "titles": self._titles,
-            "panel_titles": {name: title for name, (title, *_) in _PANELS.items()},
+            "panel_titles": {name: kind.title for name, kind in PANELS.items()},
         }
 
     # --- what is shown --------------------------------------------------------------------------
@@ -313,16 +305,16 @@ def _panel(name: str) -> tuple[Any, list[models.Model]]:
 
     That is: areas, lines, marks, the ranges across and up.
     """
-    _, across, up = _PANELS[name]
+    kind = PANELS[name]
     ranges = models.Range1d(0.1, 1), models.Range1d(0.1, 1)
     plot: Any = figure(
         name=name,
-        x_axis_type="log" if name in LOG_X else "linear",
-        y_axis_type="log" if name in LOG_Y else "linear",
+        x_axis_type=kind.x_scale,
+        y_axis_type=kind.y_scale,
         x_range=ranges[0],
         y_range=ranges[1],
-        x_axis_label=across,
-        y_axis_label=up,
+        x_axis_label=kind.x,
+        y_axis_label=kind.y,
         tools="",
         toolbar_location=None,
         sizing_mode="stretch_both",
@@ -334,11 +326,7 @@ def _panel(name: str) -> tuple[Any, list[models.Model]]:
         outline_line_color=_LINES,
     )
     _style(plot)
-    columns = (
-        ("xs", "ys", "color"),
-        ("xs", "ys", "color", "dash", "width"),
-        ("x", "color"),
-    )
+    columns = (("xs", "ys", "color"), ("xs", "ys", "color", "dash", "width"), ("x", "color"))
     areas, lines, marks = (
         models.ColumnDataSource({name: [] for name in names}) for names in columns
     )

@@ -24,13 +24,10 @@ from chdstat.reporting.typst import NAMES
 
 __all__ = [
     "BLENDED",
-    "CHANNEL_COLORS",
     "DASHES",
-    "LOG_X",
-    "LOG_Y",
+    "PANELS",
     "PIXEL_COLORS",
     "PanelData",
-    "Series",
     "Trace",
     "extent",
     "panels",
@@ -49,6 +46,37 @@ DASHES = {**dict(zip(FAMILIES, cycle(_PATTERNS), strict=False)), "mixture": "6 4
 Floats = npt.NDArray[Any]
 Scale = Literal["linear", "log"]
 Extent = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class PanelKind:
+    """A row of `PANELS`.
+
+    Attributes
+    ----------
+    title, x, y
+        Text above the panel and along its axes.
+    x_scale, y_scale
+        Scales of the axes.
+    from_zero
+        Whether it stands on the axis, as densities do.
+    """
+
+    title: str
+    x: str
+    y: str
+    x_scale: Scale = "linear"
+    y_scale: Scale = "linear"
+    from_zero: bool = False
+
+
+PANELS = {
+    "linear": PanelKind("Linear histogram", "radiance", "density", from_zero=True),
+    "log": PanelKind("Log10 histogram", "radiance", "density per decade", "log", from_zero=True),
+    "qq": PanelKind("Quantiles", "quantiles of the family", "of the samples", "log", "log"),
+    "running": PanelKind("Running mean", "spp", "radiance", "log"),
+    "averages": PanelKind("Averages of N samples", "radiance", "density", from_zero=True),
+}
 
 
 @dataclass(frozen=True)
@@ -164,7 +192,7 @@ def panels(view: View, series: Sequence[Series]) -> dict[str, PanelData]:
 def _histogram(view: View, series: Sequence[Series], scale: Scale) -> PanelData:
     areas, lines, marks = [], [], []
     for s in series:
-        counted = s.place.log if scale == "log" else s.place.linear
+        counted = s.place.histograms[scale]
         x, y = _steps(counted.edges, counted.density, s.row)
         if not x.size:
             continue
@@ -216,7 +244,7 @@ def _uncounted(series: Sequence[Series], scale: Scale) -> list[str]:
     ]
     if len(groups[0]) == 1 and not groups[1]:
         place, rows = groups[0][0], [s.row for s in series]
-        counted = place.log if scale == "log" else place.linear
+        counted = place.histograms[scale]
         outside = (counted.underflow + counted.overflow)[rows].sum() / (len(rows) * place.spp)
         return [f"{_counts(place)} · {_percent(outside)} outside"]
     notes = []
@@ -275,7 +303,7 @@ def _running(series: Sequence[Series]) -> PanelData:
     areas, lines = [], []
     tails = []
     for s in series:
-        at, means, errors = s.place.running()
+        at, means, errors = s.place.running
         if not at.size:
             continue
         mean, error = means[s.row], _Z * errors[s.row]
@@ -316,7 +344,10 @@ def _averages(view: View, series: Sequence[Series]) -> PanelData:
         if not s.other:
             areas.append(Trace(x, y, s.color))
             lines.append(_gaussian(averages, edges, s.color))
-            notes.append(_normality(s, view.batch))
+            means = s.place.means
+            if means is not None and view.batch in means.sizes:
+                p = float(means.p_value[s.row, list(means.sizes).index(view.batch)])
+                notes += [f"{s.name} p = {p:.2g}"] if np.isfinite(p) else []
     if not lines:
         notes = notes or [f"too few samples for averages of {view.batch}"]
     if beyond > 0:
@@ -332,19 +363,6 @@ def _gaussian(averages: Floats, edges: Floats, color: str) -> Trace:
     return Trace(x, y, color, "dotted", 1.8)
 
 
-def _normality(s: Series, n: int) -> str:
-    means = s.place.means
-    if means is None or n not in means.sizes:
-        return ""
-    p = float(means.p_value[s.row, list(means.sizes).index(n)])
-    return f"{s.name} p = {p:.2g}" if np.isfinite(p) else ""
-
-
-LOG_X = frozenset({"log", "qq", "running"})
-LOG_Y = frozenset({"qq"})
-"""Panels whose axes are logarithmic."""
-_DENSITIES = frozenset({"linear", "log", "averages"})
-"""Those that stand on the axis."""
 _MARGIN = 0.04
 _TINY = 1e-300
 
@@ -358,28 +376,27 @@ def extent(name: str, panel: PanelData) -> tuple[Extent, Extent] | None:
     >>> extent("linear", PanelData(lines=[line]))
     ((-0.4, 10.4), (0.0, 2.08))
     """
-    traces = (*panel.areas, *panel.lines)
+    kind, traces = PANELS[name], (*panel.areas, *panel.lines)
     marks = np.array([mark[0] for mark in panel.marks])
-    across = _span([*(t.x for t in traces), marks], log=name in LOG_X)
-    up = _span([t.y for t in traces], log=name in LOG_Y)
+    across = _span([*(t.x for t in traces), marks], kind.x_scale)
+    up = _span([t.y for t in traces], kind.y_scale)
     if across is None or up is None:
         return None
-    if name in _DENSITIES:
-        return _padded(across, log=name in LOG_X), (0.0, up[1] * (1 + _MARGIN))
-    return _padded(across, log=name in LOG_X), _padded(up, log=name in LOG_Y)
+    vertical = (0.0, up[1] * (1 + _MARGIN)) if kind.from_zero else _padded(up, kind.y_scale)
+    return _padded(across, kind.x_scale), vertical
 
 
-def _span(parts: Iterable[npt.ArrayLike], *, log: bool) -> Extent | None:
+def _span(parts: Iterable[npt.ArrayLike], scale: Scale) -> Extent | None:
     whole = np.concatenate([np.empty(0), *(np.asarray(part, np.float64) for part in parts)])
-    shown = whole[np.isfinite(whole) & ((whole > _TINY) if log else True)]
+    shown = whole[np.isfinite(whole) & ((whole > _TINY) if scale == "log" else True)]
     return (float(shown.min()), float(shown.max())) if shown.size else None
 
 
-def _padded(span: Extent, *, log: bool) -> Extent:
+def _padded(span: Extent, scale: Scale) -> Extent:
     """Return a span with a margin; one value alone gets a tenth, or a factor of two, around it."""
-    low, high = np.log10(span) if log else span
-    alone = np.log10(2) if log else 0.1 * abs(low) or 1.0
+    low, high = np.log10(span) if scale == "log" else span
+    alone = np.log10(2) if scale == "log" else 0.1 * abs(low) or 1.0
     margin = _MARGIN * (high - low) if high > low else alone
     ends = np.array([low - margin, high + margin])
-    start, end = 10.0**ends if log else ends
+    start, end = 10.0**ends if scale == "log" else ends
     return float(start), float(end)

@@ -160,15 +160,15 @@ class SelectionResults:
         shared, key, batches = self._shared, plots.key, self._batches(plots)
         if batches is None:
             return self._estimates_table(plots, quick)
-        overall, store = shared.overall, None
-        known = overall is not None and np.isfinite(overall.mean).any()
-        unit = overall.unit if overall is not None and known else None
-        if isinstance(shared.source, StoreSource):
-            store = shared.source
+        overall = shared.overall
+        unit = overall.unit if np.isfinite(overall.mean).any() else None
+        store = shared.source if isinstance(shared.source, StoreSource) else None
         slow = estimators.fixed().keys() - estimators.quick_names()
         found = [*quick, *estimators.scored(batches, names=slow, step=step)]
-        learned = shared.learners
-        found += estimators.scored_learners(learned, batches, store, key, unit, step=step)
+        for learner in shared.learners:
+            step()
+            learned = learner.score(batches, store, key, unit)
+            found += [] if learned is None else [learned]
         if store is None or len(key) != 2:
             return self._estimates_table(plots, found)
         around = estimators.scored_around(batches, store, key, step=step)
@@ -182,12 +182,11 @@ class SelectionResults:
 
     def _statistics(self, source: Source, which: int, key: Pixel | Box) -> PlaceStatistics:
         x = source.pixel(*key) if len(key) == 2 else source.region(key)
-        known = self._places.pop((which, key), None)
-        found = known if known is not None and known.spp == x.shape[1] else None
-        if found is None:
-            found = PlaceStatistics(x, source.channels)
-            if known is not None:
-                found.take_over(known)
+        found = self._places.pop((which, key), None)
+        if found is None or found.spp != x.shape[1]:
+            earlier, found = found, PlaceStatistics(x, source.channels)
+            if earlier is not None:
+                found.take_over(earlier)
         self._places[which, key] = found
         held = sum(place.rows.nbytes for place in self._places.values())
         while len(self._places) > 1 and held > _KEPT_BYTES:  # the oldest goes
@@ -200,11 +199,9 @@ class SelectionResults:
         """Compare a place of the two stores, in pairs where these share random numbers."""
         source, second = self._shared.source, self._shared.other
         one, two = place.samples, other.samples
-        if (
-            second is None
-            or not isinstance(source, StoreSource)
-            or not source.samples.shares_numbers_with(second.samples)
-        ):
+        if second is None or not isinstance(source, StoreSource):
+            return difference(one, two)
+        if not source.samples.shares_numbers_with(second.samples):
             return difference(one, two)
         spp = min(source.samples.spp, second.samples.spp)
         if len(key) == 2:
@@ -213,36 +210,36 @@ class SelectionResults:
             one, two = source.region(key, spp), second.region(key, spp)
         return difference(one, two, paired=True)
 
-    @property
-    def _first_of_reference(self) -> int:
-        """First sample of the reference that has random numbers of its own.
+    def _reference(self) -> tuple[StoreSource | None, int]:
+        """Return the reference and its first sample with random numbers of its own; None if none.
 
         In a reference of the seed of the source, the noise of those before is that of the source:
         errors against them would be too small.
         """
         source, reference = self._shared.source, self._shared.reference
-        if reference is None or not isinstance(source, StoreSource):
-            return 0
-        shares = source.samples.shares_numbers_with(reference.samples)
-        return source.samples.spp if shares else 0
+        if reference is None:
+            return None, 0
+        samples = reference.samples
+        first = 0
+        if isinstance(source, StoreSource) and source.samples.shares_numbers_with(samples):
+            first = source.samples.spp
+        return (reference, first) if first < samples.spp else (None, 0)
 
     def _batches(self, plots: SelectionPlots) -> estimators.ScoringBatches | None:
         """Return the batches of the active place, which are scored against the reference."""
-        place, key, reference = plots.place, plots.key, self._shared.reference
-        truth = None
+        place, key, truth = plots.place, plots.key, None
+        reference, first = self._reference()
         if reference is not None and len(key) == 2:
-            x = reference.pixel(*key)[:, self._first_of_reference :]
-            if x.shape[1]:
-                moments = PlaceStatistics(x, place.channels).moments
-                truth = moments.seen(moments.mean)[: len(place.channels)]
+            moments = PlaceStatistics(reference.pixel(*key)[:, first:], place.channels).moments
+            truth = moments.seen(moments.mean)[: len(place.channels)]
         return estimators.batches_of(place.samples, plots.n, truth)
 
     def _estimates_table(
         self, plots: SelectionPlots, found: Sequence[estimators.ScoredEstimate], more: str = ""
     ) -> Table:
         note = "error against the mean of the other samples, which no batch contains"
-        reference, first = self._shared.reference, self._first_of_reference
-        if reference is not None and first < reference.samples.spp:
+        reference, first = self._reference()
+        if reference is not None:
             note = f"error against {reference.name}"
             # The first ones share their random numbers with what is scored.
             note += f" from sample {first} on" if first else ""
@@ -306,26 +303,22 @@ def _csv(plots: SelectionPlots) -> bytes:
 
 def _figure(plots: SelectionPlots) -> Figure:
     family = plots.view.families[0] if plots.view.families else ""
-    drawn = [
-        _panel(_mark(key).name, place, family)
-        for key, place in zip(plots.keys, plots.places, strict=True)
-    ]
+    drawn = []
+    for key, place in zip(plots.keys, plots.places, strict=True):
+        count = len(place.channels)
+        fits = [place.positive(family, row) if family else None for row in range(count)]
+        named = dict.fromkeys(NAMES.get(fit[0], fit[0]) for fit in fits if fit is not None)
+        panel = viz.Panel(
+            name=_mark(key).name,
+            linear=take_rows(place.histograms["linear"], slice(count), axis=0),
+            log=take_rows(place.histograms["log"], slice(count), axis=0),
+            channels=place.channels,
+            fits=[None if fit is None else fit[1] for fit in fits],
+            mean=place.moments.mean[:count].tolist(),
+            note=f"{percent(place.null_share)} null, {' / '.join(named) or 'no fit'}",
+        )
+        drawn.append(panel)
     return viz.chd_grid(drawn, columns=1 if len(drawn) == 1 else 2)
-
-
-def _panel(name: str, place: PlaceStatistics, family: str) -> viz.Panel:
-    count = len(place.channels)
-    fits = [place.positive(family, row) if family else None for row in range(count)]
-    named = dict.fromkeys(NAMES.get(fit[0], fit[0]) for fit in fits if fit is not None)
-    return viz.Panel(
-        name=name,
-        linear=take_rows(place.linear, slice(count), axis=0),
-        log=take_rows(place.log, slice(count), axis=0),
-        channels=place.channels,
-        fits=[None if fit is None else fit[1] for fit in fits],
-        mean=place.moments.mean[:count].tolist(),
-        note=f"{percent(place.null_share)} null, {' / '.join(named) or 'no fit'}",
-    )
 
 
 def _mark(key: Pixel | Box) -> viz.Mark:
@@ -341,10 +334,7 @@ def _mark(key: Pixel | Box) -> viz.Mark:
 def _pdf(source: str, plots: SelectionPlots, overall: Overall, exposure: float) -> bytes:
     image = np.nan_to_num(overall.mean, nan=0.0, posinf=0.0, neginf=0.0)
     marks = [_mark(key) for key in plots.keys]
-    figures = {
-        "image": viz.with_marks(image, marks, exposure=exposure),
-        "chds": _figure(plots),
-    }
+    figures = {"image": viz.with_marks(image, marks, exposure=exposure), "chds": _figure(plots)}
     place, count = plots.place, len(plots.places)
     content = {
         "title": source,

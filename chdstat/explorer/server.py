@@ -12,6 +12,7 @@ import socket
 import threading
 import webbrowser
 from collections.abc import Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from bokeh.application.handlers.handler import Handler
     from bokeh.document import Document
     from bokeh.server.server import Server
+    from tornado.httputil import HTTPServerRequest
 
 __all__ = ["DEFAULT_PORT", "Explorer", "explore"]
 
@@ -37,34 +39,37 @@ _EVERY = 3000
 """Milliseconds between two looks at a store that is still being written."""
 
 
-class Explorer:
+class Explorer(contextlib.AbstractContextManager["Explorer"]):
     """A running explorer, as `explore` returns it; a notebook shows the page itself.
 
     Use it as a context, call `stop` when done, or `wait` in a script that does nothing else.
+
+    Attributes
+    ----------
+    port
+        The port that is served.
+    url
+        Address of the page.
     """
 
     def __init__(self, shared: Shared, port: int) -> None:
         self._shared = shared
-        self._ready = threading.Event()
-        self._error: BaseException | None = None
-        self._loop: Any = None
-        self._server: Server | None = None
-        self._asked_port = port
-        self._thread = threading.Thread(target=self._run, name="chdstat-explorer", daemon=True)
-
-    @property
-    def port(self) -> int:
-        """The port that is served."""
-        return int(self._server.port or 0) if self._server else self._asked_port
-
-    @property
-    def url(self) -> str:
-        """Address of the page."""
-        return f"http://{_ADDRESS}:{self.port}/"
+        started: Future[tuple[Any, Any]] = Future()
+        self._thread = threading.Thread(
+            target=_serve, args=(shared, port, started), name="chdstat-explorer", daemon=True
+        )
+        self._thread.start()
+        try:
+            self._loop, self._server = started.result()
+        except BaseException:
+            shared.stop()
+            raise
+        self.port = int(self._server.port)
+        self.url = f"http://{_ADDRESS}:{self.port}/"
 
     def stop(self) -> None:
         """Stop serving and end all threads; a second call does nothing."""
-        if self._loop is not None and self._thread.is_alive():
+        if self._thread.is_alive():
             self._loop.add_callback(self._end)
             self._thread.join(timeout=10)
         self._shared.stop()
@@ -87,24 +92,6 @@ class Explorer:
                 signal.signal(number, handler)
             self.stop()
 
-    def start(self) -> Explorer:
-        """Start to serve.
-
-        Raises
-        ------
-        InputError
-            If the port is taken.
-        """
-        self._thread.start()
-        self._ready.wait()
-        if self._error is not None:
-            self._shared.stop()
-            raise self._error
-        return self
-
-    def __enter__(self) -> Explorer:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.stop()
 
@@ -120,31 +107,30 @@ class Explorer:
 
     def _end(self) -> None:
         """Tell all pages, give them a moment to hear it, and leave the loop."""
-        server: Any = self._server
-        for page in list(server._tornado._clients):
+        for page in list(self._server._tornado._clients):
             page._socket.close(1001, "the explorer has stopped")
         self._loop.call_later(0.1, self._loop.stop)
 
-    def _run(self) -> None:
-        """Own the loop of the server from its start to its end."""
-        from tornado.ioloop import IOLoop
 
-        try:
-            asyncio.set_event_loop(asyncio.new_event_loop())
-            self._loop = IOLoop.current()
-            self._server = _bound(self._shared, self._asked_port)
-            self._server.start()
-        except BaseException as error:  # noqa: BLE001 - handed to the thread that waits
-            self._error = error
-            return
-        finally:
-            self._ready.set()
-        try:
-            self._loop.start()
-        finally:
-            with contextlib.suppress(Exception):
-                self._server.stop()
-            self._loop.close()
+def _serve(shared: Shared, port: int, started: Future[tuple[Any, Any]]) -> None:
+    """Own the loop of the server from its start to its end."""
+    from tornado.ioloop import IOLoop
+
+    try:
+        asyncio.set_event_loop(asyncio.new_event_loop())
+        loop = IOLoop.current()
+        server = _bound(shared, port)
+        server.start()
+    except BaseException as error:  # noqa: BLE001 - handed to the thread that waits
+        started.set_exception(error)
+        return
+    started.set_result((loop, server))
+    try:
+        loop.start()
+    finally:
+        with contextlib.suppress(Exception):
+            server.stop()
+        loop.close()
 
 
 def explore(
@@ -209,7 +195,7 @@ def explore(
     """
     shared = opened(source, other, reference, models, size=size, seed=seed, max_depth=max_depth)
     shared.start()
-    explorer = Explorer(shared, port).start()
+    explorer = Explorer(shared, port)
     if browser:
         webbrowser.open(explorer.url)
     return explorer
@@ -274,9 +260,9 @@ def _refuse_other_hosts(application: Any) -> None:
 
     find = application.find_handler
 
-    def find_here(request: Any, **options: Any) -> Any:
+    def find_here(request: HTTPServerRequest) -> Any:
         if split_host_and_port(request.host.lower())[0] in _HOSTS:
-            return find(request, **options)
+            return find(request)
         return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
 
     application.find_handler = find_here

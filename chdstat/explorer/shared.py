@@ -22,8 +22,8 @@ from chdstat._core.files import Cache, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.models import AnyModel
 from chdstat.explorer.estimators import Learner, learners, quick_names
-from chdstat.explorer.maps import Map, map_kind, of_overall, walk
-from chdstat.explorer.sources import Overall, SceneSource, Source, StoreSource, preview, stream
+from chdstat.explorer.maps import IMAGES, Map, map_kind, of_overall, walk
+from chdstat.explorer.sources import Overall, SceneSource, Source, StoreSource, stream
 from chdstat.samples import Samples, cache_key, is_store
 from chdstat.samples import open as open_store
 from chdstat.scenes import Scene, load_scene
@@ -31,6 +31,7 @@ from chdstat.scenes import Scene, load_scene
 __all__ = ["Explored", "Shared", "Stopped", "kept", "opened"]
 
 _MOST_FILES = 64
+_FIRST_SPP = 64
 _EVERY = 0.4
 """Seconds between two reports of a pass."""
 
@@ -126,7 +127,7 @@ class Shared:
     Attributes
     ----------
     overall, other_overall
-        Images so far; None before there is any.
+        Images of `source` and `other` so far.
     maps
         Maps by name, finished or not.
     working
@@ -146,8 +147,8 @@ class Shared:
     ) -> None:
         self.source, self.other, self.reference = source, other, reference
         self.learners = tuple(learners)
-        self.overall: Overall | None = None
-        self.other_overall: Overall | None = None
+        self.overall = Overall.empty(*source.size, len(source.channels))
+        self.other_overall = self.overall
         self.maps: dict[str, Map] = {}
         self.working = self.failed = ""
         self.clicks, self.exports, self.additions, self._passes = (
@@ -165,9 +166,10 @@ class Shared:
         """Show the first image, then begin to improve it."""
         quick_names()
         if isinstance(self.source, StoreSource):
-            self.overall = preview(self.source)
+            # The first samples take a second where all take minutes.
+            self.overall = stream(self.source, spp=_FIRST_SPP)
             if self.other is not None:
-                self.other_overall = preview(self.other)
+                self.other_overall = stream(self.other, spp=_FIRST_SPP)
         self._passes.submit(self._guarded, self._draw)
 
     def stop(self) -> None:
@@ -200,13 +202,21 @@ class Shared:
         Raises
         ------
         InputError
-            If there is no such map.
+            If there is no such map, or it needs a store and there is none.
         """
-        map_kind(name)
+        kind, source = map_kind(name), self.source
+        if not isinstance(source, StoreSource):
+            if name not in IMAGES:
+                how = "render the scene with 'chdstat render SCENE -o STORE'"
+                message = f"{kind.title!r} needs a store: {how}"
+                raise InputError(message)
+            return
         running = self._wanted.get(name)
         there = name in self.maps and self.maps[name].done >= 1
         if not there and (running is None or running.done()):
-            self._wanted[name] = self._passes.submit(self._guarded, lambda: self._walk(name))
+            self._wanted[name] = self._passes.submit(
+                self._guarded, partial(self._walk, source, name)
+            )
 
     def refresh(self) -> None:
         """Go on with the samples that were added to the store since, if there are any."""
@@ -254,10 +264,7 @@ class Shared:
 
         return kept(source.samples, "overall", Overall, lambda: stream(source, step))
 
-    def _walk(self, name: str) -> None:
-        source = self.source
-        if not isinstance(source, StoreSource):
-            return
+    def _walk(self, source: StoreSource, name: str) -> None:
         kind = map_kind(name, source.samples.spp)
 
         def step(share: float, values: npt.NDArray[np.float32]) -> None:
@@ -266,10 +273,11 @@ class Shared:
                 self._say(f"mapping {kind.title}, {100 * share:.0f} %")
                 self.tell(name)
 
-        found = None if self.overall is None else of_overall(self.overall, name)
+        found = of_overall(self.overall, name)
         if found is None:
-            compute = lambda: walk(source, name, step).values  # noqa: E731
-            found = Map(kind, kept(source.samples, name, npt.NDArray[Any], compute))
+            array = npt.NDArray[np.float32]
+            values = kept(source.samples, name, array, lambda: walk(source, name, step).values)
+            found = Map(kind, values)
         self.maps[name] = found
         self.tell(name)
 

@@ -1,6 +1,6 @@
 """Sources of samples: a store that is never loaded as a whole, or a scene sampled on demand.
 
-`preview` and `stream` make the image of a store in constant memory. `SceneSource` renders a scene
+`stream` makes the image of a store in constant memory. `SceneSource` renders a scene
 that has no store: the image coarsely, tile by tile, and a pixel when it is picked, with more
 samples for as long as it stays selected. Only the thread that owns the renderer draws.
 """
@@ -30,23 +30,10 @@ from chdstat.samples import open as open_store
 from chdstat.samples.layout import BLOCK, TILE, Chunk
 from chdstat.scenes import Scene
 
-__all__ = [
-    "FIRST_SPP",
-    "MOST_SPP",
-    "ImageAccumulator",
-    "Overall",
-    "SceneSource",
-    "Source",
-    "StoreSource",
-    "pooled",
-    "preview",
-    "stream",
-    "tiles",
-]
+__all__ = ["MOST_SPP", "Overall", "SceneSource", "Source", "StoreSource", "stream", "tiles"]
 
 Image = npt.NDArray[np.float32]
 
-_PREVIEW_SPP = 64
 _TILE = _BATCH = 64
 _BLOCK_BYTES = 16 * 2**20
 _KEPT_BYTES = 128 * 2**20
@@ -172,6 +159,8 @@ class StoreSource:
         Names of the channels.
     name
         Name of the store, or of the scene where it is in memory.
+    complete
+        Whether every pixel has as many samples as were asked for.
     """
 
     def __init__(self, samples: Samples) -> None:
@@ -180,14 +169,10 @@ class StoreSource:
         self.channels = samples.channels
         self.name = samples.path.name if samples.path else samples.name
         self._asked_spp = int(samples.attrs.get("spp", samples.spp))
+        self.complete = samples.spp >= self._asked_spp
         self._block_bytes = 4 * BLOCK**2 * samples.shape[2] * samples.spp
         self._blocks: dict[Pixel, Future[Image]] = {}
         self._lock = threading.Lock()
-
-    @property
-    def complete(self) -> bool:
-        """Whether every pixel has as many samples as were asked for."""
-        return self.samples.spp >= self._asked_spp
 
     def describe(self) -> str:
         """Return size, samples per pixel, integrator and depth in one line."""
@@ -195,10 +180,9 @@ class StoreSource:
         of = "" if self.complete else f" of {self._asked_spp} (not finished)"
         depth, integrator = (self.samples.attrs.get(name) for name in ("max_depth", "integrator"))
         kind = integrator.get("type") if isinstance(integrator, dict) else integrator
-        parts = [f"{width} × {height} px", f"{spp}{of} spp"]
-        parts += [str(kind)] if kind else []
-        parts += [f"depth {depth}"] if depth is not None else []
-        return " · ".join(parts)
+        deep = "" if depth is None else f"depth {depth}"
+        parts = (f"{width} × {height} px", f"{spp}{of} spp", str(kind or ""), deep)
+        return " · ".join(part for part in parts if part)
 
     def refreshed(self) -> StoreSource | None:
         """Return the source with the samples that were added since, None where there are none."""
@@ -253,12 +237,9 @@ class StoreSource:
     def read(self, ys: slice, xs: slice, ss: slice = slice(None)) -> Image:
         """Read a part, and make sure that it was there: what is gone reads as NaN."""
         try:
-            found = self.samples.read(ys, xs, ss)
-        except StoreError:
+            return self.samples.read(ys, xs, ss)
+        finally:
             self._check()
-            raise
-        self._check()
-        return found
 
     def _block(self, key: Pixel) -> Image:
         """Return a block of 16 x 16 pixels, read once even if two threads ask for it."""
@@ -290,19 +271,14 @@ def tiles(size: tuple[int, int], edge: int) -> list[tuple[slice, slice]]:
     return [(ys, xs) for ys in spans(size[0], edge) for xs in spans(size[1], edge)]
 
 
-def preview(source: StoreSource) -> Overall:
-    """Return the image of the first samples, which takes a second where all take minutes."""
-    return stream(source, lambda _: None, spp=min(source.samples.spp, _PREVIEW_SPP))
-
-
 def stream(
-    source: StoreSource, step: Callable[[float], None], *, spp: int | None = None
+    source: StoreSource, step: Callable[[float], None] = lambda _: None, *, spp: int | None = None
 ) -> Overall:
     """Return the image of the first `spp` samples, None for all, in constant memory.
 
     `step` is called with the share that is done; whatever it raises ends the pass.
     """
-    spp = source.samples.spp if spp is None else spp
+    spp = min(source.samples.spp, spp or source.samples.spp)
     whole = Overall.empty(*source.size, len(source.channels))
     places, batches = tiles(source.size, _TILE), list(spans(spp, _BATCH))
     for i, (ys, xs) in enumerate(places):

@@ -9,7 +9,7 @@ of a click: it reports its progress, and its caller may end it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -34,8 +34,6 @@ from chdstat.reporting.typst import NAMES, number, percent
 from chdstat.summary.histograms import Histogram, histogram
 
 __all__ = [
-    "MOST_FITTED",
-    "Fitted",
     "PlaceStatistics",
     "Table",
     "compared_table",
@@ -52,6 +50,7 @@ _OF_FIRST = {"fits", "_further_fits", "_positive", "patterns", "gaussianity", "m
 """Attributes that depend on the first `MOST_FITTED` samples alone."""
 _RESAMPLES = 199
 _PIECE = 20
+_POINTS = 96
 _MOST_TESTED = 4096
 """Samples that are tested: replicates of a region's would take minutes."""
 
@@ -82,6 +81,8 @@ class PlaceStatistics:
         Of the rows.
     null, bad
         Which samples are null and which are bad as a whole, shape (sample,).
+    spp, fitted_spp
+        Samples, good or bad, and how many of them fits look at.
     """
 
     def __init__(self, x: npt.NDArray[np.float32], channels: tuple[str, ...]) -> None:
@@ -96,21 +97,13 @@ class PlaceStatistics:
             with np.errstate(invalid="ignore", over="ignore"):
                 self.rows = np.concatenate([x, luminance(x)[np.newaxis]])
             self.names = (*channels, "luminance")
-
-    @property
-    def spp(self) -> int:
-        """Samples, good or bad."""
-        return int(self.rows.shape[1])
+        self.spp = int(x.shape[1])
+        self.fitted_spp = min(self.spp, MOST_FITTED)
 
     @property
     def samples(self) -> npt.NDArray[np.float32]:
         """Samples without luminance, shape (channel, sample)."""
         return self.rows[: len(self.channels)]
-
-    @property
-    def fitted_spp(self) -> int:
-        """Samples that fits look at."""
-        return min(self.spp, MOST_FITTED)
 
     def row(self, channel: str) -> int:
         """Return the row of 'luminance' or of the number of a channel."""
@@ -136,14 +129,11 @@ class PlaceStatistics:
         return PixelFits(PositivePart.of_pixels(x, rows="both"))
 
     @cached_property
-    def linear(self) -> Histogram:
-        """Linear histogram of each row."""
-        return self._histogram("linear")
-
-    @cached_property
-    def log(self) -> Histogram:
-        """Log10 histogram of each row."""
-        return self._histogram("log")
+    def histograms(self) -> dict[str, Histogram]:
+        """Linear and log10 histogram of each row, by scale."""
+        null, bad = (np.broadcast_to(mask, self.rows.shape) for mask in (self.null, self.bad))
+        scales: tuple[Literal["linear", "log"], ...] = ("linear", "log")
+        return {s: histogram(self.rows, scale=s, null=null, bad=bad) for s in scales}
 
     @cached_property
     def patterns(self) -> Patterns:
@@ -170,12 +160,13 @@ class PlaceStatistics:
         cut = good[:, : count * n].reshape(len(good), count, n)
         return np.asarray(cut.mean(axis=-1, dtype=np.float64))
 
-    def running(self, points: int = 96) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
-        """Return spp, running means and their standard errors, shapes (point,) and (row, point)."""
+    @cached_property
+    def running(self) -> tuple[npt.NDArray[np.int64], Floats, Floats]:
+        """Spp, running means and their standard errors, shapes (point,) and (row, point)."""
         good = np.flatnonzero(~self.bad)
         if good.size < 2:
             return np.empty(0, np.int64), *np.empty((2, len(self.rows), 0))
-        at = np.unique(np.geomspace(2, good.size, min(points, good.size)).astype(np.int64))
+        at = np.unique(np.geomspace(2, good.size, min(_POINTS, good.size)).astype(np.int64))
         x = self.rows[:, good].astype(np.float64)
         # Deviations from the mean of all keep the sum of squares from cancelling.
         center = x.mean(axis=-1, keepdims=True)
@@ -212,8 +203,7 @@ class PlaceStatistics:
                 frozen = get_family(found.family).distribution(found.parameters)
                 self._positive[family, row] = found.family, frozen.pdf, frozen.ppf
             elif found is not None:
-                ppf, zero = found.ppf, np.float64(found.zero_share)
-                quantiles = lambda level: ppf(zero + (1 - zero) * level)  # noqa: E731
+                quantiles = partial(_positive_quantiles, found)
                 self._positive[family, row] = "mixture", found.pdf, quantiles
             else:
                 self._positive[family, row] = None
@@ -224,10 +214,10 @@ class PlaceStatistics:
         if earlier.fitted_spp == self.fitted_spp:
             vars(self).update({k: v for k, v in vars(earlier).items() if k in _OF_FIRST})
 
-    def _histogram(self, scale: Literal["linear", "log"]) -> Histogram:
-        shape = self.rows.shape
-        null, bad = (np.broadcast_to(mask, shape) for mask in (self.null, self.bad))
-        return histogram(self.rows, scale=scale, null=null, bad=bad)
+
+def _positive_quantiles(mixture: Mixture, level: Floats) -> Floats:
+    zero = np.float64(mixture.zero_share)
+    return mixture.ppf(zero + (1 - zero) * level)
 
 
 def goodness(

@@ -9,6 +9,7 @@ followed nevertheless.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -20,8 +21,6 @@ from chdstat.fit.families import FAMILIES
 __all__ = [
     "BATCH_SIZES",
     "FITS",
-    "MOST_PIXELS",
-    "TONES",
     "Box",
     "Pixel",
     "View",
@@ -287,10 +286,7 @@ def _followed(view: View, key: str, text: str, height: int, width: int) -> View:
 
 def _integers(text: str, count: int) -> tuple[int, ...]:
     parts = text.split(",")
-    if len(parts) != count or not all(p.strip().isascii() and p.strip().isdigit() for p in parts):
-        message = f"expected {count} whole number(s) in the address, got {text!r}"
-        raise InputError(message)
-    if any(len(p.strip()) > 9 for p in parts):
-        message = f"expected numbers of at most 9 digits in the address, got {text!r}"
+    if len(parts) != count or not all(re.fullmatch(r"\s*[0-9]{1,9}\s*", p) for p in parts):
+        message = f"expected {count} whole number(s) of at most 9 digits, got {text!r}"
         raise InputError(message)
     return tuple(int(p) for p in parts)

@@ -8,7 +8,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.explorer import explore
-from chdstat.explorer.estimators import batches_of, learners, scored_learners
+from chdstat.explorer.estimators import batches_of, learners
 from chdstat.explorer.sources import StoreSource
 
 PLACE = (5, 7)
@@ -29,11 +29,12 @@ def model(samples):
 def scored(model, samples, n=16, place=PLACE):
     x = samples[PLACE]
     batches = batches_of(x, n)
-    return scored_learners(learners([model]), batches, StoreSource(samples), place, 2.0)
+    (learner,) = learners([model])
+    return learner.score(batches, StoreSource(samples), place, 2.0)
 
 
 def test_one_that_looks_at_a_pixel_says_what_it_says_elsewhere(samples, model):
-    (found,) = scored(model, samples)
+    found = scored(model, samples)
     direct = model.estimate(batches_of(samples[PLACE], 16).x, unit=2.0)
     np.testing.assert_allclose(found.value, direct.radiance.mean(axis=0), rtol=1e-6)
     assert found.certainty == pytest.approx(float(direct.certainty.mean()), rel=1e-6)
@@ -43,23 +44,23 @@ def test_one_that_looks_at_a_pixel_says_what_it_says_elsewhere(samples, model):
 
 def test_one_that_looks_around_is_asked_about_an_image(samples):
     model = chd.estimators.train_model(samples, reference=False, iterations=5, progress=False)
-    (found,) = scored(model, samples)
+    found = scored(model, samples)
     assert model.inputs.neighbours
     assert found.value.shape == (3,)
     assert np.isfinite(found.value).all()
-    assert scored(model, samples, place=(0, 0, 4, 4)) == []  # a region is no image
+    assert scored(model, samples, place=(0, 0, 4, 4)) is None  # a region is no image
 
 
 def test_one_for_another_number_of_samples_is_left_out(samples):
     model = chd.estimators.train_model(samples, "elek2019", iterations=5, progress=False)
-    assert scored(model, samples, n=16) == []
-    (found,) = scored(model, samples, n=model.inputs)
+    assert scored(model, samples, n=16) is None
+    found = scored(model, samples, n=model.inputs)
     assert np.isnan(found.certainty)
 
 
 def test_one_channel_is_not_for_a_model_of_three(samples, model):
     grey = chd.Samples.from_array(samples.read()[:, :, :1])
-    assert scored(model, grey) == []
+    assert scored(model, grey) is None
 
 
 def test_a_file_that_is_no_model_is_refused(samples, tmp_path):

@@ -88,7 +88,7 @@ def test_nulls_and_bad_samples_are_apart():
     place = PlaceStatistics(x, RGB)
     assert place.null_share == pytest.approx(128 / 448)
     assert int(place.bad.sum()) == 64
-    assert int(place.log.counts.sum(axis=-1)[0]) == 512 - 128 - 64
+    assert int(place.histograms["log"].counts.sum(axis=-1)[0]) == 512 - 128 - 64
     notes = panels(View(), series_of(View(), [place]))["log"].notes
     assert notes == ["28.6 % null · 64 bad · 0 % outside"]
 
@@ -105,7 +105,7 @@ def test_the_place_says_what_the_library_says():
 
 def test_the_running_mean_ends_at_the_mean_and_its_error():
     place = PlaceStatistics(gamma(), RGB)
-    at, means, errors = place.running()
+    at, means, errors = place.running
     assert at[-1] == 512
     np.testing.assert_allclose(means[:, -1], place.moments.mean, rtol=1e-9)
     np.testing.assert_allclose(errors[:, -1], place.moments.standard_error, rtol=1e-9)

@@ -24,7 +24,6 @@ from chdstat.explorer.sources import (
     SceneSource,
     StoreSource,
     pooled,
-    preview,
     stream,
 )
 from chdstat.fit.tail import tail_of_part
@@ -138,16 +137,16 @@ def test_the_streamed_image_is_the_summary(flames):
     assert np.isnan(found.mean[0, 0]).all()
 
 
-def test_the_preview_is_the_image_of_the_first_samples(flames):
+def test_the_first_image_is_that_of_the_first_samples(flames):
     first = chd.Samples.from_array(flames.read(ss=slice(0, 64)))
-    found, expected = preview(StoreSource(flames)), stream(StoreSource(first), ignore)
+    found, expected = stream(StoreSource(flames), spp=64), stream(StoreSource(first), ignore)
     np.testing.assert_array_equal(found.mean, expected.mean)
 
 
 @pytest.mark.parametrize("name", [n for n in MAPS if n != "pattern"] + ["error:huber"])
 def test_every_map_covers_the_image(flames, name):
     source = StoreSource(flames)
-    found = of_overall(preview(source), name) or walk(source, name, ignore)
+    found = of_overall(stream(source, spp=64), name) or walk(source, name, ignore)
     assert found.values.shape == (12, 20)
     assert np.isfinite(found.values[1:]).any()
     low, high = found.limits
