@@ -14,11 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Result, Seed, is_bad, seed_number, whole
-from chdstat._core.files import replacing, unused
+from chdstat._core.files import unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
 from chdstat._core.resampling import wilson
-from chdstat.errors import StoreError
 from chdstat.fit.families import SELECTED
 from chdstat.fit.goodness_of_fit import (
     Goodness,
@@ -138,12 +137,8 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
         If something is there already, or it cannot be written.
     """
     target = unused(path)
-    try:
-        with replacing(target, folder=True) as partial:
-            found.to_zarr(partial, mode="w-", consolidated=False)
-    except OSError as error:
-        message = f"cannot write {target}: {error.strerror or error}"
-        raise StoreError(message) from error
+    with writing(target, folder=True) as partial:
+        found.to_zarr(partial, mode="w-", consolidated=False)
     return target
 
 

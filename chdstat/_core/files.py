@@ -53,6 +53,7 @@ __all__ = [
     "unused",
     "user_cache",
     "write_record",
+    "writing",
 ]
 
 T = TypeVar("T")
@@ -137,6 +138,17 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
     with _partial(path, folder=folder) as partial:
         yield partial
         partial.replace(path)
+
+
+@contextlib.contextmanager
+def writing(path: Path, *, folder: bool = False) -> Iterator[Path]:
+    """Yield a path as `replacing` does; a StoreError says why it cannot be written."""
+    try:
+        with replacing(path, folder=folder) as partial:
+            yield partial
+    except OSError as error:
+        message = f"cannot write {path}: {error.strerror or error}"
+        raise StoreError(message) from error
 
 
 @contextlib.contextmanager
@@ -345,12 +357,8 @@ def write_record(path: Path, value: Any) -> Path:
         raise TypeError(message)
 
     tree = json.dumps(_converter().unstructure(value), default=written)
-    try:
-        with replacing(path) as partial, partial.open("wb") as file:
-            np.savez(file, *arrays, tree=np.array(tree))
-    except OSError as error:
-        message = f"cannot write {path}: {error.strerror or error}"
-        raise StoreError(message) from error
+    with writing(path) as partial, partial.open("wb") as file:
+        np.savez(file, *arrays, tree=np.array(tree))
     return path
 
 

@@ -15,7 +15,8 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import generator, spans
 from chdstat._core.positive import Floats
-from chdstat.studies.outcomes import PlotData
+from chdstat._core.resampling import Interval
+from chdstat.studies.outcomes import ClaimTest, PlotData
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -29,6 +30,7 @@ __all__ = [
     "LogChds",
     "aligned",
     "of_histograms",
+    "same_shape",
     "shape_plot",
     "squared_distance",
     "visible",
@@ -102,7 +104,7 @@ def aligned(x: npt.NDArray[np.floating[Any]]) -> LogChds:
     return LogChds(halves.reshape(*x.shape[:-1], 2, len(EDGES)))
 
 
-def of_histograms(dataset: xr.Dataset, *, seed: int = 0) -> LogChds:
+def of_histograms(dataset: xr.Dataset) -> LogChds:
     """Return the distribution functions of all pixels, nulls among them, from their histograms.
 
     Samples are exchangeable: halving counts at random is halving the samples at random.
@@ -111,8 +113,6 @@ def of_histograms(dataset: xr.Dataset, *, seed: int = 0) -> LogChds:
     ----------
     dataset
         Log histograms, as of `chdstat.summarize`; the channel in the middle counts.
-    seed
-        Draws the halves.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def of_histograms(dataset: xr.Dataset, *, seed: int = 0) -> LogChds:
         dataset[f"log_{name}"].to_numpy()[:, :, channel]
         for name in ("underflow", "counts", "overflow")
     )
-    good, rng = dataset["count"].to_numpy(), generator(seed)
+    good, rng = dataset["count"].to_numpy(), generator(0)
     found = np.empty((*good.shape, 2, inside.shape[-1] + 1), dtype=np.float32)
     for ys in spans(len(good), max(1, _CHUNK // good.shape[1])):
         # What is zero in this channel alone is as dark as a null sample.
@@ -168,6 +168,11 @@ def squared_distance(one: LogChds, two: LogChds, *, width: float = WIDTH) -> Flo
     difference = one.halves - two.halves
     product = difference[..., 0, :] * difference[..., 1, :]
     return np.asarray(product.sum(axis=-1, dtype=np.float64) * width)
+
+
+def same_shape(name: str, distance: Interval[float]) -> ClaimTest:
+    """Return the test of a Cramér distance up to which shapes count as the same."""
+    return ClaimTest(name, distance, most=SAME_SHAPE, unit="decade^1/2")
 
 
 def shape_plot(shapes: Mapping[str, Floats]) -> PlotData:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,8 +31,10 @@ __all__ = [
     "level_of",
     "plain",
     "require",
+    "required",
 ]
 
+T = TypeVar("T")
 Verdict = Literal["supported", "not supported", "cannot tell"]
 
 _MOST_SPP = 2**20
@@ -43,14 +45,22 @@ class MissingDataError(Exception):
     """A claim cannot be tested: the message says what it needs."""
 
 
-def require(present: object, needed: str) -> None:
-    """Raise `MissingDataError` where what is needed is not present."""
-    if not present:
+def require(enough: object, needed: str) -> None:
+    """Raise `MissingDataError` where there is not enough to test a claim."""
+    if not enough:
         message = f"needs {needed}"
         raise MissingDataError(message)
 
 
-def level_of(tests: int, level: float = LEVEL) -> float:
+def required(value: T | None, needed: str) -> T:
+    """Return a value, or raise `MissingDataError` where it is None."""
+    if value is None:
+        message = f"needs {needed}"
+        raise MissingDataError(message)
+    return value
+
+
+def level_of(tests: int) -> float:
     """Return the level of each of several intervals that hold together (Bonferroni).
 
     A claim is supported only if all of its tests are, which alone would need no correction (Berger
@@ -62,7 +72,7 @@ def level_of(tests: int, level: float = LEVEL) -> float:
     >>> level_of(5)
     0.99
     """
-    return 1 - (1 - level) / tests
+    return 1 - (1 - LEVEL) / tests
 
 
 @dataclass(frozen=True)
@@ -131,18 +141,9 @@ class ClaimTest:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
-        fields = {
-            "name": self.name,
-            "value": self.interval.value,
-            "unit": self.unit,
-            "low": self.interval.low,
-            "high": self.interval.high,
-            "level": self.interval.level,
-            "least": self.least,
-            "most": self.most,
-            "verdict": self.verdict,
-        }
-        return {name: plain(value) for name, value in fields.items()}
+        numbers = {n: getattr(self.interval, n) for n in ("value", "low", "high", "level")}
+        numbers |= {"least": self.least, "most": self.most}
+        return {"name": self.name, "unit": self.unit, **plain(numbers), "verdict": self.verdict}
 
 
 @dataclass(frozen=True)
@@ -300,18 +301,17 @@ class Finding:
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the plot data, ready for JSON; what is not finite is None."""
         test = self.test or ClaimTest(self.name, Interval.unknown())
-        interval = test.interval
+        interval = {n: getattr(test.interval, n) for n in ("low", "high", "level")}
+        as_they_are = ("number", "name", "scene", "claim", "about", "verdict", "reason")
         return {
-            "number": self.number,
-            "name": self.name,
-            "scene": self.scene,
-            "claim": self.claim,
-            "about": self.about,
-            "statistic": plain({"name": test.name, "value": interval.value, "unit": test.unit}),
-            "interval": plain({n: getattr(interval, n) for n in ("low", "high", "level")}),
+            **{name: getattr(self, name) for name in as_they_are},
+            "statistic": {
+                "name": test.name,
+                "value": plain(test.interval.value),
+                "unit": test.unit,
+            },
+            "interval": plain(interval),
             "p_value": plain(self.p_value),
-            "verdict": self.verdict,
-            "reason": self.reason,
             "parts": [test.to_dict() for test in self.tests],
             "details": plain(self.details),
             "beside": {name: other.to_dict() for name, other in self.other_models.items()},

@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from chdstat._core.files import checked_target, replacing
+from chdstat._core.files import checked_target, writing
 from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
 from chdstat.errors import InputError, StoreError
@@ -187,12 +187,8 @@ class Study:
         """
         target = checked_target(path, ".json")
         text = json.dumps(self.to_dict(), indent=1, ensure_ascii=False, allow_nan=False)
-        try:
-            with replacing(target) as partial:
-                partial.write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            message = f"cannot write {target}: {error.strerror or error}"
-            raise StoreError(message) from error
+        with writing(target) as partial:
+            partial.write_text(text + "\n", encoding="utf-8")
         return target
 
     def save_pdf(self, path: str | Path) -> Path:
@@ -324,24 +320,21 @@ def _scene(scene: StudyScene, stores: Stores, estimators: Sequence[str]) -> Scen
     def atlas_of_samples() -> Atlas:
         return atlas(samples, progress=stores.progress)
 
-    renders = timed("rendering", lambda: stores.renders(scene))
-    samples, shorter = renders.samples, renders.shorter
+    data, again = timed("rendering", lambda: stores.renders(scene))
+    samples, shorter = data.samples, data.shorter
     dataset = timed("analysis", lambda: stores.analysis(samples))
     comparison = timed("estimators", compared)
-    data = SceneData(
-        scene.name,
-        samples,
-        scene.regions or choose_regions(dataset),
+    data = replace(
+        data,
+        regions=data.regions or choose_regions(dataset),
         given=dataset,
-        shorter=shorter,
         given_shorter=timed(
             "shorter paths", lambda: None if shorter is None else stores.summary(shorter)
         ),
-        integrator=renders.integrator,
         comparison=comparison,
     )
     findings = timed("findings", lambda: _findings(data, stores, inputs=tuple(estimators)))
-    repeated = timed("another seed", lambda: _repeated(data, renders.again, stores))
+    repeated = timed("another seed", lambda: _repeated(data, again, stores))
     shapes = timed("atlas", lambda: stores.cache(samples).record("atlas", Atlas, atlas_of_samples))
     return SceneStudy(
         data,
@@ -349,7 +342,7 @@ def _scene(scene: StudyScene, stores: Stores, estimators: Sequence[str]) -> Scen
         {number: f.verdict for number, f in repeated.items()},
         chosen=not scene.regions,
         atlas=shapes if len(shapes.share) else None,
-        again=renders.again,
+        again=again,
         seconds=seconds,
         notes=tuple(notes),
     )

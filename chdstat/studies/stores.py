@@ -27,12 +27,13 @@ from chdstat.rendering.jobs import scene_size
 from chdstat.samples import Samples, cache_key, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import BUILTIN, Scene, load_scene
+from chdstat.studies.scene_data import SceneData
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ROULETTE", "SHORT", "Renders", "Source", "Stores", "StudyScene", "scenes_of"]
+__all__ = ["ROULETTE", "SHORT", "Source", "Stores", "StudyScene", "scenes_of"]
 
 _EDGE = 128
 """Longest edge of the image where no recipe says otherwise."""
@@ -151,25 +152,6 @@ def _distinct(scenes: Sequence[StudyScene]) -> Iterator[StudyScene]:
 
 
 @dataclass(frozen=True)
-class Renders:
-    """All samples of one scene.
-
-    Attributes
-    ----------
-    samples
-        The image.
-    shorter, integrator, again
-        The same view with shorter paths, by another integrator, and with another seed; None where
-        there is no such render.
-    """
-
-    samples: Samples
-    shorter: Samples | None = None
-    integrator: Samples | None = None
-    again: Samples | None = None
-
-
-@dataclass(frozen=True)
 class Stores:
     """The folder that holds the renders of a study, and what was computed from them.
 
@@ -185,11 +167,14 @@ class Stores:
     backend: Backend = "auto"
     progress: bool | None = None
 
-    def renders(self, scene: StudyScene) -> Renders:
-        """Render what is not there yet; samples that were given stand alone."""
+    def renders(self, scene: StudyScene) -> tuple[SceneData, Samples | None]:
+        """Return the renders of a scene, and of another seed; what is not there yet is rendered.
+
+        Samples that were given stand alone.
+        """
         source, recipe = scene.source, scene.recipe
         if isinstance(source, Samples) or recipe is None:
-            return Renders(source)  # type: ignore[arg-type]
+            return SceneData(scene.name, source, scene.regions), None  # type: ignore[arg-type]
         samples = self._rendered(source, recipe)
         depth = dict(samples.attrs["integrator"]).get("max_depth", -1)
         other = _with_roulette(source, samples)
@@ -197,12 +182,16 @@ class Stores:
         half, quarter = (max(min(spp, _LEAST), spp // part) for part in (2, 4))
         short = replace(recipe, spp=half, seed=seed + 3, max_depth=SHORT)
         # Each has a seed of its own: tests of a difference take all samples for independent.
-        return Renders(
+        data = SceneData(
+            scene.name,
             samples,
-            self._rendered(source, short) if depth < 0 or depth > SHORT else None,
-            self._rendered(other, replace(recipe, spp=quarter, seed=seed + 2)) if other else None,
-            self._rendered(source, replace(recipe, spp=half, seed=seed + 1)),
+            scene.regions,
+            shorter=self._rendered(source, short) if depth < 0 or depth > SHORT else None,
+            integrator=None
+            if other is None
+            else self._rendered(other, replace(recipe, spp=quarter, seed=seed + 2)),
         )
+        return data, self._rendered(source, replace(recipe, spp=half, seed=seed + 1))
 
     def _rendered(self, scene: Scene, recipe: recipes.Recipe) -> Samples:
         out = None

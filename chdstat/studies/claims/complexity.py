@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from chdstat._core.positive import Floats
-from chdstat._core.resampling import Interval, mean_of
+from chdstat._core.resampling import LEVEL, Interval, mean_of
 from chdstat.inference import modality
 from chdstat.studies.claims.scene_shapes import common_count, drawn
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, require
@@ -35,7 +35,11 @@ def measure(scenes: Sequence[SceneData]) -> Outcome:
     require(len(scenes) >= _LEAST, f"{_LEAST} scenes to rank, there are {len(scenes)}")
     complexity = np.array([scene_complexity(data) for data in scenes])
     n = common_count(scenes, least=_LEAST_SAMPLES)
-    means = [_mean_modes(data, n) for data in scenes]
+    means = []
+    for data in scenes:
+        x, blocks = drawn(data, n, pixels=_PIXELS)
+        count = modality(x).modes.astype(np.float64)
+        means.append(mean_of(count[count > 0], blocks[count > 0]))
     modes = np.array([mean.value for mean in means])
     known = np.isfinite(complexity + modes)
     enough = np.count_nonzero(known) >= _LEAST
@@ -87,7 +91,7 @@ def scene_complexity(data: SceneData) -> float:
     return float(every.mean()) if every.size else math.nan
 
 
-def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Interval[float], float]:
+def rank_correlation(x: Floats, y: Floats) -> tuple[Interval[float], float]:
     """Return Spearman's correlation with its interval, and its one-sided p-value.
 
     The interval is that of Fisher's z, of variance (1 + r^2 / 2) / (n - 3); p is of 9999 random
@@ -106,19 +110,13 @@ def rank_correlation(x: Floats, y: Floats, *, level: float = 0.95) -> tuple[Inte
     """
     a, b = (stats.rankdata(v) for v in (x, y))
     if not np.ptp(a) or not np.ptp(b):
-        return Interval.unknown(level=level), 1.0
+        return Interval.unknown(), 1.0
     r = float(np.corrcoef(a, b)[0, 1])
     # Perfect order has an infinite z; a little less than one swap of ranks is its resolution.
     z = math.atanh(float(np.clip(r, -1 + 1e-3, 1 - 1e-3)))
-    half = stats.norm.ppf((1 + level) / 2) * math.sqrt((1 + r**2 / 2) / (len(x) - 3))
+    half = stats.norm.ppf((1 + LEVEL) / 2) * math.sqrt((1 + r**2 / 2) / (len(x) - 3))
     rng = np.random.default_rng(0)
     shuffled = rng.permuted(np.tile(b, (9999, 1)), axis=1)
     as_large = (shuffled - b.mean()) @ (a - a.mean()) >= (b - b.mean()) @ (a - a.mean()) - 1e-9
     p = (1 + np.count_nonzero(as_large)) / 10000
-    return Interval(round(r, 12), math.tanh(z - half), math.tanh(z + half), level), float(p)
-
-
-def _mean_modes(data: SceneData, n: int) -> Interval[float]:
-    x, blocks = drawn(data, n, pixels=_PIXELS)
-    modes = modality(x).modes.astype(np.float64)
-    return mean_of(modes[modes > 0], blocks[modes > 0])
+    return Interval(round(r, 12), math.tanh(z - half), math.tanh(z + half)), float(p)

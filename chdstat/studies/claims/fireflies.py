@@ -10,7 +10,7 @@ import numpy as np
 from chdstat._core.arrays import luminance
 from chdstat._core.positive import Counts, Floats
 from chdstat._core.resampling import interval_of, median_of
-from chdstat.studies.log_chds import SAME_SHAPE, squared_distance
+from chdstat.studies.log_chds import same_shape, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require
 from chdstat.studies.scene_data import SceneData
 
@@ -68,12 +68,7 @@ def measure(data: SceneData) -> Outcome:
     shown = {"firefly": place, "neighbour": int(partner[place])}
     return Outcome(
         (
-            ClaimTest(
-                "distance between the CHDs of a firefly and its neighbour",
-                distance,
-                most=SAME_SHAPE,
-                unit="decade^1/2",
-            ),
+            same_shape("distance between the CHDs of a firefly and its neighbour", distance),
             ClaimTest(
                 "mean radiance of a firefly over its neighbour's, in other samples",
                 ratio,

@@ -9,7 +9,7 @@ import numpy as np
 
 from chdstat._core.positive import Floats
 from chdstat._core.resampling import Blocks, Interval, interval_of, largest_of
-from chdstat.studies.log_chds import SAME_SHAPE, LogChds, aligned, shape_plot, squared_distance
+from chdstat.studies.log_chds import LogChds, aligned, same_shape, shape_plot, squared_distance
 from chdstat.studies.outcomes import ClaimTest, Outcome, level_of, require
 from chdstat.studies.scene_data import SceneData, ratio_of
 
@@ -39,12 +39,7 @@ def measure(data: SceneData) -> Outcome:
     known = {name: chds[chds.known].whole for name, chds in shapes.items() if chds.known.any()}
     return Outcome(
         (
-            ClaimTest(
-                "distance between glossy and diffuse shapes",
-                distance,
-                most=SAME_SHAPE,
-                unit="decade^1/2",
-            ),
+            same_shape("distance between glossy and diffuse shapes", distance),
             ClaimTest("shift between channels", shift, least=SHIFT, unit="decade"),
             ClaimTest("slope of log deviation on log mean over channels", slope, least=_FOLLOWS),
         ),

@@ -27,7 +27,8 @@ from chdstat.comparison.metrics import relative_squared_error
 from chdstat.errors import ChdstatError
 from chdstat.estimators import Progressive, lookup, names
 from chdstat.io.denoiser import denoise
-from chdstat.studies.outcomes import ClaimTest, MissingDataError, Outcome, PlotData, level_of
+from chdstat.samples import Samples
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, required
 from chdstat.studies.scene_data import SceneData, ratio_of
 
 __all__ = ["FACTORS", "LEVELS", "ROUNDING", "early_gain", "measure", "measure_reduction"]
@@ -51,16 +52,9 @@ _RECORDS = 10
 
 def measure(data: SceneData) -> Outcome:
     """Read majority, fireflies, training and denoising off a comparison."""
-    comparison = _comparison(data)
+    comparison = required(data.comparison, "a comparison of estimators")
     learned = [name for name in comparison.estimators if name in comparison.models]
     return _papers({name: _worth(data, comparison, name) for name in learned})
-
-
-def _comparison(data: SceneData) -> Comparison:
-    if data.comparison is None:
-        message = "needs a comparison of estimators"
-        raise MissingDataError(message)
-    return data.comparison
 
 
 def _papers(outcomes: dict[str, Outcome]) -> Outcome:
@@ -192,7 +186,7 @@ _LEAST_SHOWN = -8.0
 
 def measure_reduction(data: SceneData) -> Outcome:
     """Give the model constant images, the samples in another order, and in another unit."""
-    comparison = _comparison(data)
+    comparison = required(data.comparison, "a comparison of estimators")
     learned = [n for n in comparison.estimators if n in comparison.models or n in names("learned")]
     outcomes = {name: _reduction(data, comparison, name) for name in learned}
     series = {k: v for outcome in outcomes.values() for k, v in outcome.plot_data.series.items()}
@@ -204,17 +198,15 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     """Test whether one estimator that learned is the mean where there is no pattern."""
     anew = name not in comparison.models
     edge, levels = (_EDGE_TO_LEARN, _FEWER_LEVELS) if anew else (_EDGE, LEVELS)
-    middle = [max(0, (length - edge) // 2) for length in data.samples.shape[:2]]
-    ys, xs = (slice(start, start + edge) for start in middle)
-    first_n, direct = slice(0, comparison.n), None
-    x = data.samples.read(ys, xs, first_n)
-    if data.samples.direct is not None and data.samples.direct.spp >= comparison.n:
-        direct = data.samples.direct.read(ys, xs, first_n)
-    features = {name: image[ys, xs] for name, image in data.samples.features.items()}
+    x, direct, features = _middle(data.samples, comparison.n, edge)
     estimate = _function(comparison, name, features)
     small = min(_EDGE_OF_CONSTANTS, *x.shape[:2])
     few = _function(comparison, name, {k: v[:small, :small] for k, v in features.items()})
-    constants = {level: _of_constants(few, (small, small, *x.shape[2:]), level) for level in levels}
+    constants = {}
+    for level in levels:
+        equal = np.full((small, small, *x.shape[2:]), level, np.float32)
+        deviation = few(equal, equal) - float(np.float32(level))
+        constants[level] = _largest(deviation, np.full(deviation.shape, level))
     good = ~is_bad(x).any(axis=(-2, -1))
     if not good.any():
         return Outcome(missing=("needs pixels without bad samples",))
@@ -225,10 +217,13 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
         other = estimate(convert(x), None if direct is None else convert(direct))[good]
         return other / factor - first
 
-    orders = {"reversed": _reversed} if anew else {"reversed": _reversed, "drawn": _shuffled}
-    moved = {name: changes(convert) for name, convert in orders.items()}
+    moved = {"reversed": changes(lambda part: np.ascontiguousarray(part[..., ::-1]))}
+    if not anew:
+        moved["drawn"] = changes(_shuffled)
     # What falls out of single precision is no other unit any more.
-    factors = [factor for factor in FACTORS if _fits(x, factor)]
+    sizes = np.abs(x[np.isfinite(x) & (x != 0)]).astype(np.float64)
+    tiny, huge = np.finfo(np.float32).tiny, np.finfo(np.float32).max
+    factors = [f for f in FACTORS if ((sizes * f >= tiny) & (sizes * f <= huge)).all()]
     scaled = {f: changes(partial(np.multiply, np.float32(f)), f) for f in factors}
     # As in relMSE, a pixel counts as no darker than a tenth of the image.
     means = np.abs(x[good]).mean(axis=-1, dtype=np.float64)
@@ -265,6 +260,18 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     )
 
 
+def _middle(
+    samples: Samples, n: int, edge: int
+) -> tuple[Array, Array | None, dict[str, npt.NDArray[np.float32]]]:
+    """Return samples in the middle of the image, their direct light, and features there."""
+    starts = [max(0, (length - edge) // 2) for length in samples.shape[:2]]
+    ys, xs = (slice(start, start + edge) for start in starts)
+    direct = samples.direct
+    part = None if direct is None or direct.spp < n else direct.read(ys, xs, slice(0, n))
+    features = {name: image[ys, xs] for name, image in samples.features.items()}
+    return samples.read(ys, xs, slice(0, n)), part, features
+
+
 def _function(
     comparison: Comparison, name: str, features: dict[str, npt.NDArray[np.float32]]
 ) -> Estimate:
@@ -283,28 +290,11 @@ def _function(
     return estimate
 
 
-def _of_constants(estimate: Estimate, shape: tuple[int, ...], level: float) -> float:
-    """Return the largest deviation of estimates from a constant image, over its radiance."""
-    x = np.full(shape, level, np.float32)
-    return _largest(estimate(x, x) - float(np.float32(level)), np.full(shape[:-1], level))
-
-
-def _reversed(x: Array) -> Array:
-    return np.ascontiguousarray(x[..., ::-1])
-
-
 def _shuffled(x: Array) -> Array:
     """Return the samples of each pixel in an order drawn at random, the same for all channels."""
     height, width, _, n = x.shape
     places = generator(0).random((height, width, 1, n)).argsort(axis=-1)
     return np.take_along_axis(x, places, axis=-1)
-
-
-def _fits(x: Array, factor: float) -> bool:
-    """Say whether all samples, times a factor, are normal numbers of single precision."""
-    size = np.abs(x[np.isfinite(x) & (x != 0)]).astype(np.float64) * factor
-    bounds = np.finfo(np.float32)
-    return bool(((size >= bounds.tiny) & (size <= bounds.max)).all())
 
 
 def _largest(change: Floats, scale: Floats) -> float:

@@ -11,11 +11,11 @@ from chdstat._core.resampling import mean_of
 from chdstat.samples import Samples
 from chdstat.studies.outcomes import (
     ClaimTest,
-    MissingDataError,
     Outcome,
     PlotData,
     level_of,
     require,
+    required,
 )
 from chdstat.studies.scene_data import SceneData, logs
 
@@ -34,10 +34,9 @@ _LEVELS = (0.01, 0.5, 0.99)
 
 def measure(data: SceneData) -> Outcome:
     """Compare pixel by pixel with an image of the same view with shorter paths."""
-    long, short, shorter = data.summary, data.shorter_summary, data.shorter
-    if short is None or shorter is None:
-        message = "needs the same scene rendered with shorter paths"
-        raise MissingDataError(message)
+    needed = "the same scene rendered with shorter paths"
+    shorter, short = required(data.shorter, needed), required(data.shorter_summary, needed)
+    long = data.summary
     require(long["null_share"].shape == short["null_share"].shape, "shorter paths in the same size")
     blocks, level = data.whole().blocks, level_of(4)
     changes = _changes(long, short)

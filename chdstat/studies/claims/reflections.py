@@ -7,7 +7,7 @@ import numpy as np
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Floats
 from chdstat._core.resampling import Blocks, Interval, interval_of, median_of
-from chdstat.studies.log_chds import SAME_SHAPE, WIDTH, LogChds, aligned, shape_plot
+from chdstat.studies.log_chds import WIDTH, LogChds, aligned, same_shape, shape_plot
 from chdstat.studies.outcomes import ClaimTest, Outcome, level_of
 from chdstat.studies.scene_data import SceneData
 
@@ -33,12 +33,7 @@ def measure(data: SceneData) -> Outcome:
     some = shapes.whole[shapes.known][:64]
     return Outcome(
         (
-            ClaimTest(
-                "distance of a pixel's shape to that of the region",
-                spread,
-                most=SAME_SHAPE,
-                unit="decade^1/2",
-            ),
+            same_shape("distance of a pixel's shape to that of the region", spread),
             ClaimTest("deviation over mean of the samples", noise, least=_NOISY),
         ),
         details={"deviation_over_mean": patch.by_region(variation)},

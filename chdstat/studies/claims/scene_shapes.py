@@ -90,7 +90,7 @@ _HISTOGRAM = (
 )
 
 
-def squares(one: xr.Dataset, two: xr.Dataset, *, seed: int = 0) -> Floats:
+def squares(one: xr.Dataset, two: xr.Dataset) -> Floats:
     """Return squared distances between the shapes of two renders of a view, shape (pixel,).
 
     In each pixel, of the render with more positive samples only as many count as the other has,
@@ -102,8 +102,6 @@ def squares(one: xr.Dataset, two: xr.Dataset, *, seed: int = 0) -> Floats:
     one, two
         Log histograms of the same size, as of `chdstat.summarize`; the channel in the middle
         counts.
-    seed
-        Draws samples and halves.
 
     Returns
     -------
@@ -116,21 +114,21 @@ def squares(one: xr.Dataset, two: xr.Dataset, *, seed: int = 0) -> Floats:
     Székely and Rizzo, "Energy statistics: a class of statistics based on distances", 2013,
     doi:10.1016/j.jspi.2013.03.018.
     """
-    rng = generator(seed)
+    rng = generator(0)
     middle = slice(one.sizes["channel"] // 2, one.sizes["channel"] // 2 + 1)
     datasets = [d[list(_HISTOGRAM)].isel(channel=middle) for d in (one, two)]
     thin = _equally_many(datasets, rng)
     return _squared([of_histograms(dataset, rng).cumulative[..., 1:, :] for dataset in thin])
 
 
-def squares_of_pairs(one: Samples, two: Samples, *, seed: int = 0) -> Floats:
+def squares_of_pairs(one: Samples, two: Samples) -> Floats:
     """Return squared distances of renders that share random numbers, shape (pixel,).
 
     As `squares`, but a half is every other sample of both: of halves drawn separately from each
     render, the first of one would be correlated with the second of the other, and distances be too
     small.
     """
-    rng, spp, middle = generator(seed), min(one.spp, two.spp), one.shape[2] // 2
+    rng, spp, middle = generator(0), min(one.spp, two.spp), one.shape[2] // 2
     halves = []
     for first in (0, 1):
         datasets = []
@@ -169,7 +167,7 @@ def _thinned(counts: Counts, n: Counts, rng: np.random.Generator) -> Counts:
     return drawn_counts
 
 
-def permuted(squared: Sequence[Floats], *, seed: int = 0) -> float:
+def permuted(squared: Sequence[Floats]) -> float:
     """Return the p-value of no difference between two integrators in any pixel.
 
     The statistic is the mean over pixels, of all scenes given. Where there is no difference, one
@@ -180,8 +178,6 @@ def permuted(squared: Sequence[Floats], *, seed: int = 0) -> float:
     ----------
     squared
         `squares` of each scene.
-    seed
-        Draws the signs.
 
     Returns
     -------
@@ -202,7 +198,7 @@ def permuted(squared: Sequence[Floats], *, seed: int = 0) -> float:
     values = values[np.isfinite(values)]
     if not len(values):
         return float("nan")
-    rng, seen, reached = generator(seed), values.sum(), 0
+    rng, seen, reached = generator(0), values.sum(), 0
     for part in spans(_PERMUTATIONS, _AT_ONCE):
         signs = rng.integers(0, 2, (part.stop - part.start, len(values)), dtype=np.int8)
         sums = 2 * (signs @ values) - seen
@@ -216,7 +212,7 @@ _DIFFERENT = 0.02
 
 As of two log-normal CHDs of which one has a spread a tenth larger, at a third of a decade: that
 takes a fifth more samples for the same error in the logarithm. What is smaller may be there, and a
-test with samples enough would find it, but it changes nothing for who renders. `SAME_SHAPE`, up to
+test with samples enough would find it, but it changes nothing in practice. `SAME_SHAPE`, up to
 which CHDs look the same, is no border here: a difference need not be seen to be one.
 """
 _NULL = "both integrators give each pixel a CHD of the same shape (permutations within pixels)"
@@ -263,15 +259,18 @@ def measure(scenes: Sequence[SceneData]) -> Outcome:
         details |= {"null_hypothesis": _NULL, "p_value_by_scene": by_scene}
     else:
         missing.append("needs a scene rendered by another integrator, or with shorter paths")
-    named = zip(scenes, shapes, strict=True)
-    means = {data.name: of.mean(axis=0) for data, (of, _) in named if len(of)}
+    means = {
+        data.name: of_scene.mean(axis=0)
+        for data, (of_scene, _) in zip(scenes, shapes, strict=True)
+        if len(of_scene)
+    }
     return Outcome(
         tuple(tests), tuple(missing), p_value, details=details, plot_data=shape_plot(means)
     )
 
 
 def _scene_accuracy(
-    looks: Sequence[tuple[Floats, Blocks]], level: float
+    scenes: Sequence[tuple[Floats, Blocks]], level: float
 ) -> tuple[Interval[float], list[list[float]]]:
     """Return the accuracy of a classifier of shapes, and its table of shares by scene.
 
@@ -287,19 +286,19 @@ def _scene_accuracy(
     """
     from sklearn.ensemble import ExtraTreesClassifier
 
-    shapes, blocks = zip(*looks, strict=True)
+    shapes, blocks = zip(*scenes, strict=True)
     x = np.concatenate(shapes)
     scene = np.repeat(np.arange(len(shapes)), [len(s) for s in shapes])
     fold = np.concatenate([fold_of(b, across=_ACROSS, folds=_FOLDS) for b in blocks])
-    guess = np.full(len(x), -1)
+    predicted = np.full(len(x), -1)
     for k in range(_FOLDS):
         if (held := fold == k).any():
             model = ExtraTreesClassifier(
                 _TREES, min_samples_leaf=3, class_weight="balanced", random_state=0
             )
-            guess[held] = model.fit(x[~held], scene[~held]).predict(x[held])
+            predicted[held] = model.fit(x[~held], scene[~held]).predict(x[held])
     joined = Blocks.join([b[:] for b in blocks])  # without blocks that have no pixel
-    right, count = joined.sums((guess == scene).astype(float)), joined.sums(np.ones(len(x)))
+    right, count = joined.sums((predicted == scene).astype(float)), joined.sums(np.ones(len(x)))
     member = (joined.region[:, np.newaxis] == np.unique(joined.region)).astype(np.float64)
 
     def accuracy(weights: Floats) -> Floats:
@@ -307,7 +306,7 @@ def _scene_accuracy(
         return np.asarray((hits / all_).mean(axis=1))
 
     confusion = [
-        [float((guess[scene == i] == j).mean()) for j in range(len(shapes))]
+        [float((predicted[scene == i] == j).mean()) for j in range(len(shapes))]
         for i in range(len(shapes))
     ]
     return interval_of(accuracy, joined, level=level, bounds=(0.0, 1.0)), confusion

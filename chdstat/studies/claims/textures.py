@@ -9,14 +9,14 @@ import numpy as np
 from chdstat._core.positive import Floats
 from chdstat._core.resampling import Blocks, Interval, largest_of
 from chdstat.studies.claims.glossy import SHIFT, channel_shift, pooled_distance
-from chdstat.studies.log_chds import SAME_SHAPE, LogChds, aligned, squared_distance
+from chdstat.studies.log_chds import LogChds, aligned, same_shape, squared_distance
 from chdstat.studies.outcomes import (
     ClaimTest,
-    MissingDataError,
     Outcome,
     PlotData,
     level_of,
     require,
+    required,
 )
 from chdstat.studies.scene_data import PixelSet, SceneData, logs, slope_of
 
@@ -31,10 +31,9 @@ _NO_SLOPE = 0.5
 
 def measure(data: SceneData) -> Outcome:
     """Compare shapes of channels, of dark and pale surfaces, and relative variance with albedo."""
-    albedo = data.feature("albedo")
-    if albedo is None or data.samples.shape[2] != albedo.shape[-1]:
-        message = "needs first-hit albedo of each channel"
-        raise MissingDataError(message)
+    needed = "first-hit albedo of each channel"
+    albedo = required(data.feature("albedo"), needed)
+    require(data.samples.shape[2] == albedo.shape[-1], needed)
     require(albedo.shape[-1] > 1, "several channels")
     patch, pair = _textured(data, albedo), _dark_and_pale(data, albedo)
     x, level = data.radiance(patch), level_of(4 if pair else 3)
@@ -49,24 +48,20 @@ def measure(data: SceneData) -> Outcome:
     shift = channel_shift(x, patch.blocks, level=level)
     # Albedo has next to no noise that could flatten the slope.
     slope = slope_of(log_albedo, log_variance, patch.blocks, level=level)
-    distances = {"channels": _between_channels(aligned(x), patch.blocks, level)}
+    channels = _between_channels(aligned(x), patch.blocks, level)
+    tests = [
+        ClaimTest("shift between channels", shift, least=SHIFT, unit="decade"),
+        same_shape("distance between the shapes of channels", channels),
+        ClaimTest(
+            "slope of log relative variance on log albedo", slope, least=-_NO_SLOPE, most=_NO_SLOPE
+        ),
+    ]
     if pair:
         shapes, blocks = [aligned(data.light(side)) for side in pair], [p.blocks for p in pair]
-        distances["dark and pale"] = pooled_distance(shapes, blocks, level=level)
-    of_shapes = [
-        ClaimTest(
-            f"distance between the shapes of {which}", distance, -np.inf, SAME_SHAPE, "decade^1/2"
-        )
-        for which, distance in distances.items()
-    ]
-    name = "slope of log relative variance on log albedo"
+        distance = pooled_distance(shapes, blocks, level=level)
+        tests.append(same_shape("distance between the shapes of dark and pale", distance))
     return Outcome(
-        (
-            ClaimTest("shift between channels", shift, least=SHIFT, unit="decade"),
-            of_shapes[0],
-            ClaimTest(name, slope, least=-_NO_SLOPE, most=_NO_SLOPE),
-            *of_shapes[1:],
-        ),
+        tuple(tests),
         details={"regions": list(patch.names), "pixels": len(patch)},
         plot_data=PlotData(
             "points",
@@ -82,19 +77,16 @@ def measure(data: SceneData) -> Outcome:
 
 def _textured(data: SceneData, albedo: Floats) -> PixelSet:
     """Return the textures, or else other surfaces, that have contrast enough."""
-    shape = albedo.shape[:2]
-    for phenomena in (("texture",), ("glossy", "diffuse")):
-        chosen = []
-        for region in data.regions:
-            known = albedo[region.pixels(*shape)]
-            known = known[known > 0]
-            contrast = known.size > 1 and np.log10(known).std() >= _CONTRAST
-            if region.phenomenon in phenomena and contrast:
-                chosen.append(region)
-        if chosen:
-            return PixelSet.of(tuple(chosen), *shape)
-    message = f"needs a region whose log10 albedo varies by {_CONTRAST} or more"
-    raise MissingDataError(message)
+    shape, contrasty = albedo.shape[:2], []
+    for region in data.regions:
+        known = albedo[region.pixels(*shape)]
+        known = known[known > 0]
+        if known.size > 1 and np.log10(known).std() >= _CONTRAST:
+            contrasty.append(region)
+    textures = tuple(r for r in contrasty if r.phenomenon == "texture")
+    surfaces = textures or tuple(r for r in contrasty if r.phenomenon in ("glossy", "diffuse"))
+    require(surfaces, f"a region whose log10 albedo varies by {_CONTRAST} or more")
+    return PixelSet.of(surfaces, *shape)
 
 
 def _dark_and_pale(data: SceneData, albedo: Floats) -> tuple[PixelSet, ...]:
