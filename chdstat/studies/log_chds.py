@@ -125,17 +125,17 @@ def of_histograms(dataset: xr.Dataset) -> LogChds:
         for name in ("underflow", "counts", "overflow")
     )
     good, rng = dataset["count"].to_numpy(), generator(0)
-    found = np.empty((*good.shape, 2, inside.shape[-1] + 1), dtype=np.float32)
+    halves = np.empty((*good.shape, 2, inside.shape[-1] + 1), dtype=np.float32)
     for ys in spans(len(good), max(1, _CHUNK // good.shape[1])):
         # What is zero in this channel alone is as dark as a null sample.
         dark = np.maximum(good[ys] - inside[ys].sum(axis=-1) - above[ys], below[ys])
         counts = np.concatenate([dark[..., None], inside[ys], above[ys, :, None]], axis=-1)
         half = rng.binomial(counts, 0.5)
-        halves = np.stack([half, counts - half], axis=-2)
-        n = halves.sum(axis=-1, keepdims=True)
-        shares = np.cumsum(halves[..., :-1], axis=-1) / np.maximum(n, 1)
-        found[ys] = np.where(n >= LEAST, shares, np.nan)
-    return LogChds(found)
+        both = np.stack([half, counts - half], axis=-2)
+        n = both.sum(axis=-1, keepdims=True)
+        shares = np.cumsum(both[..., :-1], axis=-1) / np.maximum(n, 1)
+        halves[ys] = np.where(n >= LEAST, shares, np.nan)
+    return LogChds(halves)
 
 
 def visible(x: npt.NDArray[np.floating[Any]]) -> Floats:

@@ -113,14 +113,12 @@ class ClaimTest:
         Of the end that is less sure; above 1, the interval does not reach it. 0 where the interval
         is open to that side, NaN without an interval.
         """
-        found = self.interval
+        value, low, high = self.interval.value, self.interval.low, self.interval.high
         ends = [end for end in (self.least, self.most) if math.isfinite(end)]
-        arms = [
-            found.value - found.low if e < found.value else found.high - found.value for e in ends
-        ]
+        arms = [value - low if end < value else high - value for end in ends]
         if not ends or not min(arms) > 0:
             return math.nan
-        return min(abs(found.value - end) / arm for end, arm in zip(ends, arms, strict=True))
+        return min(abs(value - end) / arm for end, arm in zip(ends, arms, strict=True))
 
     def between(self, write: Callable[[float], str]) -> str:
         """Return the interval in words, each of its ends as `write` has it; "" without one."""

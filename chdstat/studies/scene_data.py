@@ -112,8 +112,8 @@ def _sums(x: Floats, y: Floats, z: Floats, blocks: Blocks) -> Floats:
 def logs(values: Floats) -> Floats:
     """Return logarithms to base 10; NaN where they are not finite."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.log10(values)
-    return np.asarray(np.where(np.isfinite(found), found, np.nan))
+        log = np.log10(values)
+    return np.asarray(np.where(np.isfinite(log), log, np.nan))
 
 
 def fold_of(blocks: Blocks, *, across: int, folds: int) -> Counts:

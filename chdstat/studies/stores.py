@@ -237,11 +237,11 @@ class Stores:
             dataset: xr.Dataset = xr.open_zarr(path, consolidated=False, chunks=None)
             return dataset.load()
 
-        found = self.cache(samples).read(f"dataset.{name}", read)
-        if found is None:
-            found = computed = compute()
+        dataset = self.cache(samples).read(f"dataset.{name}", read)
+        if dataset is None:
+            dataset = computed = compute()
             self.cache(samples).write(f"dataset.{name}", lambda path: save(computed, path))
-        return found
+        return dataset
 
     def comparison(
         self, samples: Samples, estimators: Sequence[str], labels: xr.DataArray
@@ -259,7 +259,7 @@ class Stores:
         models: dict[str, Model] = {**trained}
 
         def compared() -> Comparison:
-            found = compare(
+            comparison = compare(
                 _at_hand(samples),
                 estimators,
                 n=_N,
@@ -267,21 +267,21 @@ class Stores:
                 labels=labels,
                 progress=self.progress,
             )
-            models.update(found.models)
-            for name, model in found.models.items():
+            models.update(comparison.models)
+            for name, model in comparison.models.items():
                 if name not in trained and isinstance(model, AnyModel):
                     cache.write(f"{name}.safetensors", model.save)
-            return replace(found, models={})  # a record holds no network
+            return replace(comparison, models={})  # a record holds no network
 
         learned = {name for name in estimators if isinstance(lookup(name), LearnedEstimator)}
-        found = cache.record(
+        comparison = cache.record(
             "comparison",
             Comparison,
             compared,
             inputs=tuple(estimators),
             again=not learned <= trained.keys(),
         )
-        return replace(found, models=models)
+        return replace(comparison, models=models)
 
 
 def _at_hand(samples: Samples) -> Samples:

@@ -135,7 +135,7 @@ def growing(
     return first, second, third
 
 
-def with_room(found: Interval[float], grown: Growing) -> Interval[float]:
+def with_room(median: Interval[float], grown: Growing) -> Interval[float]:
     """Return a median over pixels with room above for the samples that are missing.
 
     Of a quarter, half and all of the samples, the median gains d1 and then d2. If each doubling
@@ -149,14 +149,14 @@ def with_room(found: Interval[float], grown: Growing) -> Interval[float]:
     >>> rng = np.random.default_rng(0)
     >>> x = rng.lognormal(0, 0.75, size=(2000, 384))
     >>> grown = growing(x, x > 0, lambda moments: moments.skewness)
-    >>> found = with_room(Interval(np.median(grown[-1]), 2.6, 2.7, 0.95), grown)
-    >>> found.high > 3.26 > 2.7  # the skewness of that distribution
+    >>> median = with_room(Interval(np.median(grown[-1]), 2.6, 2.7, 0.95), grown)
+    >>> median.high > 3.26 > 2.7  # the skewness of that distribution
     True
     """
     quarter, half, whole = (_median(values) for values in grown)
     before, gain = half - quarter, whole - half
     if not math.isfinite(before + gain):
-        return found
+        return median
     # The standard error of the median of independent normal values.
     known = grown[-1][np.isfinite(grown[-1])]
     deviation = stats.median_abs_deviation(known, scale="normal")
@@ -165,7 +165,7 @@ def with_room(found: Interval[float], grown: Growing) -> Interval[float]:
     if gain > noise:
         ratio = max(gain / before, ratio) if before > 0 else math.inf
     room = (max(gain, 0.0) + noise) * ratio / (1 - ratio) if ratio < 1 else math.inf
-    return replace(found, high=found.high + room)
+    return replace(median, high=median.high + room)
 
 
 def _median(values: Floats) -> float:

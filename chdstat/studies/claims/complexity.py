@@ -104,8 +104,8 @@ def rank_correlation(x: Floats, y: Floats) -> tuple[Interval[float], float]:
 
     Examples
     --------
-    >>> found, p = rank_correlation(np.arange(9.0), np.arange(9.0) ** 2)
-    >>> found.value, found.low > 0.9, p < 0.001
+    >>> correlation, p = rank_correlation(np.arange(9.0), np.arange(9.0) ** 2)
+    >>> correlation.value, correlation.low > 0.9, p < 0.001
     (1.0, True, True)
     """
     a, b = (stats.rankdata(v) for v in (x, y))

@@ -45,14 +45,14 @@ def measure(data: SceneData) -> Outcome:
     light = np.asarray(luminance(data.summary["batch_means"].to_numpy().astype(np.float64)))
     batches = light.reshape(-1, light.shape[-1])
     pairs = _pairs(batches, partner)
-    found = pairs["count"] > 0
-    count = int(np.count_nonzero(found))
+    fireflies = pairs["count"] > 0
+    count = int(np.count_nonzero(fireflies))
     require(count >= _LEAST, f"{_LEAST} fireflies, there are {count}")
-    blocks, level = data.whole().blocks[found], level_of(2)
+    blocks, level = data.whole().blocks[fireflies], level_of(2)
     chds = data.chds.flat
     square = squared_distance(chds, chds[partner], width=_BIN)
-    distance = median_of(square[found], blocks, level=level).root()
-    above, below = (blocks.sums(pairs[name][found]) for name in ("own", "beside"))
+    distance = median_of(square[fireflies], blocks, level=level).root()
+    above, below = (blocks.sums(pairs[name][fireflies]) for name in ("own", "beside"))
     ratio = interval_of(lambda w: (w @ above) / (w @ below), blocks, level=level)
     # Samples that did not occur again in the others may be too rare for as many. The upper end
     # leaves room for them: up to -log((1 - level) / 2) are expected where none is seen (Hanley and
@@ -61,8 +61,8 @@ def measure(data: SceneData) -> Outcome:
     unseen = -math.log((1 - level) / 2) * float(pairs["excess"].sum() / pairs["count"].sum())
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = replace(ratio, high=max(ratio.high, float(1 + unseen / below.sum())))
-    ordinary = square[~found & np.isfinite(square)]
-    known = np.where(found, square, np.nan)
+    ordinary = square[~fireflies & np.isfinite(square)]
+    known = np.where(fireflies, square, np.nan)
     place = int(np.argsort(known, kind="stable")[np.isfinite(known).sum() // 2])
     edges = -5 + _BIN * np.arange(chds.halves.shape[-1])
     shown = {"firefly": place, "neighbour": int(partner[place])}
@@ -77,7 +77,7 @@ def measure(data: SceneData) -> Outcome:
         ),
         details={
             "fireflies": count,
-            "median_ratio_of_estimates": float(np.median(pairs["ratio"][found])),
+            "median_ratio_of_estimates": float(np.median(pairs["ratio"][fireflies])),
             "distance_of_other_neighbours": float(np.sqrt(max(np.median(ordinary), 0)))
             if ordinary.size
             else None,

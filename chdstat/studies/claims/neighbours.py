@@ -74,7 +74,7 @@ def _edges(chds: LogChds) -> tuple[Floats, Floats, Counts]:
     """
     height, width = chds.halves.shape[:2]
     number = np.arange(height * width).reshape(height, width)
-    found = []
+    edges = []
     for before, here, after in (
         (np.s_[:, :-2], np.s_[:, 1:-1], np.s_[:, 2:]),
         (np.s_[:-2], np.s_[1:-1], np.s_[2:]),
@@ -89,6 +89,6 @@ def _edges(chds: LogChds) -> tuple[Floats, Floats, Counts]:
         nearest = np.minimum(
             *(squared_distance(LogChds(f), LogChds(side), width=_BIN) for side in (g, h))
         )
-        found.append((left[mixed], nearest[mixed], number[here][edge][mixed]))
-    left, nearest, pixels = (np.concatenate(v) for v in zip(*found, strict=True))
+        edges.append((left[mixed], nearest[mixed], number[here][edge][mixed]))
+    left, nearest, pixels = (np.concatenate(v) for v in zip(*edges, strict=True))
     return left, nearest, pixels

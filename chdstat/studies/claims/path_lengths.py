@@ -93,14 +93,14 @@ def _quantiles(dataset: xr.Dataset) -> Floats:
     total = np.cumsum(counts, axis=-1, dtype=np.float64)
     n = total[..., -1:]
     edges = np.linspace(-5, 5, counts.shape[-1] + 1)
-    found = np.full((*counts.shape[:-1], len(_LEVELS)), np.nan)
+    quantiles = np.full((*counts.shape[:-1], len(_LEVELS)), np.nan)
     for i, level in enumerate(_LEVELS):
         place = (total < level * n).sum(axis=-1, keepdims=True).clip(max=counts.shape[-1] - 1)
         inside = np.maximum(np.take_along_axis(counts, place, -1), 1)
         start = np.take_along_axis(total, place, -1) - inside
         part = np.clip((level * n - start) / inside, 0, 1)
-        found[..., i] = (edges[place] + part * (edges[1] - edges[0]))[..., 0]
-    return np.asarray(np.where(n >= _LEAST, found, np.nan))
+        quantiles[..., i] = (edges[place] + part * (edges[1] - edges[0]))[..., 0]
+    return np.asarray(np.where(n >= _LEAST, quantiles, np.nan))
 
 
 def _skewness(log_quantiles: Floats) -> Floats:

@@ -63,16 +63,16 @@ def drawn(data: SceneData, n: int, *, pixels: int, across: int = 8) -> tuple[Flo
         Radiance, shape (pixel, n), and the blocks that the pixels lie in.
     """
     rng, blocks = generator(0), data.whole(across).blocks
-    found, places = [np.empty((0, n))], [np.empty(0, dtype=np.int64)]
+    radiance, places = [np.empty((0, n))], [np.empty(0, dtype=np.int64)]
     for patch in data.scattered(pixels, across=across, allowed=_positive(data) >= n):
         x = data.radiance(patch)
         light = x[:, x.shape[1] // 2]
         # Positive ones first, in an order drawn at random.
         rank = np.where(light > 0, rng.random(light.shape), 2)
         first = np.argpartition(rank, n - 1, axis=-1)[:, :n]
-        found.append(np.take_along_axis(light, first, axis=-1))
+        radiance.append(np.take_along_axis(light, first, axis=-1))
         places.append(patch.blocks.of_pixel)
-    return np.concatenate(found), Blocks(np.concatenate(places), blocks.region)
+    return np.concatenate(radiance), Blocks(np.concatenate(places), blocks.region)
 
 
 def _positive(data: SceneData) -> Counts:
