@@ -225,10 +225,7 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     tiny, huge = np.finfo(np.float32).tiny, np.finfo(np.float32).max
     factors = [f for f in FACTORS if ((sizes * f >= tiny) & (sizes * f <= huge)).all()]
     scaled = {f: changes(partial(np.multiply, np.float32(f)), f) for f in factors}
-    # As in relMSE, a pixel counts as no darker than a tenth of the image.
-    means = np.abs(x[good]).mean(axis=-1, dtype=np.float64)
-    bright = np.maximum(means, np.nan_to_num(np.abs(first))).max(axis=-1, keepdims=True)
-    scale = np.sqrt(bright**2 + _DARK * bright.mean() ** 2)
+    scale = _scale(x[good], first)
     largest = {
         "deviation of the estimate of equal samples, over their value": list(constants.values()),
         "change of an estimate with the order of its samples, over the pixel's scale": [
@@ -295,6 +292,16 @@ def _shuffled(x: Array) -> Array:
     height, width, _, n = x.shape
     places = generator(0).random((height, width, 1, n)).argsort(axis=-1)
     return np.take_along_axis(x, places, axis=-1)
+
+
+def _scale(x: Array, estimate: Floats) -> Floats:
+    """Return how bright each pixel is, its estimate among it, shape (pixel, 1).
+
+    As in relMSE, a pixel counts as no darker than a tenth of the image.
+    """
+    size = np.maximum(np.abs(x).mean(axis=-1, dtype=np.float64), np.nan_to_num(np.abs(estimate)))
+    bright = size.max(axis=-1, keepdims=True)
+    return np.asarray(np.sqrt(bright**2 + _DARK * bright.mean() ** 2))
 
 
 def _largest(change: Floats, scale: Floats) -> float:

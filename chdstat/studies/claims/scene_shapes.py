@@ -1,8 +1,8 @@
 """Scene-specific shapes: whether CHDs alone tell the scene and the integrator (finding 12).
 
-`scene_accuracy` classifies scenes by shapes of as many positive samples of every pixel of every
-scene: a distribution function is the smoother, and shows the more modes, the more samples there
-are, so that scenes with other shares of nulls, or other spp, would differ by that alone.
+Scenes are classified by shapes of as many positive samples of every pixel of every scene: a
+distribution function is the smoother, and shows the more modes, the more samples there are, so that
+scenes with other shares of nulls, or other spp, would differ by that alone.
 
 `permuted` tests whether two integrators differ at all in the shapes that they give the pixels of a
 scene; `squares` measures by how much, with an interval of its own.
