@@ -33,7 +33,7 @@ from chdstat.io import denoise, write_exr
 from chdstat.samples import Image, Samples, samples_of
 
 if TYPE_CHECKING:
-    from chdstat.rendering.live import Rendering
+    from chdstat.rendering import Rendering
 
 __all__ = ["check_denoiser", "estimate", "through_denoiser", "write_estimates"]
 

@@ -23,8 +23,7 @@ from chdstat._core.moments import Moments
 from chdstat.errors import ChdstatError, SceneError, StoreError
 from chdstat.explorer.view import Box, Pixel, check_pixel
 from chdstat.rendering.backend import activate
-from chdstat.rendering.jobs import job_of
-from chdstat.rendering.renderer import Renderer
+from chdstat.rendering.renderer import Job, Renderer
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
 from chdstat.samples.layout import BLOCK, TILE, Chunk
@@ -343,7 +342,7 @@ class SceneSource:
         seed: int = 0,
         max_depth: int | None = None,
     ) -> None:
-        self._job = job_of(scene, "scalar", size, seed, max_depth)
+        self._job = Job.of(scene, size=size, seed=seed, max_depth=max_depth, backend="scalar")
         with activate(self._job.verdict):
             self._renderer = Renderer(self._job)
         width, height = self._renderer.size

@@ -19,11 +19,6 @@ __all__ = ["denoise"]
 
 Floats = npt.NDArray[np.float64]
 
-_INSTALL = (
-    "denoise needs Open Image Denoise, which is not installed: pip install 'chdstat[denoise]', "
-    "or pip install pyoidn"
-)
-
 
 def denoise(
     estimate: npt.ArrayLike,
@@ -88,7 +83,14 @@ def denoise(
     image = _image(estimate, hdr=hdr)
     features = _features(image.shape, albedo, normal)
     keep = _certainty(image.shape, certainty)
-    network = _network()
+    try:
+        network = importlib.import_module("pyoidn")
+    except ImportError as error:
+        message = (
+            "denoise needs Open Image Denoise, which is not installed: pip install "
+            "'chdstat[denoise]', or pip install pyoidn"
+        )
+        raise InputError(message) from error
     known = np.asarray((np.isfinite(image) & (image >= 0)).all(axis=-1))
     filled = _without_holes(image, known)
     unit = exposure_unit(filled.mean(axis=-1)) if hdr else 1.0
@@ -105,13 +107,6 @@ def denoise(
     result[~known] = np.nan
     kind = np.asarray(estimate).dtype
     return np.asarray(result.astype(kind if kind.kind == "f" else np.float64))
-
-
-def _network() -> Any:
-    try:
-        return importlib.import_module("pyoidn")
-    except ImportError as error:
-        raise InputError(_INSTALL) from error
 
 
 def _image(estimate: npt.ArrayLike, *, hdr: bool) -> Floats:
@@ -181,12 +176,12 @@ def _without_holes(image: Floats, known: npt.NDArray[np.bool_]) -> Floats:
         return image
     padded = np.pad(np.where(known[..., np.newaxis], image, 0), ((1, 1), (1, 1), (0, 0)))
     counted = np.pad(known.astype(np.float64), 1)[..., np.newaxis]
-    total, count = (_around(values, known.shape) for values in (padded, counted))
+    total, count = (_sum_around(values) for values in (padded, counted))
     return np.where(known[..., np.newaxis], image, total / np.maximum(count, 1))
 
 
-def _around(padded: Floats, shape: tuple[int, ...]) -> Floats:
-    """Add up 3 x 3 pixels."""
-    height, width = shape
+def _sum_around(padded: Floats) -> Floats:
+    """Return the sums over 3 x 3 pixels of a padded image."""
+    height, width = padded.shape[0] - 2, padded.shape[1] - 2
     parts = [padded[i : i + height, j : j + width] for i in range(3) for j in range(3)]
     return np.asarray(sum(parts[1:], parts[0]))

@@ -17,13 +17,13 @@ import numpy.typing as npt
 from chdstat._core.files import replacing
 from chdstat.errors import InputError, StoreError
 
-__all__ = ["OF_THE_FORMAT", "ExrImage", "read_exr", "read_planes", "write_exr", "write_planes"]
+__all__ = ["ExrImage", "read_exr", "write_exr"]
 
 Array = npt.NDArray[Any]
 
 _MAGIC = b"\x76\x2f\x31\x01"
 """What every EXR file begins with."""
-OF_THE_FORMAT = frozenset(
+_OF_THE_FORMAT = frozenset(
     (
         "channels",
         "chromaticities",
@@ -45,88 +45,44 @@ OF_THE_FORMAT = frozenset(
 """Attributes that say how the file is laid out: nobody else's."""
 
 
-def write_planes(path: Path, header: dict[str, Any], planes: dict[str, Array]) -> None:
-    """Write channels, each of shape (y, x); an existing file is replaced as a whole or not at all.
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written.
-    """
+def _read(path: Path) -> tuple[dict[str, str], dict[str, Array]]:
+    """Return the text in the header and all channels, each of shape (y, x), float32 or uint32."""
     import OpenEXR
 
-    layout = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     try:
-        with replacing(path) as partial, OpenEXR.File({**header, **layout}, planes) as file:
-            file.write(str(partial))
-    except (OSError, RuntimeError, ValueError) as error:
-        message = f"cannot write an EXR file to {path}: {error}"
+        with path.open("rb") as start:
+            magic = start.read(len(_MAGIC))
+    except OSError as error:
+        why = f"cannot read {path}: {error.strerror or error}"
+        message = why if path.is_file() else f"no EXR file at {path}"
         raise StoreError(message) from error
-
-
-def read_planes(path: Path) -> tuple[dict[str, str], dict[str, Array]]:
-    """Return the text in the header and all channels, each of shape (y, x), float32 or uint32.
-
-    Raises
-    ------
-    StoreError
-        If there is no such file, it is damaged, or not of one part with plain channels.
-    """
-    import OpenEXR
-
-    _check_is_exr(path)
+    if magic != _MAGIC:
+        message = f"{path} is not an EXR file: it does not begin as one"
+        raise StoreError(message)
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            parts = len(file.parts)
-            # Both are gone once the file is closed.
-            header = dict(file.header())
-            channels = dict(file.channels())
+            parts, header, channels = len(file.parts), dict(file.header()), dict(file.channels())
+            planes = {name: channel.pixels for name, channel in channels.items()}
     except (OSError, RuntimeError, ValueError) as error:
         message = f"{path} is damaged or cut off; write or copy it again ({error})"
         raise StoreError(message) from error
     if parts != 1:
         message = f"{path} has {parts} parts, expected one; split it, as exrmultipart does"
         raise StoreError(message)
-    planes = {name: channel.pixels for name, channel in channels.items()}
-    _check_plain(path, header, channels)
-    text = {
-        name: value
-        for name, value in header.items()
-        if isinstance(value, str) and name not in OF_THE_FORMAT
-    }
-    return text, {
-        name: plane.astype(np.float32, copy=False) if plane.dtype.kind == "f" else plane
-        for name, plane in planes.items()
-    }
-
-
-def _check_plain(path: Path, header: dict[str, Any], channels: dict[str, Any]) -> None:
-    """Refuse channels that do not hold one number for each pixel."""
     (left, top), (right, bottom) = header["dataWindow"]
     shape = (int(bottom) - int(top) + 1, int(right) - int(left) + 1)
-    for name, channel in channels.items():
-        full = (channel.xSampling, channel.ySampling) == (1, 1) and channel.pixels.shape == shape
-        if not full or channel.pixels.dtype.kind not in "fu":
+    for name, plane in planes.items():
+        sampling = (channels[name].xSampling, channels[name].ySampling)
+        if sampling != (1, 1) or plane.shape != shape or plane.dtype.kind not in "fu":
             message = (
                 f"{path}: channel {name!r} is deep or of a resolution of its own; "
                 f"expected one number for each of {shape} pixels"
             )
             raise StoreError(message)
-
-
-def _check_is_exr(path: Path) -> None:
-    if not path.is_file():
-        message = f"no EXR file at {path}"
-        raise StoreError(message)
-    try:
-        with path.open("rb") as file:
-            start = file.read(len(_MAGIC))
-    except OSError as error:
-        message = f"cannot read {path}: {error.strerror or error}"
-        raise StoreError(message) from error
-    if start != _MAGIC:
-        message = f"{path} is not an EXR file: it does not begin as one"
-        raise StoreError(message)
+        if plane.dtype.kind == "f":
+            planes[name] = plane.astype(np.float32, copy=False)
+    text = {n: v for n, v in header.items() if isinstance(v, str) and n not in _OF_THE_FORMAT}
+    return text, planes
 
 
 _USUAL = {1: ("Y",), 3: ("R", "G", "B")}
@@ -228,11 +184,23 @@ def write_exr(
     names = _channel_names(channels, array.shape[-1])
     planes = _planes(array, names, extra or {})
     stored = {name: _stored(name, plane, pixel_type) for name, plane in planes.items()}
-    header: dict[str, Any] = _checked_attributes(attributes or {})
-    if names == _USUAL[3]:
-        header["chromaticities"] = _CHROMATICITIES
-    write_planes(Path(path), header, stored)
-    return Path(path)
+    import OpenEXR
+
+    _check_attributes(attributes or {})
+    header = {
+        **(attributes or {}),
+        **({"chromaticities": _CHROMATICITIES} if names == _USUAL[3] else {}),
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+    }
+    target = Path(path)
+    try:
+        with replacing(target) as partial, OpenEXR.File(header, stored) as file:
+            file.write(str(partial))
+    except (OSError, RuntimeError, ValueError) as error:
+        message = f"cannot write an EXR file to {target}: {error}"
+        raise StoreError(message) from error
+    return target
 
 
 def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrImage:
@@ -267,7 +235,7 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
     chdstat.errors.StoreError: no EXR file at nowhere.exr
     """
     file = Path(path)
-    text, planes = read_planes(file)
+    text, planes = _read(file)
     names = _found_names(file, planes, channels)
     stacked = np.stack([planes.pop(name) for name in names], axis=-1)
     return ExrImage(
@@ -313,20 +281,16 @@ def _planes(
                 f"as the image, got {array.shape}"
             )
             raise InputError(message)
-        whole = array.ndim == 2
-        parts = [array] if whole else np.moveaxis(array, -1, 0)
-        for name, plane in zip([layer] if whole else _of_layer(layer, names), parts, strict=True):
-            if name in planes:
-                message = f"extra {layer!r} gives a second channel {name!r}; rename it"
-                raise InputError(message)
-            planes[name] = plane
+        parts = {layer: array}
+        if array.ndim == 3:
+            parts = {f"{layer}.{name}": array[..., i] for i, name in enumerate(names)}
+        if twice := planes.keys() & parts.keys():
+            message = f"extra {layer!r} gives a second channel {min(twice)!r}; rename it"
+            raise InputError(message)
+        planes |= parts
     for name in planes:
         _check_name("channel", name)
     return planes
-
-
-def _of_layer(layer: str, names: tuple[str, ...]) -> list[str]:
-    return [f"{layer}.{name}" for name in names]
 
 
 def _check_name(what: str, name: str) -> None:
@@ -355,16 +319,15 @@ def _stored(name: str, plane: Array, pixel_type: str) -> Array:
     return stored
 
 
-def _checked_attributes(attributes: Mapping[str, Any]) -> dict[str, Any]:
+def _check_attributes(attributes: Mapping[str, Any]) -> None:
     for name, value in attributes.items():
         _check_name("header attribute", name)
-        if name in OF_THE_FORMAT:
+        if name in _OF_THE_FORMAT:
             message = f"attribute {name!r} belongs to the format; choose another name"
             raise InputError(message)
         if not isinstance(value, str):
             message = f"attribute {name!r} must be text, got {type(value).__name__}"
             raise InputError(message)
-    return dict(attributes)
 
 
 def _found_names(
@@ -383,15 +346,14 @@ def _found_names(
 
 def _layers(planes: Mapping[str, Array], names: tuple[str, ...]) -> dict[str, Array]:
     """Stack the channels of each layer that has those of the image, and no others."""
-    members: dict[str, set[str]] = {}
-    for name in planes:
+    layers: dict[str, dict[str, Array]] = {}
+    for name, plane in planes.items():
         layer, _, channel = name.rpartition(".")
-        members.setdefault(layer, set()).add(channel)
-    whole = [layer for layer, found in members.items() if layer and found == set(names)]
+        layers.setdefault(layer, {})[channel] = plane
     stacked = {
-        layer: np.stack([planes[name] for name in _of_layer(layer, names)], axis=-1)
-        for layer in whole
-        if layer not in planes
+        layer: np.stack([parts[name] for name in names], axis=-1)
+        for layer, parts in layers.items()
+        if layer and layer not in planes and parts.keys() == set(names)
     }
     single = {n: p for n, p in planes.items() if n.rpartition(".")[0] not in stacked}
     return {**single, **stacked}

@@ -6,9 +6,13 @@ rendered; `render_pixels` renders a few pixels alone.
 
 from __future__ import annotations
 
-from chdstat.rendering.capture import render, render_pixels
-from chdstat.rendering.jobs import refuse_render
-from chdstat.rendering.live import Rendering, render_batches
+from chdstat.rendering.capture import (
+    Rendering,
+    refuse_render,
+    render,
+    render_batches,
+    render_pixels,
+)
 
 __all__ = ["Rendering", "refuse_render", "render", "render_batches", "render_pixels"]
 

@@ -98,8 +98,18 @@ def probe(backend: str, *, fresh: bool = False) -> Verdict:
     if backend == "scalar":
         return Verdict("scalar", works=True, detail="built into Mitsuba")
     if backend == "cuda":
-        return _probe_cuda(fresh=fresh)
-    return _probe_llvm(fresh=fresh)
+        devices = ("/dev/nvidia0", "/dev/dxg", "C:/Windows/System32/nvcuda.dll")
+        if not any(Path(device).exists() for device in devices):
+            return Verdict("cuda", works=False, detail="no NVIDIA device")
+        return _trial("cuda", None, fresh=fresh)
+    failures = []
+    for library in llvm_libraries():
+        verdict = _trial("llvm", library, fresh=fresh)
+        if verdict.works:
+            return verdict
+        failures.append(f"{Path(library).name}: {verdict.detail}")
+    detail = "; ".join(failures) or "no LLVM library found"
+    return Verdict("llvm", works=False, detail=detail)
 
 
 @contextlib.contextmanager
@@ -134,37 +144,17 @@ def llvm_libraries() -> list[str]:
         for path in (*folder.glob("libLLVM*.so*"), *folder.glob("libLLVM*.dylib"))
         if re.match(r"libLLVM([-.]|$)", path.name)
     }
-    return [str(path) for path in sorted(found, key=_version, reverse=True)]
 
+    def version(path: Path) -> list[int]:
+        return [int(number) for number in re.findall(r"\d+", path.name)]
 
-def _version(path: Path) -> tuple[int, ...]:
-    return tuple(int(number) for number in re.findall(r"\d+", path.name))
-
-
-def _probe_cuda(*, fresh: bool) -> Verdict:
-    if not any(
-        Path(p).exists() for p in ("/dev/nvidia0", "/dev/dxg", "C:/Windows/System32/nvcuda.dll")
-    ):
-        return Verdict("cuda", works=False, detail="no NVIDIA device")
-    return _trial("cuda", None, fresh=fresh)
-
-
-def _probe_llvm(*, fresh: bool) -> Verdict:
-    libraries = llvm_libraries()
-    if not libraries:
-        return Verdict("llvm", works=False, detail="no LLVM library found")
-    failures = []
-    for library in libraries:
-        verdict = _trial("llvm", library, fresh=fresh)
-        if verdict.works:
-            return verdict
-        failures.append(f"{Path(library).name}: {verdict.detail}")
-    return Verdict("llvm", works=False, detail="; ".join(failures))
+    return [str(path) for path in sorted(found, key=version, reverse=True)]
 
 
 def _trial(backend: str, library: str | None, *, fresh: bool) -> Verdict:
     """Return the cached answer for a library, or render with it in a child process."""
-    key = _cache_key(backend, library)
+    changed = Path(library).stat().st_mtime_ns if library and Path(library).exists() else 0
+    key = f"{backend}|{library}|{changed}|mitsuba {importlib.metadata.version('mitsuba')}"
     cache = _read_cache()
     if not fresh:
         # Not tried yet, or written by a version whose verdicts had other fields.
@@ -173,11 +163,6 @@ def _trial(backend: str, library: str | None, *, fresh: bool) -> Verdict:
     verdict = _try_in_child(backend, library)
     _write_cache({**cache, key: asdict(verdict)})
     return verdict
-
-
-def _cache_key(backend: str, library: str | None) -> str:
-    changed = Path(library).stat().st_mtime_ns if library and Path(library).exists() else 0
-    return f"{backend}|{library}|{changed}|mitsuba {importlib.metadata.version('mitsuba')}"
 
 
 _CHILD = """
@@ -199,21 +184,13 @@ def _try_in_child(backend: str, library: str | None) -> Verdict:
             command, env=environment, capture_output=True, text=True, timeout=_TIMEOUT, check=False
         )
     except subprocess.TimeoutExpired:
-        return Verdict(
-            backend, works=False, detail=f"no image in {_TIMEOUT:.0f} s", library=library
-        )
+        return Verdict(backend, False, f"no image in {_TIMEOUT:.0f} s", library)
     if done.returncode == 0:
-        return Verdict(backend, works=True, detail="rendered an image", library=library)
-    return Verdict(backend, works=False, detail=_failure(done), library=library)
-
-
-def _failure(done: subprocess.CompletedProcess[str]) -> str:
+        return Verdict(backend, True, "rendered an image", library)
     lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
-    telling = (
-        [line for line in lines if "rror" in line or "Cannot" in line] or lines or ["no output"]
-    )
+    errors = [line for line in lines if "rror" in line or "Cannot" in line]
     ended = f"aborted by signal {-done.returncode}" if done.returncode < 0 else "raised"
-    return f"{ended} ({telling[0][:120]})"
+    return Verdict(backend, False, f"{ended} ({[*errors, *lines, 'no output'][0][:120]})", library)
 
 
 def _cache_file() -> Path:

@@ -1,7 +1,8 @@
-"""Capture: a scene to samples, chunk by chunk, every sample kept.
+"""Capture: a scene to samples, chunk by chunk.
 
-`render` fills a store (or memory) and can be stopped and resumed at any moment; `render_pixels`
-draws samples of a few pixels on demand.
+`render` keeps every sample, in a store or in memory, and can be stopped and resumed at any moment;
+`render_batches` hands samples over as they are drawn, and keeps none; `render_pixels` draws those
+of a few pixels on demand.
 """
 
 from __future__ import annotations
@@ -9,40 +10,39 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, whole
+from chdstat._core.arrays import Seed, spans, whole
 from chdstat._core.executor import track
 from chdstat.errors import InputError, RenderError
 from chdstat.rendering.backend import Backend, activate
-from chdstat.rendering.jobs import check_room, check_streams, job_of
 from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.seeds import check_spp
 from chdstat.rendering.workers import rendered
-from chdstat.rendering.writers import (
-    MemoryWriter,
-    StoreWriter,
-    Writer,
-    existing_store,
-    provenance,
-)
-from chdstat.samples import Samples
-from chdstat.samples.layout import DIRECT
+from chdstat.rendering.writers import MemoryWriter, StoreWriter, Writer, check_room, provenance
+from chdstat.samples import Samples, is_store
+from chdstat.samples.layout import BATCH, DIRECT, Chunk, chunk_grid
+from chdstat.samples.store import Store
 from chdstat.scenes import Scene, load_scene
 
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["render", "render_pixels"]
+__all__ = ["Rendering", "refuse_render", "render", "render_batches", "render_pixels"]
 
 _log = logging.getLogger("chdstat")
 
 _DIRECT_DEPTH = 2
 """Segments of a path from the camera to a light that shines on what it sees."""
+_AT_ONCE = 4
+"""Samples that a scalar thread draws of a tile: few tiles shall keep all threads busy."""
 
 Image = npt.NDArray[np.float32]
 
@@ -116,34 +116,78 @@ def render(
     <Samples 'cornell-box' 8 x 8 pixels, 3 channels, 2 spp, in memory>
     """
     loaded, spp = load_scene(scene), whole("spp", spp, least=1)
-    existing = existing_store(out)
+    existing = Store.open(Path(out)) if out is not None and is_store(out) else None
     if existing is not None:
         direct = existing.direct() is not None or direct  # one of other samples is refused here
         backend = existing.attrs["backend"] if backend == "auto" else backend
         size = size or tuple(existing.attrs["size"])
-    job = job_of(loaded, backend, size, seed, max_depth, sensor)
+    job = Job.of(loaded, size=size, seed=seed, max_depth=max_depth, sensor=sensor, backend=backend)
     with activate(job.verdict):
-        renderer = Renderer(job)
-        check_streams(job, renderer, spp)
-        check_room(renderer.size, spp * (1 + direct), out)
+        renderer = _renderer(job, spp, kept=spp * (1 + direct), out=out)
         shorter = _shorter(job, renderer) if direct else None
-        for note in renderer.notes:
-            _log.warning("%s", note)
-        attrs = provenance(job, renderer, spp)
-        writer = (
-            StoreWriter.open(out, existing, attrs, renderer, spp)
-            if out
-            else MemoryWriter(attrs, renderer, spp)
-        )
         if existing is not None and spp < existing.complete_spp() == existing.shape[3]:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, existing.shape[3], spp)
-        with contextlib.closing(writer):
+        with _writer(job, renderer, spp, out) as writer:
             _fill(job, renderer, writer, client, progress)
             if shorter is None:
                 return writer.finish()
             del renderer  # kernels are frozen where one scene is alive only
-            return writer.finish(_direct(shorter, spp, out, client, progress))
+            renderer, folder = Renderer(shorter), None if out is None else Path(out) / DIRECT
+            with _writer(shorter, renderer, spp, folder, features=False) as directly:
+                _fill(shorter, renderer, directly, client, progress)
+                return writer.finish(directly.finish())
+
+
+def render_batches(
+    scene: str | Path | dict[str, Any] | Scene,
+    *,
+    spp: int = 256,
+    batch: int = 16,
+    size: tuple[int, int] | None = None,
+    seed: Seed = 0,
+    max_depth: int | None = None,
+    sensor: int = 0,
+    backend: Backend = "auto",
+    progress: bool | None = None,
+) -> Rendering:
+    """Render a scene batch by batch and keep nothing: memory is that of a batch.
+
+    The samples are those of `render` with the same scene, backend and seed, to the bit.
+
+    Parameters
+    ----------
+    scene, size, seed, max_depth, sensor, backend
+        As for `render`.
+    spp
+        Samples per pixel in all.
+    batch
+        Samples per pixel in a batch; the last one may have fewer.
+    progress
+        Show a progress bar while batches are drawn; None shows it on a terminal.
+
+    Returns
+    -------
+    Rendering
+        To loop over: each turn renders a batch, shape (y, x, channel, sample), float32.
+
+    Raises
+    ------
+    InputError
+        If `spp`, `batch`, `size` or `seed` is out of range.
+    SceneError, RenderError
+        If the scene cannot be read, or not be rendered as asked.
+
+    Examples
+    --------
+    >>> rendering = render_batches("cornell-box", spp=40, size=(8, 8), backend="scalar")
+    >>> [batch.shape for batch in rendering]
+    [(8, 8, 3, 16), (8, 8, 3, 16), (8, 8, 3, 8)]
+    """
+    spp, batch = whole("spp", spp, least=1), whole("batch", batch, least=1)
+    job = Job.of(scene, size=size, seed=seed, max_depth=max_depth, sensor=sensor, backend=backend)
+    renderer = _renderer(job, spp, kept=min(spp, batch), out=None)
+    return Rendering(job, renderer, spp=spp, batch=batch, progress=progress)
 
 
 def render_pixels(
@@ -185,10 +229,139 @@ def render_pixels(
     (1, 3, 16)
     """
     spp = whole("spp", spp, least=1)
-    job = job_of(scene, backend, size, seed, max_depth, sensor)
+    job = Job.of(scene, size=size, seed=seed, max_depth=max_depth, sensor=sensor, backend=backend)
     with activate(job.verdict):
         renderer = Renderer(job)
         return renderer.pixels(_checked_pixels(pixels, renderer.size), spp)
+
+
+class Rendering:
+    """A scene that is rendered while one loops over it; made by `chdstat.rendering.render_batches`.
+
+    Each turn of the loop gives the next batch, shape (y, x, channel, sample), linear radiance; each
+    loop starts anew with the same samples. A wavefront (llvm, cuda) draws 64 samples at once,
+    however small the batches.
+
+    Attributes
+    ----------
+    spp
+        Samples per pixel in all.
+    batch
+        Samples per pixel in a batch.
+
+    Examples
+    --------
+    >>> rendering = render_batches("cornell-box", spp=4, size=(8, 8), backend="scalar")
+    >>> rendering
+    <Rendering 'cornell-box' 8 x 8 pixels, 4 spp in batches of 16>
+    >>> sum(batch.sum(axis=-1) for batch in rendering).shape
+    (8, 8, 3)
+    """
+
+    def __init__(
+        self, job: Job, renderer: Renderer, *, spp: int, batch: int, progress: bool | None
+    ) -> None:
+        self._job, self._renderer, self._progress = job, renderer, progress
+        self.spp, self.batch, self._seconds = spp, batch, 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self._job.scene.name
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """(y, x, channel, sample) of all batches together."""
+        width, height = self._renderer.size
+        return height, width, len(self.channels), self.spp
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels."""
+        return "R", "G", "B"
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Provenance, as `Samples.attrs`; the seconds of rendering are those until now."""
+        told = provenance(self._job, self._renderer, self.spp)
+        return told | {"render_seconds": round(self._seconds, 3)}
+
+    @cached_property
+    def features(self) -> dict[str, Image]:
+        """First-hit features, as `Samples.features`; rendered when they are first asked for."""
+        with activate(self._job.verdict):
+            return self._renderer.features()
+
+    def __repr__(self) -> str:
+        height, width, _, spp = self.shape
+        return (
+            f"<Rendering {self.name!r} {width} x {height} pixels, {spp} spp in batches of "
+            f"{self.batch}>"
+        )
+
+    def __iter__(self) -> Iterator[Image]:
+        height, width, _, spp = self.shape
+        step = self.batch if self._scalar else BATCH
+        with track(
+            f"rendering {self.name}", height * width * spp, unit="S", show=self._progress
+        ) as advance:
+            yield from _cut((self._draw(ss, advance) for ss in spans(spp, step)), self.batch)
+
+    @property
+    def _scalar(self) -> bool:
+        return self._job.verdict.backend == "scalar"
+
+    def _draw(self, ss: slice, advance: Callable[[float], None]) -> Image:
+        """Draw some samples of all pixels; nothing of the renderer is left at work after it."""
+        start = time.monotonic()
+        block = np.empty((*self.shape[:3], ss.stop - ss.start), np.float32)
+        with activate(self._job.verdict):
+            for chunk, part in rendered(self._job, self._renderer, self._chunks(ss), None):
+                here = slice(chunk.ss.start - ss.start, chunk.ss.stop - ss.start)
+                block[chunk.ys, chunk.xs, :, here] = part
+                advance(chunk.size)
+        self._seconds += time.monotonic() - start
+        return block
+
+    def _chunks(self, ss: slice) -> list[Chunk]:
+        """Return the chunks of some samples: what a sample is does not depend on how they are cut.
+
+        But for a wavefront, which draws chunks as they are stored.
+        """
+        height, width = self.shape[:2]
+        step = _AT_ONCE if self._scalar else BATCH
+        cuts = [slice(k, min(k + step, ss.stop)) for k in range(ss.start, ss.stop, step)]
+        tiles = list(chunk_grid(height, width, 1))
+        return [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]
+
+
+def refuse_render(source: object, settings: Mapping[str, Any]) -> None:
+    """Refuse settings of a render, by name, where samples are there already.
+
+    What is None, and the backend "auto", was not asked for.
+
+    Raises
+    ------
+    InputError
+        If any was.
+    """
+    asked = [name for name, value in settings.items() if value not in (None, "auto")]
+    if asked:
+        message = (
+            f"{', '.join(asked)}: a setting of a render, but {source} holds finished samples; "
+            "leave it out, or give the scene"
+        )
+        raise InputError(message)
+
+
+def _renderer(job: Job, spp: int, *, kept: int, out: str | Path | None) -> Renderer:
+    """Return the renderer of a job, if so many samples can be drawn, and those kept be held."""
+    renderer = Renderer(job)
+    check_spp(job.verdict.backend, *renderer.size, spp)
+    check_room(renderer.size, kept, out)
+    for note in renderer.notes:
+        _log.warning("%s", note)
+    return renderer
 
 
 def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray[np.intp]:
@@ -222,21 +395,17 @@ def _shorter(job: Job, renderer: Renderer) -> Job:
     return replace(job, max_depth=depth)
 
 
-def _direct(
-    job: Job, spp: int, out: str | Path | None, client: Client | None, progress: bool | None
-) -> Samples:
-    """Render the direct part, into a store within that of the samples or into memory."""
-    renderer = Renderer(job)
+@contextlib.contextmanager
+def _writer(
+    job: Job, renderer: Renderer, spp: int, out: str | Path | None, *, features: bool = True
+) -> Iterator[Writer]:
+    """Yield what keeps samples: a store, which may be there already, or memory."""
     attrs = provenance(job, renderer, spp)
-    writer: Writer
     if out is None:
-        writer = MemoryWriter(attrs, renderer, spp, features=False)
-    else:
-        path = Path(out) / DIRECT
-        writer = StoreWriter.open(path, existing_store(path), attrs, renderer, spp, features=False)
-    with contextlib.closing(writer):
-        _fill(job, renderer, writer, client, progress)
-        return writer.finish()
+        yield MemoryWriter(attrs, renderer, spp, features=features)
+        return
+    with contextlib.closing(StoreWriter.open(Path(out), attrs, renderer, spp, features)) as writer:
+        yield writer
 
 
 def _fill(
@@ -260,3 +429,15 @@ def _fill(
                 advance(chunk.size)
         finally:
             writer.spent(time.monotonic() - start)
+
+
+def _cut(blocks: Iterator[Image], batch: int) -> Iterator[Image]:
+    """Cut blocks of samples into batches of another size; of what is left, fewer."""
+    rest: Image | None = None
+    for block in blocks:
+        rest = block if rest is None else np.concatenate([rest, block], axis=-1)
+        while rest.shape[-1] >= batch:
+            yield rest[..., :batch]
+            rest = rest[..., batch:]
+    if rest is not None and rest.shape[-1]:
+        yield rest

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import reprlib
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from scipy import ndimage
 
 import chdstat
 from chdstat.errors import InputError
-from chdstat.rendering.jobs import scene_integrator
+from chdstat.rendering.renderer import scene_integrator
 from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, REMAKES, Scene
 from chdstat.scenes.files import is_file
@@ -208,18 +208,12 @@ def remake_of(samples: Samples) -> str:
 
 def find_recipe(scene: str) -> Recipe | None:
     """Return the recipe of a built-in scene, or None where there is none."""
-    for folder in _folders():
-        path = folder / f"{scene}.toml"
+    package = Path(chdstat.__file__).parent
+    for place in (package, package.parent):  # as it is installed, and in a source checkout
+        path = place / "renders" / f"{scene}.toml"
         if path.is_file():
             return load_recipe(path)
     return None
-
-
-def _folders() -> Iterator[Path]:
-    """Yield where recipes lie: in the installed package, and beside it in a source checkout."""
-    package = Path(chdstat.__file__).parent
-    yield package / "renders"
-    yield package.parent / "renders"
 
 
 def load_recipe(path: str | Path) -> Recipe:
@@ -359,20 +353,13 @@ def choose_regions(patterns: xr.Dataset, *, edge: int = 5, most: int = 8) -> tup
     """
     label = patterns["label"]
     codes = np.asarray(label.values)
-    meanings = dict(
-        zip(label.attrs["flag_values"], str(label.attrs["flag_meanings"]).split(), strict=True)
-    )
+    names = str(label.attrs["flag_meanings"]).replace("_", "-").split()
+    masks = {n: codes == c for c, n in zip(label.attrs["flag_values"], names, strict=True)}
     edge = min(edge, *codes.shape)
-    found = [code for code in meanings if (codes == code).any()]
-    found.sort(key=lambda code: -np.count_nonzero(codes == code))
+    found = sorted(filter(lambda n: masks[n].any(), masks), key=lambda n: -masks[n].sum())
+    note = "{:.0%} of the pixels have this label"
     return tuple(
-        Region(
-            meanings[code].replace("_", "-"),
-            meanings[code].replace("_", "-"),
-            _purest(codes == code, edge),
-            f"{(codes == code).mean():.0%} of the pixels have this label",
-        )
-        for code in found[:most]
+        Region(n, n, _purest(masks[n], edge), note.format(masks[n].mean())) for n in found[:most]
     )
 
 

@@ -8,23 +8,25 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.executor import Interrupted
-from chdstat.errors import RenderError, SceneError, brief
-from chdstat.rendering.backend import BACKENDS, Verdict, activate
-from chdstat.rendering.seeds import Streams
+from chdstat.errors import InputError, RenderError, SceneError, brief
+from chdstat.rendering.backend import BACKENDS, Backend, Verdict, activate, resolve
+from chdstat.rendering.seeds import SEEDS, Streams
 from chdstat.samples.layout import Chunk
-from chdstat.scenes import Scene
+from chdstat.scenes import Scene, load_scene
 from chdstat.scenes.files import code_of, plugins_made
-from chdstat.scenes.settings import Asked, asked_for
+from chdstat.scenes.settings import LONGEST, Asked, asked_for
 
-__all__ = ["Job", "Renderer", "film_size", "integrator_type"]
+__all__ = ["Job", "Renderer", "scene_integrator", "scene_size"]
 
 _BLOCK = 32
 _RUN = 16
@@ -46,6 +48,39 @@ class Job:
     max_depth: int | None = None
     sensor: int = 0
 
+    @classmethod
+    def of(
+        cls,
+        scene: str | Path | dict[str, Any] | Scene,
+        *,
+        size: tuple[int, int] | None = None,
+        seed: Seed = 0,
+        max_depth: int | None = None,
+        sensor: int = 0,
+        backend: Backend = "auto",
+    ) -> Job:
+        """Return a job whose settings are checked, so that no work is done for wrong ones."""
+        if size is not None:
+            pair = isinstance(size, Sequence) and len(size) == 2
+            if not pair:
+                message = f"size must be (width, height) in pixels, got {size!r}"
+                raise InputError(message)
+            size = whole("width", size[0], least=1), whole("height", size[1], least=1)
+            if max(size) > LONGEST:
+                message = f"width and height must be at most {LONGEST} pixels, got {max(size):.4g}"
+                raise InputError(message)
+        if max_depth is not None:
+            max_depth = whole("max_depth", max_depth, least=-1)
+            if max_depth == 0:
+                message = "max_depth must be at least 1 segment, or -1 for no limit, got 0"
+                raise InputError(message)
+        seed = seed_number(seed, span=SEEDS)
+        if seed >= SEEDS:
+            message = f"seed must be below 2^31, which all give different samples, got {seed}"
+            raise InputError(message)
+        sensor = whole("sensor", sensor, least=0)
+        return cls(load_scene(scene), resolve(backend), size, seed, max_depth, sensor)
+
     @property
     def settings(self) -> tuple[Any, ...]:
         """What the samples depend on besides the scene."""
@@ -63,14 +98,28 @@ class Job:
         return asked_for(self.scene.name, state, self.sensor)
 
 
-def film_size(job: Job) -> tuple[int, int]:
-    """Return the (width, height) of the image that the scene of a job describes."""
+def scene_size(scene: str | Path | dict[str, Any] | Scene) -> tuple[int, int]:
+    """Return the (width, height) in pixels that a scene's own film has.
+
+    Examples
+    --------
+    >>> scene_size("cornell-box")
+    (256, 256)
+    """
+    job = Job(load_scene(scene), resolve("scalar"))
     with activate(job.verdict):
         return job.asked().film.crop_size
 
 
-def integrator_type(job: Job) -> str:
-    """Return Mitsuba's name of the integrator that the scene of a job asks for."""
+def scene_integrator(scene: str | Path | dict[str, Any] | Scene) -> str:
+    """Return Mitsuba's name of the integrator that a scene asks for.
+
+    Examples
+    --------
+    >>> scene_integrator("fog")
+    'volpath'
+    """
+    job = Job(load_scene(scene), resolve("scalar"))
     with activate(job.verdict):
         return str(job.asked().integrator.plugin_name())
 

@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from chdstat.errors import InputError
 from chdstat.samples.layout import BATCH, TILE, Chunk
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "SEEDS",
     "STREAMS",
     "Streams",
+    "check_spp",
     "max_spp",
     "number_of",
     "pass_seed",
@@ -92,6 +94,23 @@ def max_spp(backend: str, width: int, height: int) -> int:
     """Return how many samples per pixel a backend can draw before random streams repeat."""
     tiles = _tiles(width, height)
     return PASSES // tiles if backend == "scalar" else CHUNKS // tiles * BATCH
+
+
+def check_spp(backend: str, width: int, height: int, spp: int) -> None:
+    """Refuse more samples per pixel than a backend has independent random streams for."""
+    most = max_spp(backend, width, height)
+    if spp <= most:
+        return
+    message = (
+        f"spp must be at most {most} for {width} x {height} pixels with the {backend} backend "
+        f"(then its random streams repeat), got {spp}"
+        if most
+        else f"{width} x {height} pixels are more than the {backend} backend has random streams"
+    )
+    if backend == "scalar":
+        more = max_spp("llvm", width, height)
+        message += f"; the llvm and cuda backends draw up to {more}, see: chdstat doctor"
+    raise InputError(message)
 
 
 def number_of(seed: int, index: int, span: int) -> int:

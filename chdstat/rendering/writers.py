@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.errors import StoreError
+from chdstat._core.executor import memory
+from chdstat._core.files import free_disk
+from chdstat.errors import InputError, StoreError
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import STREAMS
 from chdstat.samples import Samples, is_store
@@ -19,7 +21,10 @@ from chdstat.samples.access import of_store
 from chdstat.samples.layout import Chunk, check_appendable, chunk_grid
 from chdstat.samples.store import Store
 
-__all__ = ["MemoryWriter", "StoreWriter", "Writer", "existing_store", "provenance"]
+__all__ = ["MemoryWriter", "StoreWriter", "Writer", "check_room", "provenance"]
+
+_MOST_COMPRESSION = 10
+"""Stores shrink to between a third and nine tenths; a tenth leaves room for darker scenes."""
 
 Image = npt.NDArray[np.float32]
 
@@ -65,11 +70,21 @@ _IDENTITY: dict[str, Any] = {
 lack them."""
 
 
-def existing_store(out: str | Path | None) -> Store | None:
-    """Return the store that is already at `out`, if any."""
-    if out is None or not is_store(out):
-        return None
-    return Store.open(Path(out))
+def check_room(size: tuple[int, int], spp: int, out: str | Path | None) -> None:
+    """Refuse samples that could never be kept, however well they compress."""
+    needed = 12 * size[0] * size[1] * spp
+    if out is None:
+        there, where, advice = memory() or needed, "memory", "give a store to write to"
+    else:
+        free = free_disk(Path(out))
+        there = needed if free is None else _MOST_COMPRESSION * free
+        where, advice = "disk", "free some space"
+    if needed > there:
+        message = (
+            f"{spp} samples for each of {size[0]} x {size[1]} pixels take {needed / 1e9:.3g} GB, "
+            f"more than the {where} can hold; use fewer samples or pixels, or {advice}"
+        )
+        raise InputError(message)
 
 
 class MemoryWriter:
@@ -95,9 +110,6 @@ class MemoryWriter:
         """Record how long rendering took."""
         self._attrs["render_seconds"] = round(seconds, 3)
 
-    def close(self) -> None:
-        """Do nothing: samples in memory are nobody else's."""
-
     def finish(self, direct: Samples | None = None) -> Samples:
         """Return the samples."""
         return Samples(self._array, attrs=self._attrs, features=self._features, direct=direct)
@@ -111,20 +123,13 @@ class StoreWriter:
 
     @classmethod
     def open(
-        cls,
-        out: str | Path,
-        existing: Store | None,
-        attrs: dict[str, Any],
-        renderer: Renderer,
-        spp: int,
-        *,
-        features: bool = True,
+        cls, out: Path, attrs: dict[str, Any], renderer: Renderer, spp: int, features: bool
     ) -> StoreWriter:
         """Open or create the store and make room for the samples asked for."""
         width, height = renderer.size
-        if existing is None:
+        if not is_store(out):
             store = Store.create(
-                Path(out),
+                out,
                 height=height,
                 width=width,
                 channels=3,
@@ -133,9 +138,9 @@ class StoreWriter:
                 features=renderer.features() if features else {},
             )
             return cls(store)
-        check_appendable(Path(out))
-        _check_identity(existing, attrs)
-        store = Store.open(Path(out), writable=True)
+        check_appendable(out)
+        _check_identity(Store.open(out), attrs)
+        store = Store.open(out, writable=True)
         if features:
             store.restore(renderer.features)
         store.extend(spp)

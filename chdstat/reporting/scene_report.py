@@ -17,9 +17,9 @@ from chdstat.estimators import LearnedEstimator, Progressive, lookup
 from chdstat.estimators.models import first_samples
 from chdstat.estimators.validation import draw_pixels
 from chdstat.patterns import atlas
+from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
-from chdstat.rendering.jobs import refuse_render, scene_size
 from chdstat.rendering.recipes import (
     Region,
     check_integrator,
@@ -28,6 +28,7 @@ from chdstat.rendering.recipes import (
     own_recipe,
     regions_of,
 )
+from chdstat.rendering.renderer import scene_size
 from chdstat.reporting import content, figures
 from chdstat.reporting.claims import finding_content, plot_findings
 from chdstat.reporting.typst import Document, typeset

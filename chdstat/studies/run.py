@@ -22,8 +22,8 @@ from chdstat.comparison import Comparison
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import lookup
 from chdstat.patterns import Atlas, atlas
+from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
-from chdstat.rendering.jobs import refuse_render
 from chdstat.rendering.recipes import choose_regions
 from chdstat.samples import Samples, cache_key
 from chdstat.studies.claims import FINDINGS, Finding, SceneData

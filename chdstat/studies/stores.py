@@ -23,7 +23,7 @@ from chdstat.estimators.registry import Model
 from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
-from chdstat.rendering.jobs import scene_size
+from chdstat.rendering.renderer import scene_size
 from chdstat.samples import Samples, cache_key, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import BUILTIN, Scene, load_scene

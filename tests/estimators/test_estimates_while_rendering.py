@@ -13,7 +13,7 @@ from chdstat.estimators import Progressive
 from chdstat.estimators.estimates import estimate, write_estimates
 from chdstat.estimators.models import train_model
 from chdstat.io import read_exr
-from chdstat.rendering.live import render_batches
+from chdstat.rendering import render_batches
 
 
 def rendering(spp=16, **options):

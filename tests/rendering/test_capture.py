@@ -18,7 +18,7 @@ import zarr
 import chdstat as chd
 from chdstat._core.arrays import is_bad, luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
-from chdstat.rendering import jobs, render_pixels
+from chdstat.rendering import render_pixels, writers
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import max_spp
@@ -555,8 +555,8 @@ def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place)
     job = {"scene": "cornell-box", "size": (1024, 1024), "backend": "scalar", "spp": 3840}
     path = tmp_path / out if out else None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jobs, "free_disk", lambda _: 10**9)
-        patch.setattr(jobs, "memory", lambda: 10**9)
+        patch.setattr(writers, "free_disk", lambda _: 10**9)
+        patch.setattr(writers, "memory", lambda: 10**9)
         with pytest.raises(InputError, match=f"take 48.3 GB, {place}"):
             chd.render(**job, out=path)
     assert list(tmp_path.iterdir()) == []

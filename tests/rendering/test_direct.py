@@ -12,7 +12,6 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.estimators.models import first_samples
-from chdstat.rendering import capture
 from chdstat.rendering.backend import probe
 from chdstat.samples import inspect
 from chdstat.samples.layout import DIRECT
@@ -91,12 +90,14 @@ def test_a_render_that_was_stopped_resumes(tmp_path, monkeypatch):
     def stop(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    plain = capture._direct
-    monkeypatch.setattr(capture, "_direct", stop)
-    with pytest.raises(KeyboardInterrupt):
-        render(out=out, size=size)
+    with monkeypatch.context() as patch:
+        make = Store.create
+        patch.setattr(
+            Store, "create", lambda path, **of: stop() if path.name == DIRECT else make(path, **of)
+        )
+        with pytest.raises(KeyboardInterrupt):
+            render(out=out, size=size)
     assert chd.open(out).direct is None
-    monkeypatch.setattr(capture, "_direct", plain)
     with monkeypatch.context() as patch:
         write = Store.write
         patch.setattr(

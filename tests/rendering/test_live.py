@@ -10,8 +10,8 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, SceneError
+from chdstat.rendering import render_batches
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.live import render_batches
 
 SIZE = (70, 12)
 
@@ -106,7 +106,7 @@ def test_scenes_that_cannot_be_rendered_are_refused():
 
 INTERRUPTED = """
 import os, random, signal, threading
-from chdstat.rendering.live import render_batches
+from chdstat.rendering import render_batches
 
 # A shell that runs the tests in the background has its children ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -19,7 +19,7 @@ from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.jobs import scene_integrator, scene_size
+from chdstat.rendering.renderer import scene_integrator, scene_size
 from chdstat.scenes import load_scene
 
 WHOLE, CROP = (
