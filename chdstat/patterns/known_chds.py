@@ -255,21 +255,21 @@ class CHD:
 
     def draw(
         self,
-        size: int | tuple[int, ...] = (),
+        shape: int | tuple[int, ...] = (),
         *,
         samples: int,
         seed: Seed = None,
     ) -> Floats:
-        """Draw radiance, shape ``(*size, samples)``, nulls among them."""
+        """Draw radiance, shape ``(*shape, samples)``, nulls among them."""
         rng = generator(seed)
-        shape = (*(size if isinstance(size, tuple) else (size,)), samples)
-        x = self._draw_body(shape, rng)
+        whole = (*(shape if isinstance(shape, tuple) else (shape,)), samples)
+        x = self._draw_body(whole, rng)
         if self.tail_index is not None:
             above = x > self.threshold
             # The quantile function of the generalised Pareto, at an exponential variate -log U.
             rise = _box_cox(rng.standard_exponential(np.count_nonzero(above)), self.tail_index)
             x[above] = self.threshold + self.tail_scale * rise
-        x[rng.random(shape) < self.null_share] = 0
+        x[rng.random(whole) < self.null_share] = 0
         return _plant(x, self.firefly_share, rng) if self.firefly_share else x
 
     def separations(self) -> Floats:

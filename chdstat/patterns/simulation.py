@@ -42,7 +42,7 @@ CHDS: Mapping[str, CHD] = {
 def simulate(
     chds: str | CHD | Sequence[str | CHD],
     *,
-    size: tuple[int, int] = (64, 64),
+    shape: tuple[int, int] = (64, 64),
     spp: int = 512,
     seed: Seed = 0,
 ) -> Samples:
@@ -55,8 +55,8 @@ def simulate(
     ----------
     chds
         One `CHD` or several, or names of `CHDS`.
-    size
-        Height and width in pixels.
+    shape
+        (height, width) in pixels.
     spp
         Samples of each pixel, nulls included.
     seed
@@ -71,11 +71,11 @@ def simulate(
     Raises
     ------
     InputError
-        If a name is unknown, or the size leaves a region without a pixel.
+        If a name is unknown, or the shape leaves a region without a pixel.
 
     Examples
     --------
-    >>> samples = simulate(["gamma", "bimodal"], size=(2, 4), spp=64)
+    >>> samples = simulate(["gamma", "bimodal"], shape=(2, 4), spp=64)
     >>> samples
     <Samples 'simulated' 4 x 2 pixels, 3 channels, 64 spp, in memory>
     >>> truth_of(samples)["modes"].to_numpy()
@@ -88,11 +88,11 @@ def simulate(
             message = f"a CHD must be one of {', '.join(CHDS)} or a CHD, got {name!r}"
             raise InputError(message)
     chosen = [CHDS[chd] if isinstance(chd, str) else chd for chd in given]
-    if len(size) != 2 or min(size) < 1 or spp < 1 or not chosen:
-        message = f"simulate needs a CHD, a size (height, width) and spp >= 1; got {size}, {spp}"
+    if len(shape) != 2 or min(shape) < 1 or spp < 1 or not chosen:
+        message = f"simulate needs a CHD, a shape (height, width) and spp >= 1; got {shape}, {spp}"
         raise InputError(message)
-    region = _regions(len(chosen), size)
-    image = np.empty((*size, 3, spp), dtype=np.float32)
+    region = _regions(len(chosen), shape)
+    image = np.empty((*shape, 3, spp), dtype=np.float32)
     streams = generator(seed).spawn(len(chosen))
     for index, (chd, rng) in enumerate(zip(chosen, streams, strict=True)):
         here = region == index
@@ -127,14 +127,14 @@ def truth_of(samples: Samples) -> xr.Dataset:
     return _truth_map(truths, _regions(len(truths), samples.shape[:2]))
 
 
-def _regions(count: int, size: tuple[int, int]) -> npt.NDArray[np.intp]:
+def _regions(count: int, shape: tuple[int, int]) -> npt.NDArray[np.intp]:
     columns = math.ceil(math.sqrt(count))
     rows = math.ceil(count / columns)
-    if rows > size[0] or columns > size[1]:
-        message = f"{count} regions need at least {rows} x {columns} pixels, got {size}"
+    if rows > shape[0] or columns > shape[1]:
+        message = f"{count} regions need at least {rows} x {columns} pixels, got {shape}"
         raise InputError(message)
     y, x = (
-        np.arange(edge) * cells // edge for edge, cells in zip(size, (rows, columns), strict=True)
+        np.arange(edge) * cells // edge for edge, cells in zip(shape, (rows, columns), strict=True)
     )
     return np.asarray(np.minimum(y[:, np.newaxis] * columns + x, count - 1))
 

@@ -268,7 +268,7 @@ def study(
     Examples
     --------
     >>> import chdstat as chd
-    >>> samples = chd.simulate("gamma", size=(8, 8), spp=128)
+    >>> samples = chd.simulate("gamma", shape=(8, 8), spp=128)
     >>> found = study(samples, estimators=["mean"])
     >>> found.table()[0]["claim"], len(found.scenes[0].findings)
     ('nulls', 14)

@@ -208,7 +208,7 @@ class SceneData:
     --------
     >>> import chdstat as chd
     >>> from chdstat.rendering.recipes import Region
-    >>> samples = chd.simulate("gamma", size=(8, 8), spp=64)
+    >>> samples = chd.simulate("gamma", shape=(8, 8), spp=64)
     >>> wall = Region("wall", "diffuse", (0, 0, 0.5, 0.5))
     >>> len(SceneData("simulated", samples, (wall,)).patch("diffuse", "of diffuse objects"))
     16

@@ -25,7 +25,7 @@ from chdstat.studies.claims.registry import find
 
 @pytest.fixture(scope="module")
 def samples():
-    return chd.simulate("gamma", size=(8, 8), spp=128)
+    return chd.simulate("gamma", shape=(8, 8), spp=128)
 
 
 def same(one, other):

@@ -105,7 +105,7 @@ def test_an_image_keeps_its_false_discovery_rate():
     # 992 pixels at the edge of the hypothesis and 32 with more nulls: tested one by one at 5 %, the
     # false flags outnumber half the true ones; over the image, they must not.
     half, most = (CHD((GAMMA,), null_share=share) for share in (0.5, 0.75))
-    samples = simulate([most, *[half] * 31], size=(24, 48), spp=256, seed=3)
+    samples = simulate([most, *[half] * 31], shape=(24, 48), spp=256, seed=3)
     true = truth_of(samples)["null_heavy"].to_numpy() == 1
     one_by_one = classify(samples.read()).flags["null_heavy"][~true].sum()
     dataset = chd.classify(samples, progress=False)
@@ -295,7 +295,7 @@ def test_image():
 
 
 def test_labels_of_regions_agree_with_their_neighbours():
-    samples = simulate(["gamma", "bimodal", "constant", "null-heavy"], size=(16, 16), spp=256)
+    samples = simulate(["gamma", "bimodal", "constant", "null-heavy"], shape=(16, 16), spp=256)
     found = chd.classify(samples, progress=False)["label_agreement"]
     assert found.attrs["kappa"] > 0.7
     assert found.attrs["z"] > 20

@@ -169,7 +169,7 @@ def test_the_population_avoids_the_zones_and_has_every_pattern():
 
 def test_an_image_of_regions():
     names = ["gamma", "bimodal", "null-heavy", "constant", "black"]
-    samples = patterns.simulate(names, size=(6, 9), spp=256, seed=3)
+    samples = patterns.simulate(names, shape=(6, 9), spp=256, seed=3)
     true = truth_of(samples)
     assert samples.shape == (6, 9, 3, 256)
     assert true["region"].to_numpy()[[0, 0, 0, 3, 3, 3], [0, 3, 8, 0, 3, 8]].tolist() == [
@@ -180,7 +180,7 @@ def test_an_image_of_regions():
     # Three channels of one colour: the luminance is that of the CHD. 256 samples of 27 pixels.
     x = luminance(samples.read())
     assert x[:3, :3].mean() == pytest.approx(float(true["mean"][0, 0]), rel=0.1)
-    again = patterns.simulate(names, size=(6, 9), spp=256, seed=3)
+    again = patterns.simulate(names, shape=(6, 9), spp=256, seed=3)
     np.testing.assert_array_equal(samples.read(), again.read())
     for variable in true.data_vars.values():
         assert {"long_name", "units"} <= set(variable.attrs)
@@ -188,9 +188,9 @@ def test_an_image_of_regions():
 
 def test_color_leaves_luminance_alone():
     red = CHD((Component("gamma", 2.0),), color=(1.0, 0.2, 0.1))
-    x = patterns.simulate(red, size=(4, 4), spp=64).read()
+    x = patterns.simulate(red, shape=(4, 4), spp=64).read()
     np.testing.assert_allclose(x[..., 1, :] / x[..., 0, :], 0.2, rtol=1e-5)
-    gray = patterns.simulate(CHD((Component("gamma", 2.0),)), size=(4, 4), spp=64).read()
+    gray = patterns.simulate(CHD((Component("gamma", 2.0),)), shape=(4, 4), spp=64).read()
     np.testing.assert_allclose(luminance(x), luminance(gray), rtol=1e-5)
 
 
@@ -218,9 +218,9 @@ def test_wrong_input_is_refused():
     with pytest.raises(InputError, match="one of"):
         patterns.simulate("caustic")
     with pytest.raises(InputError, match="regions"):
-        patterns.simulate(["gamma"] * 9, size=(2, 2))
+        patterns.simulate(["gamma"] * 9, shape=(2, 2))
     with pytest.raises(InputError, match="size"):
-        patterns.simulate("gamma", size=(0, 2))
+        patterns.simulate("gamma", shape=(0, 2))
     with pytest.raises(InputError, match="made by chdstat.simulate"):
         truth_of(Samples.from_array(np.ones((2, 2, 3, 4))))
     with pytest.raises(InputError, match="black"):

@@ -275,7 +275,7 @@ def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
     --------
     >>> import chdstat as chd
     >>> from chdstat.rendering.recipes import Region
-    >>> samples = chd.simulate("gamma", size=(8, 8), spp=16)
+    >>> samples = chd.simulate("gamma", shape=(8, 8), spp=16)
     >>> found = find(SceneData("simulated", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),)))
     >>> len(found), found[1].verdict, found[1].reason
     (16, 'cannot tell', 'Needs 128 spp, has 16.')

@@ -190,7 +190,7 @@ def test_learning_brings_it_nearer_to_the_truth():
     matter of less than one seed in a thousand: the mean's squared error varies by 1 in 20.
     """
     similar = CHD((Component("lognormal", 1.0, 0.8),), tail_index=0.3, null_share=0.6)
-    samples = chd.simulate([similar], size=(32, 32), spp=64, seed=3)
+    samples = chd.simulate([similar], shape=(32, 32), spp=64, seed=3)
     truth = truth_of(samples)["mean"].to_numpy()[..., np.newaxis]
     stream = Stream(Progressive(), learns=True)
     for part in np.split(samples.read(), 4, axis=-1):
