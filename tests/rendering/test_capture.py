@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import zarr
 import chdstat as chd
 from chdstat._core.arrays import is_bad, luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
-from chdstat.rendering import render_pixels, writers
+from chdstat.rendering import render_batches, render_pixels, writers
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import max_spp
@@ -618,3 +619,14 @@ def test_ctrl_c_works_after_a_render():
     )
     done = subprocess.run([sys.executable, "-c", program], check=False, timeout=60)
     assert done.returncode == 7
+
+
+def test_what_renders_takes_one_set_of_options():
+    """Those of a job: as many keywords, of the same types, and the same defaults but for one."""
+    asked = dict(signature(Job.of).parameters)
+    for function in (chd.render, render_batches, render_pixels):
+        taken = signature(function).parameters
+        for name, option in asked.items():
+            assert taken[name].annotation == option.annotation, name
+            single = function is render_pixels and name == "backend"  # too few for a wavefront
+            assert taken[name].default == ("scalar" if single else option.default), name
