@@ -219,7 +219,7 @@ def test_wrong_input_is_refused():
         patterns.simulate("caustic")
     with pytest.raises(InputError, match="regions"):
         patterns.simulate(["gamma"] * 9, shape=(2, 2))
-    with pytest.raises(InputError, match="size"):
+    with pytest.raises(InputError, match="a shape"):
         patterns.simulate("gamma", shape=(0, 2))
     with pytest.raises(InputError, match="made by chdstat.simulate"):
         truth_of(Samples.from_array(np.ones((2, 2, 3, 4))))
