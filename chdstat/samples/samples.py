@@ -148,8 +148,8 @@ class Samples:
     @property
     def shape(self) -> tuple[int, int, int, int]:
         """(y, x, channel, sample)."""
-        rows, columns, samples = self._part
-        return len(rows), len(columns), self._held.shape[2], len(samples)
+        rows, columns, samples = map(len, self._part)
+        return rows, columns, self._held.shape[2], samples
 
     @property
     def spp(self) -> int:
@@ -225,11 +225,10 @@ class Samples:
         if not pair or not all(isinstance(place, SupportsIndex | slice) for place in pixel):
             message = f"expected a pixel (y, x) or slices of rows and columns, got {pixel!r}"
             raise InputError(message)
-        y, x = pixel
-        if isinstance(y, slice) or isinstance(x, slice):
-            return self.isel(y=y, x=x)
-        rows, columns, _ = self._part
-        return cast("Image", self.read(_cut("y", rows, y), _cut("x", columns, x))[0, 0])
+        part = self.isel(y=pixel[0], x=pixel[1])
+        return (
+            part if any(isinstance(i, slice) for i in pixel) else cast("Image", part.read()[0, 0])
+        )
 
     def isel(
         self,

@@ -161,16 +161,16 @@ class Store:
 
     def _stored(self) -> npt.NDArray[np.int32]:
         """Return the ledger: as many leading samples as are known, and those that have labels."""
-        known = int(self._manifest["complete"])
+        known, spp = int(self._manifest["complete"]), self.shape[3]
+        starts = np.arange(0, spp, BATCH)
         ledger = np.zeros(layout.grid(self.shape), np.int32)
-        for chunk in self._chunks():
-            samples = chunk.shape[2]
-            ledger[chunk.index] = np.clip(known - chunk.ss.start, 0, samples)
-            if chunk.ss.stop > known and self.chunk_file(chunk).exists():
+        ledger[...] = np.clip(known - starts, 0, np.minimum(BATCH, spp - starts))
+        for chunk in self._chunks(ss=slice(known, spp)):
+            if self.chunk_file(chunk).exists():
                 # A damaged chunk counts as stored, so that reading it reports the damage.
-                ledger[chunk.index] = samples
+                ledger[chunk.index] = chunk.shape[2]
                 with contextlib.suppress(DamageError):
-                    ledger[chunk.index] = min(self._label(chunk)[0], samples)
+                    ledger[chunk.index] = min(self._label(chunk)[0], chunk.shape[2])
         return ledger
 
     def _lay_out(self) -> None:
