@@ -1,6 +1,7 @@
 """Input: axes by name, masks, integers and precision; whatever array is taken, the same holds."""
 
 import contextlib
+import inspect
 import re
 import warnings
 
@@ -23,6 +24,8 @@ from chdstat.summary.statistics import Summary
 
 HEIGHT, WIDTH, SPP = 4, 6, 32
 DIMS = ("y", "x", "channel", "sample")
+FILMS = {"render", "render_batches", "render_pixels", "report", "study", "explore"}
+"""What renders, and takes a size."""
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +37,24 @@ def x():
 @pytest.fixture(scope="module")
 def large():
     return np.random.default_rng(2).gamma(0.9, size=(12, 12, 3, SPP)).astype(np.float32)
+
+
+# --- names --------------------------------------------------------------------------------------
+
+
+def test_a_size_is_that_of_a_film_and_a_shape_that_of_an_image():
+    """(width, height) in what renders, and (height, width) as of an array elsewhere."""
+    modules = [value for name in chd.__all__ if inspect.ismodule(value := getattr(chd, name))]
+    functions = {
+        function.__name__: inspect.signature(function).parameters
+        for owner in (chd, *modules)
+        for function in (getattr(owner, name) for name in owner.__all__)
+        if inspect.isfunction(function)
+    }
+    assert {name for name, taken in functions.items() if "size" in taken} == FILMS
+    assert chd.simulate("gamma", shape=(2, 3), spp=8).shape == (2, 3, 3, 8)
+    rendered = chd.render("cornell-box", size=(3, 2), spp=8, backend="scalar", progress=False)
+    assert rendered.shape == (2, 3, 3, 8)
 
 
 # --- axes ---------------------------------------------------------------------------------------
