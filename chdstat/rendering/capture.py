@@ -404,7 +404,8 @@ def _writer(
     if out is None:
         yield MemoryWriter(attrs, renderer, spp, features=features)
         return
-    with contextlib.closing(StoreWriter.open(Path(out), attrs, renderer, spp, features)) as writer:
+    writer = StoreWriter.open(Path(out), attrs, renderer, spp, features=features)
+    with contextlib.closing(writer):
         yield writer
 
 

@@ -123,7 +123,13 @@ class StoreWriter:
 
     @classmethod
     def open(
-        cls, out: Path, attrs: dict[str, Any], renderer: Renderer, spp: int, features: bool
+        cls,
+        out: Path,
+        attrs: dict[str, Any],
+        renderer: Renderer,
+        spp: int,
+        *,
+        features: bool = True,
     ) -> StoreWriter:
         """Open or create the store and make room for the samples asked for."""
         width, height = renderer.size
