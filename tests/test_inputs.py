@@ -285,7 +285,7 @@ SEEDED = {
     "compare": lambda s, seed: (
         chd.compare(s, ["mean", "jung2015"], n=8, seed=seed).measures["mse"].value
     ),
-    "simulate": lambda _, seed: chd.simulate("gamma", size=(2, 2), spp=4, seed=seed).read(),
+    "simulate": lambda _, seed: chd.simulate("gamma", shape=(2, 2), spp=4, seed=seed).read(),
     "random_chds": lambda _, seed: [c.null_share for c in random_chds(9, seed=seed)],
     "train_model": lambda s, seed: estimators.train_model(
         s, reference=False, iterations=2, seed=seed, progress=False
