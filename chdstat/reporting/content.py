@@ -68,7 +68,7 @@ def findings(
 
 
 def _row(known: float, question: str, answer: str, figure: str, *, otherwise: str) -> FindingRow:
-    """Return a row, or one that says why there is no number where `known` is not finite."""
+    """Return a row; where `known` is not finite, one with the reason in place of a number."""
     if math.isfinite(known):
         return FindingRow(question, answer, figure)
     return FindingRow(question, otherwise, "—")
@@ -240,7 +240,7 @@ def _name(name: str) -> str:
 
 
 def scene_content(data: SceneData, scene: Overview) -> dict[str, Any]:
-    """Return what the report tells of the samples and of their analysis."""
+    """Return the entries of the report on the samples and their analysis, by their names."""
     dataset = data.analysis
     prefix = "threshold_"
     return {

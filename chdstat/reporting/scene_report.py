@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["report"]
 
 _EDGE = 128
-"""Longest edge of the image where neither the user nor a recipe says otherwise."""
+"""Longest edge of the image where neither the user nor a recipe gives a size."""
 _SPP = 512
 _IN_MEMORY = 2**29
 """Samples up to this many bytes are read once and held; larger ones are walked on disk."""
@@ -120,12 +120,12 @@ def report(
     asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     given = {name: value for name, value in asked.items() if value is not None}
     named = load_recipe(recipe) if recipe else None
-    samples = _finished(source)
-    if samples is not None:
-        refuse_render(samples, asked | {"spp": None, "store": store, "backend": backend})
-        samples = first_samples(samples, spp)
+    finished = open_samples(source) if is_store(source) else source
+    if isinstance(finished, Samples):
+        refuse_render(finished, asked | {"spp": None, "store": store, "backend": backend})
+        samples = first_samples(finished, spp)
     else:
-        scene = load_scene(source)  # type: ignore[arg-type]
+        scene = load_scene(finished)
         if named is not None:
             check_integrator(named, scene)
         own = named or own_recipe(scene.name, scene.origin)
@@ -137,15 +137,6 @@ def report(
     document = _document(samples, regions, estimators, iterations, progress)
     with scratch() as folder:
         return typeset(document, folder, target)
-
-
-def _finished(source: str | Path | dict[str, Any] | Scene | Samples) -> Samples | None:
-    """Return samples that are already there: given, or in a store."""
-    if isinstance(source, Samples):
-        return source
-    if is_store(source):
-        return open_samples(source)
-    return None
 
 
 def _document(
@@ -164,7 +155,7 @@ def _document(
     shapes = found if len(found.share) else None
     panels = figures.panels_of(data)
     claims = [claim.find(data) for claim in FINDINGS if claim.alone]
-    told = content.scene_content(data, scene) | {
+    entries = content.scene_content(data, scene) | {
         "regions_chosen": not regions,
         "no_estimators": why_not,
         "verdicts": VERDICTS,
@@ -181,18 +172,18 @@ def _document(
     if shown is not None:
         drawn["plots"] = shown
     if shapes is not None:
-        told["atlas"] = content.atlas_content(shapes)
+        entries["atlas"] = content.atlas_content(shapes)
     trained = None
     if comparison is not None:
         trained = SelfTraining.of(samples, comparison, iterations=iterations, progress=progress)
-        told["estimators"] = content.estimator_table(comparison)
+        entries["estimators"] = content.estimator_table(comparison)
         drawn |= figures.of_comparison(comparison, _curve(samples, comparison, progress))
     if trained is not None:
-        told["self_training"] = content.self_training_content(trained)
+        entries["self_training"] = content.self_training_content(trained)
         drawn["self_training"] = figures.self_training(trained)
     rows = content.findings(scene, shapes, comparison, trained)
-    told["findings"] = [row._asdict() for row in rows]
-    return Document("report.typ", told, drawn)
+    entries["findings"] = [row._asdict() for row in rows]
+    return Document("report.typ", entries, drawn)
 
 
 def _defaults(scene: Scene) -> dict[str, Any]:
@@ -210,7 +201,7 @@ def _compare(
     iterations: int | None,
     progress: bool | None,
 ) -> tuple[Comparison | None, str]:
-    """Compare the estimators, or say why these samples cannot judge them.
+    """Compare the estimators; where these samples are too few, return the reason instead.
 
     Ours is trained for many numbers of samples, on the pixels that a comparison draws.
     """

@@ -68,12 +68,12 @@ def document(study: Study) -> Document:
     for i, scene in enumerate(study.scenes):
         shown = scene_figures(scene.data, panels_of(scene.data), atlas=scene.atlas)
         drawn |= {f"scene{i}-{name}": figure for name, figure in shown.items()}
-    told = [v for row in study.table() for k, v in row.items() if k not in {"number", "claim"}]
+    words = [v for row in study.table() for k, v in row.items() if k not in {"number", "claim"}]
     content = {
         "scenes": [_scene(scene, i) for i, scene in enumerate(study.scenes)],
         "claims": [claim_content(claim, found) for claim, found in claims.items()],
         "verdicts": VERDICTS,
-        "counts": {verdict: told.count(verdict) for verdict in VERDICTS},
+        "counts": {verdict: words.count(verdict) for verdict in VERDICTS},
         "provenance": {k: str(v) for k, v in study.provenance.items()},
         "repeated": any(scene.repeated for scene in study.scenes),
         "remakes": remake_note(scene.data.samples for scene in study.scenes),

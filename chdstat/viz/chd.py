@@ -172,7 +172,7 @@ def draw_histograms(
     ax
         Where to draw.
     found
-        Histograms of shape (bin,), by what the legend says of each.
+        Histograms of shape (bin,), by their names in the legend.
     colors, outlines
         Colours of their areas and, where these are not the same, of their outlines.
     dashes

@@ -413,7 +413,8 @@ def view_pair(
     exposure = display_stops(second)
     for ax, (name, image), color in zip(grid(left, 2, 2), images.items(), _PAIR, strict=True):
         ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
-        bare(ax, verbatim(name), fontsize=8, color=color, fontweight="bold")
+        bare(ax)
+        ax.set_title(verbatim(name), fontsize=8, color=color, fontweight="bold")
     shown = dict(list(log.items())[:4])
     for ax, (region, found) in zip(right.subplots(2, 2).flat, shown.items(), strict=False):
         ax.set_xlim(draw_histograms(ax, found, colors=_PAIR, dashes=_DASHES))

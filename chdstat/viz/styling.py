@@ -67,7 +67,7 @@ PALETTE = (
     "#F0E442",
     "#7F7F7F",
 )
-"""Eight colours that colour-blind readers tell apart (Okabe and Ito 2008), grey for black."""
+"""Eight colours that colour-blind readers can distinguish (Okabe and Ito 2008), grey for black."""
 
 MISSING = "#DDDDDD"
 """Colour of pixels without a number."""
@@ -132,7 +132,14 @@ class NotebookFigure(Figure):
         return stream.getvalue()
 
 
-def page(fig: Figure | None, height: float, width: float = WIDTH, **spaces: Any) -> Figure:
+def page(
+    fig: Figure | None,
+    height: float,
+    width: float = WIDTH,
+    *,
+    wspace: float | None = None,
+    hspace: float | None = None,
+) -> Figure:
     """Return the figure to draw into: the given one, or a new one of a size in inches.
 
     Parameters
@@ -141,12 +148,12 @@ def page(fig: Figure | None, height: float, width: float = WIDTH, **spaces: Any)
         A figure of the user; None makes one.
     height, width
         Size of a new figure, in inches; no higher than `HEIGHT`.
-    spaces
-        Of its layout: `wspace` and `hspace`, as shares of the width and height of its axes.
+    wspace, hspace
+        Space between axes, as a share of their width and height; None for Matplotlib's own.
     """
     if fig is not None:
         return fig
-    layout = ConstrainedLayoutEngine(**spaces)
+    layout = ConstrainedLayoutEngine(wspace=wspace, hspace=hspace)
     return NotebookFigure(figsize=(width, min(height, HEIGHT)), layout=layout)
 
 
@@ -155,7 +162,14 @@ def axes_in(ax: Axes | None, height: float, width: float = WIDTH / 2) -> Axes:
     return page(None, height, width).subplots() if ax is None else ax
 
 
-def grid(figure: Figure | SubFigure, number: int, columns: int, **options: Any) -> list[Axes]:
+def grid(
+    figure: Figure | SubFigure,
+    number: int,
+    columns: int,
+    *,
+    sharey: bool = False,
+    width_ratios: Sequence[float] | None = None,
+) -> list[Axes]:
     """Return axes in rows of `columns`; the rest of the last row stays empty.
 
     Raises
@@ -167,7 +181,8 @@ def grid(figure: Figure | SubFigure, number: int, columns: int, **options: Any) 
         message = "expected at least one panel to draw, got none"
         raise InputError(message)
     rows = -(-number // columns)
-    axes = list(figure.subplots(rows, columns, squeeze=False, **options).flat)
+    cells = figure.subplots(rows, columns, squeeze=False, sharey=sharey, width_ratios=width_ratios)
+    axes = list(cells.flat)
     for empty in axes[number:]:
         empty.remove()
     return axes[:number]
@@ -185,11 +200,11 @@ def plain_log(axis: Axis, numbers: Sequence[int] = (1, 2, 5)) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def bare(ax: Axes, title: str = "", **options: Any) -> None:
-    """Leave out ticks and frame of axes that show an image; `options` are those of the title."""
+def bare(ax: Axes, title: str = "") -> None:
+    """Leave out ticks and frame of axes that show an image."""
     ax.set(xticks=[], yticks=[])
     ax.spines[:].set_visible(False)
-    ax.set_title(title, **options)
+    ax.set_title(title)
 
 
 def qualitative(number: int) -> list[str]:
@@ -269,7 +284,7 @@ def spelt() -> Iterator[None]:
     """Log in one line which letters no font has, where Matplotlib warns of each and each time."""
     fonts = logging.getLogger(font_manager.__name__)
     level = fonts.level
-    fonts.setLevel(logging.ERROR)  # it says of each font that it has no bold letters
+    fonts.setLevel(logging.ERROR)  # one line for each font that has no bold letters
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
