@@ -1,4 +1,4 @@
-"""Fits: distributions for the positive part of a CHD, the share of nulls apart.
+"""Fits: distributions for the positive part of a CHD, with the share of nulls separately.
 
 `fit` fits a family; each of `FAMILIES` has a function of its name, too: `gamma`, `lognormal` and so
 on. `select` compares families, `goodness` tests whether a family describes the samples at all;

@@ -129,10 +129,10 @@ def summaries_of_bins(
     y, h = np.minimum(centers - origin, 0.0), width[:, np.newaxis]
     square, ratio = y * y, np.exp(y)
     least = np.maximum(width / np.sqrt(2 * np.pi), SPREAD_FLOOR)
-    sharp = np.maximum(width * np.sqrt(1 / (2 * np.pi) - 1 / 12), SPREAD_FLOOR)
+    corrected = np.maximum(width * np.sqrt(1 / (2 * np.pi) - 1 / 12), SPREAD_FLOOR)
     as_they_are = Summaries(count, y, square, ratio, origin[:, 0], least)
     ratio = ratio * (h / 2) / np.sinh(h / 2)
-    return as_they_are, Summaries(count, y, square - h * h / 12, ratio, origin[:, 0], sharp)
+    return as_they_are, Summaries(count, y, square - h * h / 12, ratio, origin[:, 0], corrected)
 
 
 def _relative(log_sorted: Floats, n: Counts) -> tuple[Floats, Floats]:

@@ -31,7 +31,7 @@ FitTest = Literal["kolmogorov-smirnov", "cramer-von-mises", "anderson-darling", 
 _LEAST = 1e-300
 """Least probability whose logarithm is taken."""
 _FAR = 0.9
-"""Where F is larger, 1 - F is computed apart, so that it does not lose its digits."""
+"""Where F is larger, 1 - F is computed separately, so that it does not lose its digits."""
 _EXPECTED = 5.0
 """Least number of samples expected in a cell (Cochran 1954, doi:10.2307/3001616)."""
 

@@ -65,7 +65,7 @@ class Family:
         Sum over the positive samples of the log density in linear radiance, at given parameters.
     log_density
         Log density of log x at the points of some rows, shape (row, point), given the parameters of
-        these rows, shape (row,). That of x is smaller by log x, for every family alike.
+        these rows, shape (row,). That of x is smaller by log x.
     distribution
         SciPy's frozen distribution with given parameters, which may be arrays.
     mean
@@ -177,14 +177,13 @@ def _maximise_block(
     damping = np.zeros(len(rows))
     for _ in range(_ITERATIONS):
         step = np.clip(_step(_along(at, here, floor), damping), -_REACH, _REACH)
-        # What steps are small in comparison with: 1, or a positive parameter that is less.
-        unit = np.ones_like(at)
+        small = np.abs(step) < tolerance
         if np.isfinite(floor):
             # Towards the floor, a step goes to a hundredth of what there is.
             step[1] = np.maximum(step[1], np.maximum(-0.99 * at[1], floor - at[1]))
-            unit[1] = np.minimum(at[1], 1)
+            small[1] = np.abs(step[1]) < tolerance * np.minimum(at[1], 1)
         # The last step is taken on trust: what it leaves is of the order of its square.
-        done = (np.abs(step) < tolerance * unit).all(axis=0) & (damping == 0)
+        done = small.all(axis=0) & (damping == 0)
         best[:, rows] = np.where(done, at + step, at)
         converged[rows] = done
         active = ~done & np.isfinite(step).all(axis=0) & (damping < 1e8)
@@ -198,6 +197,9 @@ def _maximise_block(
         there = surface(points, trial)
         with np.errstate(invalid="ignore"):
             climbs = there[0] >= here[0] - 1e-11 * (1 + np.abs(here[0]))
+        if climbs.all() and not damping.any():
+            at, here = trial, there
+            continue
         at, here = np.where(climbs, trial, at), np.where(climbs, there, here)
         damping = np.where(climbs, np.where(damping < 1e-2, 0, damping / 10), 10 * damping + 0.1)
     return best, converged

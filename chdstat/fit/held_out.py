@@ -80,7 +80,7 @@ def held_out_of_part(part: Part, families: Sequence[Family], near: Sequence[Para
     loss, best = np.full((size, count), np.nan), np.full(size, -1, dtype=np.int8)
     margins = np.full((2, size), np.nan)
     n = part.n.reshape(-1)
-    # Rows alike in number, so that those of a piece fill it.
+    # Rows with similar numbers of samples, so that those of a piece fill it.
     order = np.argsort(n, kind="stable")[np.count_nonzero(n == 0) :]
     flat = [{name: values.reshape(-1) for name, values in at.items()} for at in near]
     for span in spans(len(order), max(1, _CHUNK // part.x.shape[-1])):

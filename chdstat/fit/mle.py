@@ -63,8 +63,8 @@ def fit(
 ) -> Fit | xr.Dataset:
     """Fit a zero-inflated family by maximum likelihood.
 
-    The share of nulls is estimated apart; the family is fitted to the samples that are good, not
-    null and larger than 0.
+    The share of nulls is estimated separately; the family is fitted to the samples that are good,
+    not null and larger than 0.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit import em
 from chdstat.fit.components import ComponentFamily, Summaries
 from chdstat.fit.search import Found, Solution, score, search
-from chdstat.fit.unimodal import edge_scores, log_samples
+from chdstat.fit.unimodal_bic import edge_scores, log_samples
 
 __all__ = ["LEAST_WEIGHT", "best_peaks", "standard_errors"]
 
@@ -105,9 +105,9 @@ _STEP = 1e-4
 """Of a parameter, for a derivative."""
 
 _FEW = 70
-"""Of few samples, modes are found where they happen to look apart: errors count as ``1 + (70/n)^2``
-times as large, so that 1.96 of them hold the separation in 90 % of those that are found, as
-``tests/benchmarks/test_modes.py`` prints."""
+"""Of few samples, modes are found where they happen to look separate: errors count as
+``1 + (70/n)^2`` times as large, so that 1.96 of them hold the separation in 90 % of those that are
+found, as ``tests/benchmarks/test_modes.py`` prints."""
 
 _EVEN = np.linspace(0, 1, 34)[1:-1, np.newaxis]
 _NEAR = np.array([0.5, 1.0, 2.0, 3.0, 4.0])[:, np.newaxis]

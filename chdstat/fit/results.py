@@ -167,7 +167,7 @@ class Fit(_ZeroInflated):
     log_likelihood
         Of all good samples: the positive ones in linear radiance, and the Bernoulli part of zeros.
     aic, bic
-        Information criteria; the zero share counts as a parameter of every family alike.
+        Information criteria; the zero share counts as a parameter of every family.
     converged
         Whether the estimate met its tolerance.
     reason

@@ -128,7 +128,7 @@ def tail_index(
     -------
     Tail or xarray.Dataset
         `Tail` for an array; for `Samples`, its fields over (y, x, channel), with the prefix
-        ``tail_``, and q-values of both p-values over the image, for each channel apart.
+        ``tail_``, and q-values of both p-values over the image, for each channel separately.
 
     Raises
     ------

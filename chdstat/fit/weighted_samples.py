@@ -8,7 +8,7 @@ of samples, so that a block is as wide as its rows need: null-heavy pixels cost 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -71,15 +71,8 @@ class WeightedSamples:
 
     def take(self, rows: npt.NDArray[Any]) -> WeightedSamples:
         """Return some rows of these."""
-        return WeightedSamples(
-            rows=self.rows[rows],
-            log=self.log[rows],
-            weight=self.weight[rows],
-            n=self.n[rows],
-            log_mean=self.log_mean[rows],
-            log_top=self.log_top[rows],
-            single=self.single,
-        )
+        names = ("rows", "log", "weight", "n", "log_mean", "log_top")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def average(self, values: Floats) -> Floats:
         """Average over the samples of each row, shape (row,)."""
@@ -234,7 +227,7 @@ def _ones(n: npt.NDArray[np.int64], width: int) -> Floats:
 
 
 def _clear(values: Floats, weight: Floats, n: npt.NDArray[np.int64], by: float = 0) -> None:
-    """Set what is beyond the first n of each row: in a block of rows alike, few columns."""
+    """Set what is beyond the first n of each row: in a block of similar rows, few columns."""
     least = int(n.min(initial=values.shape[-1]))
     np.copyto(values[:, least:], by, where=weight[:, least:] == 0)
 
@@ -270,14 +263,14 @@ def _bins(part: PositiveHistogram, rows: npt.NDArray[np.intp]) -> WeightedSample
     n = part.n.ravel()[rows].astype(np.float64)
     log_mean = np.vecdot(weight, centers) / n
     half = np.broadcast_to(part.width, part.n.shape).ravel()[rows] / 2
-    apart = centers - log_mean[:, np.newaxis]
-    spread = np.vecdot(weight, apart**2) / n
+    centered = centers - log_mean[:, np.newaxis]
+    spread = np.vecdot(weight, centered**2) / n
     wanted = part.log_statistics.log_variance.ravel()[rows]
-    apart *= np.sqrt(wanted / spread)[:, np.newaxis]
+    centered *= np.sqrt(wanted / spread)[:, np.newaxis]
     empty = weight == 0
     # The edge, not the contracted centre: a family of bounded support must hold every sample.
     edge = np.where(empty, -np.inf, centers).max(axis=-1) + half - log_mean
-    apart[empty] = 0
+    centered[empty] = 0
     return WeightedSamples(
-        rows=rows, log=apart, weight=weight, n=n, log_mean=log_mean, log_top=edge
+        rows=rows, log=centered, weight=weight, n=n, log_mean=log_mean, log_top=edge
     )

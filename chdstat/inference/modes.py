@@ -32,7 +32,7 @@ from chdstat.fit.mixtures import ChosenMixtures
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
 from chdstat.fit.results import Fit, Mixture
 from chdstat.fit.search import Found
-from chdstat.fit.unimodal import unimodal_scores
+from chdstat.fit.unimodal_bic import unimodal_scores
 from chdstat.inference.dip import dips
 from chdstat.inference.null_tables import DIP_QUANTILES, LEVELS, interpolated_p
 from chdstat.samples import Image, Mapped, Samples, opened

@@ -71,7 +71,7 @@ def linear_support(
     """Return the linear support that the first 50 draws set.
 
     It is the interval that their good, non-null samples span, padded by 25 % of its length at both
-    ends. One value v, or values too near to each other for bins that floating point can tell apart,
+    ends. One value v, or values too near to each other for bins that floating point distinguishes,
     give [0.75 v, 1.25 v]; where there is no sample to go by, or v = 0, there is no support.
 
     Parameters

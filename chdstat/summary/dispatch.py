@@ -139,9 +139,9 @@ class PositiveHistogram:
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             log_mean = np.vecdot(self.counts, self.log_centers) / self.n
-            apart = self.log_centers - log_mean[..., np.newaxis]
-            log_variance = np.vecdot(self.counts, apart**2) / self.n - self.width**2 / 12
-            ratio = np.vecdot(self.counts, np.exp(apart)) / self.n
+            centered = self.log_centers - log_mean[..., np.newaxis]
+            log_variance = np.vecdot(self.counts, centered**2) / self.n - self.width**2 / 12
+            ratio = np.vecdot(self.counts, np.exp(centered)) / self.n
             ratio *= (self.width / 2) / np.sinh(self.width / 2)
             # A distribution within one bin: the correction is larger than what there is.
             variance = np.where(log_variance > 0, log_variance, np.where(self.n > 0, 0, np.nan))

@@ -1,4 +1,4 @@
-"""Histograms of samples: linear and log10 bins, with everything outside them counted apart.
+"""Histograms of samples: linear and log10 bins, with everything outside them counted separately.
 
 Use `histogram` on an array or a whole image, `StreamingHistogram` on samples that come in blocks.
 The defaults are the instrumentation of Elek, Thomas and Forbes (2019): 100 bins; a linear support
@@ -10,7 +10,6 @@ are underflow on the log scale.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_samples, warn_left_out
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
-from chdstat.samples import Blocks, Mapped, Samples, reduce_tiles, samples_of
+from chdstat.samples import Blocks, Image, Mapped, Samples, opened, reduce_tiles
 from chdstat.summary.bins import (
     LOG_SUPPORT,
     SCALES,
@@ -81,7 +80,7 @@ class Histogram:
         How many of the good samples are negative, shape (...): on the log scale, a part of the
         underflow.
     null_count, bad_count
-        Samples apart from the histogram, shape (...).
+        Samples that are not in the histogram, shape (...).
     reason
         Why there is no support: a `Reason`, shape (...).
     n
@@ -144,7 +143,7 @@ class Histogram:
 
 @overload
 def histogram(  # type: ignore[overload-overlap]  # a str is an ArrayLike, but no radiance
-    x: Samples | str | Path,
+    x: Image,
     *,
     scale: Scale = ...,
     bins: int = ...,
@@ -161,7 +160,7 @@ def histogram(
     bad: Mask | None = ...,
 ) -> Histogram: ...
 def histogram(
-    x: npt.ArrayLike | Samples | Path,
+    x: npt.ArrayLike | Image,
     *,
     scale: Scale = "log",
     bins: int = 100,
@@ -224,16 +223,17 @@ def histogram(
     >>> h.centers[4:6].round(3)
     array([0.316, 3.162])
     """
-    if not isinstance(x, Samples | str | Path):
+    given = opened(x)
+    if not isinstance(given, Samples):
         stream = StreamingHistogram(scale=scale, bins=bins, support=support)
-        array = as_samples(x)
+        array = as_samples(given)
         if bad is None:
             warn_left_out(array)
         return stream.update(array, null=null, bad=bad).read()
     if null is not None or bad is not None:
         message = "null and bad are for arrays: Samples know which samples are null or bad"
         raise InputError(message)
-    return _image_histogram(samples_of(x), scale, bins, support)
+    return _image_histogram(given, scale, bins, support)
 
 
 class StreamingHistogram:

@@ -11,12 +11,12 @@ Distributions of one mode that a mixture has to beat before modes are counted.
 
 Scores are log-likelihoods of log radiance less half of log n for each parameter, n being the
 positive samples: BIC over -2, of what the fits describe. Nulls are no part of a shape, and do not
-make modes harder to find. The share of zeros counts as a parameter of every fit alike.
+make modes harder to find. The share of zeros counts as a parameter of every fit.
 
 A hard edge is not a mode: families that begin at zero radiance cannot follow one, and mixtures of
-them imitate it with a narrow component. So `edge_scores` has rivals whose ends are free: gamma
-distributions above a floor, and all that are log-concave in log radiance, or in the logarithm of
-the distance from either end. The likelihood of an end is not a regular one (Cheng and Traylor,
+them imitate it with a narrow component. So the distributions of `edge_scores` have free ends: gamma
+above a floor, and all that are log-concave in log radiance, or in the logarithm of the distance
+from either end. The likelihood of an end is not a regular one (Cheng and Traylor,
 "Non-regular maximum likelihood problems", 1995, doi:10.1111/j.2517-6161.1995.tb02012.x), and a
 log-concave density has no fixed number of parameters. What they count as here was measured.
 """
@@ -266,9 +266,9 @@ _BOUNDED = 5
 """Of a distribution between two ends: the estimate of an end converges like 1/n, not 1/sqrt(n),
 so that it costs log n in the expansion that BIC is from: as much as two regular parameters."""
 _ABOVE_FLOOR, _BELOW_CEILING, _LOG_CONCAVE = 3.5, 5.0, 9.2
-"""Parameters that the rivals of `edge_scores` count as: as few, or as much likelihood, as it takes
-to find more than one mode in at most 5 % of the samples of hard-edged distributions, and as many as
-it takes to find nearly all that are there (``tests/benchmarks/test_modes.py``)."""
+"""Parameters that the distributions of `edge_scores` count as: as few, or as much likelihood, as it
+takes to find more than one mode in at most 5 % of the samples of hard-edged distributions, and as
+many as it takes to find nearly all that are there (``tests/benchmarks/test_modes.py``)."""
 _FEW = 128
 """BIC is an expansion for many samples: of fewer than these, a mixture fits chance."""
 _FLOORS = (0.03, 0.12, 0.4, 1.5)
