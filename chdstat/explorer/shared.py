@@ -204,8 +204,8 @@ class Shared:
         InputError
             If there is no such map, or it needs a store and there is none.
         """
-        kind, source = map_kind(name), self.source
-        if not isinstance(source, StoreSource):
+        kind = map_kind(name)
+        if not isinstance(self.source, StoreSource):
             if name not in IMAGES:
                 how = "render the scene with 'chdstat render SCENE -o STORE'"
                 message = f"{kind.title!r} needs a store: {how}"
@@ -214,9 +214,7 @@ class Shared:
         running = self._wanted.get(name)
         there = name in self.maps and self.maps[name].done >= 1
         if not there and (running is None or running.done()):
-            self._wanted[name] = self._passes.submit(
-                self._guarded, partial(self._walk, source, name)
-            )
+            self._wanted[name] = self._passes.submit(self._guarded, lambda: self._walk(name))
 
     def refresh(self) -> None:
         """Go on with the samples that were added to the store since, if there are any."""
@@ -264,7 +262,10 @@ class Shared:
 
         return kept(source.samples, "overall", Overall, lambda: stream(source, step))
 
-    def _walk(self, source: StoreSource, name: str) -> None:
+    def _walk(self, name: str) -> None:
+        source = self.source
+        if not isinstance(source, StoreSource):
+            return
         kind = map_kind(name, source.samples.spp)
 
         def step(share: float, values: npt.NDArray[np.float32]) -> None:

@@ -408,13 +408,13 @@ class SceneSource:
         return whole
 
     def _draw(self, y: int, x: int, spp: int) -> None:
-        there = self._pixels.get((y, x), np.empty((len(self.channels), 0), np.float32))
+        there = self._pixels.get((y, x))
         # The seed moves a pixel's stream by a golden section: its pieces never meet.
-        seed = self._job.seed + -(-there.shape[1] // FIRST_SPP)
+        seed = self._job.seed + (0 if there is None else -(-there.shape[1] // FIRST_SPP))
         with activate(self._job.verdict):
             drawn: Image = self._renderer.pixels(np.array([[y, x]]), spp, seed=seed)[0]
         self._pixels.pop((y, x), None)
-        self._pixels[y, x] = np.concatenate([there, drawn], axis=1)
+        self._pixels[y, x] = drawn if there is None else np.concatenate([there, drawn], axis=1)
         held = sum(x.nbytes for x in self._pixels.values())
         while len(self._pixels) > 1 and held > _KEPT_BYTES:
             held -= self._pixels.pop(next(iter(self._pixels))).nbytes
