@@ -33,6 +33,7 @@ __all__ = [
     "is_bad",
     "is_null",
     "luminance",
+    "plain",
     "seed_number",
     "spans",
     "take_rows",
@@ -333,6 +334,23 @@ def luminance(
         )
         raise InputError(message)
     return np.asarray(np.moveaxis(x, channel_axis, -1) @ LUMINANCE.astype(x.dtype))
+
+
+def plain(value: Any) -> Any:
+    """Return a value ready for JSON: arrays as lists, what is not finite as None.
+
+    Examples
+    --------
+    >>> plain({"a": np.array([1.0, np.nan]), 2: np.float32(0.5)})
+    {'a': [1.0, None], '2': 0.5}
+    """
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return plain(value.tolist())
+    return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
 def spans(length: int, step: int) -> Iterator[slice]:

@@ -8,10 +8,10 @@ same for many n, and returns an `ErrorCurve`. `denoised` puts a denoiser after a
 
 from __future__ import annotations
 
-from chdstat.comparison.accumulate import MEASURES
+from chdstat.comparison.accumulate import MEASURES, PixelEstimates
 from chdstat.comparison.candidates import Denoised, denoised
 from chdstat.comparison.side_by_side import compare, curve_sizes, error_curve
-from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve, PixelEstimates
+from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
 
 __all__ = [
     "MEASURES",

@@ -11,7 +11,7 @@ Memory is bounded: one batch of the image, one estimate of it, and sums over blo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
 from typing import Any
@@ -23,11 +23,11 @@ from scipy import stats
 from chdstat._core.arrays import block_numbers
 from chdstat._core.executor import track
 from chdstat._core.resampling import Interval
+from chdstat.comparison.candidates import Candidates
 from chdstat.comparison.metrics import bootstrap, relative_squared_error
 from chdstat.errors import InputError
 from chdstat.estimators.order import mean
-from chdstat.estimators.validation import Totals, batches
-from chdstat.samples import Samples
+from chdstat.estimators.validation import batches
 
 __all__ = [
     "MEASURES",
@@ -35,10 +35,11 @@ __all__ = [
     "ErrorAccumulator",
     "ErrorSums",
     "EstimateImages",
+    "PixelEstimates",
     "Units",
     "errors_of",
     "judge",
-    "stack_intervals",
+    "stack_measures",
 ]
 
 Array = npt.NDArray[Any]
@@ -171,13 +172,21 @@ def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Arr
     return np.stack([error**2, relative, improved, unchanged, firefly, error], axis=1)
 
 
-def stack_intervals(intervals: Sequence[Interval[Array]]) -> Interval[Array]:
-    """Return several intervals as one, along a new first axis."""
-    value, low, high, error = (
-        np.stack([getattr(interval, field) for interval in intervals])
-        for field in ("value", "low", "high", "standard_error")
-    )
-    return Interval(value, low, high, standard_error=error)
+def stack_measures(parts: Sequence[Mapping[str, Interval[Array]]]) -> dict[str, Interval[Array]]:
+    """Return the measures of several parts as one, along a new first axis."""
+
+    def stacked(name: str, field: str) -> Array:
+        return np.stack([getattr(part[name], field) for part in parts])
+
+    return {
+        name: Interval(
+            stacked(name, "value"),
+            stacked(name, "low"),
+            stacked(name, "high"),
+            standard_error=stacked(name, "standard_error"),
+        )
+        for name in MEASURES
+    }
 
 
 def _measure(sums: Array, reference: Array, count: Array) -> Array:
@@ -274,6 +283,50 @@ class EstimateImages:
 
 
 @dataclass(frozen=True)
+class PixelEstimates:
+    """A few pixels that no estimator was trained on, one batch each.
+
+    Attributes
+    ----------
+    pixels
+        Rows (y, x), from dark to bright, shape (pixel, 2).
+    estimators, channels
+        Names.
+    reference
+        Mean of all other samples, radiance, shape (pixel, channel).
+    mean
+        Sample mean of the batch, radiance, shape (pixel, channel).
+    estimates
+        Radiance, shape (estimator, pixel, channel).
+    n
+        Samples per estimate.
+    """
+
+    pixels: npt.NDArray[np.int64]
+    estimators: tuple[str, ...]
+    channels: tuple[str, ...]
+    reference: npt.NDArray[np.float64]
+    mean: npt.NDArray[np.float32]
+    estimates: npt.NDArray[np.float32]
+    n: int
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return one row per pixel and channel: where, reference, mean, every estimate."""
+        return [
+            {
+                "y": int(y),
+                "x": int(x),
+                "channel": channel,
+                "reference": float(self.reference[k, c]),
+                "sample_mean": float(self.mean[k, c]),
+                **{name: float(self.estimates[e, k, c]) for e, name in enumerate(self.estimators)},
+            }
+            for k, (y, x) in enumerate(self.pixels)
+            for c, channel in enumerate(self.channels)
+        ]
+
+
+@dataclass(frozen=True)
 class ErrorAccumulator:
     """What many estimators did on the same batches.
 
@@ -297,28 +350,18 @@ class ErrorAccumulator:
 
 
 def judge(
-    functions: Mapping[str, Callable[[Array, Array | None], Array]],
-    samples: Samples,
-    totals: Totals,
-    units: Units,
-    *,
-    direct: Samples | None,
-    n: int,
-    limit: int | None,
-    progress: bool | None = None,
+    candidates: Candidates, units: Units, *, n: int, limit: int | None, progress: bool | None = None
 ) -> ErrorAccumulator:
-    """Let every estimator estimate from the same batches and add up its errors.
+    """Let every estimator that takes n samples estimate from the same batches; add up its errors.
 
     The image is read with n samples at a time and estimated by one estimator at a time.
 
     Parameters
     ----------
-    functions
-        Estimates of samples (y, x, channel, n) and of their direct part, by name.
-    samples, totals, units
-        The image, the sums over its samples, and the pixels that judge.
-    direct
-        Direct part of the samples; None where no estimator takes it.
+    candidates
+        The estimators and the image.
+    units
+        The pixels that judge.
     n, limit
         Samples per batch, and batches at most.
     progress
@@ -329,6 +372,7 @@ def judge(
     InputError
         If an estimator returns another shape, or no batch has a reference.
     """
+    functions, samples, totals = candidates.taking(n), candidates.samples, candidates.totals
     height, width, channels, spp = samples.shape
     rounds = spp // n if limit is None else min(limit, spp // n)
     by_unit = ErrorSums.empty(len(units.starts), len(functions), channels)
@@ -336,6 +380,7 @@ def judge(
     scene_mean = totals.mean()[totals.count > 0].mean(axis=0)
     first: list[Array] = []
     excluded = 0
+    direct = candidates.direct
     parts = repeat(None) if direct is None else batches(direct, n, limit=limit)
     work = rounds * height * width * len(functions)
     with track(f"comparing at N = {n}", work, unit="px", show=progress) as advance:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.reasons import flag_attributes
 from chdstat._core.resampling import Interval
-from chdstat.comparison.accumulate import MEASURES, ErrorSums, Units, judge, stack_intervals
+from chdstat.comparison.accumulate import ErrorSums, Units, judge, stack_measures
 from chdstat.comparison.candidates import (
     DEFAULT,
     Candidates,
@@ -146,16 +146,7 @@ def compare(
     found = found.with_denoised() if denoise else found
     test = found.test_pixels()
     units = Units.of(test, codes)
-    errors = judge(
-        found.taking(n),
-        samples,
-        found.totals,
-        units,
-        direct=found.direct,
-        n=n,
-        limit=max_batches,
-        progress=progress,
-    )
+    errors = judge(found, units, n=n, limit=max_batches, progress=progress)
     images = errors.images
     return Comparison(
         estimators=found.names,
@@ -184,15 +175,14 @@ def _breakdown(
     """Measure the pixels of each label separately."""
     judged = sums.count > 0
     codes = np.unique(units.label[judged])
-    parts = [sums[units.label == code].measures(seed=seed) for code in codes]
+    found = [sums[units.label == code].measures(seed=seed) for code in codes]
+    parts = [{name: part[:, -1] for name, part in measures.items()} for measures in found]
     return Breakdown(
         labels=tuple(names[code] for code in codes.tolist()),
         estimators=candidates.names,
         uses_neighbours=candidates.uses_neighbours,
         pixels=np.array([units.pixels[judged & (units.label == code)].sum() for code in codes]),
-        measures={
-            name: stack_intervals([part[name][:, -1] for part in parts]) for name in MEASURES
-        },
+        measures=stack_measures(parts),
     )
 
 
@@ -259,18 +249,8 @@ def error_curve(
     units = Units.of(found.test_pixels())
     parts, noise, counts = [], [], []
     for n in chosen:
-        functions = found.taking(n)
-        errors = judge(
-            functions,
-            samples,
-            found.totals,
-            units,
-            direct=found.direct,
-            n=n,
-            limit=max_batches,
-            progress=progress,
-        )
-        taken = list(functions)
+        errors = judge(found, units, n=n, limit=max_batches, progress=progress)
+        taken = list(found.taking(n))
         place = [taken.index(name) if name in taken else len(taken) for name in found.names]
         measures = errors.by_block.measures(seed=seed)
         parts.append({name: _placed(part[:, -1], place) for name, part in measures.items()})
@@ -282,7 +262,7 @@ def error_curve(
         estimators=found.names,
         uses_neighbours=found.uses_neighbours,
         sizes=chosen,
-        measures={name: stack_intervals([part[name] for part in parts]) for name in MEASURES},
+        measures=stack_measures(parts),
         reference_noise=dict(zip(("mse", "relmse"), np.transpose(noise), strict=True)),
         batches=np.array(counts),
         test_pixels=len(units.ys),

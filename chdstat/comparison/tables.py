@@ -1,29 +1,29 @@
 """Results of a comparison as tables, dictionaries, datasets and JSON.
 
-`Comparison` holds every measure with its interval, `Breakdown` the measures of each pattern,
-`ErrorCurve` those of many numbers of samples, and `PixelEstimates` the estimates of a few pixels.
+`Comparison` holds every measure with its interval, `Breakdown` the measures of each pattern, and
+`ErrorCurve` those of many numbers of samples.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import generator
+from chdstat._core.arrays import generator, plain, whole
 from chdstat._core.resampling import Interval
-from chdstat.comparison.accumulate import MEASURES
+from chdstat.comparison.accumulate import MEASURES, PixelEstimates
 from chdstat.errors import InputError
 from chdstat.estimators.registry import Model
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Breakdown", "Comparison", "ErrorCurve", "PixelEstimates"]
+__all__ = ["Breakdown", "Comparison", "ErrorCurve"]
 
 Array = npt.NDArray[Any]
 
@@ -32,6 +32,7 @@ _ALL_CHANNELS = -1
 _OVER_BATCHES = "_over_batches"
 """What follows the suffix of an interval over batches, in place of pixels."""
 _LOOKS = "whether it looks at the pixels around"
+_ALL_BUT_FIRST = "mean of all but the first n"
 _SUFFIXES = {
     "": "",
     "_se": ", standard error",
@@ -40,22 +41,23 @@ _SUFFIXES = {
 }
 
 
-def _parts(interval: Interval[Array]) -> dict[str, Array]:
-    """Return value, standard error and ends of an interval, by the suffix of their name."""
-    values = interval.value, interval.standard_error, interval.low, interval.high
-    return dict(zip(_SUFFIXES, values, strict=True))
+def _values(
+    measures: Mapping[str, Interval[Array]], over_batches: bool
+) -> Iterator[tuple[str, str, Array]]:
+    """Yield measure, suffix and values of all intervals; over batches, without the measures."""
+    for measure, found in measures.items():
+        arrays = found.value, found.standard_error, found.low, found.high
+        for suffix, values in zip(_SUFFIXES, arrays, strict=True):
+            if suffix or not over_batches:
+                yield measure, suffix, values
 
 
 def _row(
     measures: Mapping[str, Interval[Array]], index: tuple[int, int], *, over_batches: bool = False
 ) -> dict[str, float]:
-    """Return one place of all measures as a flat row; over batches, without the values."""
-    return {
-        measure + suffix + over_batches * _OVER_BATCHES: float(values[index])
-        for measure, interval in measures.items()
-        for suffix, values in _parts(interval).items()
-        if suffix or not over_batches
-    }
+    """Return one place of all measures as a flat row."""
+    end = _OVER_BATCHES if over_batches else ""
+    return {m + s + end: float(values[index]) for m, s, values in _values(measures, over_batches)}
 
 
 def _variables(
@@ -65,20 +67,14 @@ def _variables(
     prefix: str = "",
     over_batches: bool = False,
 ) -> dict[str, Any]:
-    """Return measures as variables of a dataset; over batches, without the values."""
-    return {
-        prefix + measure + suffix + over_batches * _OVER_BATCHES: (
-            dims,
-            values,
-            _about(
-                MEASURES[measure][0] + _SUFFIXES[suffix] + over_batches * " over batches",
-                MEASURES[measure][1],
-            ),
-        )
-        for measure, interval in measures.items()
-        for suffix, values in _parts(interval).items()
-        if suffix or not over_batches
-    }
+    """Return measures as variables of a dataset."""
+    end = _OVER_BATCHES if over_batches else ""
+    variables = {}
+    for measure, suffix, values in _values(measures, over_batches):
+        long_name, units = MEASURES[measure]
+        about = _about(long_name + _SUFFIXES[suffix] + end.replace("_", " "), units)
+        variables[prefix + measure + suffix + end] = (dims, values, about)
+    return variables
 
 
 def _about(long_name: str, units: str = "1") -> dict[str, str]:
@@ -102,65 +98,6 @@ def _names(names: Iterable[str]) -> npt.NDArray[np.object_]:
     return np.array(list(names), dtype=object)
 
 
-def _ready_for_json(value: Any) -> Any:
-    """Replace what JSON cannot hold."""
-    if isinstance(value, Mapping):
-        return {str(key): _ready_for_json(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_ready_for_json(part) for part in value]
-    if isinstance(value, np.generic | np.ndarray):
-        return _ready_for_json(value.tolist())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
-
-
-@dataclass(frozen=True)
-class PixelEstimates:
-    """A few pixels that no estimator was trained on, one batch each.
-
-    Attributes
-    ----------
-    pixels
-        Rows (y, x), from dark to bright, shape (pixel, 2).
-    estimators
-        Names.
-    channels
-        Names of the channels.
-    reference
-        Mean of all other samples, radiance, shape (pixel, channel).
-    mean
-        Sample mean of the batch, radiance, shape (pixel, channel).
-    estimates
-        Radiance, shape (estimator, pixel, channel).
-    n
-        Samples per estimate.
-    """
-
-    pixels: npt.NDArray[np.int64]
-    estimators: tuple[str, ...]
-    channels: tuple[str, ...]
-    reference: npt.NDArray[np.float64]
-    mean: npt.NDArray[np.float32]
-    estimates: npt.NDArray[np.float32]
-    n: int
-
-    def table(self) -> list[dict[str, Any]]:
-        """Return one row per pixel and channel: where, reference, mean, every estimate."""
-        return [
-            {
-                "y": int(y),
-                "x": int(x),
-                "channel": channel,
-                "reference": float(self.reference[k, c]),
-                "sample_mean": float(self.mean[k, c]),
-                **{name: float(self.estimates[e, k, c]) for e, name in enumerate(self.estimators)},
-            }
-            for k, (y, x) in enumerate(self.pixels)
-            for c, channel in enumerate(self.channels)
-        ]
-
-
 @dataclass(frozen=True)
 class Breakdown:
     """Which estimator for which pattern: the measures by label, averaged over channels.
@@ -169,10 +106,8 @@ class Breakdown:
     ----------
     labels
         Names of the labels that occur among the pixels that judge.
-    estimators
-        Names.
-    uses_neighbours
-        Which estimators look at the pixels around, shape (estimator,).
+    estimators, uses_neighbours
+        As of a `Comparison`.
     pixels
         Pixels with each label that judge, shape (label,).
     measures
@@ -204,12 +139,9 @@ class Breakdown:
             message = f"measure must be 'mse' or 'relmse', got {measure!r}"
             raise InputError(message)
         value = self.measures[measure].value
-        eligible = np.asarray(np.isfinite(value) & (neighbours | ~self.uses_neighbours))
-        known = np.asarray(eligible.any(axis=1))
-        ranked = np.where(eligible, value, np.inf).argmin(axis=1)
+        errors = np.where(np.isfinite(value) & (neighbours | ~self.uses_neighbours), value, np.inf)
         return tuple(
-            self.estimators[k] if any_known else ""
-            for k, any_known in zip(ranked.tolist(), known.tolist(), strict=True)
+            self.estimators[row.argmin()] if np.isfinite(row).any() else "" for row in errors
         )
 
     def table(self) -> list[dict[str, Any]]:
@@ -332,11 +264,9 @@ class Comparison:
         Raises
         ------
         InputError
-            If `count` is less than 1.
+            If `count` is no whole number from 1.
         """
-        if count < 1:
-            message = f"count must be at least 1, got {count}"
-            raise InputError(message)
+        whole("count", count, least=1)
         usable = self.test_pixels & np.isfinite(self.first_reference).all(axis=-1)
         pixels = np.argwhere(usable)
         drawn = pixels[generator(seed).permutation(len(pixels))[:count]]
@@ -360,7 +290,7 @@ class Comparison:
         """
         per_channel = {
             name: {
-                measure: dict(zip(self.channels, values.value[index].tolist(), strict=False))
+                measure: dict(zip(self.channels, values.value[index], strict=False))
                 for measure, values in self.measures.items()
             }
             for index, name in enumerate(self.estimators)
@@ -375,7 +305,7 @@ class Comparison:
             "per_label": [] if self.breakdown is None else self.breakdown.table(),
             "provenance": dict(self.provenance),
         }
-        return {key: _ready_for_json(value) for key, value in content.items()}
+        return {key: plain(value) for key, value in content.items()}
 
     def to_dataset(self) -> xr.Dataset:
         """Return measures and images with named dims.
@@ -399,12 +329,7 @@ class Comparison:
             "squared_error": (dims, self.squared_error, "squared error", f"({radiance})^2"),
             "reference": (dims[1:], self.reference, "reference", radiance),
             "first_mean": (dims[1:], self.first_mean, "mean of the first n", radiance),
-            "first_reference": (
-                dims[1:],
-                self.first_reference,
-                "mean of all but the first n",
-                radiance,
-            ),
+            "first_reference": (dims[1:], self.first_reference, _ALL_BUT_FIRST, radiance),
             "test_pixel": (dims[1:3], self.test_pixels, "pixel counts", "1"),
         }
         variables = {
@@ -428,10 +353,8 @@ class ErrorCurve:
 
     Attributes
     ----------
-    estimators
-        Names, those that use neighbours last.
-    uses_neighbours
-        Which of them look at the pixels around, shape (estimator,).
+    estimators, uses_neighbours, models, provenance
+        As of a `Comparison`.
     sizes
         Samples per estimate, ascending.
     measures
@@ -444,10 +367,6 @@ class ErrorCurve:
         Estimates that count, over all test pixels, shape (size,).
     test_pixels
         How many pixels count.
-    models
-        Trained estimators by name.
-    provenance
-        Scene, samples, seed and settings, ready for JSON.
     """
 
     estimators: tuple[str, ...]
@@ -484,7 +403,7 @@ class ErrorCurve:
             "table": self.table(),
             "provenance": dict(self.provenance),
         }
-        return {key: _ready_for_json(value) for key, value in content.items()}
+        return {key: plain(value) for key, value in content.items()}
 
     def to_dataset(self) -> xr.Dataset:
         """Return the measures with dims (n, estimator), each with ``_se``, ``_low``, ``_high``."""

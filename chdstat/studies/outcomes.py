@@ -19,6 +19,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import plain
 from chdstat._core.resampling import LEVEL, Interval
 
 __all__ = [
@@ -29,7 +30,6 @@ __all__ = [
     "PlotData",
     "Verdict",
     "level_of",
-    "plain",
     "require",
     "required",
 ]
@@ -314,19 +314,6 @@ class Finding:
             "details": plain(self.details),
             "beside": {name: other.to_dict() for name, other in self.other_models.items()},
         }
-
-
-def plain(value: Any) -> Any:
-    """Return a value ready for JSON: arrays as lists, what is not finite as None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (tuple, list, np.ndarray)):
-        return [plain(item) for item in value]
-    if value is None or isinstance(value, (str, bool, np.bool_)):
-        return bool(value) if isinstance(value, np.bool_) else value
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    return float(value) if math.isfinite(value) else None
 
 
 def _number(value: float) -> str:

@@ -16,6 +16,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
+from chdstat._core.arrays import plain
 from chdstat._core.files import checked_target, writing
 from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
@@ -27,7 +28,6 @@ from chdstat.rendering.backend import Backend
 from chdstat.rendering.recipes import choose_regions
 from chdstat.samples import Samples, cache_key
 from chdstat.studies.claims import FINDINGS, Finding, SceneData
-from chdstat.studies.outcomes import plain
 from chdstat.studies.stores import Source, Stores, StudyScene, scenes_of
 
 __all__ = ["ACROSS", "SceneStudy", "Study", "study"]

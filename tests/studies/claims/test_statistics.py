@@ -14,6 +14,7 @@ from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
 import chdstat as chd
+from chdstat._core.arrays import plain
 from chdstat._core.resampling import (
     Blocks,
     Interval,
@@ -32,7 +33,7 @@ from chdstat.studies.claims.learning import early_gain
 from chdstat.studies.claims.reflections import shape_spread
 from chdstat.studies.claims.scene_shapes import permuted, squares, squares_of_pairs
 from chdstat.studies.log_chds import EDGES, aligned, of_histograms, squared_distance
-from chdstat.studies.outcomes import Outcome, PlotData, level_of, plain
+from chdstat.studies.outcomes import Outcome, PlotData, level_of
 from chdstat.studies.scene_data import correlation_of, slope_of
 
 # --- intervals ----------------------------------------------------------------------------------
