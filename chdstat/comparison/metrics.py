@@ -9,7 +9,7 @@ Arrays hold channels on the last axis; every leading axis (pixels, batches) is a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import generator, spans, whole
 from chdstat._core.resampling import Interval
 from chdstat.errors import InputError
+from chdstat.estimators.rows import check_probability
 
 __all__ = [
     "bias",
@@ -234,26 +235,25 @@ def bootstrap(
     (1.5, True)
     """
     data = np.asarray(values, np.float64)
-    _check_bootstrap(data, replicates=replicates, level=level)
+    if data.ndim == 0 or data.shape[0] == 0:
+        message = f"bootstrap needs pixels on the first axis, got shape {data.shape}"
+        raise InputError(message)
+    whole("replicates", replicates, least=2)
+    check_probability(level=level)
     of_means = statistic or (lambda means: means)
-    value = of_means(data.mean(axis=0, keepdims=True))[0]
-    draws = np.concatenate(
-        [of_means(means) for means in _resampled_means(data, replicates, generator(seed))]
-    )
-    with np.errstate(invalid="ignore"):
-        spread = draws.std(axis=0, ddof=1)
-        low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2], axis=0)
-    return Interval(np.asarray(value), np.asarray(low), np.asarray(high), level, np.asarray(spread))
-
-
-def _resampled_means(data: Array, replicates: int, rng: np.random.Generator) -> Iterator[Array]:
-    """Yield means of pixels drawn with replacement, a few replicates at a time."""
-    pixels = data.shape[0]
-    flat = data.reshape(pixels, -1)
+    rng, pixels = generator(seed), len(data)
+    draws = []
     for part in spans(replicates, _REPLICATES_AT_ONCE):
         drawn = rng.integers(pixels, size=(part.stop - part.start, pixels))
         weights = np.stack([np.bincount(row, minlength=pixels) for row in drawn]) / pixels
-        yield (weights @ flat).reshape(-1, *data.shape[1:])
+        draws.append(of_means((weights @ data.reshape(pixels, -1)).reshape(-1, *data.shape[1:])))
+    with np.errstate(invalid="ignore"):
+        error = np.concatenate(draws).std(axis=0, ddof=1)
+        ends = [(1 - level) / 2, (1 + level) / 2]
+        low, high = np.quantile(np.concatenate(draws), ends, axis=0)
+    value = of_means(data.mean(axis=0, keepdims=True))[0]
+    value, low, high, error = (np.asarray(part) for part in (value, low, high, error))
+    return Interval(value, low, high, level, error)
 
 
 def _difference(estimate: npt.ArrayLike, reference: npt.ArrayLike) -> Array:
@@ -269,13 +269,3 @@ def _difference(estimate: npt.ArrayLike, reference: npt.ArrayLike) -> Array:
 
 def _over_pixels(values: Array) -> npt.NDArray[np.float64]:
     return np.asarray(values.mean(axis=tuple(range(values.ndim - 1))), np.float64)
-
-
-def _check_bootstrap(data: Array, *, replicates: int, level: float) -> None:
-    if data.ndim == 0 or data.shape[0] == 0:
-        message = f"bootstrap needs pixels on the first axis, got shape {data.shape}"
-        raise InputError(message)
-    whole("replicates", replicates, least=2)
-    if not 0 < level < 1:
-        message = f"level must lie between 0 and 1, such as 0.95; got {level}"
-        raise InputError(message)
