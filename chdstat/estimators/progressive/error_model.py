@@ -42,21 +42,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BRIGHTNESS",
-    "DARK",
-    "ERROR_TERMS",
     "FLOOR",
-    "LEVELS",
     "LOSSES",
-    "LOSS_WEIGHTS",
-    "USUAL",
     "ErrorModel",
-    "Validation",
     "between_sizes",
-    "calibrate",
     "error_terms",
-    "least_squares",
+    "of_size",
     "ratio",
-    "upper_bound",
     "validate",
 ]
 
@@ -324,28 +316,23 @@ class ErrorModel:
 
         Of a negative estimate, which signed samples make, it is that of a normal distribution.
         """
-        z: Floats = np.full(len(count), special.ndtri(level))
+        wanted = special.ndtri(level)
+        z: Floats = np.full(len(count), wanted)
         if len(self.sizes):
-            known = self._calibrated(loss_weight, level)
-            at_brightness = known[0] @ _brightness_weights(estimate).T + known[1]
+            # Beyond the levels that were calibrated, tails go on as normal ones.
+            levels = special.ndtri(LEVELS)
+            beyond = wanted - np.clip(wanted, levels[0], levels[-1])
+            at_level = interpolate.interp1d(levels, self.normal)(wanted - beyond)
+            mixed = interpolate.interp1d(LOSS_WEIGHTS, at_level, axis=1)(loss_weight)
+            known = mixed @ _brightness_weights(estimate).T + beyond
             below, above, part = between_sizes(self.sizes, count)
             rows = np.arange(len(count))
-            z = (1 - part) * at_brightness[below, rows] + part * at_brightness[above, rows]
+            z = (1 - part) * known[below, rows] + part * known[above, rows]
         z = z[:, np.newaxis]
         mean = np.maximum(estimate, 0) + DARK
         root = 1 - variance / (9 * mean**2) + z * np.sqrt(variance) / (3 * mean)
         found = np.maximum(mean * np.maximum(root, 0) ** 3 - DARK, 0)
         return np.where(estimate < 0, estimate + z * np.sqrt(variance), found)
-
-    def _calibrated(self, loss_weight: float, level: float) -> tuple[Floats, float]:
-        """Return normal quantiles (size, brightness), and what is added to them.
-
-        Beyond the levels that were calibrated, tails go on as normal ones.
-        """
-        levels, wanted = special.ndtri(LEVELS), special.ndtri(level)
-        beyond = wanted - np.clip(wanted, levels[0], levels[-1])
-        at_level = interpolate.interp1d(levels, self.normal)(wanted - beyond)
-        return interpolate.interp1d(LOSS_WEIGHTS, at_level, axis=1)(loss_weight), beyond
 
 
 def _mixed(of_losses: Floats, loss_weight: float) -> Floats:

@@ -275,17 +275,11 @@ class Progressive(TrainedModel[training.Learned]):
             message = f"trust must lie between 0 and 1, or be None, got {trust}"
             raise InputError(message)
         lights, measured = self._checked(x, direct, loss_weight, unit)
-        known = trust is not None or unit is not None or self.state.recognises(lights[0])
-        if not known:
-            trust = self._measured_trust(lights, features, measured, loss_weight)
-        return self._of_samples(
-            lights,
-            features,
-            measured,
-            share=1.0 if trust is None else trust,
-            loss_weight=loss_weight,
-            level=level,
-        )
+        if trust is None:
+            known = unit is not None or self.state.recognises(lights[0])
+            trust = 1.0 if known else self._measured_trust(lights, features, measured, loss_weight)
+        own = lights, features, measured
+        return self._of_samples(*own, share=trust, loss_weight=loss_weight, level=level)
 
     def trust(
         self,
@@ -304,17 +298,12 @@ class Progressive(TrainedModel[training.Learned]):
         error over pixels off. Of fewer than 4 samples nothing is known, and the share is 0. A
         model that was trained on these very samples knows the other half, and is trusted too much.
 
-        The arguments are those of `estimate`; the more pixels the better.
+        The arguments, and what is refused, are those of `estimate`; the more pixels the better.
 
         Returns
         -------
         float
             From 0, the mean, to 1, the estimate; 0 where it moves nothing.
-
-        Raises
-        ------
-        InputError
-            As for `estimate`.
         """
         lights, measured = self._checked(x, direct, loss_weight, unit)
         return self._measured_trust(lights, features, measured, loss_weight)
@@ -361,14 +350,10 @@ class Progressive(TrainedModel[training.Learned]):
         halves = [[light[..., first::2] for light in lights] for first in range(2)]
         # As far as all samples will be trusted, half of them are.
         options: dict[str, Any] = {"share": 1.0, "loss_weight": loss_weight, "spp": spp}
-        found = [
-            self._of_samples(half, features, unit, level=None, **options).radiance
-            for half in halves
-        ]
-        moves = [
-            shrinkage.moves_between(half[0], radiance, other[0], unit=unit)
-            for half, radiance, other in zip(halves, found, halves[::-1], strict=True)
-        ]
+        moves = []
+        for half, other in zip(halves, halves[::-1], strict=True):
+            found = self._of_samples(half, features, unit, level=None, **options).radiance
+            moves.append(shrinkage.moves_between(half[0], found, other[0], unit=unit))
         return shrinkage.shrinkage_factor(moves)
 
     def _of_samples(

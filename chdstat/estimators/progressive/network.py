@@ -37,7 +37,6 @@ from chdstat.estimators.progressive.error_model import (
     BRIGHTNESS,
     FLOOR,
     LOSSES,
-    ErrorModel,
     between_sizes,
     error_terms,
 )
@@ -428,15 +427,15 @@ def estimate_pixels(
         with np.errstate(over="ignore", invalid="ignore"):
             radiance[part] = estimate * unit
             if level is not None:
-                variance = _variance(error_model, output, profile, share, loss_weight)
+                noise = profile.variance_of_mean()
+                whole, means, certain = (t.cpu().numpy().astype(np.float64) for t in output)
+                terms = error_terms(np.moveaxis(whole, 1, 0), means, certain.T, noise)
+                variance = error_model.variance(terms, loss_weight)
+                if share < 1:  # what the mean errs, for the rest of the way
+                    variance = variance + (1 - share) * noise
+                given = estimate.astype(np.float64), variance, profile.count
                 for end, tail in ((low, (1 - level) / 2), (high, (1 + level) / 2)):
-                    found = error_model.quantile(
-                        estimate.astype(np.float64),
-                        variance,
-                        profile.count,
-                        loss_weight=loss_weight,
-                        level=tail,
-                    )
+                    found = error_model.quantile(*given, loss_weight=loss_weight, level=tail)
                     end[part] = found.astype(np.float32) * unit
             lost = (profile.count == 0) | ~np.isfinite(radiance[part]).all(axis=-1)
             if lost.any():
@@ -448,19 +447,4 @@ def estimate_pixels(
         for _ in in_order(enter, spans(rows, _ROWS)):
             pass
     radiance, low, high = (a.reshape(*shape, network.channels) for a in (radiance, low, high))
-    level = np.nan if level is None else level
-    return Estimates(radiance, certainty.reshape(shape), low, high, level)
-
-
-def _variance(
-    error_model: ErrorModel, output: Output, profile: Profile, share: float, loss_weight: float
-) -> Floats:
-    """Return the expected squared error, shape (row, channel).
-
-    Where the estimate is not followed all the way, what the mean errs is added for the rest of it.
-    """
-    estimate, mean, certainty = (tensor.cpu().numpy().astype(np.float64) for tensor in output)
-    noise = profile.variance_of_mean()
-    terms = error_terms(np.moveaxis(estimate, 1, 0), mean, certainty.T, noise)
-    rest = (1 - share) * noise if share < 1 else 0
-    return np.asarray(error_model.variance(terms, loss_weight) + rest)
+    return Estimates(radiance, certainty.reshape(shape), low, high, level or np.nan)

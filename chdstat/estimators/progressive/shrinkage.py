@@ -51,18 +51,7 @@ from chdstat.estimators.progressive.error_model import (
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
 
-__all__ = [
-    "FULL",
-    "GROUPS",
-    "Moves",
-    "checked_shares",
-    "measure_shrinkage",
-    "moves_between",
-    "own_shares",
-    "reference_shares",
-    "shares_keeping_mean",
-    "shrinkage_factor",
-]
+__all__ = ["FULL", "checked_shares", "measure_shrinkage", "moves_between", "shrinkage_factor"]
 
 GROUPS = 2 * len(BRIGHTNESS)
 """Groups of pixels with a share of their own: of each brightness, brightened and darkened ones."""
