@@ -16,11 +16,10 @@ import numpy.typing as npt
 from chdstat._core.arrays import Result, Seed, is_bad, seed_number, whole
 from chdstat._core.files import unused, writing
 from chdstat._core.moments import Moments
-from chdstat._core.positive import PositivePart
+from chdstat._core.positive import Counts, PositivePart
 from chdstat._core.resampling import wilson
 from chdstat.fit.families import SELECTED
 from chdstat.fit.goodness_of_fit import (
-    Goodness,
     finish_goodness,
     goodness_of_part,
     goodness_variables,
@@ -46,6 +45,8 @@ __all__ = ["Overview", "Share", "analyze", "overview", "pooled_shares", "save"]
 _TRANSFORMS: tuple[Transform, ...] = ("log", "sqrt", "linear")
 _TESTS: tuple[TestName, ...] = tuple(TESTS)
 _TEST_OF_MEANS: TestName = "shapiro-wilk"
+_PREFIXED = ("modality", "normality", "averages")
+"""Stages whose variables carry their name."""
 _COMMENT = (
     "where tail_variance_suspect, the moments behind this may be infinite: do not trust it; "
     "where tail_variance_unidentified, the samples cannot tell"
@@ -103,26 +104,49 @@ def analyze(
     """
     import xarray as xr
 
-    resamples = whole("resamples", resamples, least=0)
-    samples = samples_of(samples)
+    resamples, seed = whole("resamples", resamples, least=0), seed_number(seed)
+    samples, thresholds = samples_of(samples), thresholds or Thresholds()
     summary = summarize(samples, progress=progress)
-    stages = _stages(samples.spp, thresholds or Thresholds(), resamples, seed_number(seed))
+    enough = samples.spp >= N_MEANS
+    sizes = means.sizes_of_means(samples.spp, test=_TEST_OF_MEANS) if enough else None
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        tile = _Tile(block, held_out=held_out)
+        fits = PixelFits(PositivePart.of_pixels(block, rows="both"), held_out=held_out)
+
+        def of_channels(result: Result) -> Result:
+            return fits.of_first(result, block.shape[-2])
+
+        part, tail = of_channels(fits.part), of_channels(fits.tail)
+        selection = of_channels(fits.selection)
+        goodness = goodness_of_part(part, selection, resamples=resamples, seed=seed)
+        tested = normality.gaussianity_of_part(part, _TRANSFORMS, _TESTS)
+        measured = {
+            "luminance": _luminance(block, fits.part.x[..., -1, :]),
+            "selection": selection_variables(selection),
+            "goodness": goodness_variables(goodness),
+            "tail": tail_variables(tail),
+            "mixture": fit_variables(of_channels(fits.mixture)),
+            "modality": modes.modality_variables(of_channels(fits.modes)),
+            "normality": normality.gaussianity_variables(tested),
+            "patterns": classification.patterns_variables(fits.patterns(thresholds)),
+        }
+        if sizes is not None:
+            averages = means.means_of_block(block, sizes, test=_TEST_OF_MEANS, tail=tail)
+            measured["averages"] = means.means_variables(averages)
         return {
-            f"{i}/{name}": variable
-            for i, stage in enumerate(stages)
-            for name, variable in stage.measure(tile).items()
+            f"{stage}/{name}": variable
+            for stage, variables in measured.items()
+            for name, variable in variables.items()
         }
 
     found = samples.map(of_block, logarithms=True, description="analysing", progress=progress)
-    parts = [stage.finished(found, f"{i}/") for i, stage in enumerate(stages)]
+    finishes = _finishes(thresholds, resamples, sizes)
+    parts = [_finished(found, stage, finish) for stage, finish in finishes.items()]
     # The parts count the same samples; the summary's word on nulls and bad samples stands.
     merged = xr.merge(
         [summary, *parts], compat="override", combine_attrs="drop_conflicts", join="override"
     )
-    if "averages_predicted_kurtosis" in merged:
+    if sizes is not None:
         for name in ("skewness", "kurtosis"):
             merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
     return merged.assign_attrs(samples.attrs)
@@ -142,89 +166,40 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
     return target
 
 
-class _Tile(PixelFits):
-    """A tile of samples, with its luminance as one more channel, and what several stages need."""
-
-    def __init__(self, block: npt.NDArray[np.float32], *, held_out: bool) -> None:
-        super().__init__(PositivePart.of_pixels(block, rows="both"), held_out=held_out)
-        self.block = block
-        self._channels = block.shape[-2]
-
-    def of_channels(self, result: Result) -> Result:
-        return self.of_first(result, self._channels)
-
-    def goodness(self, resamples: int, seed: int) -> Goodness:
-        part, selection = self.of_channels(self.part), self.of_channels(self.selection)
-        return goodness_of_part(part, selection, resamples=resamples, seed=seed)
-
-
-@dataclass(frozen=True)
-class _Stage:
-    """One part of the analysis: measured tile by tile, finished over the whole image."""
-
-    measure: Callable[[_Tile], Mapped]
-    finish: Callable[[xr.Dataset], xr.Dataset]
-    prefix: str = ""
-
-    def finished(self, found: xr.Dataset, key: str) -> xr.Dataset:
-        own = {str(n): str(n).removeprefix(key) for n in found.data_vars if str(n).startswith(key)}
-        dataset = self.finish(found[list(own)].rename(own))
-        return dataset.rename({str(n): f"{self.prefix}{n}" for n in dataset.data_vars})
-
-
-def _stages(spp: int, thresholds: Thresholds, resamples: int, seed: int) -> list[_Stage]:
-    stages = [
-        _Stage(_luminance, _label_luminance),
-        _Stage(
-            lambda t: selection_variables(t.of_channels(t.selection)),
-            lambda d: finish_selection(d, list(SELECTED), "bic"),
-        ),
-        _Stage(
-            lambda t: goodness_variables(t.goodness(resamples, seed)),
-            lambda d: finish_goodness(d, "best", resamples=resamples),
-        ),
-        _Stage(lambda t: tail_variables(t.of_channels(t.tail)), finish_tail),
-        _Stage(
-            lambda t: fit_variables(t.of_channels(t.mixture)),
-            lambda d: label_fit(d, "lognormal", mixture=True),
-        ),
-        _Stage(
-            lambda t: modes.modality_variables(t.of_channels(t.modes)),
-            modes.finish_modality,
-            "modality_",
-        ),
-        _Stage(
-            lambda t: normality.gaussianity_variables(
-                normality.gaussianity_of_part(t.of_channels(t.part), _TRANSFORMS, _TESTS)
-            ),
-            lambda d: normality.finish_gaussianity(d, transform=_TRANSFORMS, test=_TESTS),
-            "normality_",
-        ),
-        _Stage(
-            lambda t: classification.patterns_variables(t.patterns(thresholds)),
-            lambda d: classification.finish_patterns(d, thresholds),
-        ),
-    ]
-    if spp >= N_MEANS:
-        sizes = means.sizes_of_means(spp, test=_TEST_OF_MEANS)
-        stages.append(
-            _Stage(
-                lambda t: means.means_variables(
-                    means.means_of_block(
-                        t.block, sizes, test=_TEST_OF_MEANS, tail=t.of_channels(t.tail)
-                    )
-                ),
-                lambda d: means.finish_means(d, sizes, n_means=N_MEANS, test=_TEST_OF_MEANS),
-                "averages_",
-            )
+def _finishes(
+    thresholds: Thresholds, resamples: int, sizes: Counts | None
+) -> dict[str, Callable[[xr.Dataset], xr.Dataset]]:
+    """Return what is done with each stage once the image is whole, by name."""
+    finish: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
+        "luminance": _label_luminance,
+        "selection": lambda d: finish_selection(d, list(SELECTED), "bic"),
+        "goodness": lambda d: finish_goodness(d, "best", resamples=resamples),
+        "tail": finish_tail,
+        "mixture": lambda d: label_fit(d, "lognormal", mixture=True),
+        "modality": modes.finish_modality,
+        "normality": lambda d: normality.finish_gaussianity(d, transform=_TRANSFORMS, test=_TESTS),
+        "patterns": lambda d: classification.finish_patterns(d, thresholds),
+    }
+    if sizes is not None:
+        finish["averages"] = lambda d: means.finish_means(
+            d, sizes, n_means=N_MEANS, test=_TEST_OF_MEANS
         )
-    return stages
+    return finish
 
 
-def _luminance(tile: _Tile) -> Mapped:
+def _finished(
+    found: xr.Dataset, stage: str, finish: Callable[[xr.Dataset], xr.Dataset]
+) -> xr.Dataset:
+    """Return the variables of a stage, finished over the whole image, under their own names."""
+    own = {str(n): str(n).partition("/")[2] for n in found if str(n).startswith(f"{stage}/")}
+    dataset = finish(found[list(own)].rename(own))
+    prefix = f"{stage}_" if stage in _PREFIXED else ""
+    return dataset.rename({str(n): f"{prefix}{n}" for n in dataset.data_vars})
+
+
+def _luminance(block: npt.NDArray[np.float32], luminance: npt.NDArray[Any]) -> Mapped:
     """Return mean and coefficient of variation of the luminance of every pixel."""
-    good = ~np.asarray(is_bad(tile.block).any(axis=-2))
-    luminance = tile.part.x[..., -1, :]
+    good = ~np.asarray(is_bad(block).any(axis=-2))
     moments = Moments.of(np.where(good, luminance, 0), good)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio: npt.NDArray[Any] = np.sqrt(moments.variance) / moments.mean

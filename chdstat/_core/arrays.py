@@ -146,7 +146,7 @@ def as_samples(
         )
         raise InputError(message)
     if array.dtype.kind not in "fi":
-        message = f"{name} must hold real numbers, got {_kind(x, array)}"
+        message = f"{name} must hold real numbers, got dtype {array.dtype}"
         raise InputError(message)
     if array.ndim == 0:
         message = f"{name} must have its samples on the last axis, got a single number"
@@ -391,12 +391,6 @@ def _unmasked(x: Any, name: str) -> npt.NDArray[Any]:
         array = array.astype(array.dtype if array.dtype.kind == "f" else np.float64)
         array[np.ma.getmaskarray(x)] = np.nan
     return array
-
-
-def _kind(x: object, array: npt.NDArray[Any]) -> str:
-    if hasattr(x, "read") and hasattr(x, "blocks"):
-        return f"{type(x).__name__}; give samples[y, x] of a pixel, or samples.read() of all"
-    return f"dtype {array.dtype}"
 
 
 Result = TypeVar("Result")

@@ -6,8 +6,7 @@ as 1. `mean_radiance` is its mean, which a few fireflies do not move.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -98,17 +97,7 @@ def _log_average(values: npt.NDArray[np.float64]) -> float:
     return float(np.exp(np.log(lit).mean())) if lit.size else 0.0
 
 
-@runtime_checkable
-class _Image(Protocol):
-    """Samples that are walked through, such as `chdstat.Samples`."""
-
-    @property
-    def shape(self) -> tuple[int, ...]: ...
-
-    def blocks(self) -> Iterator[tuple[slice, slice, slice, npt.NDArray[np.float32]]]: ...
-
-
-def mean_radiance(samples: npt.ArrayLike | _Image) -> float:
+def mean_radiance(samples: npt.ArrayLike) -> float:
     """Return the mean radiance of an image over pixels and channels; few fireflies do not move it.
 
     The sample of a pixel that is farthest from 0 may be a firefly or one of many from a lamp. Its
@@ -148,10 +137,10 @@ def mean_radiance(samples: npt.ArrayLike | _Image) -> float:
     >>> round(mean_radiance(image), 3), round(float(image.mean()), 3)
     (1.538, 123.546)
     """
-    if isinstance(samples, _Image):
-        sums = RadianceSums(samples.shape[:2])
-        left_out = LeftOut()
-        for ys, xs, _, block in samples.blocks():
+    image: Any = samples
+    if hasattr(image, "blocks"):
+        sums, left_out = RadianceSums(image.shape[:2]), LeftOut()
+        for ys, xs, _, block in image.blocks():
             left_out.see(block, channel_axis=-2)
             sums.add(block, (ys, xs))
         left_out.warn()

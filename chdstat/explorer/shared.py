@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.files import Cache, user_cache
+from chdstat._core.cache import Cache, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.models import AnyModel
 from chdstat.explorer.estimators import Learner, learners, quick_names

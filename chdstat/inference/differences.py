@@ -208,7 +208,7 @@ def _of_pixels(a: Floats, b: Floats, paired: bool, replicates: int, seed: int) -
     good_a, good_b = _good(one), _good(two)
     if paired:
         good_a = good_b = np.asarray(good_a & good_b)
-    delta, t, p = (_means_of_pairs if paired else _means)(one, two, good_a, good_b)
+    delta, t, p = _mean_differences(one, two, good_a, good_b, paired=paired)
     one, two = one[..., :_MOST], two[..., :_MOST]
     good_a, good_b = good_a[..., :_MOST], good_b[..., :_MOST]
     step = max(1, _AT_ONCE // (channels * (one.shape[-1] + two.shape[-1])))
@@ -298,51 +298,27 @@ def _drawn(keys: Floats, good: Bools, count: npt.NDArray[np.int64]) -> Bools:
     return np.asarray(good & (own <= border))
 
 
-def _means(a: Floats, b: Floats, good_a: Bools, good_b: Bools) -> tuple[Floats, Floats, Floats]:
-    """Return differences of means with Welch's t and p, each (pixel, channel)."""
-    scale = np.maximum(*(_largest(x, good) for x, good in ((a, good_a), (b, good_b))))
-    one, two = _moments(a, good_a, scale), _moments(b, good_b, scale)
-    with np.errstate(divide="ignore", invalid="ignore", under="ignore"):
-        delta = two.mean - one.mean
-        squared = one.error + two.error
-        t = delta / np.sqrt(squared)
-        # Welch (1947), equation 28: the degrees of freedom of the sum of two variances.
-        parts = (m.error**2 / (m.n - 1) for m in (one, two))
-        p = 2 * special.stdtr(squared**2 / sum(parts), -np.abs(t))
-        return _known(delta * scale, t, p, (one.n > 1) & (two.n > 1), one.constant & two.constant)
-
-
-def _means_of_pairs(a: Floats, b: Floats, good: Bools, _: Bools) -> tuple[Floats, Floats, Floats]:
-    """Return means of differences with Student's t and p, each (pixel, channel)."""
-    scale = np.maximum(_largest(a, good), _largest(b, good))
-    with np.errstate(divide="ignore", invalid="ignore", under="ignore", over="ignore"):
-        apart = _moments(b - a, good, scale)
-        t = apart.mean / np.sqrt(apart.error)
-        p = 2 * special.stdtr(apart.n - 1, -np.abs(t))
-        return _known(apart.mean * scale, t, p, apart.n > 1, apart.constant)
-
-
-def _known(
-    delta: Floats, t: Floats, p: Floats, known: Bools, constant: Bools
+def _mean_differences(
+    a: Floats, b: Floats, good_a: Bools, good_b: Bools, *, paired: bool
 ) -> tuple[Floats, Floats, Floats]:
-    """Leave out what too few samples, or samples without scatter, cannot tell."""
-    # Without scatter, there is nothing to measure a difference by; rounding is none.
-    tested = known & ~constant
-    return (
-        np.where(known, delta, np.nan),
-        np.where(tested, t, np.nan),
-        np.where(tested, p, np.nan),
-    )
-
-
-@dataclass(frozen=True)
-class _PixelMoments:
-    """Moments of good samples, each (pixel, channel): `error` is the squared standard error."""
-
-    n: Floats
-    mean: Floats
-    error: Floats
-    constant: Bools
+    """Return differences of means with t and p, Welch's or Student's of pairs, (pixel, channel)."""
+    scale = np.maximum(_largest(a, good_a), _largest(b, good_b))
+    with np.errstate(divide="ignore", invalid="ignore", under="ignore", over="ignore"):
+        if paired:
+            n, delta, squared, constant = _moments(b - a, good_a, scale)
+            known, degrees = n > 1, n - 1
+        else:
+            n_a, mean_a, error_a, constant_a = _moments(a, good_a, scale)
+            n_b, mean_b, error_b, constant_b = _moments(b, good_b, scale)
+            delta, squared, constant = mean_b - mean_a, error_a + error_b, constant_a & constant_b
+            # Welch (1947), equation 28: the degrees of freedom of the sum of two variances.
+            degrees = squared**2 / (error_a**2 / (n_a - 1) + error_b**2 / (n_b - 1))
+            known = (n_a > 1) & (n_b > 1)
+        t = delta / np.sqrt(squared)
+        p = 2 * special.stdtr(degrees, -np.abs(t))
+        # Without scatter, there is nothing to measure a difference by; rounding is none.
+        tested = known & ~constant
+        return np.where(known, delta * scale, np.nan), *np.where(tested, [t, p], np.nan)
 
 
 def _largest(x: Floats, good: Bools) -> Floats:
@@ -351,14 +327,14 @@ def _largest(x: Floats, good: Bools) -> Floats:
     return np.where(size > 0, size, 1.0)
 
 
-def _moments(x: Floats, good: Bools, scale: Floats) -> _PixelMoments:
+def _moments(x: Floats, good: Bools, scale: Floats) -> tuple[Floats, Floats, Floats, Bools]:
+    """Return number, mean, squared standard error and constancy of good samples over `scale`."""
     used = good[:, np.newaxis]
     n = used.sum(axis=-1, dtype=np.float64)
-    with np.errstate(divide="ignore", invalid="ignore", under="ignore"):
-        unit = np.where(used, x, 0) / scale[..., np.newaxis]
-        mean = unit.sum(axis=-1) / n
-        apart = np.where(used, unit - mean[..., np.newaxis], 0)
-        error = (apart**2).sum(axis=-1) / (n - 1) / n
+    unit = np.where(used, x, 0) / scale[..., np.newaxis]
+    mean = unit.sum(axis=-1) / n
+    deviation = np.where(used, unit - mean[..., np.newaxis], 0)
+    error = (deviation**2).sum(axis=-1) / (n - 1) / n
     high = np.where(used, x, -np.inf).max(axis=-1, initial=-np.inf)
     low = np.where(used, x, np.inf).min(axis=-1, initial=np.inf)
-    return _PixelMoments(np.broadcast_to(n, mean.shape), mean, error, high <= low)
+    return np.broadcast_to(n, mean.shape), mean, error, high <= low

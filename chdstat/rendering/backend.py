@@ -21,8 +21,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from chdstat._core.cache import user_cache
 from chdstat._core.executor import cores, memory
-from chdstat._core.files import replacing, user_cache
+from chdstat._core.files import replacing
 from chdstat.errors import InputError, RenderError
 
 __all__ = ["BACKENDS", "Backend", "Verdict", "activate", "examine", "probe", "resolve"]

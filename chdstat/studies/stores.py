@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from chdstat._core.files import Cache
+from chdstat._core.cache import Cache
 from chdstat.analysis import analyze, save
 from chdstat.comparison import Comparison, compare
 from chdstat.errors import InputError, StoreError

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.files import Lock, read_record, replacing, scratch, sweep, write_record
+from chdstat._core.cache import read_record, write_record
+from chdstat._core.files import Lock, replacing, scratch, sweep
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
 from chdstat.patterns import Atlas

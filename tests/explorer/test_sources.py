@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pytest
 
 import chdstat as chd
-from chdstat._core import files
+from chdstat._core import cache
 from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
@@ -208,7 +208,7 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
     shared.kept(again, "x", ARRAYS, compute)
     assert len(calls) == 3
     with monkeypatch.context() as patch:
-        patch.setattr(files, "code_digest", lambda: "another")
+        patch.setattr(cache, "code_digest", lambda: "another")
         shared.kept(samples, "x", ARRAYS, compute)
     assert len(calls) == 4
     in_memory = chd.Samples.from_array(np.ones((2, 2, 3, 4)))
@@ -220,7 +220,7 @@ def test_passes_are_kept_and_forgotten_when_store_or_code_change(own_store, monk
 def test_a_broken_cache_is_computed_anew(own_store):
     samples = chd.open(own_store)
     shared.kept(samples, "broken", ARRAYS, lambda: {"v": np.zeros(2)})
-    for file in (files.user_cache() / "explorer").iterdir():
+    for file in (cache.user_cache() / "explorer").iterdir():
         file.write_bytes(b"PK no archive")
     assert shared.kept(samples, "broken", ARRAYS, lambda: {"v": np.ones(2)})["v"].tolist() == [1, 1]
 

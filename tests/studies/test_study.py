@@ -11,7 +11,7 @@ import pypdfium2
 import pytest
 
 import chdstat as chd
-from chdstat._core import files
+from chdstat._core import cache
 from chdstat.errors import InputError, LeftOutWarning, SceneError, StoreError
 from chdstat.estimators.models import train_model
 from chdstat.patterns import atlas
@@ -324,7 +324,7 @@ def test_the_same_study_once_more_asks_nothing_again(found, folder, tmp_path, mo
         del content["provenance"], content["scenes"][0]["seconds"]
     assert told == as_before
     with monkeypatch.context() as patch:
-        patch.setattr(files, "code_digest", lambda: "another")
+        patch.setattr(cache, "code_digest", lambda: "another")
         patch.setattr(run, "atlas", refuse)
         with pytest.raises(pytest.fail.Exception, match="done again"):
             study("cornell-box", folder=copy, **TINY)
