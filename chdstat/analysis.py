@@ -49,7 +49,7 @@ _PREFIXED = ("modality", "normality", "averages")
 """Stages whose variables carry their name."""
 _COMMENT = (
     "where tail_variance_suspect, the moments behind this may be infinite: do not trust it; "
-    "where tail_variance_unidentified, the samples cannot tell"
+    "where tail_variance_unidentified, the samples do not identify them"
 )
 
 
@@ -91,7 +91,7 @@ def analyze(
         searched as for modes (``lognormal_mixture_``), and of `fit.goodness` for the family that is
         best at each pixel (``best_goodness_``); and, of luminance, ``luminance_mean`` and
         ``coefficient_of_variation`` (y, x). Where there are too few samples for averages, their
-        variables are absent. `atlas`, which looks at the image as a whole, is apart.
+        variables are absent. `atlas`, which looks at the image as a whole, is not part of it.
 
     Examples
     --------
@@ -216,12 +216,12 @@ def _label_luminance(dataset: xr.Dataset) -> xr.Dataset:
 
 
 _TEST = {"transform": "log", "test": "anderson-darling"}
-"""Which of the tests of normality the overview tells of."""
+"""Which of the tests of normality is in the overview."""
 
 
 @dataclass(frozen=True)
 class Overview:
-    """A scene in a few numbers, from what `analyze` says of its pixels.
+    """A scene in a few numbers, from what `analyze` finds of its pixels.
 
     Attributes
     ----------
@@ -244,7 +244,7 @@ class Overview:
         Quartiles over the pixel channels of the largest distance between the distribution functions
         of the samples and of their best family.
     log_rejected, log_skewness
-        Share of the pixel channels whose log samples are told from Gaussian, and quartiles of
+        Share of the pixel channels in which normality of log samples is rejected, and quartiles of
         their skewness.
     patterns
         Share of the pixels that show each pattern, by name.
@@ -254,14 +254,14 @@ class Overview:
         Share of the pixel channels with an estimated tail index of at least 1/2, beyond which the
         variance of a generalised Pareto tail is infinite.
     unidentified_variance
-        Share of those whose samples cannot tell whether their variance is finite.
+        Share of those whose samples do not identify whether their variance is finite.
     modes
         Share of the pixel channels with 1, 2, 3 modes of log radiance, by their number.
     n_needed
         By N, the share of pixel channels whose averages pass for Gaussian from N samples on; 'more'
         for those whose averages do not at any N that was tested.
     averages
-        By N, the share of pixel channels whose averages of N samples are told from Gaussian.
+        By N, the share of pixel channels in which normality of averages of N samples is rejected.
     skewness, predicted_skewness
         Of these averages: quartiles (3, size), and the median of what independence predicts.
     """
@@ -339,7 +339,7 @@ def overview(found: xr.Dataset) -> Overview:
 def _averages(
     found: xr.Dataset,
 ) -> tuple[dict[int, float], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return shares told from Gaussian by N, quartiles of skewness, and its median prediction."""
+    """Return rejected shares by N, quartiles of skewness, and its median prediction."""
     if "averages_rejected" not in found:
         return {}, np.empty((3, 0)), np.empty(0)
     sizes = found["size"].values

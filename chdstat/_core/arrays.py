@@ -400,7 +400,7 @@ def take_rows(result: Result, rows: int | slice | npt.NDArray[Any], *, axis: int
     """Return a result with only some rows along one of its batch axes.
 
     Every array with that axis is indexed: those of dataclasses, what they have cached included, and
-    of mappings. What has fewer dimensions describes all rows alike and stays.
+    of mappings. What has fewer dimensions describes all rows and stays.
 
     Examples
     --------

@@ -104,7 +104,7 @@ def cores() -> int:
 
 
 def memory() -> int | None:
-    """Return the memory of the machine, or of the container, in bytes; None where none tells."""
+    """Return the memory of the machine, or of the container, in bytes; None where it is unknown."""
     try:
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (ValueError, OSError, AttributeError):

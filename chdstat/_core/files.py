@@ -43,7 +43,7 @@ _TRIES = 8
 
 
 def checksum(data: bytes) -> int:
-    """Return the CRC-32C of bytes: it tells of accidents, not of forgery.
+    """Return the CRC-32C of bytes: it reveals accidents, not forgery.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def unused(path: str | Path) -> Path:
 def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
     """Yield a path beside another, which it replaces when it is written, or not at all.
 
-    It keeps the suffix, by which some writers tell what to write. With ``folder=True`` it is an
+    It keeps the suffix, by which some writers choose the format. With ``folder=True`` it is an
     empty folder, else an empty file. What killed processes left beside `path` is removed.
 
     Examples
@@ -192,7 +192,7 @@ def remove(path: Path) -> None:
 
 
 class Lock:
-    """Exclusive use of a place, told by a file that the process holds locked while it is there.
+    """Exclusive use of a place, marked by a file that the process holds locked while it is there.
 
     A process that is killed leaves the file but not the lock, and the next one takes it.
 

@@ -1,6 +1,6 @@
 """Image scales: how bright an image is, for the screen, for published thresholds, and on average.
 
-`display_stops` says how to show it. `exposure_unit` is the radiance that an exposure as usual shows
+`display_stops` is for showing it. `exposure_unit` is the radiance that an exposure as usual shows
 as 1. `mean_radiance` is its mean, which a few fireflies do not move.
 """
 
@@ -101,7 +101,7 @@ def mean_radiance(samples: npt.ArrayLike) -> float:
     """Return the mean radiance of an image over pixels and channels; few fireflies do not move it.
 
     The sample of a pixel that is farthest from 0 may be a firefly or one of many from a lamp. Its
-    other samples tell: the mean of the pixel exceeds theirs by ``e``, which for a lamp is little.
+    others show which: the mean of the pixel exceeds theirs by ``e``, which for a lamp is little.
     The image's mean is that of the pixels, with ``e`` limited to 4 % of the radiance of the whole
     image. Hence a single sample moves it by less than 5 %, whatever its value, and it is the plain
     mean wherever no single sample makes up 4 % of the image. As many as 7 samples are limited in
@@ -165,7 +165,7 @@ class RadianceSums:
     extreme
         The sample that is farthest from 0, averaged over channels.
     others
-        Sum of the others: apart, since a firefly takes all digits of a sum.
+        Sum of the others: separate, since a firefly takes all digits of a sum.
     count
         Good samples.
     """
@@ -196,7 +196,7 @@ class RadianceSums:
             count[part] += bad.shape[-1] - bad.sum(axis=-1)
 
     def mean(self) -> float:
-        """Return the mean radiance, as `mean_radiance` says."""
+        """Return the mean radiance; see `mean_radiance`."""
         return mean_of_pixels(self.extreme, self.others, self.count)
 
 

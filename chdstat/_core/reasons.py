@@ -46,7 +46,7 @@ class Reason(enum.IntEnum):
     AT_PARETO_LIMIT = 11
     """No Burr distribution is as likely as a power law that begins at the smallest sample."""
     UNIDENTIFIED = 12
-    """The samples cannot tell: the answer rests on a tail that may be too heavy for it."""
+    """The samples do not decide: the answer rests on a tail that may be too heavy for it."""
     NOT_REGULAR = 13
     """The likelihood is not regular there, or has no curvature: there are no standard errors."""
 

@@ -132,9 +132,9 @@ LEVEL = 0.95
 """Coverage of the intervals of a finding, all its parts together."""
 REPLICATES = 1000
 LEAST_BLOCKS = 6
-"""Fewer blocks in all tell nothing about their spread."""
+"""Fewer blocks in all show nothing of their spread."""
 _KNOWN = (0.05, 0.95)
-"""Percentiles that these replicates tell to a few per cent of the interval."""
+"""Percentiles that these replicates give to a few per cent of the interval."""
 _AT_ONCE = 64
 _ACROSS = 4
 """Blocks along each side of a region, at most: pixels of one share light."""

@@ -3,7 +3,7 @@
 `gaussianity` tests the positive samples of a CHD, `gaussianity_of_means` averages of all.
 `modality` looks at the positive samples in the log domain in two ways: Hartigan's dip test, which
 assumes nothing but continuity and has calibrated p-values but little power; and mixtures of
-log-normal or gamma components, which tell how many modes there are, where, and how far apart.
+log-normal or gamma components: the number of modes, their places and their separation.
 `difference` compares two CHDs.
 """
 

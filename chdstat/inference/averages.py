@@ -4,7 +4,7 @@
 their skewness and kurtosis, and `run_on_averages` tests them. Samples are relative to the largest
 of their row, so that no power of them overflows or vanishes.
 
-`predict` tells how many samples an average needs by the central limit theorem, with an interval.
+`predict` returns how many samples an average needs by the central limit theorem, with an interval.
 Skewness and kurtosis rest on rare bright samples: those that were seen give a lower bound of both.
 Those that were not seen lie in the tail: beyond its threshold, a generalised Pareto distribution of
 the largest index that the samples allow takes their place. It has a kurtosis only if that index is
@@ -232,7 +232,7 @@ def run_on_averages(
     """Test the first `n_means` averages of each ascending size; `x` has shape (..., sample).
 
     Returns statistic, p-value, skewness, kurtosis and reason of the averages by name, each of shape
-    (..., size), NaN where the reason says why; and skewness, kurtosis and number of the samples
+    (..., size), NaN where the reason is not OK; and skewness, kurtosis and number of the samples
     themselves, shape (3, ...), NaN where these are equal or bad.
     """
     samples, batch = x.shape[-1], x.shape[:-1]
@@ -286,7 +286,7 @@ def _of_averages(
     )
     usable = reason == Reason.OK
     results = run_tests(tested, n, usable, ("linear",), (test,))
-    # Skewness and kurtosis are those of all averages, which say more than the tested ones.
+    # Skewness and kurtosis are those of all averages, of which there are more than the tested ones.
     moments = np.array([shapes(level) for level in levels]).transpose(1, 2, 0)
     found = np.stack([results["statistic"][..., 0, 0], results["p_value"][..., 0, 0], *moments])
     found[:, ~usable] = np.nan

@@ -2,7 +2,7 @@
 
 `modality` looks at the positive samples in the log domain in two ways: Hartigan's dip test, which
 assumes nothing but continuity and has calibrated p-values but little power; and mixtures of
-log-normal or gamma components, which say how many modes there are, where, and how far apart.
+log-normal or gamma components: the number of modes, their places and their separation.
 
 The dip is the distance of the samples from the closest unimodal distribution. Its p-values are
 interpolated in a table of the null distribution, for any number of samples from 20, and for all
@@ -10,7 +10,7 @@ rows at once.
 
 Both take samples for continuous ones, so that equal samples are separated first, evenly and in the
 same way whatever is beside them. A few values that many samples share are lights seen from
-everywhere, and move by less than float32 can tell. Samples that lie on many steps have been
+everywhere, and move by less than the precision of float32. Samples that lie on many steps have been
 rounded, to integers or to the few bits of a file: a step is no mode, and its samples are spread
 over what was rounded to it.
 """
@@ -84,7 +84,7 @@ class Modality:
         tie at other values than the three most frequent ones, are spread half-way to their
         neighbours first: a step is no mode.
     modes
-        1 to 3: the maxima of the best mixture's density of log radiance that stand apart: a
+        1 to 3: the clearly separated maxima of the best mixture's density of log radiance: a
         component of at least 8 % of the samples, with a valley of at least 2 % of its height
         between it and every higher one. The best mixture has the smallest BIC of 1 to 3 log-normal
         or gamma components; there is one mode where a distribution of one mode has a smaller one
@@ -99,13 +99,13 @@ class Modality:
     ashman_d, ashman_d_se
         ``sqrt(2) |m1 - m2| / sqrt(s1^2 + s2^2)`` of neighbouring modes, with means and standard
         deviations of log radiance, shape (..., 2), and its standard error, from the information of
-        the mixture; NaN where a mode is too narrow for one. Above 2, the two are cleanly apart.
+        the mixture; NaN where a mode is too narrow for one. Above 2, the two are cleanly separated.
         ``1.96`` errors hold the separation of true mixtures in 90 % and more of those that are
         found.
     delta_bic
         BIC of the best distribution of one mode minus that of the best mixture of two or more
         components: positive where a mixture is better, for tails and skewed shapes, too, which are
-        no modes. The n of its log n are the positive samples, on both sides: nulls say nothing of
+        no modes. The n of its log n are the positive samples, on both sides: nulls are no part of
         modes. Each end of a uniform distribution counts as two parameters.
     n
         Positive samples.
@@ -234,7 +234,7 @@ def modality_of_part(
 ) -> Modality:
     """Look for modes in samples that are already split.
 
-    `fits` are the families of one mode to beat, for whoever has them; `also` gets the mixtures.
+    `fits` are fits of families of one mode, if they are there; `also` gets the mixtures.
     """
     reason = part.reason(_MINIMUM)
     ok = reason == Reason.OK
@@ -356,7 +356,7 @@ def _tied(ascending: npt.NDArray[Any], n: Counts) -> Mask:
 
 _DIPS_AT_ONCE = 2**18
 _FLOOR = 1e-5
-"""Smallest p-value told: the table ends at 1e-4, where up to a million dips were simulated."""
+"""Smallest p-value: the table ends at 1e-4, where up to a million dips were simulated."""
 
 
 def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats, Floats]:
@@ -384,7 +384,7 @@ def _dip_p(dip: Floats, n: Counts) -> Floats:
     """Return p-values of dips of `n` samples, shape (row,), where uniform samples are the null.
 
     Of all unimodal distributions, the uniform one has the largest dips, asymptotically (Hartigan
-    and Hartigan 1985, doi:10.1214/aos/1176346577). Values below 1e-5 are told as 1e-5.
+    and Hartigan 1985, doi:10.1214/aos/1176346577). Values below 1e-5 become 1e-5.
 
     Examples
     --------

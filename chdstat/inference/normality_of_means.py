@@ -1,8 +1,8 @@
 """Normality of averages: how many samples a pixel estimate needs until it behaves like a Gaussian.
 
-`gaussianity_of_means` averages N samples for several N, tests the averages, and tells the N that is
-needed beside the one that the central limit theorem predicts. Error bars and most denoisers assume
-that the averages are Gaussian.
+`gaussianity_of_means` averages N samples for several N, tests the averages, and returns the N that
+is needed beside the one that the central limit theorem predicts. Error bars and most denoisers
+assume that the averages are Gaussian.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ __all__ = [
 ]
 
 N_MEANS = 32
-"""Averages tested for each N unless told otherwise: 512 spp then reach N = 16.
+"""Averages tested for each N by default: 512 spp then reach N = 16.
 
-Twice as many tell smaller departures, but halve the largest N. Of averages of an exponential CHD
-(skewness 2), at level 0.05, Shapiro-Wilk tells for N = 1, 2, 4, 8 with 16 averages 72, 41, 22, 14 %
-from Gaussian, with 32 98, 79, 46, 25 %, with 128 100, 100, 98, 81 %.
+Twice as many detect smaller departures, but halve the largest N. Of averages of an exponential CHD
+(skewness 2), at level 0.05, Shapiro-Wilk rejects for N = 1, 2, 4, 8 with 16 averages 72, 41, 22,
+14 %, with 32 98, 79, 46, 25 %, with 128 100, 100, 98, 81 %.
 """
 
 
@@ -146,7 +146,7 @@ def gaussianity_of_means(
     an estimate and are averaged; bad samples are left out of their batch.
 
     The N needed is an answer to "can `n_means` of these averages reject normality?",
-    which is the question of whoever looks at so many; more averages need a larger N. Where the
+    for so many averages; more of them need a larger N. Where the
     tested averages are all equal although the samples are not, they count as not Gaussian.
 
     Skewness and kurtosis of the samples assume finite moments. Where the tail index is 1/2 or more
@@ -256,7 +256,7 @@ def means_of_block(
 ) -> GaussianityOfMeans:
     """Test the averages of pixels, shape (..., channel, sample); a bad channel spoils a sample.
 
-    `tail` is that of the same samples, for whoever has it.
+    `tail` is that of the same samples, if it is there.
     """
     bad = np.broadcast_to(is_bad(block).any(axis=-2, keepdims=True), block.shape)
     return _gaussianity_of_rows(block, bad, sizes, n_means, TESTS[test], alpha, tail)
@@ -271,7 +271,7 @@ def _gaussianity_of_rows(
     alpha: float,
     tail: Tail | None = None,
 ) -> GaussianityOfMeans:
-    """Test averages of samples, shape (..., sample), and tell the N needed and predicted."""
+    """Test averages of samples, shape (..., sample), with the N needed and predicted."""
     tail = tail or tail_of_part(PositivePart.of(x, bad=bad))
     n_predicted, interval, reason = averages.predict(x, bad, tail, n_means)
     found, (skewness, kurtosis, n) = averages.run_on_averages(x, bad, sizes, n_means, test)

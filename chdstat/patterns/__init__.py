@@ -2,10 +2,10 @@
 
 `PATTERNS` is the table: what a pattern means, its statistic, and the rule that turns it into a flag
 at a threshold. `classify` applies them all to the luminance of each pixel. Flags do not exclude
-each other, but for those that describe a plain body; `Label` says which comes first. `atlas` asks
-the image which shapes it has, without labels: pixels that differ only in brightness have the same.
+each other, but for those that describe a plain body; `Label` says which comes first. `atlas` finds
+the shapes that an image has, without labels: pixels that differ only in brightness have the same.
 
-CHDs with known labels measure how well patterns are told: use `CHD` for a distribution of your own,
+CHDs with known labels measure how well patterns are found: use `CHD` for one of your own,
 `simulate` for an image whose regions have given CHDs, `truth_of` for what is true of that image,
 and `random_chds` for a population. A label is true or false only outside of an indifference zone
 around the threshold that decides it: `truth` lists the zones and gives None inside, and

@@ -41,7 +41,7 @@ _EDGES = WIDTH * (np.arange(1, _BINS) - _BINS / 2)
 _MINIMUM = 32
 """Positive samples that a shape needs."""
 _FINE = 4
-"""Bins counted per bin of a shape, so that halves of the samples can be moved apart from it."""
+"""Bins counted per bin of a shape, so that halves of the samples can be moved separately."""
 _BATCH = 64
 _OF_GROUPS = ("candidates", "explained", "silhouettes", "repeatable", "stability")
 _LABELS = {
@@ -162,7 +162,7 @@ def atlas(
 
     The shape of a pixel is the distribution of ``log10(x / scale)`` of its positive samples x, with
     their geometric mean as the scale. Shapes with distribution functions F and G are
-    ``sqrt(integral (F - G)^2)`` apart, the Cramér distance, and are grouped by k-means.
+    at the distance ``sqrt(integral (F - G)^2)``, Cramér's, and are grouped by k-means.
 
     How many groups there are is decided by prediction. The samples of each pixel are halved at
     random; the typical shapes found in one half predict the other half. A number of clusters
@@ -171,7 +171,7 @@ def atlas(
     of its halves. One more cluster is worth it if it explains a tenth or more of what is still
     unexplained, and gains three standard errors or more. Clusters that follow noise predict worse
     than none. Where shapes pass into each other, as on real surfaces, the number is a resolution,
-    not a count of kinds, and grows with the number of samples; `silhouettes` tell.
+    not a count of kinds, and grows with the number of samples; `silhouettes` show it.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def atlas(
     Returns
     -------
     Atlas
-        Pixels with fewer than 32 positive samples, or equal ones, have no shape and say why.
+        Pixels with fewer than 32 positive samples, or equal ones, have no shape but a reason.
 
     Raises
     ------

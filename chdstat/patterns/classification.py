@@ -50,7 +50,7 @@ class Label(enum.IntEnum):
     """What a pixel is first of all: the first that holds, from the top, but for UNDETERMINED."""
 
     UNDETERMINED = 0
-    """Too few usable samples to say anything."""
+    """Too few usable samples for a label."""
     BLACK = 1
     """Every good sample is null."""
     CONSTANT = 2
@@ -95,7 +95,7 @@ class Patterns:
     long_tail_se
         Standard error of the tail index.
     variance_unidentified
-        Where the samples cannot tell whether their variance is finite: no long tail is then no
+        Where the samples do not identify whether their variance is finite: no long tail is then no
         promise of a short one.
     body_tail_index
         Tail index that excesses over the quantile 0.9 of the better of gamma and log-normal show.
@@ -150,7 +150,7 @@ def classify(
     ----------
     x
         An image, as `Samples` or the path of a store; or an array of radiance, shape (..., channel,
-        sample), with 1 or 3 channels. Nulls and bad samples are told by whole samples.
+        sample), with 1 or 3 channels. A whole sample is null or bad.
     thresholds
         When a pattern counts; None for the defaults.
     progress
@@ -318,11 +318,11 @@ class PixelFits:
         )
 
     def of_luminance(self, result: Result) -> Result:
-        """Return what a result says of luminance."""
+        """Return the part of a result that is of luminance."""
         return take_rows(result, -1, axis=self._axis)
 
     def of_first(self, result: Result, rows: int) -> Result:
-        """Return what a result says of the first rows, the channels."""
+        """Return the part of a result that is of the first rows, the channels."""
         return take_rows(result, slice(0, rows), axis=self._axis)
 
 
@@ -390,7 +390,7 @@ _OTHERS = {
     "luminance_family": "family of luminance with the smallest BIC",
     "misfit": "Kolmogorov distance to the better of gamma and log-normal",
     "long_tail_se": "standard error of the tail index of luminance",
-    "variance_unidentified": "the samples cannot tell whether the variance is finite",
+    "variance_unidentified": "the samples do not identify whether the variance is finite",
     "body_tail_index": "tail index of the better of gamma and log-normal above its quantile 0.9",
     "label": "what the pixel is first of all",
     "reason": "why there is no positive part to look at",

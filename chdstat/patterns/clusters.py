@@ -1,8 +1,7 @@
 """Groups: points that are near to each other, and how many groups the noise lets one distinguish.
 
 `find_groups` is given every point three times: measured with all samples, and with two halves of
-them. What one half says of the other is what repeats; the rest is noise. `chdstat.patterns` says
-what the points are.
+them. What one half predicts of the other is what repeats; the rest is noise.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ class Groups:
     candidates, explained, silhouettes
         Numbers tried, and how good they are, shape (candidate,).
     repeatable, stability
-        As `chdstat.patterns.Atlas` says.
+        As of `chdstat.patterns.Atlas`.
     """
 
     number: int
@@ -75,7 +74,7 @@ class Groups:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """One number of groups: labels from all samples, and what the halves say.
+    """One number of groups: labels from all samples, and what the halves predict.
 
     `errors` are the squared errors, by point, of predicting a half from the other half's centres.
     """
@@ -196,8 +195,8 @@ def _k_means(points: Points, number: int, seed: int, *, starts: int) -> Labels:
 def _prediction_errors(here: Points, there: Points, labels: Labels) -> Floats:
     """Return how wrong the centres of one half are about the other half of each point."""
     _, places = np.unique(labels, return_inverse=True)
-    apart = there - _means(here, labels)[places]
-    return np.asarray(np.vecdot(apart, apart), dtype=np.float64)
+    error = there - _means(here, labels)[places]
+    return np.asarray(np.vecdot(error, error), dtype=np.float64)
 
 
 def _means(points: Points, labels: Labels) -> Points:

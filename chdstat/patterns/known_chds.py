@@ -275,9 +275,9 @@ class CHD:
     def separations(self) -> Floats:
         """Return Ashman's D of neighbouring components in the domain of logarithms."""
         ordered = sorted(self.body, key=lambda component: component.log_mean)
-        apart = np.diff([component.log_mean for component in ordered])
+        distance = np.diff([component.log_mean for component in ordered])
         square = np.array([component.log_deviation**2 for component in ordered])
-        return np.asarray(np.sqrt(2) * apart / np.sqrt(square[1:] + square[:-1]))
+        return np.asarray(np.sqrt(2) * distance / np.sqrt(square[1:] + square[:-1]))
 
     def maxima(self) -> int:
         """Count the maxima of the density of log x."""

@@ -46,7 +46,7 @@ class PixelStatistics:
         Generalised Pareto tail index, its standard error, its interval, shape (..., 2), and the
         one-sided p-value of a tail no heavier than that of a gamma distribution.
     variance_unidentified
-        Where the samples cannot tell whether their variance is finite.
+        Where the samples do not identify whether their variance is finite.
     modes
         Modes of the log density; 0 where they could not be counted.
     ashman_d, ashman_d_se

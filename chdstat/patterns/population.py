@@ -42,7 +42,7 @@ TAIL_ZONE = (0.1, 0.3)
 SEPARATION_ZONE = (1.5, 2.5)
 """Ashman's D at which two components are neither two modes nor one."""
 ALIKE = 0.365
-"""Standard deviation of log x below which gamma and log-normal are alike."""
+"""Standard deviation of log x below which gamma and log-normal are nearly the same."""
 FIREFLY_ZONE = (0.0, 0.2)
 """Planted shares of the sum that neither dominate a pixel nor leave it alone."""
 
@@ -82,7 +82,7 @@ def truth(chd: CHD) -> Truth:
     A label is true or false only outside of an indifference zone around the threshold that decides
     it; inside, its flag is None:
 
-    * null-heavy: a share of nulls within 0.05 of 1/2 (`NULL_ZONE`: 512 samples cannot tell).
+    * null-heavy: a share of nulls within 0.05 of 1/2 (`NULL_ZONE`: 512 samples do not decide).
     * long tail: a tail index in (0.1, 0.3), `TAIL_ZONE`. That of a body without a grafted tail is
       the penultimate one at its quantile 0.9, so that a log-normal body of sigma 1 or more is
       long-tailed, one of sigma 0.65 or less is not, and what lies between is left out. A gamma
@@ -149,18 +149,18 @@ def _above(value: float, zone: tuple[float, float]) -> bool | None:
 
 
 def _has_modes(chd: CHD) -> bool | None:
-    """Say whether every component shows as a mode; None where it is hard to tell."""
+    """Say whether every component shows as a mode; None where it is hard to decide."""
     if len(chd.body) == 1:
         return False
-    apart = chd.separations().min() >= SEPARATION_ZONE[1]
-    return True if apart and chd.maxima() == len(chd.body) else None
+    separated = chd.separations().min() >= SEPARATION_ZONE[1]
+    return True if separated and chd.maxima() == len(chd.body) else None
 
 
 def _is_like(chd: CHD, family: Kind, long_tail: bool | None) -> bool | None:
     if len(chd.body) > 1 or chd.is_constant or long_tail:
         return False
-    alike = chd.body[0].log_deviation < ALIKE
-    if long_tail is None or chd.tail_index is not None or alike:
+    either = chd.body[0].log_deviation < ALIKE
+    if long_tail is None or chd.tail_index is not None or either:
         return None
     return chd.body[0].family == family
 
@@ -225,8 +225,8 @@ def random_chds(count: int, *, seed: Seed = None) -> tuple[CHD, ...]:
     firefly          15 %, not of constants: carries 0.25 to 0.75 of the sum of a pixel
     ===============  ===============================================================================
 
-    Numbers are uniform where nothing else is said. What falls in an indifference zone of the module
-    is drawn again; a light grafted tail alone leaves the family of the body open.
+    Numbers are uniform where nothing else is given. What falls in an indifference zone is
+    drawn again; a light grafted tail alone leaves the family of the body open.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ def simulate(
     -------
     Samples
         In memory, three channels in the ratios of each CHD's colour, so that luminance is what the
-        CHD says. `truth_of` tells what is true of each pixel.
+        CHD says. `truth_of` returns what is true of each pixel.
 
     Raises
     ------

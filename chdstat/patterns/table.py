@@ -36,7 +36,7 @@ class Thresholds:
     tail_index
         A tail is long where its index is at least this, and significantly above 0.
     ashman_d
-        Neighbouring modes count as two where they are this far apart.
+        Neighbouring modes count as two from this separation on.
     firefly_share, firefly_samples
         A sample is a firefly where it carries more than this share of the sum of all, and more than
         this many average samples do.
@@ -78,7 +78,7 @@ class Pattern:
     name
         Of the flag.
     meaning
-        What it says about light transport.
+        What it means for light transport.
     statistic
         What is measured, and on which scale; computed by `measure`.
     rule
@@ -241,8 +241,8 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(
         name="bimodal",
         meaning="two kinds of paths at once: direct and indirect, lit and shadowed",
-        statistic="Ashman's D of the two modes that are farthest apart, in log radiance",
-        rule="two modes of the fitted mixture are apart by the threshold (dip test beside it)",
+        statistic="Ashman's D of the two modes with the largest separation, in log radiance",
+        rule="two modes of the mixture are separated by the threshold (dip test beside it)",
         source=_MODE_SOURCE,
         measure=_separation(0),
         large_enough=lambda e, t: _clear_modes(e, t) == 2,
@@ -253,7 +253,7 @@ PATTERNS: tuple[Pattern, ...] = (
         name="multimodal",
         meaning="three or more kinds of paths: several emitters, lobes or depths of reflection",
         statistic="Ashman's D of the next pair of neighbouring modes, in log radiance",
-        rule="three modes of the fitted mixture are apart by the threshold (dip test beside it)",
+        rule="three modes of the mixture are separated by the threshold (dip test beside it)",
         source=_MODE_SOURCE,
         measure=_separation(1),
         large_enough=lambda e, t: _clear_modes(e, t) >= 3,
