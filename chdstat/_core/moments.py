@@ -165,7 +165,8 @@ class Batches:
     ) -> None:
         """Take the next samples, shape (..., sample); `good` marks those that count."""
         n = x.shape[-1]
-        self._make_room(n)
+        while self.total + n > self.size * len(self.draws):
+            self._double()
         complete = self._complete
         first = self.size - self.draws[complete]
         starts = np.concatenate([[0], np.arange(first, n, self.size)]).astype(np.intp)
@@ -222,10 +223,6 @@ class Batches:
     @property
     def _complete(self) -> int:
         return int(np.count_nonzero(self.draws >= self.size))
-
-    def _make_room(self, n: int) -> None:
-        while self.total + n > self.size * len(self.draws):
-            self._double()
 
     def _double(self) -> None:
         self.size *= 2

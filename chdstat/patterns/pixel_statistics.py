@@ -53,8 +53,8 @@ class PixelStatistics:
         Separation of neighbouring modes, shape (..., 2), the widest first; and its standard error.
     dip, dip_p_value
         Of unimodality.
-    vuong_z, vuong_p_value
-        Gamma against log-normal, positive for gamma; and its two-sided p-value.
+    vuong_z
+        Gamma against log-normal, positive for gamma.
     family
         Index of the best family in `chdstat.fit.families.SELECTED`, -1 for none.
     misfit
@@ -81,7 +81,6 @@ class PixelStatistics:
     dip: Floats
     dip_p_value: Floats
     vuong_z: Floats
-    vuong_p_value: Floats
     family: npt.NDArray[np.int8]
     misfit: Floats
     body_index: Floats
@@ -117,15 +116,8 @@ def without_largest(part: PositivePart, rows: Mask) -> PositivePart:
     x, positive = part.x[rows], part.positive[rows].copy()
     largest = np.where(positive, x, -np.inf).argmax(axis=-1)
     positive[np.arange(len(x)), largest] = False
-    return PositivePart(
-        x=x,
-        positive=positive,
-        n=part.n[rows] - 1,
-        n_null=part.n_null[rows],
-        n_zero=part.n_zero[rows],
-        n_negative=part.n_negative[rows],
-        n_bad=part.n_bad[rows],
-    )
+    others = part.n_null, part.n_zero, part.n_negative, part.n_bad
+    return PositivePart(x, positive, part.n[rows] - 1, *(count[rows] for count in others))
 
 
 def _measure(
@@ -159,7 +151,6 @@ def _measure(
         dip=modes.dip,
         dip_p_value=modes.dip_p_value,
         vuong_z=families.vuong_z,
-        vuong_p_value=families.vuong_p_value,
         family=families.best,
         misfit=_misfit(part, families),
         body_index=body_index,

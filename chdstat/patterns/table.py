@@ -124,31 +124,16 @@ def _null_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
     return np.where(n == 0, np.nan, np.where(nulls == 0, 1.0, p))
 
 
-def _is_firefly(e: PixelStatistics, t: Thresholds) -> Mask:
-    limit = firefly_limit(e.n, t.firefly_share, t.firefly_samples)
-    return np.asarray(e.largest_share > limit)
-
-
 def _clear_modes(e: PixelStatistics, t: Thresholds) -> Counts:
     """Count modes that are far enough from their neighbour; 0 where modes are not known."""
     clear = 1 + np.count_nonzero(e.ashman_d >= t.ashman_d, axis=-1)
     return np.where(e.modes > 0, clear, 0)
 
 
-def _around(center: Floats, error: Floats) -> Floats:
-    return np.stack([center - _Z * error, center + _Z * error], axis=-1)
-
-
-def _separation(widest: int) -> Callable[[PixelStatistics], Floats]:
-    return lambda e: np.asarray(e.ashman_d[..., widest])
-
-
-def _separation_interval(widest: int) -> Callable[[PixelStatistics], Floats]:
-    def interval(e: PixelStatistics) -> Floats:
-        ends = _around(e.ashman_d[..., widest], e.ashman_d_se[..., widest])
-        return np.maximum(ends, 0)
-
-    return interval
+def _separation_interval(e: PixelStatistics, widest: int) -> Floats:
+    error = _Z * e.ashman_d_se[..., widest]
+    ends = e.ashman_d[..., widest] - error, e.ashman_d[..., widest] + error
+    return np.maximum(np.stack(ends, axis=-1), 0)
 
 
 def _is_described(e: PixelStatistics, t: Thresholds) -> Mask:
@@ -166,10 +151,6 @@ def _body_is_long(e: PixelStatistics, t: Thresholds) -> Mask:
     objects = e.tail_interval[..., 1] < t.tail_index
     is_long = is_lognormal & (e.body_index >= t.tail_index)
     return np.asarray(_is_described(e, t) & is_long & ~objects)
-
-
-def _is_long(e: PixelStatistics, t: Thresholds) -> Mask:
-    return np.asarray((e.tail_index >= t.tail_index) | _body_is_long(e, t))
 
 
 def _tail_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
@@ -193,10 +174,6 @@ def _is_like(sign: int) -> Callable[[PixelStatistics, Thresholds], Mask]:
         return np.asarray((sign * e.vuong_z > 0) & _is_described(e, t) & short)
 
     return large_enough
-
-
-def _vuong_p_value(sign: int) -> Callable[[PixelStatistics, Thresholds], Floats]:
-    return lambda e, _: np.asarray(special.ndtr(-sign * e.vuong_z))
 
 
 _TAIL_SOURCE = (
@@ -233,7 +210,7 @@ PATTERNS: tuple[Pattern, ...] = (
         "that of log-normal is, which describes the samples, and the former's interval reaches it",
         source=_TAIL_SOURCE,
         measure=lambda e: e.tail_index,
-        large_enough=_is_long,
+        large_enough=lambda e, t: (e.tail_index >= t.tail_index) | _body_is_long(e, t),
         test=_tail_p_value,
         decisive=True,
         interval=lambda e: e.tail_interval,
@@ -244,10 +221,10 @@ PATTERNS: tuple[Pattern, ...] = (
         statistic="Ashman's D of the two modes with the largest separation, in log radiance",
         rule="two modes of the mixture are separated by the threshold (dip test beside it)",
         source=_MODE_SOURCE,
-        measure=_separation(0),
+        measure=lambda e: e.ashman_d[..., 0],
         large_enough=lambda e, t: _clear_modes(e, t) == 2,
         test=lambda e, _: e.dip_p_value,
-        interval=_separation_interval(0),
+        interval=lambda e: _separation_interval(e, 0),
     ),
     Pattern(
         name="multimodal",
@@ -255,10 +232,10 @@ PATTERNS: tuple[Pattern, ...] = (
         statistic="Ashman's D of the next pair of neighbouring modes, in log radiance",
         rule="three modes of the mixture are separated by the threshold (dip test beside it)",
         source=_MODE_SOURCE,
-        measure=_separation(1),
+        measure=lambda e: e.ashman_d[..., 1],
         large_enough=lambda e, t: _clear_modes(e, t) >= 3,
         test=lambda e, _: e.dip_p_value,
-        interval=_separation_interval(1),
+        interval=lambda e: _separation_interval(e, 1),
     ),
     Pattern(
         name="gamma_like",
@@ -268,7 +245,7 @@ PATTERNS: tuple[Pattern, ...] = (
         source=_FAMILY_SOURCE,
         measure=lambda e: e.vuong_z,
         large_enough=_is_like(1),
-        test=_vuong_p_value(1),
+        test=lambda e, _: special.ndtr(-e.vuong_z),
         excluded_by=_NO_BODY,
     ),
     Pattern(
@@ -277,9 +254,9 @@ PATTERNS: tuple[Pattern, ...] = (
         statistic="Vuong's z of log-normal against gamma",
         rule="one mode, no long tail, log-normal is likelier than gamma and no misfit",
         source=_FAMILY_SOURCE,
-        measure=lambda e: np.asarray(-e.vuong_z),
+        measure=lambda e: -e.vuong_z,
         large_enough=_is_like(-1),
-        test=_vuong_p_value(-1),
+        test=lambda e, _: special.ndtr(e.vuong_z),
         excluded_by=_NO_BODY,
     ),
     Pattern(
@@ -289,7 +266,9 @@ PATTERNS: tuple[Pattern, ...] = (
         rule="the share is above the threshold, and above that of some average samples",
         source="a definition, not a test",
         measure=lambda e: e.largest_share,
-        large_enough=_is_firefly,
+        large_enough=lambda e, t: (
+            e.largest_share > firefly_limit(e.n, t.firefly_share, t.firefly_samples)
+        ),
     ),
     Pattern(
         name="constant",

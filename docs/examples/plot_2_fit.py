@@ -140,7 +140,7 @@ figure
 # %%
 # The averages keep the promise, as far as few averages of many samples can show it, but it is a
 # slow one: the skewness for 64 samples is an eighth of that for one. How many samples does an
-# average need until 128 such averages can no longer be told from Gaussian? What is predicted
+# average need until 128 such averages are no longer rejected as Gaussian? What is predicted
 # follows from the skewness and kurtosis of single samples, where these are identified.
 
 for name, needed, predicted in zip(names, means.n_needed, means.n_predicted, strict=True):
