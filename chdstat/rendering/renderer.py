@@ -150,7 +150,15 @@ class Renderer:
             self.film, note = asked.film.resized(job.size)
             self.notes += note
             self.size = self.film.crop_size
-            self._read_integrator(asked.integrator, job)
+            properties = mi.Properties(asked.integrator)
+            for name in ("samples_per_pass", "timeout", "block_size"):
+                if name in properties:
+                    del properties[name]
+            if job.max_depth is not None:
+                properties["max_depth"] = job.max_depth
+            self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **properties}
+            properties["block_size"] = _BLOCK  # the default depends on the number of cores
+            self._integrator_properties = properties
             self._streams = Streams(self.size, job.seed)
             self._local = threading.local()
             with plugins_made(mi, asked.plugins) as plugins:
@@ -161,7 +169,10 @@ class Renderer:
             if job.scene.files() != self.files:
                 message = f"files of scene {job.scene.name!r} changed while they were read; again"
                 raise SceneError(message)
-            self._try_out()
+            sensor = self._sensor((0, 0), (1, 1))
+            if self._scalar:  # one sample costs nothing: what cannot be drawn is refused at once
+                with self._telling():
+                    self._integrator.render(self._scene, sensor, seed=0, spp=1)
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -182,7 +193,9 @@ class Renderer:
             if self._scalar:
                 return self._chunk_scalar(chunk, before_pass)
             before_pass()
-            return self._chunk_wavefront(chunk)
+            (height, width, samples), corner = chunk.shape, (chunk.xs.start, chunk.ys.start)
+            number = self._streams.of_chunk(chunk)
+            return self._wavefront(number, corner, (width, height), samples)
 
     def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, seed: int | None = None) -> Image:
         """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample).
@@ -190,11 +203,15 @@ class Renderer:
         Another seed than that of the job draws other samples, independent of these.
         """
         streams = self._streams if seed is None else Streams(self.size, seed)
-        draw = self._pixel_scalar if self._scalar else self._pixel_wavefront
-        numbers = [streams.of_pixel(int(y), int(x)) for y, x in pixels]
-        places = zip(pixels, numbers, strict=True)
+        drawn = []
         with self._telling():
-            return np.stack([draw(number, int(y), int(x), spp) for (y, x), number in places])
+            for y, x in pixels.tolist():
+                number = streams.of_pixel(y, x)
+                if self._scalar:
+                    drawn.append(self._pixel_scalar(number, y, x, spp))
+                else:
+                    drawn.append(self._wavefront(number, (x, y), (1, 1), spp)[0, 0])
+        return np.stack(drawn)
 
     @property
     def depth(self) -> int | None:
@@ -213,26 +230,6 @@ class Renderer:
         parts = dict(zip(_FEATURES, np.split(stack, (3, 6, 7), axis=-1), strict=True))
         images = {name: p.astype(np.float32) for name, p in parts.items()}
         return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in images.items()}
-
-    # --- settings -------------------------------------------------------------------------------
-
-    def _read_integrator(self, asked: Any, job: Job) -> None:
-        properties = self._mi.Properties(asked)
-        for name in ("samples_per_pass", "timeout", "block_size"):
-            if name in properties:
-                del properties[name]
-        if job.max_depth is not None:
-            properties["max_depth"] = job.max_depth
-        self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **properties}
-        properties["block_size"] = _BLOCK  # the default depends on the number of cores
-        self._integrator_properties = properties
-
-    def _try_out(self) -> None:
-        """Draw one sample where that costs nothing: what cannot be drawn is refused at once."""
-        sensor = self._sensor((0, 0), (1, 1))
-        if self._scalar:
-            with self._telling():
-                self._integrator.render(self._scene, sensor, seed=0, spp=1)
 
     @contextlib.contextmanager
     def _telling(self) -> Iterator[None]:
@@ -320,16 +317,6 @@ class Renderer:
         return result.T
 
     # --- wavefront (llvm, cuda) -----------------------------------------------------------------
-
-    def _chunk_wavefront(self, chunk: Chunk) -> Image:
-        height, width, samples = chunk.shape
-        corner = (chunk.xs.start, chunk.ys.start)
-        return self._wavefront(self._streams.of_chunk(chunk), corner, (width, height), samples)
-
-    def _pixel_wavefront(self, number: int, y: int, x: int, spp: int) -> Image:
-        block = self._wavefront(number, (x, y), (1, 1), spp)
-        samples: Image = block[0, 0]
-        return samples
 
     def _wavefront(
         self, number: int, corner: tuple[int, int], extent: tuple[int, int], samples: int
