@@ -307,7 +307,7 @@ def _region_table(data: SceneData) -> list[dict[str, Any]]:
                 "tail": between(
                     float(found["long_tail_statistic"]), 2 * float(found["long_tail_se"])
                 ),
-                "family": _name(family),
+                "family": family,
             }
         )
     return rows

@@ -56,11 +56,11 @@ _LABEL_COLORS = {
     "constant": "#999999",
     "bimodal": "#CC79A7",
     "long tail": "#D55E00",
-    "null heavy": "#0072B2",
-    "gamma like": "#56B4E9",
-    "lognormal like": "#009E73",
+    "null-heavy": "#0072B2",
+    "gamma-like": "#56B4E9",
+    "log-normal-like": "#009E73",
     "multimodal": "#882255",
-    "firefly dominated": "#F0E442",
+    "firefly-dominated": "#F0E442",
     "other": "#BBBBBB",
 }
 _BATCH, _BATCHES = 32, 64
@@ -204,12 +204,10 @@ def _depth(samples: Samples) -> str:
 
 
 def names_of(variable: xr.DataArray) -> dict[int, str]:
-    """Return the names of an integer-coded variable's values."""
-    names = str(variable.attrs["flag_meanings"]).split()
-    return {
-        int(code): name.replace("_", " ")
-        for code, name in zip(variable.attrs["flag_values"], names, strict=True)
-    }
+    """Return what text calls the values of an integer-coded variable."""
+    codes, names = variable.attrs["flag_values"], str(variable.attrs["flag_meanings"]).split()
+    words = (NAMES.get(name, name.replace("_", " ")) for name in names)
+    return {int(code): word for code, word in zip(codes, words, strict=True)}
 
 
 def analysis_figures(found: xr.Dataset, scene: Overview) -> dict[str, Figure]:
@@ -248,11 +246,10 @@ def _maps(found: xr.Dataset) -> Figure:
     for ax, (title, (values, limits)) in zip(axes, shown.items(), strict=False):
         if "flag_meanings" in values.attrs:
             names = names_of(values)
-            labels = {code: NAMES.get(name, name) for code, name in names.items()}
             colors = [
                 _LABEL_COLORS.get(name, viz.PALETTE[i % 8]) for i, name in enumerate(names.values())
             ]
-            viz.categorical_map(values.values, labels, title=title, colors=colors, ax=ax)
+            viz.categorical_map(values.values, names, title=title, colors=colors, ax=ax)
         else:
             viz.value_map(values.values, title=title, limits=limits, ax=ax)
     if averaged:
