@@ -372,7 +372,7 @@ def test_a_comparison_tells_those_who_look_at_it(quick):
 
 
 def test_before_a_denoiser_it_is_told_too(quick, monkeypatch):
-    monkeypatch.setattr("chdstat.estimators.denoising.denoise", lambda x, **_: x)
+    monkeypatch.setattr("chdstat.estimators.estimates.denoise", lambda x, **_: x)
     samples = chd.Samples.from_array(
         np.repeat(lit(12, 32).samples.read(), 3, axis=2),
         direct=np.repeat(lit(12, 32).samples.direct.read(), 3, axis=2),
