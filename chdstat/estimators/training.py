@@ -272,8 +272,9 @@ def descend(
     )
     seen: list[Losses] = []
     for iteration, (loss, *others) in enumerate(losses, 1):
-        optimiser.zero_grad()
-        loss.backward()
+        gradients = torch.autograd.grad(loss, parameters)
+        for parameter, gradient in zip(parameters, gradients, strict=True):
+            parameter.grad = gradient
         if largest_gradient is not None:
             torch.nn.utils.clip_grad_norm_(parameters, largest_gradient)
         optimiser.step()
