@@ -64,14 +64,14 @@ def _log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
     return np.asarray(density)
 
 
-class _Distribution(type(stats.invgauss)):  # type: ignore[misc]
+class _InverseGaussian(type(stats.invgauss)):  # type: ignore[misc]
     """SciPy's, whose density is NaN, not 0, where a factor of it is too large for a double."""
 
     def _pdf(self, x: Floats, mu: Floats) -> Floats:
         return np.asarray(np.exp(self._logpdf(x, mu)))
 
 
-_DISTRIBUTION = _Distribution(name="invgauss", a=0.0)
+_DISTRIBUTION = _InverseGaussian(name="invgauss", a=0.0)
 
 INVERSE_GAUSSIAN = Family(
     name="inverse_gaussian",

@@ -28,7 +28,7 @@ from chdstat._core.positive import Counts, Floats, Mask
 from chdstat.fit.components import ComponentFamily, Summaries, cumulative
 
 __all__ = [
-    "Result",
+    "Optimum",
     "bound_at",
     "insertions",
     "log_density",
@@ -48,7 +48,7 @@ _REACH = 64.0
 """Longest extrapolation, in steps."""
 
 
-class Result(NamedTuple):
+class Optimum(NamedTuple):
     """Where EM ended: state (3, component, row), bound (row,), converged (row,)."""
 
     state: Floats
@@ -81,7 +81,7 @@ class _Data(NamedTuple):
 
 def run(
     summaries: Summaries, family: ComponentFamily, state: Floats, *, cycles: int, tolerance: float
-) -> Result:
+) -> Optimum:
     """Raise the bound until a cycle of three steps gains less than `tolerance` per sample."""
     state = state.copy()
     bound = np.full(state.shape[-1], -np.inf)
@@ -100,7 +100,7 @@ def run(
         if 8 * np.count_nonzero(done) > done.size:
             active = active[~done]
             data = data.take(~done)
-    return Result(state, bound, converged)
+    return Optimum(state, bound, converged)
 
 
 def responsibilities(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:

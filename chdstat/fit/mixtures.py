@@ -387,7 +387,7 @@ def mixture_family(component: MixtureFamily, k: int) -> Family:
         estimate=estimate,
         log_likelihood=summed(log_density),
         log_density=log_density,
-        distribution=lambda parameters: _Distribution(base, parameters, k),
+        distribution=lambda parameters: _MixtureDistribution(base, parameters, k),
     )
 
 
@@ -397,7 +397,7 @@ def mixture_parameters(mixture: Mixture, k: int) -> dict[str, Floats]:
 
 
 @dataclass(frozen=True)
-class _Distribution:
+class _MixtureDistribution:
     """Distribution of a mixture of `k` components: what the bootstrap needs of SciPy's."""
 
     base: Family

@@ -171,7 +171,7 @@ class Objective:
         if state.shape[1] == 1:
             # One component is at its maximum at once.
             there = np.ones(state.shape[-1], dtype=bool)
-            end = em.Result(state, em.bound_at(summaries, family, state), there)
+            end = em.Optimum(state, em.bound_at(summaries, family, state), there)
         else:
             end = em.run(summaries, family, state, cycles=plan.cycles, tolerance=plan.tolerance)
         if self.samples is None or self.n is None:

@@ -243,3 +243,15 @@ def test_where_the_search_begins_makes_no_difference(family):
     assert both.mean() > 0.9
     for name, values in one.parameters.items():
         np.testing.assert_allclose(two.parameters[name][both], values[both], rtol=1e-6)
+
+
+def test_a_row_without_a_fit_does_not_make_another_overflow():
+    rows = np.array([[1e-3, 1.0, 2.0, 1e3], [1.0, 2.0, 3.0, 4.0]])
+    (points,) = blocks(PositivePart.of(rows), np.ones(2, bool))
+    parameters = {
+        name: np.array([known, np.nan])
+        for name, known in (("c", 400.0), ("d", 1.0), ("scale", 1e-3))
+    }
+    density = FAMILIES["burr"].log_density(points, parameters)
+    assert np.isfinite(density[0]).all()
+    assert np.isnan(density[1]).all()
