@@ -1,15 +1,20 @@
-"""Errors that a user can act on.
+"""Errors that a user can act on, and codes of the reasons why a pixel has no number.
 
 Every error that chdstat raises on purpose derives from `ChdstatError`: its message states what was
 expected, what came, and what to do. The command line prints it without a traceback.
+
+A pixel that cannot be computed is data: NaN in the result and a `Reason` beside it.
 """
 
 from __future__ import annotations
+
+import enum
 
 __all__ = [
     "ChdstatError",
     "InputError",
     "LeftOutWarning",
+    "Reason",
     "RenderError",
     "SceneError",
     "StoreError",
@@ -41,6 +46,39 @@ class RenderError(ChdstatError):
 
 class StoreError(ChdstatError):
     """A sample store is missing, damaged, incomplete or belongs to something else."""
+
+
+class Reason(enum.IntEnum):
+    """Why a value is missing; `OK` where it is not."""
+
+    OK = 0
+    ALL_NULL = 1
+    """Every good sample is null: there is nothing to fit."""
+    TOO_FEW = 2
+    """Fewer usable samples than the method needs."""
+    CONSTANT = 3
+    """The usable samples are equal, or too nearly so for the numbers at hand."""
+    NOT_CONVERGED = 4
+    """An iteration ended before its tolerance was met."""
+    ALL_BAD = 5
+    """Every sample is NaN or infinite."""
+    AT_LIMIT = 6
+    """The likelihood has no maximum: it rises towards a limit of the family. Of Burr, that is the
+    Weibull distribution; of the generalised Pareto, one that ends at the largest sample."""
+    NONE_POSITIVE = 7
+    """No sample is positive, and some are negative: they have no logarithm."""
+    TIED = 8
+    """Several samples share the largest value: they were clamped, rounded, or are a few atoms."""
+    UNTESTED = 9
+    """No test was asked for: there is a statistic and no p-value."""
+    FEW_REPLICATES = 10
+    """Fewer than half of the bootstrap replicates could be fitted: they are no p-value."""
+    AT_PARETO_LIMIT = 11
+    """No Burr distribution is as likely as a power law that begins at the smallest sample."""
+    UNIDENTIFIED = 12
+    """The samples do not decide: the answer rests on a tail that may be too heavy for it."""
+    NOT_REGULAR = 13
+    """The likelihood is not regular there, or has no curvature: there are no standard errors."""
 
 
 def brief(error: BaseException) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.inference import gaussianity_of_means
 
 N = 96

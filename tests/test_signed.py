@@ -10,7 +10,7 @@ import pytest
 
 import chdstat as chd
 from chdstat import estimators
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.estimators.validation import Totals
 from chdstat.summary.histograms import linear_support
 

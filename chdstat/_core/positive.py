@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import as_samples, is_bad, is_null, luminance, spans, warn_left_out
-from chdstat._core.reasons import Reason, first_of
-from chdstat.errors import InputError
+from chdstat._core.reasons import first_of
+from chdstat.errors import InputError, Reason
 
 __all__ = [
     "CONSTANT_SPREAD",

@@ -16,8 +16,7 @@ import numpy.typing as npt
 
 from chdstat import viz
 from chdstat._core.arrays import is_bad, luminance
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.explorer.estimators import batches_of, fixed
 from chdstat.explorer.sources import Overall, StoreSource, tiles
 from chdstat.fit.families import FAMILIES, SELECTED

@@ -19,7 +19,7 @@ from chdstat import inference
 from chdstat._core.arrays import generator, is_bad, is_null, luminance, spans, take_rows
 from chdstat._core.moments import Moments
 from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.explorer.estimators import ScoredEstimate
 from chdstat.fit import Fit, Mixture
 from chdstat.fit.families import FAMILIES, SELECTED, get_family

@@ -31,7 +31,7 @@ import numpy as np
 from scipy import special, stats
 
 from chdstat._core.positive import Floats, Mask
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.fit.family import RADIANCE, Estimate, Family, Parameters, maximise, summed
 from chdstat.fit.weighted_samples import WeightedSamples
 from chdstat.summary.dispatch import Part

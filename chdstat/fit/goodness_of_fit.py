@@ -20,9 +20,9 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.positive import Counts, Floats, Mask
-from chdstat._core.reasons import Reason, label_variables
+from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.fit.distances import DISTANCES, FitTest, bootstrap
 from chdstat.fit.families import Family, Parameters, get_family
 from chdstat.fit.mixtures import mixture_family, mixture_parameters

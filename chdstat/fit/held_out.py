@@ -15,8 +15,7 @@ from scipy import special
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Floats, Mask, PositivePart
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.fit.families import Family, Parameters, get_family
 from chdstat.fit.family import take
 from chdstat.fit.mle import estimate_part

@@ -15,8 +15,7 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.fit.components import COMPONENTS, MixtureFamily
 from chdstat.fit.families import Estimate, Family, Parameters, get_family
 from chdstat.fit.family import summed

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.positive import Floats
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.fit.families import Estimate, Family, Parameters, get_family
 from chdstat.fit.results import Fit, counts_of, fit_variables, label_fit
 from chdstat.samples import Samples

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.positive import Floats
-from chdstat._core.reasons import Reason, label_variables
+from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import wilson
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.fit.families import SELECTED, Family, get_family
 from chdstat.fit.held_out import HeldOut, held_out_of_part, ranked, vuong
 from chdstat.fit.mle import fit_part

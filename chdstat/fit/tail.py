@@ -19,8 +19,7 @@ from scipy import special
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.fit._gamma import gamma_shape
 from chdstat.fit.tail_fits import (
     MINIMUM_EXCESSES,

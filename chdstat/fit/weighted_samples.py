@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.positive import SMALLEST, Floats, LogStatistics, Mask, PositivePart
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.summary.dispatch import Part, PositiveHistogram
 
 __all__ = ["Halves", "WeightedSamples", "blocks", "of_rows", "sum_over_samples"]

@@ -23,7 +23,8 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
-from chdstat._core.reasons import Reason, first_of
+from chdstat._core.reasons import first_of
+from chdstat.errors import Reason
 from chdstat.fit.tail import Tail
 from chdstat.inference.normality import NormalityTest, run_tests
 

@@ -26,8 +26,9 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat._core.reasons import Reason, label_variables
+from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values
+from chdstat.errors import Reason
 from chdstat.fit.mixtures import ChosenMixtures
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
 from chdstat.fit.results import Fit, Mixture

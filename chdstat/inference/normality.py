@@ -23,9 +23,9 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat._core.reasons import Reason, label_variables
+from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.inference import statistics
 from chdstat.inference.statistics import Rows, standardise
 from chdstat.samples import Image, Mapped, Samples, opened

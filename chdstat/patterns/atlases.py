@@ -18,9 +18,9 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, generator, is_bad, luminance, spans, whole
 from chdstat._core.moments import Moments
 from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
-from chdstat._core.reasons import Reason, first_of, flag_attributes
+from chdstat._core.reasons import first_of, flag_attributes
 from chdstat._core.resampling import wilson
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.patterns.clusters import Groups, find_groups
 from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of
 from chdstat.summary.bins import Support

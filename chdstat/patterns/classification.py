@@ -19,8 +19,9 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Result, as_pixels, take_rows, warn_left_out
 from chdstat._core.positive import Floats, Mask, PositivePart
-from chdstat._core.reasons import Reason, first_of, flag_attributes
+from chdstat._core.reasons import first_of, flag_attributes
 from chdstat._core.resampling import q_values
+from chdstat.errors import Reason
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.results import Mixture
 from chdstat.fit.selection import Selection, select_part

@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import all_good, as_samples, is_bad, is_null, spans
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.samples import Samples
 
 __all__ = [

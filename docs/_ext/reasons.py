@@ -9,7 +9,7 @@ from typing import Any
 from docutils import nodes
 from docutils.parsers.rst import Directive
 
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 
 __all__ = ["ReasonCodes"]
 

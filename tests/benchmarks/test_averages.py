@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.inference import N_MEANS, gaussianity_of_means
 
 ROWS = 400

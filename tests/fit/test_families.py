@@ -10,7 +10,7 @@ from scipy import stats
 
 import chdstat as chd
 from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.mle import estimate_part, fit_part
 from chdstat.fit.weighted_samples import blocks

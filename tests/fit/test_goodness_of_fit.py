@@ -11,8 +11,7 @@ from scipy import stats
 
 import chdstat as chd
 from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.fit.families import FAMILIES
 from chdstat.fit.goodness_of_fit import FIT_TESTS, goodness, goodness_of_part
 from chdstat.fit.selection import select

@@ -7,8 +7,7 @@ from sklearn.mixture import GaussianMixture
 
 import chdstat as chd
 from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.fit.components import COMPONENTS, summaries_of_each, summaries_of_samples
 from chdstat.fit.em import bound_at, run, segmentations
 from chdstat.fit.mixtures import mixture

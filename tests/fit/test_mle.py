@@ -10,8 +10,7 @@ from scipy import integrate, special, stats
 from statsmodels.stats.proportion import proportion_confint
 
 import chdstat as chd
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.fit._gamma import gamma_shape
 from chdstat.fit.families import FAMILIES
 

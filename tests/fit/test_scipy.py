@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.fit import FAMILIES
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))

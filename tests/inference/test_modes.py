@@ -7,7 +7,7 @@ from scipy import special, stats
 
 import chdstat as chd
 from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import Reason
+from chdstat.errors import Reason
 from chdstat.fit.mixtures import mixture_of_part
 from chdstat.inference.modes import mixture_and_modes_of_part, modality_of_part
 

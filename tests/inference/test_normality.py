@@ -5,9 +5,8 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._core.reasons import Reason
 from chdstat._core.resampling import q_values
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.inference import TESTS, TRANSFORMS
 
 ALL = tuple(TESTS)

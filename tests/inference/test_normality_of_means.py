@@ -5,8 +5,7 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.inference import (
     MORE_THAN_TESTED,
     TESTS,

@@ -5,8 +5,7 @@ import pytest
 
 import chdstat as chd
 from chdstat import patterns
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part

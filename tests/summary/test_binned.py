@@ -5,8 +5,7 @@ import pytest
 
 from chdstat import Samples, histogram
 from chdstat._core.positive import PositivePart
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.summary.dispatch import PositiveHistogram, run
 
 

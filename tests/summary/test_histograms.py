@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chdstat._core.reasons import Reason
-from chdstat.errors import InputError
+from chdstat.errors import InputError, Reason
 from chdstat.samples import Samples
 from chdstat.summary.histograms import StreamingHistogram, Support, histogram, linear_support
 
