@@ -3,11 +3,12 @@
 `compare` measures estimators on batches of n samples; its `Comparison` holds every measure, the
 `Breakdown` of them by pattern, and `PixelEstimates` to look at one by one. `error_curve` does the
 same for many n, and returns an `ErrorCurve`. `denoised` puts a denoiser after an estimator.
-`MEASURES` says what is measured.
+`MEASURES` says what is measured; each measure is an `Interval`.
 """
 
 from __future__ import annotations
 
+from chdstat._core.resampling import Interval
 from chdstat.comparison.accumulate import MEASURES, PixelEstimates
 from chdstat.comparison.candidates import Denoised, denoised
 from chdstat.comparison.side_by_side import compare, curve_sizes, error_curve
@@ -19,6 +20,7 @@ __all__ = [
     "Comparison",
     "Denoised",
     "ErrorCurve",
+    "Interval",
     "PixelEstimates",
     "compare",
     "curve_sizes",

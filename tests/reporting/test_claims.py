@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chdstat._core.resampling import Interval
+from chdstat.comparison import Interval
 from chdstat.reporting.claims import (
     claim_content,
     claim_figures,

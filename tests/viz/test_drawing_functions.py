@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 import chdstat as chd
 from chdstat import viz
-from chdstat._core.resampling import Interval
-from chdstat.comparison import error_curve
+from chdstat.comparison import Interval, error_curve
 from chdstat.estimators.training import History
 from chdstat.studies.claims import ClaimTest, PlotData
 

@@ -9,7 +9,7 @@ from matplotlib.colors import to_hex
 from matplotlib.patches import Rectangle
 
 from chdstat import viz
-from chdstat._core.resampling import Interval
+from chdstat.comparison import Interval
 from chdstat.errors import InputError
 from chdstat.studies.claims import ClaimTest, PlotData
 from chdstat.summary.histograms import histogram

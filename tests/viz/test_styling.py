@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from chdstat import viz
-from chdstat._core.resampling import Interval
+from chdstat.comparison import Interval
 from chdstat.studies.claims import ClaimTest, PlotData
 from chdstat.summary.histograms import histogram
 from chdstat.viz import styling

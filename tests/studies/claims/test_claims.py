@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.resampling import Interval
+from chdstat.comparison import Interval
 from chdstat.rendering.recipes import PHENOMENA, Region
 from chdstat.studies.claims import FINDINGS, SceneData, find
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 import chdstat as chd
-from chdstat._core.resampling import Interval
+from chdstat.comparison import Interval
 from chdstat.rendering.recipes import Region
 from chdstat.studies.claims import SceneData
 
