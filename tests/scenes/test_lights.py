@@ -3,9 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from chdstat.scenes.props import lights, living_room
-from chdstat.scenes.props.furniture import paving
-from chdstat.scenes.props.lights import camera
+from chdstat.scenes.props import furniture, living_room
+from chdstat.scenes.props.furniture import camera, paving
 from chdstat.scenes.props.shapes import quad
 from chdstat.scenes.props.textures import matte, rgb
 from chdstat.scenes.scene import look_at, rotate, scale, translate
@@ -30,27 +29,27 @@ def floor_under(draw, light, *, spp: int = 64) -> np.ndarray:
 
 def test_a_spot_lights_what_it_looks_at(draw):
     """E of a disk of radius r at height h on its axis is pi L r^2 / (r^2 + h^2); 1 in 1e6 fails."""
-    light = lights.spot((0.0, 1e-3, 2.0), (0.0, 0.0, 0.0), 0.5, rgb(4.0, 2.0, 1.0))
+    light = furniture.spot((0.0, 1e-3, 2.0), (0.0, 0.0, 0.0), 0.5, rgb(4.0, 2.0, 1.0))
     np.testing.assert_allclose(floor_under(draw, light), np.array([4, 2, 1]) / 17, rtol=0.03)
 
 
 def test_a_bulb_lights_all_round(draw):
     """E of a ball of radius r at distance d overhead is pi L (r / d)^2."""
-    light = lights.bulb((0.0, 0.0, 2.0), 0.2, rgb(100.0, 100.0, 100.0))
+    light = furniture.bulb((0.0, 0.0, 2.0), 0.2, rgb(100.0, 100.0, 100.0))
     np.testing.assert_allclose(floor_under(draw, light), 1.0, rtol=0.03)
 
 
 def test_a_panel_shines_to_one_side(draw):
     panel = quad((-0.5, 0.5, 2.0), (1, 0, 0), (0, -1, 0))
-    assert floor_under(draw, lights.glow(panel, rgb(1.0, 1.0, 1.0)), spp=4).min() > 0.01
+    assert floor_under(draw, furniture.glow(panel, rgb(1.0, 1.0, 1.0)), spp=4).min() > 0.01
     away = panel.moved(translate(0, 0, 4.0) @ rotate("x", 180))
-    assert floor_under(draw, lights.glow(away, rgb(1.0, 1.0, 1.0)), spp=4).max() == 0
+    assert floor_under(draw, furniture.glow(away, rgb(1.0, 1.0, 1.0)), spp=4).max() == 0
 
 
 def test_a_lamp_without_light_has_no_emitter():
     shade = rgb(0.9, 0.8, 0.6)
     parts = [
-        lights.lamp(translate(1, 2, 3), name="lamp", height=1.5, shade=shade, light=light)
+        furniture.lamp(translate(1, 2, 3), name="lamp", height=1.5, shade=shade, light=light)
         for light in (None, rgb(9.0, 8.0, 7.0))
     ]
     assert parts[0].keys() == parts[1].keys()

@@ -15,7 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from chdstat.scenes.props import furniture, textures
-from chdstat.scenes.props.shapes import Mesh, box, join, quad, surface, tiles
+from chdstat.scenes.props.living_room import walls, window_frame
+from chdstat.scenes.props.shapes import box, join, quad, surface, tiles
 from chdstat.scenes.props.textures import Entry, glossy, matte, rgb
 from chdstat.scenes.scene import look_at, rotate, scale, translate
 
@@ -35,7 +36,7 @@ def build() -> Entry:
     return {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 9},
-        "sensor": _sensor(),
+        "sensor": furniture.camera((1.80, 0.15, 1.52), (1.28, 3.05, 0.92), fov=64.0),
         **_outside(),
         **_room(),
         **_window(),
@@ -44,25 +45,19 @@ def build() -> Entry:
     }
 
 
-def _sensor() -> Entry:
-    return {
-        "type": "perspective",
-        "fov": 64.0,
-        "near_clip": 0.01,
-        "far_clip": 100.0,
-        "to_world": look_at((1.80, 0.15, 1.52), (1.28, 3.05, 0.92)),
-        "film": {"type": "hdrfilm", "width": 512, "height": 512, "rfilter": {"type": "box"}},
-        "sampler": {"type": "independent"},
-    }
-
-
 def _outside() -> Entry:
     """Return a part of the sky and a sun that is larger and softer than the real one."""
     middle = np.array([0.0, np.mean(_WINDOW_Y), np.mean(_WINDOW_Z)])
     sun = middle + np.array([-3.6, 0.18, 2.7])
+    # The part of a dome which the room can see, facing inwards.
+    radius, azimuth = 6.0, np.deg2rad(np.linspace(262, 118, 14))
+    height = np.deg2rad(np.linspace(-8, 42, 7))[:, None]
+    level = np.stack(np.broadcast_arrays(np.cos(azimuth), np.sin(azimuth), np.tan(height)), axis=-1)
+    # Flat: Mitsuba takes the shading normal of a smooth emitter for its true one, which is biased.
+    sky = replace(surface(radius * np.cos(height)[..., None] * level), normals=None)
     return {
         "sky": {
-            **_sky(radius=6.0).moved(translate(0, middle[1], 0)).shape(_BLACK),
+            **sky.moved(translate(0, middle[1], 0)).shape(_BLACK),
             "emitter": {"type": "area", "radiance": rgb(2.6, 2.8, 3.05)},
         },
         "sun": {
@@ -79,74 +74,25 @@ def _outside() -> Entry:
     }
 
 
-def _sky(*, radius: float) -> Mesh:
-    """Return that part of a dome which the room can see, facing inwards."""
-    azimuth = np.deg2rad(np.linspace(262, 118, 14))
-    height = np.deg2rad(np.linspace(-8, 42, 7))[:, None]
-    level = np.stack(np.broadcast_arrays(np.cos(azimuth), np.sin(azimuth), np.tan(height)), axis=-1)
-    # Flat: Mitsuba takes the shading normal of a smooth emitter for its true one, which is biased.
-    return replace(surface(radius * np.cos(height)[..., None] * level), normals=None)
-
-
 def _room() -> Entry:
     boards = textures.planks((0.24, 0.135, 0.07), (0.56, 0.38, 0.23), seed=5)
     floor = quad((0, 0, 0), (_WIDTH, 0, 0), (0, _DEPTH, 0)).mapped(scale=(1 / 1.6, 1 / 0.9))
-    ceiling = quad((0, _DEPTH, _HEIGHT), (_WIDTH, 0, 0), (0, -_DEPTH, 0))
-    back = quad((0, _DEPTH, 0), (_WIDTH, 0, 0), (0, 0, _HEIGHT))
-    front = quad((_WIDTH, 0, 0), (-_WIDTH, 0, 0), (0, 0, _HEIGHT))
-    right = quad((_WIDTH, _DEPTH, 0), (0, -_DEPTH, 0), (0, 0, _HEIGHT))
+    shell = walls((_WIDTH, _DEPTH, _HEIGHT), [_WINDOW_Y], _WINDOW_Z, reveal=_REVEAL)
     skirting = join(
         box((0, _DEPTH - 0.015, 0), (_WIDTH, _DEPTH, 0.09), bevel=0.004),
         box((0, 0, 0), (0.015, _DEPTH - 0.015, 0.09), bevel=0.004),
     )
     return {
         "floor": floor.shape(glossy(textures.bitmap(boards), roughness=0.18)),
-        "walls": join(ceiling, back, front, right, *_left_wall()).shape(_PLASTER),
+        "walls": join(*shell).shape(_PLASTER),
         "skirting": skirting.shape(_LACQUER),
     }
 
 
-def _left_wall() -> list[Mesh]:
-    """Return the wall around the window, inside and outside, and the sides of the opening.
-
-    The outside is there to keep light out: a path that bounces in a corner of the room, closer
-    than rounding to the inside, would slip through a wall without thickness.
-    """
-    (y0, y1), (z0, z1) = _WINDOW_Y, _WINDOW_Z
-    wide, high, deep = (0, y1 - y0, 0), (0, 0, z1 - z0), (-_REVEAL, 0, 0)
-    return [
-        *_around_window(0.0, low=(0.0, 0.0), high=(_DEPTH, _HEIGHT)),
-        *_around_window(-_REVEAL, low=(-1.0, -1.0), high=(_DEPTH + 1.0, _HEIGHT + 1.0)),
-        quad((-_REVEAL, y0, z0), (_REVEAL, 0, 0), wide),
-        quad((0, y0, z1), deep, wide),
-        quad((0, y0, z0), deep, high),
-        quad((-_REVEAL, y1, z0), (_REVEAL, 0, 0), high),
-    ]
-
-
-def _around_window(x: float, *, low: tuple[float, float], high: tuple[float, float]) -> list[Mesh]:
-    """Return the rectangle from `low` to `high` (y, z) at `x`, less the window."""
-    (y0, y1), (z0, z1) = _WINDOW_Y, _WINDOW_Z
-    pieces = [
-        ((low[0], low[1]), (y0, high[1])),
-        ((y1, low[1]), (high[0], high[1])),
-        ((y0, low[1]), (y1, z0)),
-        ((y0, z1), (y1, high[1])),
-    ]
-    return [quad((x, a, b), (0, c - a, 0), (0, 0, d - b)) for (a, b), (c, d) in pieces]
-
-
 def _window() -> Entry:
-    """Return frame, glazing bar and sill; the frame reaches into the wall on all sides."""
-    (y0, y1), (z0, z1) = _WINDOW_Y, _WINDOW_Z
-    middle, bar, x0, x1, into = (y0 + y1) / 2, 0.045, 0.02 - _REVEAL, 0.07 - _REVEAL, 0.01
-    frame = [
-        box((x0, y0 - into, z0 - into), (x1, y0 + bar, z1 + into), bevel=0.005),
-        box((x0, y1 - bar, z0 - into), (x1, y1 + into, z1 + into), bevel=0.005),
-        box((x0, y0 + bar, z0 - into), (x1, y1 - bar, z0 + bar), bevel=0.005),
-        box((x0, y0 + bar, z1 - bar), (x1, y1 - bar, z1 + into), bevel=0.005),
-        box((x0, middle - bar / 2, z0 + bar), (x1, middle + bar / 2, z1 - bar), bevel=0.005),
-    ]
+    """Return frame, glazing bar and sill."""
+    (y0, y1), z0 = _WINDOW_Y, _WINDOW_Z[0]
+    frame = window_frame(_WINDOW_Y, _WINDOW_Z, reveal=_REVEAL, bar=0.045, middle=0.045)
     sill = box((-_REVEAL, y0 - 0.06, z0 - 0.02), (0.08, y1 + 0.06, z0 + 0.015), bevel=0.006)
     return {"window": join(*frame, sill).shape(_LACQUER)}
 

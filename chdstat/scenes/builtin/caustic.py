@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from chdstat.scenes.props import furniture, textures
-from chdstat.scenes.props.lights import camera, spot
+from chdstat.scenes.props.furniture import camera, spot
 from chdstat.scenes.props.shapes import box, join, quad, revolve, surface
 from chdstat.scenes.props.textures import Entry, glass, glossy, matte, metal, rgb
 from chdstat.scenes.scene import rotate, translate

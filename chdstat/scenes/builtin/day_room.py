@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from chdstat.scenes.props import textures
-from chdstat.scenes.props.lights import glow, spot
+from chdstat.scenes.props.furniture import glow, spot
 from chdstat.scenes.props.living_room import living_room
 from chdstat.scenes.props.shapes import quad
 from chdstat.scenes.props.textures import Entry, rgb

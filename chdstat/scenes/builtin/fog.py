@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from chdstat.scenes.props import textures
-from chdstat.scenes.props.furniture import paving
-from chdstat.scenes.props.lights import bulb, camera, glow
-from chdstat.scenes.props.shapes import Mesh, box, join, quad, revolve, surface, tube
+from chdstat.scenes.props.furniture import bulb, camera, glow, paving
+from chdstat.scenes.props.shapes import Mesh, box, circle, join, quad, revolve, surface, tube
 from chdstat.scenes.props.textures import Entry, glossy, matte, rgb
 from chdstat.scenes.scene import rotate, scale, translate
 
@@ -167,15 +166,12 @@ def _grow(
 
 def _taper(path: np.ndarray, first: float, last: float) -> Mesh:
     """Return an open pipe along a path, its radius falling from `first` to `last`."""
-    turn = np.linspace(0, 2 * np.pi, 9)
-    turn[-1] = 0.0
     heading = path[-1] - path[0]
     side = np.cross(heading, np.eye(3)[np.abs(heading).argmin()])
     frame = np.stack([side, np.cross(heading, side)])
     frame /= np.linalg.norm(frame, axis=1, keepdims=True)
-    circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1) @ frame
     radius = np.linspace(first, last, len(path))
-    return surface(path[:, None] + radius[:, None, None] * circle)
+    return surface(path[:, None] + radius[:, None, None] * (circle(8) @ frame))
 
 
 def _bench() -> Entry:

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from chdstat.scenes.props.furniture import paving
-from chdstat.scenes.props.lights import bulb, camera, glow
-from chdstat.scenes.props.shapes import Mesh, ball, box, join, quad, revolve, surface, tube
+from chdstat.scenes.props.furniture import bulb, camera, glow, paving
+from chdstat.scenes.props.shapes import Mesh, ball, box, circle, join, quad, ring, surface, tube
 from chdstat.scenes.props.textures import Entry, glossy, matte, metal, rgb
 from chdstat.scenes.scene import rotate, translate
 
@@ -79,25 +78,22 @@ def _floor() -> Entry:
     }
 
 
-def _mirrored(mesh: Mesh) -> list[Mesh]:
-    """Return a mesh that is itself symmetric in y, and its image at the other side of the hall."""
-    return [mesh, mesh.moved(rotate("z", 180))]
-
-
 def _bays() -> Entry:
     """Return the columns, the arches that join them over the nave, fins and beams."""
     columns, collars, arches, fins, beams = [], [], [], [], []
-    column, collar = _column(), _collar()
+    column = _column()
+    collar = join(*(ring(*at, wire=(0.03, 0.03), sides=12) for at in ((0.235, 0.22), (0.225, 3.2))))
     arch, fin, beam = _arch(), _fins(), _beams()
     for k in range(_BAYS + 1):
         along = translate(0, _START + k * _BAY, 0)
         for side in (translate(_NAVE + 0.25, 0, 0), translate(-_NAVE - 0.25, 0, 0)):
             columns.append(column.moved(along @ side))
-            collars += [c.moved(along @ side) for c in collar]
+            collars.append(collar.moved(along @ side))
         arches += [arch.moved(along @ translate(0, y, 0)) for y in (-0.16, 0.16)]
         if k < _BAYS:
             middle = translate(0, _START + (k + 0.5) * _BAY, 0)
-            fins += [m.moved(middle) for m in _mirrored(fin)]
+            # Symmetric in y, the other side of the hall is the first one turned.
+            fins += [fin.moved(middle), fin.moved(rotate("z", 180)).moved(middle)]
             beams.append(beam.moved(middle))
     return {
         "columns": join(*columns).shape(_SATIN),
@@ -110,24 +106,14 @@ def _bays() -> Entry:
 
 def _column() -> Mesh:
     """Return a fluted shaft that widens at foot and head."""
-    turn = np.linspace(0, 2 * np.pi, 97)
-    turn[-1] = 0.0
     height = np.array([0.0, 0.12, 0.2, 0.6, 1.4, 2.4, 3.0, 3.3, 3.5])
     radius = np.array([0.3, 0.3, 0.24, 0.22, 0.205, 0.2, 0.205, 0.25, 0.34])
-    flute = 1 - 0.09 * np.abs(np.sin(6 * turn))
-    ring = np.stack([np.cos(turn) * flute, np.sin(turn) * flute], axis=-1)
+    turn = np.append(np.linspace(0, 2 * np.pi, 97)[:-1], 0.0)
+    fluted = circle(96) * (1 - 0.09 * np.abs(np.sin(6 * turn)))[:, None]
     points = np.empty((len(height), len(turn), 3))
-    points[..., :2] = radius[:, None, None] * ring
+    points[..., :2] = radius[:, None, None] * fluted
     points[..., 2] = height[:, None]
     return surface(points)
-
-
-def _collar() -> list[Mesh]:
-    turn = np.linspace(0, 2 * np.pi, 13)
-    return [
-        revolve(np.column_stack([r + 0.03 * np.cos(turn), z + 0.03 * np.sin(turn)]), crease=180.0)
-        for r, z in ((0.235, 0.22), (0.225, 3.2))
-    ]
 
 
 def _arch() -> Mesh:
@@ -203,19 +189,13 @@ def _lamps() -> Entry:
 def _sculptures() -> Entry:
     """Return two plinths with polished pieces, and a bench on the axis."""
     entries: Entry = {}
-    loop = np.linspace(0, 2 * np.pi, 25)
-    ring = revolve(
-        np.column_stack([0.26 + 0.075 * np.cos(loop), 0.075 * np.sin(loop)]),
-        segments=64,
-        crease=180.0,
-    )
+    torus = ring(0.26, 0.0, wire=(0.075, 0.075), sides=24, segments=64)
     plinths = [box((x - 0.28, 4.6, 0), (x + 0.28, 5.16, 0.95), bevel=0.015) for x in (-1.35, 1.35)]
     entries["plinths"] = join(*plinths).shape(_CONCRETE)
     globe = ball(0.3, rows=32, segments=64)
     entries["ball"] = globe.moved(translate(-1.35, 4.88, 1.25)).shape(_STEEL)
-    entries["ring"] = ring.moved(
-        translate(1.35, 4.88, 1.285) @ rotate("z", 20) @ rotate("x", 90)
-    ).shape(_STEEL)
+    tilted = translate(1.35, 4.88, 1.285) @ rotate("z", 20) @ rotate("x", 90)
+    entries["ring"] = torus.moved(tilted).shape(_STEEL)
     bench = join(
         box((-0.5, 7.6, 0.36), (0.5, 9.4, 0.43), bevel=0.01),
         box((-0.4, 7.9, 0.0), (0.4, 8.0, 0.36), bevel=0.01),

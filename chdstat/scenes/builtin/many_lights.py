@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from chdstat.scenes.props import furniture, living_room, textures
-from chdstat.scenes.props.furniture import paving
-from chdstat.scenes.props.lights import bulb, camera
+from chdstat.scenes.props.furniture import bulb, camera, paving
 from chdstat.scenes.props.shapes import Mesh, box, join, quad, revolve, tiles, tube
 from chdstat.scenes.props.textures import Entry, glossy, matte, metal, rgb, translucent
 from chdstat.scenes.scene import rotate, translate

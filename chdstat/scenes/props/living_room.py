@@ -1,13 +1,11 @@
-"""Furniture of the living room, as plain scene entries.
+"""Walls and windows of rooms, and the living room that the day and the night share.
 
-Each function takes the matrix that places the piece and returns its entries, as in
-`chdstat.scenes.props.furniture`: a piece stands on its own origin with its back towards +y.
+The living room is 5.0 m wide (x), 6.2 m deep (y) and 2.75 m high (z). Three tall windows are in the
+left wall, the sofa and the shelf at the back, a dark red carpet in the middle, the camera at the
+front. What is outside the windows, and what burns inside, the scenes add.
 
-The living room that the day and the night share: its shell, furniture and camera.
-
-The room is 5.0 m wide (x), 6.2 m deep (y) and 2.75 m high (z). Three tall windows are in the left
-wall, the sofa and the shelf at the back, a dark red carpet in the middle, the camera at the front.
-What is outside the windows, and what burns inside, the scenes add.
+A function that returns furniture takes the matrix that places the piece, as in
+`chdstat.scenes.props.furniture`.
 """
 
 from __future__ import annotations
@@ -18,8 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from chdstat.scenes.props import furniture, textures
-from chdstat.scenes.props.furniture import Matrix
-from chdstat.scenes.props.lights import camera, lamp
+from chdstat.scenes.props.furniture import Matrix, camera, lamp
 from chdstat.scenes.props.shapes import (
     Mesh,
     ball,
@@ -35,19 +32,9 @@ from chdstat.scenes.props.shapes import (
 from chdstat.scenes.props.textures import Entry, glossy, matte, metal, rgb, translucent, walnut
 from chdstat.scenes.scene import rotate, translate
 
-__all__ = [
-    "WINDOWS",
-    "armchair",
-    "bookshelf",
-    "bowl",
-    "coffee_table",
-    "curtain",
-    "living_room",
-    "pad",
-    "painting",
-    "side_table",
-    "sofa",
-]
+__all__ = ["WINDOWS", "bowl", "living_room", "pad", "walls", "window_frame"]
+
+Span = tuple[float, float]
 
 _BRASS = metal("Au", roughness=0.25)
 _BOWL = [
@@ -77,10 +64,77 @@ def pad(width: float, depth: float, height: float, *, radius: float) -> Mesh:
     return loft(outlines, [*rise, *(height - rise[::-1])], crease=60.0)
 
 
+# --- rooms ----------------------------------------------------------------------------------------
+
+
+def walls(
+    size: tuple[float, float, float], windows: Sequence[Span], height: Span, *, reveal: float
+) -> list[Mesh]:
+    """Return ceiling and walls of a room with windows at its left, and the sides of the openings.
+
+    The left wall has an outside, which reaches beyond the room: a path that bounces in a corner of
+    the room, closer than rounding to the inside, would slip through a wall without thickness.
+
+    Parameters
+    ----------
+    size
+        Width, depth and height of the room, in metres.
+    windows
+        Where each window begins and ends along y, in metres.
+    height
+        Where the windows begin and end along z, in metres.
+    reveal
+        Thickness of the left wall, in metres.
+    """
+    wide, deep, high = size
+    sill, head = height
+    pieces = [
+        quad((0, deep, high), (wide, 0, 0), (0, -deep, 0)),
+        quad((0, deep, 0), (wide, 0, 0), (0, 0, high)),
+        quad((wide, 0, 0), (-wide, 0, 0), (0, 0, high)),
+        quad((wide, deep, 0), (0, -deep, 0), (0, 0, high)),
+    ]
+    for x, beyond in ((0.0, 0.0), (-reveal, 1.0)):
+        low, top = -beyond, high + beyond
+        edges = [low, *(y for window in windows for y in window), deep + beyond]
+        parts = [(a, b, low, top) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+        for y0, y1 in windows:
+            parts += [(y0, y1, low, sill), (y0, y1, head, top)]
+        pieces += [quad((x, a, c), (0, b - a, 0), (0, 0, d - c)) for a, b, c, d in parts]
+    for y0, y1 in windows:
+        along, up, out = (0, y1 - y0, 0), (0, 0, head - sill), (-reveal, 0, 0)
+        pieces += [
+            quad((-reveal, y0, sill), (reveal, 0, 0), along),
+            quad((0, y0, head), out, along),
+            quad((0, y0, sill), out, up),
+            quad((-reveal, y1, sill), (reveal, 0, 0), up),
+        ]
+    return pieces
+
+
+def window_frame(
+    window: Span, height: Span, *, reveal: float, bar: float, middle: float
+) -> list[Mesh]:
+    """Return the frame of a window in `walls`, `bar` wide, with a glazing bar `middle` wide.
+
+    The frame reaches into the wall on all sides.
+    """
+    (y0, y1), (z0, z1) = window, height
+    x0, x1, into, centre = 0.02 - reveal, 0.07 - reveal, 0.01, (y0 + y1) / 2
+    bars = [
+        (y0 - into, y0 + bar, z0 - into, z1 + into),
+        (y1 - bar, y1 + into, z0 - into, z1 + into),
+        (y0 + bar, y1 - bar, z0 - into, z0 + bar),
+        (y0 + bar, y1 - bar, z1 - bar, z1 + into),
+        (centre - middle / 2, centre + middle / 2, z0 + bar, z1 - bar),
+    ]
+    return [box((x0, a, c), (x1, b, d), bevel=0.005) for a, b, c, d in bars]
+
+
 # --- seats ----------------------------------------------------------------------------------------
 
 
-def sofa(place: Matrix, *, color: Entry, accents: Sequence[Entry]) -> Entry:
+def _sofa(place: Matrix, *, color: Entry, accents: Sequence[Entry]) -> Entry:
     """Return a sofa for three, 2.1 m wide, with a scatter cushion of each accent colour."""
     seats = [
         pad(0.59, 0.68, 0.17, radius=0.05).moved(translate(x, -0.57, 0.27))
@@ -108,7 +162,7 @@ def sofa(place: Matrix, *, color: Entry, accents: Sequence[Entry]) -> Entry:
     }
 
 
-def armchair(place: Matrix, *, color: Entry) -> Entry:
+def _armchair(place: Matrix, *, color: Entry) -> Entry:
     """Return a deep chair on turned feet."""
     parts = [
         pad(0.56, 0.62, 0.18, radius=0.06).moved(translate(0, -0.42, 0.27)),
@@ -143,7 +197,7 @@ def _feet(half: float, depth: float, height: float) -> Mesh:
 # --- tables and shelves ---------------------------------------------------------------------------
 
 
-def coffee_table(place: Matrix) -> Entry:
+def _coffee_table(place: Matrix) -> Entry:
     """Return a long low table of walnut under a clear coat, on brass legs."""
     top = box((-0.6, -0.32, 0.36), (0.6, 0.32, 0.4), bevel=0.006)
     legs = [
@@ -160,7 +214,7 @@ def coffee_table(place: Matrix) -> Entry:
     }
 
 
-def side_table(place: Matrix) -> Entry:
+def _side_table(place: Matrix) -> Entry:
     """Return a round table of lacquer, 0.55 m high."""
     top = revolve([(0, 0.52), (0.23, 0.52), (0.24, 0.535), (0.23, 0.55), (0, 0.55)])
     stem = revolve([(0, 0), (0.15, 0), (0.15, 0.012), (0.016, 0.03), (0.016, 0.52), (0, 0.52)])
@@ -171,7 +225,7 @@ def side_table(place: Matrix) -> Entry:
     }
 
 
-def bookshelf(place: Matrix, *, width: float = 1.0, shelves: int = 5, seed: int = 4) -> Entry:
+def _bookshelf(place: Matrix, *, width: float = 1.0, shelves: int = 5, seed: int = 4) -> Entry:
     """Return an open shelf full of books, 0.38 m a storey, with a jar on one of them."""
     rng = np.random.default_rng(seed)
     half, storey, depth = width / 2, 0.38, 0.3
@@ -215,7 +269,7 @@ def _books(rng: np.random.Generator, length: float) -> list[Mesh]:
 # --- small pieces ---------------------------------------------------------------------------------
 
 
-def painting(place: Matrix, colors: Sequence[Sequence[tuple[float, float, float]]]) -> Entry:
+def _painting(place: Matrix, colors: Sequence[Sequence[tuple[float, float, float]]]) -> Entry:
     """Return an image of coloured panes, 0.4 m each, in a thin frame about its origin."""
     high, wide = 0.4 * len(colors), 0.4 * len(colors[0])
     canvas = quad((-wide / 2, -0.03, -high / 2), (wide, 0, 0), (0, 0, high))
@@ -244,7 +298,7 @@ def bowl(place: Matrix, *, color: Entry) -> Entry:
     }
 
 
-def curtain(place: Matrix, *, name: str, width: float, height: float, color: Entry) -> Entry:
+def _curtain(place: Matrix, *, name: str, width: float, height: float, color: Entry) -> Entry:
     """Return cloth that hangs in folds from its origin, which is the middle of its upper edge."""
     x = np.linspace(-width / 2, width / 2, 70)
     z = np.linspace(-height, 0, 6)[:, None]
@@ -255,7 +309,7 @@ def curtain(place: Matrix, *, name: str, width: float, height: float, color: Ent
 
 
 _WIDTH, _DEPTH, _HEIGHT = 5.0, 6.2, 2.75
-_SILL, _HEAD, _REVEAL = 0.45, 2.4, 0.18
+_OPEN, _REVEAL = (0.45, 2.4), 0.18
 
 WINDOWS = ((2.12, 3.18), (3.42, 4.48), (4.72, 5.78))
 """Where each window begins and ends along y, in metres."""
@@ -288,12 +342,7 @@ def living_room(*, bulb: Entry | None) -> Entry:
 def _shell() -> Entry:
     boards = textures.planks((0.28, 0.17, 0.09), (0.6, 0.41, 0.25), seed=8)
     floor = quad((0, 0, 0), (_WIDTH, 0, 0), (0, _DEPTH, 0)).mapped(scale=(1 / 1.8, 1 / 0.9))
-    walls = [
-        quad((0, _DEPTH, _HEIGHT), (_WIDTH, 0, 0), (0, -_DEPTH, 0)),
-        quad((0, _DEPTH, 0), (_WIDTH, 0, 0), (0, 0, _HEIGHT)),
-        quad((_WIDTH, 0, 0), (-_WIDTH, 0, 0), (0, 0, _HEIGHT)),
-        quad((_WIDTH, _DEPTH, 0), (0, -_DEPTH, 0), (0, 0, _HEIGHT)),
-    ]
+    shell = walls((_WIDTH, _DEPTH, _HEIGHT), WINDOWS, _OPEN, reveal=_REVEAL)
     skirting = join(
         box((0.015, _DEPTH - 0.015, 0), (_WIDTH, _DEPTH, 0.11), bevel=0.004),
         box((0, 0, 0), (0.015, _DEPTH, 0.11), bevel=0.004),
@@ -304,56 +353,23 @@ def _shell() -> Entry:
     )
     return {
         "floor": floor.shape(glossy(textures.bitmap(boards), roughness=0.2)),
-        "walls": join(*walls, *_window_wall()).shape(_PLASTER),
+        "walls": join(*shell).shape(_PLASTER),
         "skirting": join(skirting, cornice).shape(_LACQUER),
     }
 
 
-def _window_wall() -> list[Mesh]:
-    """Return the left wall around the windows: inside, outside, and the sides of the openings.
-
-    Outside it reaches beyond the room, so that no light slips in where the walls meet.
-    """
-    pieces = []
-    for x, low, high in ((0.0, 0.0, 0.0), (-_REVEAL, -1.0, 1.0)):
-        edges = [low, *(y for window in WINDOWS for y in window), _DEPTH + high]
-        piers = zip(edges[::2], edges[1::2], strict=True)
-        pieces += [_wall_piece(x, (a, b), (low, _HEIGHT + high)) for a, b in piers]
-        for window in WINDOWS:
-            pieces += [
-                _wall_piece(x, window, (low, _SILL)),
-                _wall_piece(x, window, (_HEAD, _HEIGHT + high)),
-            ]
-    for y0, y1 in WINDOWS:
-        wide, high_, deep = (0, y1 - y0, 0), (0, 0, _HEAD - _SILL), (-_REVEAL, 0, 0)
-        pieces += [
-            quad((-_REVEAL, y0, _SILL), (_REVEAL, 0, 0), wide),
-            quad((0, y0, _HEAD), deep, wide),
-            quad((0, y0, _SILL), deep, high_),
-            quad((-_REVEAL, y1, _SILL), (_REVEAL, 0, 0), high_),
-        ]
-    return pieces
-
-
-def _wall_piece(x: float, y: tuple[float, float], z: tuple[float, float]) -> Mesh:
-    return quad((x, y[0], z[0]), (0, y[1] - y[0], 0), (0, 0, z[1] - z[0]))
-
-
 def _windows() -> Entry:
     """Return frames with a cross of glazing bars, and sills."""
-    x0, x1, bar, into = 0.02 - _REVEAL, 0.07 - _REVEAL, 0.05, 0.01
+    (z0, z1), bar = _OPEN, 0.05
+    x0, x1, transom = 0.02 - _REVEAL, 0.07 - _REVEAL, z1 - 0.6
     parts = []
     for y0, y1 in WINDOWS:
-        middle, transom = (y0 + y1) / 2, _HEAD - 0.6
+        middle = (y0 + y1) / 2
         parts += [
-            box((x0, y0 - into, _SILL - into), (x1, y0 + bar, _HEAD + into), bevel=0.005),
-            box((x0, y1 - bar, _SILL - into), (x1, y1 + into, _HEAD + into), bevel=0.005),
-            box((x0, y0 + bar, _SILL - into), (x1, y1 - bar, _SILL + bar), bevel=0.005),
-            box((x0, y0 + bar, _HEAD - bar), (x1, y1 - bar, _HEAD + into), bevel=0.005),
-            box((x0, middle - 0.02, _SILL + bar), (x1, middle + 0.02, _HEAD - bar), bevel=0.005),
+            *window_frame((y0, y1), _OPEN, reveal=_REVEAL, bar=bar, middle=0.04),
             box((x0, y0 + bar, transom), (x1, middle - 0.02, transom + 0.04), bevel=0.005),
             box((x0, middle + 0.02, transom), (x1, y1 - bar, transom + 0.04), bevel=0.005),
-            box((-_REVEAL, y0 - 0.05, _SILL - 0.03), (0.1, y1 + 0.05, _SILL + 0.012), bevel=0.006),
+            box((-_REVEAL, y0 - 0.05, z0 - 0.03), (0.1, y1 + 0.05, z0 + 0.012), bevel=0.006),
         ]
     return {"windows": join(*parts).shape(_LACQUER)}
 
@@ -363,15 +379,15 @@ def _furniture() -> Entry:
     pile = matte(rgb(0.30, 0.028, 0.022))
     return {
         "carpet": carpet.shape(pile),
-        **sofa(
+        **_sofa(
             translate(2.2, _DEPTH - 0.12, 0),
             color=rgb(0.10, 0.22, 0.13),
             accents=(rgb(0.62, 0.36, 0.07), rgb(0.76, 0.72, 0.64), rgb(0.5, 0.06, 0.04)),
         ),
-        **armchair(translate(0.62, 3.15, 0) @ rotate("z", 62), color=rgb(0.55, 0.44, 0.32)),
-        **coffee_table(translate(2.45, 3.95, 0.016)),
-        **bookshelf(translate(4.2, _DEPTH, 0), width=1.0),
-        **painting(translate(1.75, _DEPTH, 1.76), _IMAGE),
+        **_armchair(translate(0.62, 3.15, 0) @ rotate("z", 62), color=rgb(0.55, 0.44, 0.32)),
+        **_coffee_table(translate(2.45, 3.95, 0.016)),
+        **_bookshelf(translate(4.2, _DEPTH, 0), width=1.0),
+        **_painting(translate(1.75, _DEPTH, 1.76), _IMAGE),
         **furniture.mirror(translate(3.15, _DEPTH - 0.02, 1.72), radius=0.36),
     }
 
@@ -385,7 +401,7 @@ def _lamps(bulb: Entry | None) -> Entry:
             shade=rgb(0.9, 0.72, 0.5),
             light=bulb,
         ),
-        **side_table(translate(3.5, 5.6, 0)),
+        **_side_table(translate(3.5, 5.6, 0)),
         **lamp(
             translate(3.5, 5.6, 0.55),
             name="table-lamp",
@@ -401,7 +417,7 @@ def _small_things() -> Entry:
     curtains: Entry = {}
     for i, y in enumerate((1.98, 3.3, 4.6, 5.92)):
         hanging = translate(0.09, y, 2.55) @ rotate("z", 90)
-        curtains |= curtain(
+        curtains |= _curtain(
             hanging, name=f"curtain-{i}", width=0.3, height=2.5, color=rgb(0.55, 0.07, 0.05)
         )
     books = join(
@@ -412,6 +428,6 @@ def _small_things() -> Entry:
         **curtains,
         **bowl(translate(2.15, 3.98, table), color=rgb(0.75, 0.74, 0.7)),
         **furniture.vase(translate(2.5, 4.08, table)),
-        **furniture.plant(translate(-0.06, 3.95, _SILL + 0.012)),
+        **furniture.plant(translate(-0.06, 3.95, _OPEN[0] + 0.012)),
         "table-books": books.shape(matte(rgb(0.08, 0.16, 0.3))),
     }

@@ -23,10 +23,12 @@ __all__ = [
     "Mesh",
     "ball",
     "box",
+    "circle",
     "join",
     "loft",
     "quad",
     "revolve",
+    "ring",
     "rounded_rectangle",
     "surface",
     "tiles",
@@ -196,6 +198,13 @@ def surface(points: npt.ArrayLike, *, crease: float = 180.0) -> Mesh:
     return join(*(_smooth_sheet(grid[a : b + 1]) for a, b in itertools.pairwise(cuts)))
 
 
+def circle(segments: int) -> Array:
+    """Return points on the unit circle, shape (segments + 1, 2), the last equal to the first."""
+    angle = np.linspace(0, 2 * np.pi, segments + 1)
+    angle[-1] = 0.0
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
 def revolve(profile: npt.ArrayLike, *, segments: int = 48, crease: float = 50.0) -> Mesh:
     """Return the surface that a profile of (radius, height) sweeps about the z axis.
 
@@ -208,11 +217,30 @@ def revolve(profile: npt.ArrayLike, *, segments: int = 48, crease: float = 50.0)
     1.0
     """
     radius, height = np.asarray(profile, dtype=float).T
-    turn = _turn(segments)
+    turn = circle(segments)
     points = np.empty((len(radius), segments + 1, 3))
     points[..., :2] = radius[:, None, None] * turn
     points[..., 2] = height[:, None]
     return surface(points, crease=crease)
+
+
+def ring(
+    radius: float, height: float, *, wire: tuple[float, float], sides: int, segments: int = 48
+) -> Mesh:
+    """Return a torus about the z axis, whose wire has `sides` sides and is an ellipse.
+
+    Parameters
+    ----------
+    radius, height
+        Of the middle of the wire, in metres.
+    wire
+        Half the width and half the height of the wire, in metres.
+    sides, segments
+        Corners around the wire and around the z axis.
+    """
+    turn = np.linspace(0, 2 * np.pi, sides + 1)
+    profile = [radius, height] + wire * np.column_stack([np.cos(turn), np.sin(turn)])
+    return revolve(profile, segments=segments, crease=180.0)
 
 
 def ball(radius: float, *, rows: int = 16, segments: int = 32) -> Mesh:
@@ -233,7 +261,7 @@ def tube(path: npt.ArrayLike, radius: float, *, segments: int = 16) -> Mesh:
         # Carried along and made perpendicular again, the frame does not twist.
         side = _unit(side - tangent * (side @ tangent))
         frame = np.stack([side, np.cross(tangent, side)])
-        rings.append(centre + radius * _turn(segments) @ frame)
+        rings.append(centre + radius * circle(segments) @ frame)
     caps = np.broadcast_to(centres[[0, -1], None], (2, segments + 1, 3))
     return surface(np.concatenate([caps[:1], rings, caps[1:]]), crease=50.0)
 
@@ -309,13 +337,6 @@ def tiles(
 
 def _unit(vectors: Array) -> Array:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
-
-
-def _turn(segments: int) -> Array:
-    """Points on the unit circle, the last equal to the first to the bit."""
-    angle = np.linspace(0, 2 * np.pi, segments + 1)
-    angle[-1] = 0.0
-    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
 def _at_height(points: Array, z: float) -> Array:
