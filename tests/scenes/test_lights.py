@@ -64,8 +64,8 @@ def test_a_camera_stands_where_it_is_put():
 
 
 def test_paving_covers_its_place_less_the_joints():
-    colors = {"dark": (0.1, 0.1, 0.1), "pale": (0.6, 0.6, 0.6)}
-    entry = paving((-1.0, 2.0), (4, 6), edge=0.5, roughness=0.1, **colors)
+    colors = (0.1, 0.1, 0.1), (0.6, 0.6, 0.6)
+    entry = paving((-1.0, 2.0), (4, 6), colors, edge=0.5, roughness=0.1)
     low, high = entry["vertices"].min(axis=0), entry["vertices"].max(axis=0)
     np.testing.assert_allclose(low, [-1 + 0.006, 2 + 0.006, 0], atol=1e-6)
     np.testing.assert_allclose(high, [1 - 0.006, 5 - 0.006, 0.004], atol=1e-6)

@@ -18,7 +18,7 @@ from chdstat.scenes.props import furniture, textures
 from chdstat.scenes.props.living_room import walls, window_frame
 from chdstat.scenes.props.shapes import box, join, quad, surface, tiles
 from chdstat.scenes.props.textures import Entry, glossy, matte, rgb
-from chdstat.scenes.scene import look_at, rotate, scale, translate
+from chdstat.scenes.scene import rotate, translate
 
 __all__ = ["build"]
 
@@ -60,17 +60,8 @@ def _outside() -> Entry:
             **sky.moved(translate(0, middle[1], 0)).shape(_BLACK),
             "emitter": {"type": "area", "radiance": rgb(2.6, 2.8, 3.05)},
         },
-        "sun": {
-            "type": "disk",
-            "to_world": look_at(sun, middle) @ scale(0.2, 0.2, 1.0),
-            "bsdf": _BLACK,
-            # Chosen half as often as the sky: less of the room sees it.
-            "emitter": {
-                "type": "area",
-                "radiance": rgb(3500.0, 2980.0, 2280.0),
-                "sampling_weight": 0.5,
-            },
-        },
+        # Chosen half as often as the sky: less of the room sees it.
+        "sun": furniture.spot(sun, middle, 0.2, rgb(3500.0, 2980.0, 2280.0), weight=0.5),
     }
 
 

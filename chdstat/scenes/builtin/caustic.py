@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from chdstat.scenes.props import furniture, textures
-from chdstat.scenes.props.furniture import camera, spot
+from chdstat.scenes.props.furniture import camera, sphere, spot
 from chdstat.scenes.props.shapes import box, join, quad, revolve, surface
 from chdstat.scenes.props.textures import Entry, glass, glossy, matte, metal, rgb
 from chdstat.scenes.scene import rotate, translate
@@ -77,12 +77,7 @@ def _table() -> Entry:
 
 def _glass() -> Entry:
     return {
-        "crystal": {
-            "type": "sphere",
-            "center": [-0.13, 0.02, 0.0805],
-            "radius": 0.08,
-            "bsdf": glass(),
-        },
+        "crystal": sphere((-0.13, 0.02, 0.0805), 0.08, glass()),
         "goblet": revolve(_GOBLET, segments=96, crease=40.0)
         .moved(translate(0.1, 0.14, 0.001))
         .shape(glass()),
@@ -98,12 +93,7 @@ def _metal() -> Entry:
     )
     return {
         "ring": ring.moved(translate(0.15, -0.09, 0.001)).shape(metal("Au", roughness=0.03)),
-        "pearl": {
-            "type": "sphere",
-            "center": [-0.02, -0.16, 0.0255],
-            "radius": 0.025,
-            "bsdf": metal("Ag"),
-        },
+        "pearl": sphere((-0.02, -0.16, 0.0255), 0.025, metal("Ag")),
         **furniture.tumbler(translate(-0.24, 0.2, 0.001)),
     }
 

@@ -30,6 +30,11 @@ _DAWN = (
 )
 """From the horizon to the zenith."""
 _HAZE = {"type": "ref", "id": "haze"}
+# Profile of a lamp post, (radius, height).
+_POST = [
+    *[(0, 0), (0.11, 0), (0.11, 0.06), (0.06, 0.12)],
+    *[(0.05, 0.5), (0.03, 0.55), (0.028, 2.62), (0, 2.62)],
+]
 _LAMPS = (3.0, 7.5, 12.0, 16.5)
 
 
@@ -77,9 +82,8 @@ def _terrain() -> Entry:
         "path": paving(
             (-1.35, -1.5),
             (6, 52),
+            ((0.05, 0.05, 0.055), (0.5, 0.49, 0.46)),
             edge=0.45,
-            dark=(0.05, 0.05, 0.055),
-            pale=(0.5, 0.49, 0.46),
             roughness=0.2,
         ),
         "kerbs": join(*kerbs).shape(matte(rgb(0.4, 0.4, 0.38))),
@@ -89,19 +93,7 @@ def _terrain() -> Entry:
 
 def _lamps() -> Entry:
     """Return posts at both sides of the path, a warm globe on each under a small roof."""
-    post = revolve(
-        [
-            (0, 0),
-            (0.11, 0),
-            (0.11, 0.06),
-            (0.06, 0.12),
-            (0.05, 0.5),
-            (0.03, 0.55),
-            (0.028, 2.62),
-            (0, 2.62),
-        ],
-        segments=24,
-    )
+    post = revolve(_POST, segments=24)
     roof = revolve([(0, 2.98), (0.2, 2.96), (0.17, 3.0), (0.04, 3.08), (0, 3.1)], segments=32)
     arms = [
         tube([(x, y, 2.6), (1.5 * x, 1.5 * y, 2.78), (x, y, 2.97)], 0.008, segments=8)
@@ -119,49 +111,37 @@ def _lamps() -> Entry:
 def _trees() -> Entry:
     """Return bare trees on both lawns."""
     rng = np.random.default_rng(21)
-    spots = [
-        (-3.1, 2.2),
-        (3.3, 4.4),
-        (-3.6, 6.4),
-        (3.0, 9.0),
-        (-3.0, 10.6),
-        (3.8, 13.4),
-        (-3.9, 14.5),
-    ]
-    limbs = [limb.moved(translate(x, y, -0.05)) for x, y in spots for limb in _tree(rng)]
+    left = [(-3.1, 2.2), (-3.6, 6.4), (-3.0, 10.6), (-3.9, 14.5)]
+    right = [(3.3, 4.4), (3.0, 9.0), (3.8, 13.4)]
+    limbs = []
+    for x, y in sorted(left + right, key=lambda spot: spot[1]):
+        up = np.array([0.12 * rng.normal(), 0.12 * rng.normal(), 1.0])
+        tree = _grow(rng, np.zeros(3), up, length=1.7, radius=0.15, left=4)
+        limbs += [limb.moved(translate(x, y, -0.05)) for limb in tree]
     return {"trees": join(*limbs).shape(_BARK)}
-
-
-def _tree(rng: np.random.Generator) -> list[Mesh]:
-    """Return the limbs of a tree that stands on the origin."""
-    limbs: list[Mesh] = []
-    up = np.array([0.12 * rng.normal(), 0.12 * rng.normal(), 1.0])
-    _grow(rng, limbs, np.zeros(3), up, length=1.7, radius=0.15, left=4)
-    return limbs
 
 
 def _grow(
     rng: np.random.Generator,
-    limbs: list[Mesh],
     start: np.ndarray,
     heading: np.ndarray,
     *,
     length: float,
     radius: float,
     left: int,
-) -> None:
-    """Add one limb, bent and tapering, and those that fork from its end."""
+) -> list[Mesh]:
+    """Return one limb, bent and tapering, and those that fork from its end, `left` times."""
     steps = np.linspace(0, 1, 5)[:, None]
     bend = 0.18 * rng.normal(size=3)
     heading = heading / np.linalg.norm(heading)
     path = start + length * (steps * heading + steps**2 * bend)
-    limbs.append(_taper(path, radius, 0.68 * radius))
-    if left == 0:
-        return
-    for _ in range(3 if left > 2 else 2):
+    limbs = [_taper(path, radius, 0.68 * radius)]
+    forks = 3 if left > 2 else 2
+    for _ in range(forks if left else 0):
         fork = heading + bend + 0.62 * rng.normal(size=3) + [0.0, 0.0, 0.12]
         shorter = length * (0.62 + 0.18 * rng.random())
-        _grow(rng, limbs, path[-1], fork, length=shorter, radius=0.6 * radius, left=left - 1)
+        limbs += _grow(rng, path[-1], fork, length=shorter, radius=0.6 * radius, left=left - 1)
+    return limbs
 
 
 def _taper(path: np.ndarray, first: float, last: float) -> Mesh:

@@ -26,6 +26,7 @@ _HALF, _DEPTH, _HEIGHT = 4.0, 18.0, 5.6
 _BAYS = 6
 _BAY = 2.6
 _START = 1.2
+_MIDDLES = [_START + (k + 0.5) * _BAY for k in range(_BAYS)]
 _NAVE = 2.3
 """Half the width between the columns."""
 
@@ -42,7 +43,6 @@ def build() -> dict[str, Any]:
         "integrator": {"type": "path", "max_depth": 6},
         "sensor": camera((0.0, 0.25, 1.75), (0.0, 12.0, 2.25), fov=62.0),
         **_shell(),
-        **_floor(),
         **_bays(),
         **_portal(),
         **_panels(),
@@ -52,6 +52,7 @@ def build() -> dict[str, Any]:
 
 
 def _shell() -> Entry:
+    """Return walls and ceiling, and dark and pale slabs, polished, in concrete beside the nave."""
     walls = join(
         quad((-_HALF, _DEPTH, _HEIGHT), (2 * _HALF, 0, 0), (0, -_DEPTH, 0)),
         quad((-_HALF, _DEPTH, 0), (2 * _HALF, 0, 0), (0, 0, _HEIGHT)),
@@ -59,19 +60,14 @@ def _shell() -> Entry:
         quad((_HALF, _DEPTH, 0), (0, -_DEPTH, 0), (0, 0, _HEIGHT)),
         quad((-_HALF, 0, 0), (0, _DEPTH, 0), (0, 0, _HEIGHT)),
     )
-    return {"walls": walls.shape(_CONCRETE)}
-
-
-def _floor() -> Entry:
-    """Return dark and pale slabs between the columns, polished, and concrete beside them."""
     base = quad((-_HALF, 0, -0.002), (2 * _HALF, 0, 0), (0, _DEPTH, 0))
     return {
+        "walls": walls.shape(_CONCRETE),
         "slabs": paving(
             (-_NAVE, 0.0),
             (8, 32),
+            ((0.05, 0.05, 0.052), (0.72, 0.71, 0.69)),
             edge=_NAVE / 4,
-            dark=(0.05, 0.05, 0.052),
-            pale=(0.72, 0.71, 0.69),
             roughness=0.12,
         ),
         "base": base.shape(matte(rgb(0.55, 0.55, 0.55))),
@@ -90,11 +86,11 @@ def _bays() -> Entry:
             columns.append(column.moved(along @ side))
             collars.append(collar.moved(along @ side))
         arches += [arch.moved(along @ translate(0, y, 0)) for y in (-0.16, 0.16)]
-        if k < _BAYS:
-            middle = translate(0, _START + (k + 0.5) * _BAY, 0)
-            # Symmetric in y, the other side of the hall is the first one turned.
-            fins += [fin.moved(middle), fin.moved(rotate("z", 180)).moved(middle)]
-            beams.append(beam.moved(middle))
+    for y in _MIDDLES:
+        middle = translate(0, y, 0)
+        # Symmetric in y, the other side of the hall is the first one turned.
+        fins += [fin.moved(middle), fin.moved(rotate("z", 180)).moved(middle)]
+        beams.append(beam.moved(middle))
     return {
         "columns": join(*columns).shape(_SATIN),
         "collars": join(*collars).shape(_STEEL),
@@ -165,8 +161,7 @@ def _panels() -> Entry:
         "far-panel": glow(far, rgb(6.0, 6.1, 6.3), weight=3.0),
         "near-panel": glow(near, rgb(1.6, 1.62, 1.68), weight=9.0),
     }
-    for k in range(_BAYS):
-        y = _START + (k + 0.5) * _BAY
+    for k, y in enumerate(_MIDDLES):
         # Above the aisles, outside the columns.
         for name, x in (("left", -3.35), ("right", 2.75)):
             panel = quad((x, y + 0.9, 5.15), (0.6, 0, 0), (0, -1.8, 0))
@@ -177,8 +172,7 @@ def _panels() -> Entry:
 def _lamps() -> Entry:
     """Return small yellow lamps between the fins; the left ones are a little weaker."""
     entries: Entry = {}
-    for k in range(_BAYS):
-        y = _START + (k + 0.5) * _BAY
+    for k, y in enumerate(_MIDDLES):
         for name, side, level in (("left", -1, 0.7), ("right", 1, 1.0)):
             yellow = rgb(420.0 * level, 240.0 * level, 40.0 * level)
             spot = (side * (_HALF - 0.2), y + 0.135, 1.6)

@@ -60,9 +60,8 @@ def _paving() -> Entry:
         "tiles": paving(
             (-_HALF, -2.0),
             (14, 20),
+            ((0.035, 0.04, 0.05), (0.62, 0.58, 0.52)),
             edge=0.5,
-            dark=(0.035, 0.04, 0.05),
-            pale=(0.62, 0.58, 0.52),
             roughness=0.14,
         ),
         "mortar": mortar.shape(matte(rgb(0.2, 0.19, 0.18))),

@@ -51,6 +51,7 @@ __all__ = [
     "mirror",
     "paving",
     "plant",
+    "sphere",
     "spot",
     "towel",
     "towel_rail",
@@ -110,12 +111,21 @@ def glow(mesh: Mesh, radiance: Entry, *, weight: float = 1.0) -> Entry:
     return {**mesh.shape(_BLACK), "emitter": _area(radiance, weight)}
 
 
+def sphere(center: Vector, radius: float, bsdf: Entry) -> Entry:
+    """Return an exact sphere, which has no triangles."""
+    return {
+        "type": "sphere",
+        "center": np.round(center, 6).tolist(),
+        "radius": radius,
+        "bsdf": bsdf,
+    }
+
+
 def bulb(center: Vector, radius: float, radiance: Entry | None, *, weight: float = 1.0) -> Entry:
     """Return a ball that shines, or a white one where the radiance is None."""
-    ball: Entry = {"type": "sphere", "center": np.round(center, 6).tolist(), "radius": radius}
     if radiance is None:
-        return {**ball, "bsdf": matte(rgb(0.8, 0.8, 0.8))}
-    return {**ball, "bsdf": _BLACK, "emitter": _area(radiance, weight)}
+        return sphere(center, radius, matte(rgb(0.8, 0.8, 0.8)))
+    return {**sphere(center, radius, _BLACK), "emitter": _area(radiance, weight)}
 
 
 def spot(
@@ -213,10 +223,9 @@ def door(place: Matrix) -> Entry:
 def paving(
     corner: tuple[float, float],
     fields: tuple[int, int],
+    colors: tuple[textures.Color, textures.Color],
     *,
     edge: float,
-    dark: textures.Color,
-    pale: textures.Color,
     roughness: float,
 ) -> Entry:
     """Return square slabs under a clear coat, dark and pale ones in turn, with open joints.
@@ -227,15 +236,15 @@ def paving(
         Where the floor begins, (x, y) in metres; it lies at z = 0.
     fields
         How many slabs along x and y.
+    colors
+        Linear RGB of the dark and of the pale slabs; the first slab is dark.
     edge
         Of a slab and its joint, in metres.
-    dark, pale
-        Linear RGB of the slabs; the first is dark.
     roughness
         Of the clear coat.
     """
     columns, rows = fields
-    image = textures.checks(dark, pale, rows=rows, columns=columns)
+    image = textures.checks(*colors, rows=rows, columns=columns)
     slabs = tiles(columns, rows, size=(edge, edge), gap=0.024 * edge, depth=0.008 * edge)
     coat = glossy(textures.bitmap(image, sharp=True), roughness=roughness)
     return slabs.moved(translate(*corner, 0.0)).shape(coat)
