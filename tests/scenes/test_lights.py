@@ -49,7 +49,7 @@ def test_a_panel_shines_to_one_side(draw):
 def test_a_lamp_without_light_has_no_emitter():
     shade = rgb(0.9, 0.8, 0.6)
     parts = [
-        furniture.lamp(translate(1, 2, 3), name="lamp", height=1.5, shade=shade, light=light)
+        furniture.lamp(translate(1, 2, 3), "lamp", height=1.5, shade=shade, light=light)
         for light in (None, rgb(9.0, 8.0, 7.0))
     ]
     assert parts[0].keys() == parts[1].keys()

@@ -111,10 +111,10 @@ def _lamps() -> Entry:
 def _trees() -> Entry:
     """Return bare trees on both lawns."""
     rng = np.random.default_rng(21)
-    left = [(-3.1, 2.2), (-3.6, 6.4), (-3.0, 10.6), (-3.9, 14.5)]
-    right = [(3.3, 4.4), (3.0, 9.0), (3.8, 13.4)]
+    west = [(-3.1, 2.2), (-3.6, 6.4), (-3.0, 10.6), (-3.9, 14.5)]
+    east = [(3.3, 4.4), (3.0, 9.0), (3.8, 13.4)]
     limbs = []
-    for x, y in sorted(left + right, key=lambda spot: spot[1]):
+    for x, y in sorted(west + east, key=lambda spot: spot[1]):
         up = np.array([0.12 * rng.normal(), 0.12 * rng.normal(), 1.0])
         tree = _grow(rng, np.zeros(3), up, length=1.7, radius=0.15, left=4)
         limbs += [limb.moved(translate(x, y, -0.05)) for limb in tree]

@@ -169,7 +169,10 @@ def vanity(place: Matrix) -> Entry:
     ]
     body = box((0.004 - half, front, low + 0.002), (half - 0.004, 0.0, top), bevel=0.002)
     slab = box((-half - 0.015, front - 0.035, top), (half + 0.015, 0.0, top + 0.03), bevel=0.005)
-    handles = [_bar(x, front - 0.045, 0.71) for x in (-half / 2, half / 2)]
+    handles = [
+        tube([(x + dx, front - 0.045, 0.71) for dx in (-0.11, 0.0, 0.11)], 0.007, segments=12)
+        for x in (-half / 2, half / 2)
+    ]
     basin = revolve(_BASIN, crease=70.0).moved(translate(0, -0.28, top + 0.03))
     tap = _swan_neck().moved(translate(0, -0.06, top + 0.03))
     return {
@@ -250,7 +253,7 @@ def paving(
     return slabs.moved(translate(*corner, 0.0)).shape(coat)
 
 
-def lamp(place: Matrix, *, name: str, height: float, shade: Entry, light: Entry | None) -> Entry:
+def lamp(place: Matrix, name: str, *, height: float, shade: Entry, light: Entry | None) -> Entry:
     """Return a standing lamp whose paper shade is open at both ends.
 
     Parameters
@@ -404,7 +407,3 @@ def _swan_neck() -> Mesh:
     foot = revolve([(0, 0), (0.028, 0), (0.028, 0.012), (0.016, 0.02), (0, 0.02)])
     lever = tube([(0.0, 0, 0.075), (0.03, 0, 0.078), (0.075, 0, 0.085)], 0.006)
     return join(tube(path, 0.014), foot, lever)
-
-
-def _bar(x: float, y: float, z: float) -> Mesh:
-    return tube([(x - 0.11, y, z), (x, y, z), (x + 0.11, y, z)], 0.007, segments=12)

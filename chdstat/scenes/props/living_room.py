@@ -134,57 +134,48 @@ def window_frame(
 # --- seats ----------------------------------------------------------------------------------------
 
 
-def _sofa(place: Matrix, *, color: Entry, accents: Sequence[Entry]) -> Entry:
-    """Return a sofa for three, 2.1 m wide, with a scatter cushion of each accent colour."""
-    seats = [
-        pad(0.59, 0.68, 0.17, radius=0.05).moved(translate(x, -0.57, 0.27))
-        for x in (-0.6, 0.0, 0.6)
-    ]
-    backs = [
-        pad(0.59, 0.44, 0.17, radius=0.06).moved(translate(x, -0.12, 0.62) @ rotate("x", 78))
-        for x in (-0.6, 0.0, 0.6)
-    ]
-    frame = [
+def _sofa(place: Matrix) -> Entry:
+    """Return a green sofa for three, 2.1 m wide, with three scatter cushions."""
+    across = (-0.6, 0.0, 0.6)
+    seat, back = pad(0.59, 0.68, 0.17, radius=0.05), pad(0.59, 0.44, 0.17, radius=0.06)
+    arm, cushion = pad(0.17, 0.92, 0.52, radius=0.06), pad(0.4, 0.4, 0.13, radius=0.06)
+    parts = [
+        *[seat.moved(translate(x, -0.57, 0.27)) for x in across],
+        *[back.moved(translate(x, -0.12, 0.62) @ rotate("x", 78)) for x in across],
         pad(1.86, 0.86, 0.2, radius=0.03).moved(translate(0, -0.45, 0.09)),
         pad(2.1, 0.16, 0.74, radius=0.06).moved(translate(0, -0.08, 0.09)),
-        *[pad(0.17, 0.92, 0.52, radius=0.06).moved(translate(x, -0.46, 0.09)) for x in (-1, 1)],
+        *[arm.moved(translate(x, -0.46, 0.09)) for x in (-1, 1)],
     ]
     entries = {
-        f"cushion-{i}": _scatter_cushion(x, turn).moved(place).shape(matte(accent))
-        for i, (x, turn, accent) in enumerate(
-            zip((-0.7, 0.66, 0.36), (12, -14, 9), accents, strict=False)
-        )
-    }
-    return {
-        "sofa": join(*seats, *backs, *frame).moved(place).shape(matte(color)),
+        "sofa": join(*parts).moved(place).shape(matte(rgb(0.10, 0.22, 0.13))),
         "sofa-feet": _feet(0.9, 0.75, 0.1).moved(place @ translate(0, -0.45, 0)).shape(walnut(3)),
-        **entries,
     }
+    cushions = (
+        (-0.7, 12, rgb(0.62, 0.36, 0.07)),
+        (0.66, -14, rgb(0.76, 0.72, 0.64)),
+        (0.36, 9, rgb(0.5, 0.06, 0.04)),
+    )
+    for i, (x, turn, color) in enumerate(cushions):
+        standing = translate(x, -0.36, 0.64) @ rotate("z", turn) @ rotate("x", 68)
+        leaning = cushion.moved(standing @ translate(0, 0, -0.03)).moved(place)
+        entries[f"cushion-{i}"] = leaning.shape(matte(color))
+    return entries
 
 
-def _armchair(place: Matrix, *, color: Entry) -> Entry:
+def _armchair(place: Matrix) -> Entry:
     """Return a deep chair on turned feet."""
+    arm, feet = pad(0.13, 0.78, 0.46, radius=0.055), place @ translate(0, -0.4, 0)
     parts = [
         pad(0.56, 0.62, 0.18, radius=0.06).moved(translate(0, -0.42, 0.27)),
         pad(0.56, 0.5, 0.16, radius=0.06).moved(translate(0, -0.13, 0.6) @ rotate("x", 74)),
         pad(0.72, 0.76, 0.18, radius=0.04).moved(translate(0, -0.4, 0.12)),
         pad(0.74, 0.14, 0.78, radius=0.06).moved(translate(0, -0.06, 0.12) @ rotate("x", -6)),
-        *[
-            pad(0.13, 0.78, 0.46, radius=0.055).moved(translate(x, -0.4, 0.12))
-            for x in (-0.37, 0.37)
-        ],
+        *[arm.moved(translate(x, -0.4, 0.12)) for x in (-0.37, 0.37)],
     ]
     return {
-        "armchair": join(*parts).moved(place).shape(matte(color)),
-        "armchair-feet": _feet(0.3, 0.6, 0.13)
-        .moved(place @ translate(0, -0.4, 0))
-        .shape(walnut(3)),
+        "armchair": join(*parts).moved(place).shape(matte(rgb(0.55, 0.44, 0.32))),
+        "armchair-feet": _feet(0.3, 0.6, 0.13).moved(feet).shape(walnut(3)),
     }
-
-
-def _scatter_cushion(x: float, turn: float) -> Mesh:
-    standing = translate(x, -0.36, 0.64) @ rotate("z", turn) @ rotate("x", 68)
-    return pad(0.4, 0.4, 0.13, radius=0.06).moved(standing @ translate(0, 0, -0.03))
 
 
 def _feet(half: float, depth: float, height: float) -> Mesh:
@@ -225,11 +216,10 @@ def _side_table(place: Matrix) -> Entry:
     }
 
 
-def _bookshelf(place: Matrix, *, width: float = 1.0, shelves: int = 5, seed: int = 4) -> Entry:
+def _bookshelf(place: Matrix) -> Entry:
     """Return an open shelf full of books, 0.38 m a storey, with a jar on one of them."""
-    rng = np.random.default_rng(seed)
-    half, storey, depth = width / 2, 0.38, 0.3
-    top = shelves * storey + 0.06
+    rng = np.random.default_rng(4)
+    half, shelves, storey, depth, top = 0.5, 5, 0.38, 0.3, 1.96
     boards = [
         box((-half, -depth, z), (half, -0.012, z + 0.025), bevel=0.002)
         for z in 0.05 + storey * np.arange(shelves + 1)
@@ -239,11 +229,10 @@ def _bookshelf(place: Matrix, *, width: float = 1.0, shelves: int = 5, seed: int
         for a in (-half - 0.025, half)
     ]
     back = box((-half, -0.012, 0), (half, 0.0, top + 0.05))
-    lengths = [0.62 * width if k == 2 else width for k in range(shelves)]
     books = [
         book.moved(translate(-half, -0.02, 0.075 + k * storey))
-        for k, length in enumerate(lengths)
-        for book in _books(rng, length)
+        for k in range(shelves)
+        for book in _books(rng, 0.62 if k == 2 else 1.0)
     ]
     jar = revolve(_JAR).moved(translate(half - 0.17, -0.16, 2 * storey + 0.075))
     spines = textures.bitmap(textures.panes([_SPINES]), sharp=True)
@@ -269,21 +258,20 @@ def _books(rng: np.random.Generator, length: float) -> list[Mesh]:
 # --- small pieces ---------------------------------------------------------------------------------
 
 
-def _painting(place: Matrix, colors: Sequence[Sequence[tuple[float, float, float]]]) -> Entry:
+def _painting(place: Matrix) -> Entry:
     """Return an image of coloured panes, 0.4 m each, in a thin frame about its origin."""
-    high, wide = 0.4 * len(colors), 0.4 * len(colors[0])
+    high, wide = 0.4 * len(_IMAGE), 0.4 * len(_IMAGE[0])
     canvas = quad((-wide / 2, -0.03, -high / 2), (wide, 0, 0), (0, 0, high))
     canvas = canvas.mapped(scale=(1 / wide, 1 / high))
     a, b = wide / 2, high / 2
     frame = [
         box((-a - 0.025, -0.04, s * b - 0.012), (a + 0.025, 0.0, s * b + 0.012)) for s in (-1, 1)
     ] + [box((s * a - 0.012, -0.04, -b), (s * a + 0.012, 0.0, b)) for s in (-1, 1)]
-    image = textures.bitmap(textures.panes(colors), sharp=True)
+    image = textures.bitmap(textures.panes(_IMAGE), sharp=True)
+    black = glossy(rgb(0.03, 0.03, 0.03), roughness=0.2)
     return {
         "painting": canvas.moved(place).shape(matte(image)),
-        "painting-frame": join(*frame)
-        .moved(place)
-        .shape(glossy(rgb(0.03, 0.03, 0.03), roughness=0.2)),
+        "painting-frame": join(*frame).moved(place).shape(black),
     }
 
 
@@ -296,16 +284,6 @@ def bowl(place: Matrix, *, color: Entry) -> Entry:
         "bowl": revolve(_BOWL).moved(place).shape(glossy(color, roughness=0.05)),
         "fruit": fruit.moved(place).shape(glossy(rgb(0.62, 0.22, 0.03), roughness=0.25)),
     }
-
-
-def _curtain(place: Matrix, *, name: str, width: float, height: float, color: Entry) -> Entry:
-    """Return cloth that hangs in folds from its origin, which is the middle of its upper edge."""
-    x = np.linspace(-width / 2, width / 2, 70)
-    z = np.linspace(-height, 0, 6)[:, None]
-    fall = 0.6 + 0.4 * (-z / height)
-    fold = fall * (0.045 * np.sin(2 * np.pi * x / 0.13) + 0.012 * np.sin(37 * x + 1.0))
-    sheet = surface(np.stack(np.broadcast_arrays(x, fold, z), axis=-1))
-    return {name: sheet.moved(place).shape(translucent(color, through=0.25))}
 
 
 _WIDTH, _DEPTH, _HEIGHT = 5.0, 6.2, 2.75
@@ -332,9 +310,7 @@ def living_room(*, bulb: Entry | None) -> Entry:
     return {
         "sensor": camera((4.6, 0.3, 1.6), (1.45, 5.0, 0.95), fov=60.0),
         **_shell(),
-        **_windows(),
-        **_furniture(),
-        **_lamps(bulb),
+        **_furniture(bulb),
         **_small_things(),
     }
 
@@ -351,75 +327,56 @@ def _shell() -> Entry:
         box((0, _DEPTH - 0.09, _HEIGHT - 0.07), (_WIDTH, _DEPTH, _HEIGHT), bevel=0.02),
         box((0, 0, _HEIGHT - 0.07), (0.09, _DEPTH - 0.09, _HEIGHT), bevel=0.02),
     )
-    return {
-        "floor": floor.shape(glossy(textures.bitmap(boards), roughness=0.2)),
-        "walls": join(*shell).shape(_PLASTER),
-        "skirting": join(skirting, cornice).shape(_LACQUER),
-    }
-
-
-def _windows() -> Entry:
-    """Return frames with a cross of glazing bars, and sills."""
+    # Frames with a cross of glazing bars, and sills.
     (z0, z1), bar = _OPEN, 0.05
     x0, x1, transom = 0.02 - _REVEAL, 0.07 - _REVEAL, z1 - 0.6
-    parts = []
+    windows = []
     for y0, y1 in WINDOWS:
         middle = (y0 + y1) / 2
-        parts += [
+        windows += [
             *window_frame((y0, y1), _OPEN, reveal=_REVEAL, bar=bar, middle=0.04),
             box((x0, y0 + bar, transom), (x1, middle - 0.02, transom + 0.04), bevel=0.005),
             box((x0, middle + 0.02, transom), (x1, y1 - bar, transom + 0.04), bevel=0.005),
             box((-_REVEAL, y0 - 0.05, z0 - 0.03), (0.1, y1 + 0.05, z0 + 0.012), bevel=0.006),
         ]
-    return {"windows": join(*parts).shape(_LACQUER)}
+    return {
+        "floor": floor.shape(glossy(textures.bitmap(boards), roughness=0.2)),
+        "walls": join(*shell).shape(_PLASTER),
+        "skirting": join(skirting, cornice).shape(_LACQUER),
+        "windows": join(*windows).shape(_LACQUER),
+    }
 
 
-def _furniture() -> Entry:
+def _furniture(bulb: Entry | None) -> Entry:
+    warm, rose = rgb(0.9, 0.72, 0.5), rgb(0.9, 0.5, 0.35)
     carpet = box((1.15, 2.6, 0.0), (3.75, 4.85, 0.016), bevel=0.006)
     pile = matte(rgb(0.30, 0.028, 0.022))
     return {
         "carpet": carpet.shape(pile),
-        **_sofa(
-            translate(2.2, _DEPTH - 0.12, 0),
-            color=rgb(0.10, 0.22, 0.13),
-            accents=(rgb(0.62, 0.36, 0.07), rgb(0.76, 0.72, 0.64), rgb(0.5, 0.06, 0.04)),
-        ),
-        **_armchair(translate(0.62, 3.15, 0) @ rotate("z", 62), color=rgb(0.55, 0.44, 0.32)),
+        **_sofa(translate(2.2, _DEPTH - 0.12, 0)),
+        **_armchair(translate(0.62, 3.15, 0) @ rotate("z", 62)),
         **_coffee_table(translate(2.45, 3.95, 0.016)),
-        **_bookshelf(translate(4.2, _DEPTH, 0), width=1.0),
-        **_painting(translate(1.75, _DEPTH, 1.76), _IMAGE),
+        **_bookshelf(translate(4.2, _DEPTH, 0)),
+        **_painting(translate(1.75, _DEPTH, 1.76)),
         **furniture.mirror(translate(3.15, _DEPTH - 0.02, 1.72), radius=0.36),
-    }
-
-
-def _lamps(bulb: Entry | None) -> Entry:
-    return {
-        **lamp(
-            translate(0.55, 5.6, 0),
-            name="floor-lamp",
-            height=1.62,
-            shade=rgb(0.9, 0.72, 0.5),
-            light=bulb,
-        ),
+        **lamp(translate(0.55, 5.6, 0), "floor-lamp", height=1.62, shade=warm, light=bulb),
         **_side_table(translate(3.5, 5.6, 0)),
-        **lamp(
-            translate(3.5, 5.6, 0.55),
-            name="table-lamp",
-            height=0.55,
-            shade=rgb(0.9, 0.5, 0.35),
-            light=bulb,
-        ),
+        **lamp(translate(3.5, 5.6, 0.55), "table-lamp", height=0.55, shade=rose, light=bulb),
     }
 
 
 def _small_things() -> Entry:
     table = 0.416
-    curtains: Entry = {}
-    for i, y in enumerate((1.98, 3.3, 4.6, 5.92)):
-        hanging = translate(0.09, y, 2.55) @ rotate("z", 90)
-        curtains |= _curtain(
-            hanging, name=f"curtain-{i}", width=0.3, height=2.5, color=rgb(0.55, 0.07, 0.05)
-        )
+    # Cloth in folds, which spread towards the floor.
+    x, z = np.linspace(-0.15, 0.15, 70), np.linspace(-2.5, 0, 6)[:, None]
+    fall = 0.6 + 0.4 * (-z / 2.5)
+    fold = fall * (0.045 * np.sin(2 * np.pi * x / 0.13) + 0.012 * np.sin(37 * x + 1.0))
+    curtain = surface(np.stack(np.broadcast_arrays(x, fold, z), axis=-1)).moved(rotate("z", 90))
+    cloth = translucent(rgb(0.55, 0.07, 0.05), through=0.25)
+    curtains = {
+        f"curtain-{i}": curtain.moved(translate(0.09, y, 2.55)).shape(cloth)
+        for i, y in enumerate((1.98, 3.3, 4.6, 5.92))
+    }
     books = join(
         box((2.62, 3.8, table), (2.84, 4.12, table + 0.03), bevel=0.003),
         box((2.64, 3.84, table + 0.03), (2.84, 4.1, table + 0.055), bevel=0.003),

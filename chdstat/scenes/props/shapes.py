@@ -62,9 +62,9 @@ class Mesh:
     def moved(self, matrix: Array) -> Mesh:
         """Return the mesh under an affine map that does not mirror, shape (4, 4)."""
         linear = matrix[:3, :3]
-        if self.normals is None:
-            return replace(self, vertices=self.vertices @ linear.T + matrix[:3, 3])
-        normals = _unit(self.normals @ np.linalg.inv(linear))
+        normals = self.normals
+        if normals is not None:
+            normals = _unit(normals @ np.linalg.inv(linear))
         return replace(self, vertices=self.vertices @ linear.T + matrix[:3, 3], normals=normals)
 
     def mapped(self, *, scale: Sequence[float]) -> Mesh:
@@ -239,8 +239,8 @@ def ring(
         Corners around the wire and around the z axis.
     """
     turn = np.linspace(0, 2 * np.pi, sides + 1)
-    profile = [radius, height] + wire * np.column_stack([np.cos(turn), np.sin(turn)])
-    return revolve(profile, segments=segments, crease=180.0)
+    outline = np.asarray(wire) * np.column_stack([np.cos(turn), np.sin(turn)])
+    return revolve(np.add(outline, [radius, height]), segments=segments, crease=180.0)
 
 
 def ball(radius: float, *, rows: int = 16, segments: int = 32) -> Mesh:
