@@ -15,7 +15,7 @@ import numpy as np
 
 from chdstat.scenes.props import furniture, textures
 from chdstat.scenes.props.furniture import camera, sphere, spot
-from chdstat.scenes.props.shapes import box, join, quad, revolve, surface
+from chdstat.scenes.props.shapes import box, join, quad, revolve, sheet
 from chdstat.scenes.props.textures import Entry, glass, glossy, matte, metal, rgb
 from chdstat.scenes.scene import rotate, translate
 
@@ -67,11 +67,11 @@ def _table() -> Entry:
     height = np.linspace(-0.6, 1.6, 12)[:, None]
     width = np.linspace(-1.8, 1.8, 60)
     folds = 0.035 * np.sin(9 * width) + 0.012 * np.sin(23 * width + 1)
-    sheet = surface(np.stack(np.broadcast_arrays(width, 0.9 + folds, height), axis=-1))
+    drape = sheet(width, 0.9 + folds, height)
     return {
         "table": top.mapped(scale=(0.7, 1.2)).shape(glossy(textures.bitmap(wood), roughness=0.15)),
         "cloth": cloth.moved(rotate("z", 9)).shape(matte(textures.bitmap(checks, sharp=True))),
-        "drape": sheet.shape(matte(rgb(0.10, 0.24, 0.28))),
+        "drape": drape.shape(matte(rgb(0.10, 0.24, 0.28))),
     }
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from chdstat.scenes.props.furniture import bulb, camera, glow, paving
-from chdstat.scenes.props.shapes import Mesh, ball, box, circle, join, quad, ring, surface, tube
+from chdstat.scenes.props.shapes import Mesh, ball, box, circle, join, quad, ring, sheet, tube
 from chdstat.scenes.props.textures import Entry, glossy, matte, metal, rgb
 from chdstat.scenes.scene import rotate, translate
 
@@ -105,11 +105,8 @@ def _column() -> Mesh:
     height = np.array([0.0, 0.12, 0.2, 0.6, 1.4, 2.4, 3.0, 3.3, 3.5])
     radius = np.array([0.3, 0.3, 0.24, 0.22, 0.205, 0.2, 0.205, 0.25, 0.34])
     turn = np.append(np.linspace(0, 2 * np.pi, 97)[:-1], 0.0)
-    fluted = circle(96) * (1 - 0.09 * np.abs(np.sin(6 * turn)))[:, None]
-    points = np.empty((len(height), len(turn), 3))
-    points[..., :2] = radius[:, None, None] * fluted
-    points[..., 2] = height[:, None]
-    return surface(points)
+    x, y = circle(96).T * (1 - 0.09 * np.abs(np.sin(6 * turn)))
+    return sheet(radius[:, None] * x, radius[:, None] * y, height[:, None])
 
 
 def _arch() -> Mesh:

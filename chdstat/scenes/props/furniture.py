@@ -18,13 +18,12 @@ from chdstat.scenes.props.shapes import (
     Mesh,
     ball,
     box,
-    circle,
     join,
     loft,
     revolve,
     ring,
     rounded_rectangle,
-    surface,
+    sheet,
     tiles,
     tube,
 )
@@ -271,9 +270,7 @@ def lamp(place: Matrix, name: str, *, height: float, shade: Entry, light: Entry 
     """
     wide, narrow, low = 0.2, 0.14, height - 0.28
     rims = ((wide, low), (narrow, height))
-    radius, level = np.linspace(*rims, 3)[:, :, np.newaxis].swapaxes(0, 1)
-    cone = (radius * circle(48)[:, 0], radius * circle(48)[:, 1], level)
-    sleeve = surface(np.stack(np.broadcast_arrays(*cone), axis=-1))
+    sleeve = revolve(np.linspace(*rims, 3), crease=180.0)
     stem = revolve([(0, 0.02), (0.011, 0.02), (0.011, low + 0.04), (0, low + 0.04)], segments=16)
     wires = [ring(*rim, wire=(0.004, 0.004), sides=8) for rim in rims]
     metal_parts = join(revolve(_LAMP_FOOT), stem, *wires)
@@ -322,7 +319,7 @@ def _hanging(width: float, *, front: float, back: float) -> Mesh:
     wave = np.sin(2 * np.pi * 3.2 * x / width + 0.6) + 0.4 * np.sin(61 * x)
     fold = np.where(y < 0, 0.013 * fall**0.6 * wave - 0.008 * fall, 0)
     narrowed = x * (1 - 0.05 * fall)
-    return surface(np.stack(np.broadcast_arrays(narrowed, y + fold, z), axis=-1))
+    return sheet(narrowed, y + fold, z)
 
 
 # --- small pieces ---------------------------------------------------------------------------------
@@ -395,8 +392,7 @@ def _leaf(length: float, lift: float) -> Mesh:
     x = np.cumsum(step * np.cos(angle), axis=0)
     z = np.cumsum(step * np.sin(angle), axis=0)
     # Folded a little along the midrib.
-    points = np.broadcast_arrays(x, half * across, z + 0.35 * half * np.abs(across))
-    return surface(np.stack(points, axis=-1))
+    return sheet(x, half * across, z + 0.35 * half * np.abs(across))
 
 
 def _swan_neck() -> Mesh:

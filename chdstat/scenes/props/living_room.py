@@ -26,7 +26,7 @@ from chdstat.scenes.props.shapes import (
     quad,
     revolve,
     rounded_rectangle,
-    surface,
+    sheet,
     tube,
 )
 from chdstat.scenes.props.textures import Entry, glossy, matte, metal, rgb, translucent, walnut
@@ -371,7 +371,7 @@ def _small_things() -> Entry:
     x, z = np.linspace(-0.15, 0.15, 70), np.linspace(-2.5, 0, 6)[:, None]
     fall = 0.6 + 0.4 * (-z / 2.5)
     fold = fall * (0.045 * np.sin(2 * np.pi * x / 0.13) + 0.012 * np.sin(37 * x + 1.0))
-    curtain = surface(np.stack(np.broadcast_arrays(x, fold, z), axis=-1)).moved(rotate("z", 90))
+    curtain = sheet(x, fold, z).moved(rotate("z", 90))
     cloth = translucent(rgb(0.55, 0.07, 0.05), through=0.25)
     curtains = {
         f"curtain-{i}": curtain.moved(translate(0.09, y, 2.55)).shape(cloth)

@@ -30,6 +30,7 @@ __all__ = [
     "revolve",
     "ring",
     "rounded_rectangle",
+    "sheet",
     "surface",
     "tiles",
     "tube",
@@ -198,6 +199,11 @@ def surface(points: npt.ArrayLike, *, crease: float = 180.0) -> Mesh:
     return join(*(_smooth_sheet(grid[a : b + 1]) for a, b in itertools.pairwise(cuts)))
 
 
+def sheet(x: Array, y: Array, z: Array, *, crease: float = 180.0) -> Mesh:
+    """Return the `surface` through points whose coordinates broadcast to (rows, columns)."""
+    return surface(np.stack(np.broadcast_arrays(x, y, z), axis=-1), crease=crease)
+
+
 def circle(segments: int) -> Array:
     """Return points on the unit circle, shape (segments + 1, 2), the last equal to the first."""
     angle = np.linspace(0, 2 * np.pi, segments + 1)
@@ -217,11 +223,8 @@ def revolve(profile: npt.ArrayLike, *, segments: int = 48, crease: float = 50.0)
     1.0
     """
     radius, height = np.asarray(profile, dtype=float).T
-    turn = circle(segments)
-    points = np.empty((len(radius), segments + 1, 3))
-    points[..., :2] = radius[:, None, None] * turn
-    points[..., 2] = height[:, None]
-    return surface(points, crease=crease)
+    x, y = radius[:, None] * circle(segments).T[:, None]
+    return sheet(x, y, height[:, None], crease=crease)
 
 
 def ring(
@@ -282,11 +285,10 @@ def rounded_rectangle(width: float, depth: float, radius: float, *, arc: int = 8
     """Return a closed outline about the origin, counterclockwise, shape (4 `arc` + 5, 2)."""
     turn = np.linspace(0, np.pi / 2, arc + 1)
     half = np.array([width, depth]) / 2 - radius
+    corners = ((1, 1), (-1, 1), (-1, -1), (1, -1))
     arcs = [
-        half * sign + radius * np.column_stack([np.cos(turn + start), np.sin(turn + start)])
-        for sign, start in zip(
-            ((1, 1), (-1, 1), (-1, -1), (1, -1)), np.pi / 2 * np.arange(4), strict=True
-        )
+        half * corner + radius * np.column_stack([np.cos(turn + start), np.sin(turn + start)])
+        for corner, start in zip(corners, np.pi / 2 * np.arange(4), strict=True)
     ]
     return np.concatenate([*arcs, arcs[0][:1]])
 
