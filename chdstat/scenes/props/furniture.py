@@ -367,14 +367,11 @@ def wall_lamp(place: Matrix, *, name: str) -> Entry:
 def plant(place: Matrix) -> Entry:
     """Return a leafy plant in a terracotta pot."""
     rng = np.random.default_rng(11)
+    lengths, lifts = 0.17 + 0.1 * rng.random(18), np.linspace(80, 25, 18)
+    turns = 137.5 * np.arange(18) + 20 * rng.random(18)
     leaves = [
         _leaf(length, lift).moved(rotate("z", turn) @ translate(0.012, 0, 0.1))
-        for length, lift, turn in zip(
-            0.17 + 0.1 * rng.random(18),
-            np.linspace(80, 25, 18),
-            137.5 * np.arange(18) + 20 * rng.random(18),
-            strict=True,
-        )
+        for length, lift, turn in zip(lengths, lifts, turns, strict=True)
     ]
     return {
         "plant-pot": revolve(_POT).moved(place).shape(matte(rgb(0.45, 0.17, 0.09))),

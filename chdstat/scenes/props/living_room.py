@@ -191,14 +191,8 @@ def _feet(half: float, depth: float, height: float) -> Mesh:
 def _coffee_table(place: Matrix) -> Entry:
     """Return a long low table of walnut under a clear coat, on brass legs."""
     top = box((-0.6, -0.32, 0.36), (0.6, 0.32, 0.4), bevel=0.006)
-    legs = [
-        tube(
-            [(0.52 * i, 0.25 * j, 0.37), (0.55 * i, 0.275 * j, 0.18), (0.57 * i, 0.29 * j, 0)],
-            0.012,
-        )
-        for i in (-1, 1)
-        for j in (-1, 1)
-    ]
+    leg = np.array([(0.52, 0.25, 0.37), (0.55, 0.275, 0.18), (0.57, 0.29, 0)])
+    legs = [tube(leg * (i, j, 1), 0.012) for i in (-1, 1) for j in (-1, 1)]
     return {
         "table": top.mapped(scale=(0.8, 1.6)).moved(place).shape(walnut(7, roughness=0.1)),
         "table-legs": join(*legs).moved(place).shape(_BRASS),
@@ -319,14 +313,14 @@ def _shell() -> Entry:
     boards = textures.planks((0.28, 0.17, 0.09), (0.6, 0.41, 0.25), seed=8)
     floor = quad((0, 0, 0), (_WIDTH, 0, 0), (0, _DEPTH, 0)).mapped(scale=(1 / 1.8, 1 / 0.9))
     shell = walls((_WIDTH, _DEPTH, _HEIGHT), WINDOWS, _OPEN, reveal=_REVEAL)
-    skirting = join(
+    skirting = [
         box((0.015, _DEPTH - 0.015, 0), (_WIDTH, _DEPTH, 0.11), bevel=0.004),
         box((0, 0, 0), (0.015, _DEPTH, 0.11), bevel=0.004),
-    )
-    cornice = join(
+    ]
+    cornice = [
         box((0, _DEPTH - 0.09, _HEIGHT - 0.07), (_WIDTH, _DEPTH, _HEIGHT), bevel=0.02),
         box((0, 0, _HEIGHT - 0.07), (0.09, _DEPTH - 0.09, _HEIGHT), bevel=0.02),
-    )
+    ]
     # Frames with a cross of glazing bars, and sills.
     (z0, z1), bar = _OPEN, 0.05
     x0, x1, transom = 0.02 - _REVEAL, 0.07 - _REVEAL, z1 - 0.6
@@ -342,7 +336,7 @@ def _shell() -> Entry:
     return {
         "floor": floor.shape(glossy(textures.bitmap(boards), roughness=0.2)),
         "walls": join(*shell).shape(_PLASTER),
-        "skirting": join(skirting, cornice).shape(_LACQUER),
+        "skirting": join(*skirting, *cornice).shape(_LACQUER),
         "windows": join(*windows).shape(_LACQUER),
     }
 
