@@ -78,14 +78,13 @@ class Mesh:
         Values are rounded far below what can be seen, so that a last-bit difference between two
         machines' mathematics does not change the identity of the scene.
         """
+        normals = None if self.normals is None else np.round(self.normals, 6).astype(np.float32)
         return {
             "type": "mesh",
             "vertices": np.round(self.vertices, 6).astype(np.float32),
             "faces": self.faces.astype(np.uint32),
             "uv": np.round(self.uv, 6).astype(np.float32),
-            "normals": None
-            if self.normals is None
-            else np.round(self.normals, 6).astype(np.float32),
+            "normals": normals,
             "bsdf": dict(bsdf),
         }
 
@@ -249,9 +248,8 @@ def ring(
 def ball(radius: float, *, rows: int = 16, segments: int = 32) -> Mesh:
     """Return a sphere about the origin."""
     turn = np.linspace(-np.pi / 2, np.pi / 2, rows + 1)
-    return revolve(
-        radius * np.column_stack([np.cos(turn).round(12), np.sin(turn)]), segments=segments
-    )
+    profile = radius * np.column_stack([np.cos(turn).round(12), np.sin(turn)])
+    return revolve(profile, segments=segments)
 
 
 def tube(path: npt.ArrayLike, radius: float, *, segments: int = 16) -> Mesh:
@@ -274,9 +272,7 @@ def loft(outlines: Sequence[Array], heights: Sequence[float], *, crease: float =
 
     The first and the last outline are filled by fans about their centres.
     """
-    rings = [
-        np.column_stack([o, np.full(len(o), z)]) for o, z in zip(outlines, heights, strict=True)
-    ]
+    rings = [_at_height(outline, z) for outline, z in zip(outlines, heights, strict=True)]
     first, last = (np.broadcast_to(r[:-1].mean(axis=0), r.shape) for r in (rings[0], rings[-1]))
     return surface(np.stack([first, *rings, last]), crease=crease)
 
@@ -371,9 +367,8 @@ def _smooth_normals(mesh: Mesh) -> Array:
     behind = -np.roll(ahead, 1, axis=1)
     angle = np.arccos(np.clip((ahead * behind).sum(axis=-1), -1, 1))
     total = np.zeros((position.max() + 1, 3))
-    np.add.at(
-        total, position.ravel()[mesh.faces], angle[..., None] * _unit(mesh.face_normals)[:, None]
-    )
+    weighted = angle[..., None] * _unit(mesh.face_normals)[:, None]
+    np.add.at(total, position.ravel()[mesh.faces], weighted)
     length = np.linalg.norm(total, axis=-1, keepdims=True)
     # A position in no face needs some unit normal, too.
     normals = np.where(length > 0, total / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
@@ -405,9 +400,8 @@ def _box_polygon(half: Array, bevel: float, direction: npt.NDArray[np.int64]) ->
     middle = points.mean(axis=0)
     first = points[0] - middle
     second = np.cross(direction, first)
-    angle = np.arctan2(
-        (points - middle) @ second / np.linalg.norm(direction), (points - middle) @ first
-    )
+    height = (points - middle) @ second / np.linalg.norm(direction)
+    angle = np.arctan2(height, (points - middle) @ first)
     return np.asarray(points[np.argsort(angle.round(6))])
 
 
