@@ -218,7 +218,7 @@ def test_what_the_samples_cannot_tell_is_said():
     image = chd.classify(chd.Samples.from_array(x.reshape(5, 8, 1, 8192)), progress=False)
     unidentified = image["variance_unidentified"]
     np.testing.assert_array_equal(unidentified.values.ravel(), found.variance_unidentified)
-    assert "cannot tell" in unidentified.attrs["long_name"]
+    assert "do not identify" in unidentified.attrs["long_name"]
 
 
 def test_results_that_are_there_are_not_computed_again():
