@@ -22,9 +22,9 @@ from chdstat._core.positive import Counts, Floats, Mask
 
 __all__ = ["dips"]
 
-_STEPS = (1, 4, 16)
+_STEPS = (1, 5)
 """A sample on or beyond a chord between samples so many places before and behind is no vertex."""
-_THINNING = 4
+_THINNING = 8
 _CHUNK = 2**13
 """Samples worked on at once: they stay in the cache."""
 
@@ -59,9 +59,8 @@ def dips(ascending: Floats, n: Counts) -> Floats:
     rows = np.flatnonzero(x[high] > x[low])
     low, high = low[rows], high[rows]
     with np.errstate(invalid="ignore", divide="ignore"):
-        ends = np.stack([low, high], axis=-1).reshape(-1)
         convex, concave = _candidates(ascending)
-        minorant, majorant = _Curve(x, ends, convex, 1), _Curve(x, ends, concave, -1)
+        minorant, majorant = _Curve(x, low, convex, 1), _Curve(x, high, concave, -1)
         while len(rows):
             minorant.narrow(low, high)
             majorant.narrow(low, high)
@@ -96,7 +95,8 @@ class _Curve:
     x
         Samples of all rows.
     vertices
-        Places of the vertices, ascending: at first those of the ends of each row.
+        Places of the vertices, ascending: at first that of the first sample of each row for a
+        minorant, of the last for a majorant.
     candidates
         Places of samples that may be vertices.
     """
@@ -116,10 +116,10 @@ class _Curve:
         vertices, candidates = self.vertices, self._candidates
         # At that end, chords reached beyond it: it takes some samples that are no candidates.
         if self._sign > 0:
-            start, stop = vertices[np.searchsorted(vertices, high) - 1], high
+            start, stop = vertices[np.searchsorted(vertices, high, "right") - 1], high
             near = _ranges(np.maximum(start, high - _STEPS[-1]), high)
         else:
-            start, stop = low, vertices[np.searchsorted(vertices, low, "right")]
+            start, stop = low, vertices[np.searchsorted(vertices, low)]
             near = _ranges(low, np.minimum(stop, low + _STEPS[-1]))
         new = _ranges(np.searchsorted(candidates, start), np.searchsorted(candidates, stop))
         old = _ranges(np.searchsorted(vertices, low), np.searchsorted(vertices, high))
@@ -129,15 +129,16 @@ class _Curve:
         places = np.flatnonzero(tried)
         fixed = np.zeros(len(places), dtype=bool)
         fixed[np.searchsorted(places, np.concatenate([low, high]))] = True
-        self.vertices = places[_bends(places, self._x[places], fixed, self._sign)]
+        self.vertices = places[_bends(places, self._sign * self._x[places], fixed)]
 
     def above(self, places: Places) -> Floats:
-        """Return how far the curve is above samples, in places: at its vertices 0."""
+        """Return how far the curve is above samples, ascending, in places: at its vertices 0."""
         vertices = self.vertices
         x = self._x[vertices]
         run = np.diff(x)
         slope = np.append(np.where(run > 0, np.diff(vertices) / run, 0), 0)
-        left = np.searchsorted(vertices, places, "right") - 1
+        count = np.diff(np.searchsorted(places, vertices), append=len(places))
+        left = np.repeat(np.arange(len(vertices)), count)
         rise = (self._x[places] - x[left]) * slope[left]
         return np.asarray(rise - (places - vertices[left]))
 
@@ -161,24 +162,26 @@ def _candidates(ascending: Floats) -> tuple[Places, Places]:
     return np.flatnonzero(convex), np.flatnonzero(concave)
 
 
-def _bends(places: Places, x: Floats, fixed: Mask, sign: Literal[1, -1]) -> Places:
+def _bends(places: Places, x: Floats, fixed: Mask) -> Places:
     """Return the indices of those samples that are vertices; `fixed` ones are, whatever they are.
 
-    Samples on or beyond the chord of their neighbours are left out until there are none. Else a
-    smooth curve would lose its vertices one by one, so samples beyond the curve of every fourth are
-    left out before.
+    They are those of a minorant, or of a majorant where `x` is negated. Samples on or beyond the
+    chord of their neighbours are left out until there are none. Else a smooth curve would lose its
+    vertices one by one, so samples beyond the curve of every eighth are left out before.
     """
     kept = np.arange(len(places))
     if len(places) > 2 * _THINNING * np.count_nonzero(fixed):
-        thin = np.flatnonzero(fixed | (kept % _THINNING == 0))
-        coarse = thin[_bends(places[thin], x[thin], fixed[thin], sign)]
-        inside = sign * (x - np.interp(places, places[coarse], x[coarse])) > 0
+        thinned = fixed.copy()
+        thinned[::_THINNING] = True
+        thin = np.flatnonzero(thinned)
+        coarse = thin[_bends(places[thin], x[thin], fixed[thin])]
+        inside = x > np.interp(places, places[coarse], x[coarse])
         inside[coarse] = True
         kept = np.flatnonzero(inside)
     while True:
         slope = np.diff(x[kept]) / np.diff(places[kept])
         stays = fixed[kept]
-        stays[1:-1] |= sign * (slope[:-1] - slope[1:]) > 0
+        stays[1:-1] |= slope[:-1] > slope[1:]
         if stays.all():
             return kept
         kept = kept[stays]
