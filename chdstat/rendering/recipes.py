@@ -19,7 +19,7 @@ from scipy import ndimage
 
 import chdstat
 from chdstat.errors import InputError
-from chdstat.rendering.renderer import scene_integrator
+from chdstat.rendering.renderer import scene_integrator, scene_size
 from chdstat.samples import Samples
 from chdstat.scenes import BUILTIN, REMAKES, Scene
 from chdstat.scenes.files import is_file
@@ -36,9 +36,13 @@ __all__ = [
     "find_recipe",
     "load_recipe",
     "own_recipe",
+    "recipe_of",
     "regions_of",
     "remake_of",
 ]
+
+_EDGE = 128
+"""Longest edge of the image where neither the user nor a recipe gives a size."""
 
 SCHEMA = 1
 _LONGEST, _DOTS = 2**16, 1000
@@ -186,6 +190,17 @@ def own_recipe(name: str, origin: str) -> Recipe | None:
         Of a `Scene`, or of the scene of samples.
     """
     return find_recipe(name) if name in BUILTIN and origin == "chdstat" else None
+
+
+def recipe_of(scene: Scene, *, spp: int, seed: int) -> Recipe:
+    """Return the recipe of a built-in scene; of others, a small image of their own proportions."""
+    own = own_recipe(scene.name, scene.origin)
+    if own is not None:
+        return own
+    width, height = scene_size(scene)
+    scale = _EDGE / max(width, height)
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return Recipe(scene.name, size, spp, seed, max_depth=None, regions=())
 
 
 def regions_of(samples: Samples) -> tuple[Region, ...]:

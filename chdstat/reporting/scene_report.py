@@ -25,10 +25,9 @@ from chdstat.rendering.recipes import (
     check_integrator,
     choose_regions,
     load_recipe,
-    own_recipe,
+    recipe_of,
     regions_of,
 )
-from chdstat.rendering.renderer import scene_size
 from chdstat.reporting import content, figures
 from chdstat.reporting.claims import finding_content, plot_findings
 from chdstat.reporting.typst import Document, typeset
@@ -43,8 +42,6 @@ if TYPE_CHECKING:
 
 __all__ = ["report"]
 
-_EDGE = 128
-"""Longest edge of the image where neither the user nor a recipe gives a size."""
 _SPP = 512
 _IN_MEMORY = 2**29
 """Samples up to this many bytes are read once and held; larger ones are walked on disk."""
@@ -128,8 +125,7 @@ def report(
         scene = load_scene(finished)
         if named is not None:
             check_integrator(named, scene)
-        own = named or own_recipe(scene.name, scene.origin)
-        settings = (own.settings() if own else _defaults(scene)) | given
+        settings = (named or recipe_of(scene, spp=_SPP, seed=0)).settings() | given
         samples = render(scene, **settings, out=store, backend=backend, progress=progress)
     if samples.nbytes <= _IN_MEMORY:
         samples = samples.load()
@@ -184,14 +180,6 @@ def _document(
     rows = content.findings(scene, shapes, comparison, trained)
     entries["findings"] = [row._asdict() for row in rows]
     return Document("report.typ", entries, drawn)
-
-
-def _defaults(scene: Scene) -> dict[str, Any]:
-    """Return settings for a scene without a recipe: a small image of its own proportions."""
-    width, height = scene_size(scene)
-    scale = _EDGE / max(width, height)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return {"spp": _SPP, "size": size}
 
 
 def _compare(

@@ -14,7 +14,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from chdstat._core.files import replacing
+from chdstat._core.files import writing
 from chdstat.errors import ChdstatError
 from chdstat.viz import style
 from chdstat.viz.estimators import NAMES
@@ -119,12 +119,9 @@ def typeset(document: Document, folder: Path, target: Path) -> Path:
         for name, figure in document.figures.items():
             figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
     try:
-        with replacing(target) as partial:
+        with writing(target) as partial:
             typst.compile(folder / document.template, output=partial)
     except (RuntimeError, typst.TypstError) as error:
         message = f"typesetting the report failed: {error}"
-        raise ChdstatError(message) from error
-    except OSError as error:
-        message = f"cannot write {target}: {error.strerror or error}"
         raise ChdstatError(message) from error
     return target

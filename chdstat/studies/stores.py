@@ -23,7 +23,6 @@ from chdstat.estimators.registry import Model
 from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
-from chdstat.rendering.renderer import scene_size
 from chdstat.samples import Samples, cache_key, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import BUILTIN, Scene, load_scene
@@ -35,8 +34,6 @@ if TYPE_CHECKING:
 
 __all__ = ["ROULETTE", "SHORT", "Source", "Stores", "StudyScene", "scenes_of"]
 
-_EDGE = 128
-"""Longest edge of the image where no recipe says otherwise."""
 _SPP = 1024
 _N = 32
 """Samples of one estimate, as in Elek et al. 2019."""
@@ -121,19 +118,11 @@ def _scene(source: Source, settings: Mapping[str, Any]) -> StudyScene:
         recipes.check_integrator(recipe, scene)
     else:
         scene = load_scene(source)
-        recipe = recipes.own_recipe(scene.name, scene.origin) or _default(scene)
+        recipe = recipes.recipe_of(scene, spp=_SPP, seed=1)
     used = replace(recipe, **settings)
     # What is no size, rendering refuses with a message of its own.
     seen = len(used.size) == 2 and recipe.shows(used.size[1], used.size[0])
     return StudyScene(scene.name, scene, used, recipe.regions if seen else ())
-
-
-def _default(scene: Scene) -> recipes.Recipe:
-    """Return a recipe for a scene that has none: a small image of its own proportions."""
-    width, height = scene_size(scene)
-    scale = _EDGE / max(width, height)
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return recipes.Recipe(scene.name, size, _SPP, seed=1, max_depth=None, regions=())
 
 
 def _distinct(scenes: Sequence[StudyScene]) -> Iterator[StudyScene]:
