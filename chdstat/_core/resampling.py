@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LEVEL",
+    "Z_95",
     "Blocks",
     "Interval",
     "holm",
@@ -35,6 +36,9 @@ __all__ = [
     "rejections",
     "wilson",
 ]
+
+Z_95 = float(special.ndtri(0.975))
+"""Standard errors on each side of a normal interval of 95 %."""
 
 Floats = npt.NDArray[np.float64]
 

@@ -213,7 +213,7 @@ def shared_patches(
     patch: int = 1,
     fireflies: Fireflies = "limit",
 ) -> Array:
-    """Average pixels whose patches are statistically alike, in two passes.
+    """Average pixels whose patches are statistically similar, in two passes.
 
     The distance of two pixels is Welch's statistic, ``d = (m_i - m_j)^2 / (SE_i^2 + SE_j^2)``,
     averaged over the pixels of a patch around each and over statistics: the mean of the samples, of

@@ -111,7 +111,7 @@ class TrainedModel(ABC, Generic[State]):
 
     name: str
     kind: ClassVar[str]
-    """What its files are told by."""
+    """Name of its kind in model files."""
     _trained: State | None
 
     @property

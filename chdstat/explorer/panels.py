@@ -15,8 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
 
+from chdstat._core.resampling import Z_95
 from chdstat.explorer.statistics import PlaceStatistics
 from chdstat.explorer.view import View
 from chdstat.fit.families import FAMILIES
@@ -172,7 +172,6 @@ def series_of(
 
 _POINTS = 160
 _QUANTILES = (np.arange(100) + 0.5) / 100
-_Z = float(special.ndtri(0.975))
 
 
 def panels(view: View, series: Sequence[Series]) -> dict[str, PanelData]:
@@ -306,7 +305,7 @@ def _running(series: Sequence[Series]) -> PanelData:
         at, means, errors = s.place.running
         if not at.size:
             continue
-        mean, error = means[s.row], _Z * errors[s.row]
+        mean, error = means[s.row], Z_95 * errors[s.row]
         if not s.other:
             band = np.concatenate([mean - error, (mean + error)[::-1]])
             areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color))

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import spans
 from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
 from chdstat._core.reasons import first_of
+from chdstat._core.resampling import Z_95
 from chdstat.errors import Reason
 from chdstat.fit.tail import Tail
 from chdstat.inference.normality import NormalityTest, run_tests
@@ -98,7 +99,6 @@ def shapes(averages: Averages) -> tuple[Floats, Floats]:
     return skewness, np.vecdot(square, square) / n / variance**2 - 3
 
 
-_Z = 1.959963984540054
 _LARGEST_INDEX = 0.25
 """From this tail index on, the kurtosis is infinite."""
 _CHUNK = 2**16
@@ -184,7 +184,7 @@ def _shapes(z: Floats, good: Mask, excess: Mask, highest: Floats) -> Floats:
     of_skewness = cube - a - 3 * z - 1.5 * a * (square - 1)
     of_kurtosis = fourth - b - 4 * a * z - 2 * b * (square - 1)
     errors = np.stack(
-        [_Z * np.sqrt(np.sum(v * v, axis=-1, where=good)) / n for v in (of_skewness, of_kurtosis)]
+        [Z_95 * np.sqrt(np.sum(v * v, axis=-1, where=good)) / n for v in (of_skewness, of_kurtosis)]
     )
     found = np.abs([skewness, fourth_moment - 3])
     more = np.abs(_with_tail([z, square, cube, fourth], n, excess, highest))

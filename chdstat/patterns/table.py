@@ -12,13 +12,12 @@ import numpy as np
 from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask
-from chdstat._core.resampling import wilson
+from chdstat._core.resampling import Z_95, wilson
 from chdstat.errors import InputError
 from chdstat.patterns.pixel_statistics import PixelStatistics, firefly_limit
 
 __all__ = ["PATTERNS", "Pattern", "Thresholds"]
 
-_Z = float(special.ndtri(0.975))
 _CHANCE = 0.895
 """Kolmogorov's distance times sqrt(n) that 5 % of Gaussian samples exceed (Stephens 1974)."""
 
@@ -131,7 +130,7 @@ def _clear_modes(e: PixelStatistics, t: Thresholds) -> Counts:
 
 
 def _separation_interval(e: PixelStatistics, widest: int) -> Floats:
-    error = _Z * e.ashman_d_se[..., widest]
+    error = Z_95 * e.ashman_d_se[..., widest]
     ends = e.ashman_d[..., widest] - error, e.ashman_d[..., widest] + error
     return np.maximum(np.stack(ends, axis=-1), 0)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import reprlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,7 +35,6 @@ __all__ = [
     "choose_regions",
     "find_recipe",
     "load_recipe",
-    "own_recipe",
     "recipe_of",
     "regions_of",
     "remake_of",
@@ -43,7 +42,8 @@ __all__ = [
 
 _EDGE = 128
 """Longest edge of the image where neither the user nor a recipe gives a size."""
-
+_BOUNDS = "0 <= left < right <= 1, top < bottom alike"
+"""Of a region's rectangle, as errors say it."""
 SCHEMA = 1
 _LONGEST, _DOTS = 2**16, 1000
 PHENOMENA = (
@@ -92,11 +92,10 @@ class Region:
     note: str = ""
 
     def __post_init__(self) -> None:
-        left, top, right, bottom = self.rectangle
-        if not (0 <= left < right <= 1 and 0 <= top < bottom <= 1):
+        if not _in_image(self.rectangle):
             message = (
                 "rectangle must be (left, top, right, bottom) as fractions of the image, "
-                f"0 <= left < right <= 1, top < bottom alike, got {self.rectangle}"
+                f"{_BOUNDS}, got {self.rectangle}"
             )
             raise InputError(message)
 
@@ -115,6 +114,12 @@ class Region:
         """Return (y, x) of the pixel in the middle."""
         ys, xs = self.pixels(height, width)
         return (ys.start + ys.stop - 1) // 2, (xs.start + xs.stop - 1) // 2
+
+
+def _in_image(rectangle: Sequence[float]) -> bool:
+    """Return whether left, top, right and bottom bound a part of the image, in fractions of it."""
+    left, top, right, bottom = rectangle
+    return 0 <= left < right <= 1 and 0 <= top < bottom <= 1
 
 
 def _covered(low: float, high: float, length: int) -> slice:
@@ -181,7 +186,7 @@ def check_integrator(recipe: Recipe, scene: Scene) -> None:
         raise InputError(message)
 
 
-def own_recipe(name: str, origin: str) -> Recipe | None:
+def _own_recipe(name: str, origin: str) -> Recipe | None:
     """Return the recipe of a scene that is built in; None of another, whatever its name is.
 
     Parameters
@@ -194,7 +199,7 @@ def own_recipe(name: str, origin: str) -> Recipe | None:
 
 def recipe_of(scene: Scene, *, spp: int, seed: int) -> Recipe:
     """Return the recipe of a built-in scene; of others, a small image of their own proportions."""
-    own = own_recipe(scene.name, scene.origin)
+    own = _own_recipe(scene.name, scene.origin)
     if own is not None:
         return own
     width, height = scene_size(scene)
@@ -205,7 +210,7 @@ def recipe_of(scene: Scene, *, spp: int, seed: int) -> Recipe:
 
 def regions_of(samples: Samples) -> tuple[Region, ...]:
     """Return the regions of samples of a built-in scene in the view of its recipe, else none."""
-    recipe = own_recipe(samples.name, str(samples.attrs.get("scene_source")))
+    recipe = _own_recipe(samples.name, str(samples.attrs.get("scene_source")))
     height, width = samples.shape[:2]
     whole = samples.attrs.get("size", [width, height]) == [width, height]  # not cut by `isel`
     return recipe.regions if recipe and whole and recipe.shows(height, width) else ()
@@ -319,9 +324,7 @@ def _region(index: int, content: Mapping[str, Any]) -> Region:
     _only_known(content, ("name", "phenomenon", "rectangle", "note"), where)
     rectangle = _key(content, "rectangle", list, where)
     numbers = len(rectangle) == 4 and all(type(v) in (int, float) for v in rectangle)
-    inside = numbers and all(0 <= v <= 1 for v in rectangle)
-    ordered = inside and rectangle[0] < rectangle[2] and rectangle[1] < rectangle[3]
-    _expect(ordered, f"{where}rectangle", "0 <= left < right <= 1, top < bottom alike", rectangle)
+    _expect(numbers and _in_image(rectangle), f"{where}rectangle", _BOUNDS, rectangle)
     phenomenon = _key(content, "phenomenon", str, where)
     known = ", ".join(PHENOMENA)
     _expect(phenomenon in PHENOMENA, f"{where}phenomenon", f"one of {known}", phenomenon)

@@ -1,7 +1,7 @@
 """The renderer: one scene in one Mitsuba variant, giving single samples instead of averages.
 
 A scalar variant draws a chunk in passes of one sample per pixel; llvm and cuda draw it as one
-wavefront. Which random numbers each sample owns is told by `chdstat.rendering.seeds`.
+wavefront. Module `chdstat.rendering.seeds` decides which random numbers each sample owns.
 """
 
 from __future__ import annotations

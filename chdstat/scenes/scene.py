@@ -27,7 +27,7 @@ from chdstat.scenes.files import Description, described, digest_of
 __all__ = ["Axis", "Scene", "Vector", "look_at", "rotate", "scale", "translate"]
 
 _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
-"""Types whose values are told apart by how they are printed."""
+"""Types of which two values are the same if they print the same."""
 
 
 @dataclass(frozen=True)
