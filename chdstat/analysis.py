@@ -13,18 +13,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Result, Seed, is_bad, seed_number, whole
+from chdstat._core.arrays import Seed, is_bad, plain, seed_number, whole
 from chdstat._core.files import unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Counts, PositivePart
 from chdstat._core.resampling import wilson
-from chdstat.fit.families import SELECTED
-from chdstat.fit.goodness_of_fit import (
-    finish_goodness,
-    goodness_of_part,
-    goodness_variables,
-)
-from chdstat.fit.results import fit_variables, label_fit
+from chdstat.fit.families import SELECTED, fit_variables, label_fit
+from chdstat.fit.goodness_of_fit import finish_goodness, goodness_of_part, goodness_variables
+from chdstat.fit.mixtures import Mixture
 from chdstat.fit.selection import family_shares, finish_selection, selection_variables
 from chdstat.fit.tail_fits import finish_tail, tail_variables
 from chdstat.inference import modes, normality
@@ -32,15 +28,16 @@ from chdstat.inference import normality_of_means as means
 from chdstat.inference.normality import TESTS, TestName, Transform
 from chdstat.inference.normality_of_means import MORE_THAN_TESTED, N_MEANS, UNTESTED
 from chdstat.patterns import classification
-from chdstat.patterns.classification import PixelFits
-from chdstat.patterns.table import PATTERNS, Thresholds
+from chdstat.patterns.pixel_statistics import PixelFits, Thresholds
+from chdstat.patterns.table import PATTERNS
 from chdstat.samples import Image, Mapped, samples_of
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
-__all__ = ["Overview", "Share", "analyze", "overview", "pooled_shares", "save"]
+__all__ = ["Overview", "Share", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
 
 _TRANSFORMS: tuple[Transform, ...] = ("log", "sqrt", "linear")
 _TESTS: tuple[TestName, ...] = tuple(TESTS)
@@ -92,6 +89,7 @@ def analyze(
         best at each pixel (``best_goodness_``); and, of luminance, ``luminance_mean`` and
         ``coefficient_of_variation`` (y, x). Where there are too few samples for averages, their
         variables are absent. `atlas`, which looks at the image as a whole, is not part of it.
+        `chdstat.analysis.to_dataframe` makes a table of it.
 
     Examples
     --------
@@ -112,23 +110,20 @@ def analyze(
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
         fits = PixelFits(PositivePart.of_pixels(block, rows="both"), held_out=held_out)
-
-        def of_channels(result: Result) -> Result:
-            return fits.of_first(result, block.shape[-2])
-
-        part, tail = of_channels(fits.part), of_channels(fits.tail)
-        selection = of_channels(fits.selection)
+        channels = fits.rows(slice(block.shape[-2]))
+        part, tail, selection = channels.part, channels.tail, channels.selection
         goodness = goodness_of_part(part, selection, resamples=resamples, seed=seed)
         tested = normality.gaussianity_of_part(part, _TRANSFORMS, _TESTS)
+        patterns = classification.patterns_of(fits.rows(-1), thresholds)
         measured = {
             "luminance": _luminance(block, fits.part.x[..., -1, :]),
             "selection": selection_variables(selection),
             "goodness": goodness_variables(goodness),
             "tail": tail_variables(tail),
-            "mixture": fit_variables(of_channels(fits.mixture)),
-            "modality": modes.modality_variables(of_channels(fits.modes)),
+            "mixture": fit_variables(channels.mixture),
+            "modality": modes.modality_variables(channels.modes),
             "normality": normality.gaussianity_variables(tested),
-            "patterns": classification.patterns_variables(fits.patterns(thresholds)),
+            "patterns": classification.patterns_variables(patterns),
         }
         if sizes is not None:
             averages = means.means_of_block(block, sizes, test=_TEST_OF_MEANS, tail=tail)
@@ -150,6 +145,43 @@ def analyze(
         for name in ("skewness", "kurtosis"):
             merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
     return merged.assign_attrs(samples.attrs)
+
+
+def to_dataframe(found: xr.Dataset) -> pd.DataFrame:
+    """Return what an analysis says in one number, or one word, as a row per pixel and channel.
+
+    Variables with further dims, such as histograms, stay in the dataset; those of a pixel are
+    repeated for its channels. Codes become words.
+
+    Parameters
+    ----------
+    found
+        What `analyze`, `summarize` or another function returns for an image.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Rows (y, x, channel), or (y, x) where nothing depends on the channel.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> rng = np.random.default_rng(0)
+    >>> frame = to_dataframe(chd.analyze(rng.gamma(2.0, size=(2, 2, 3, 256)), progress=False))
+    >>> len(frame), list(frame.index.names), frame.loc[(1, 0, "R"), "best_family"]
+    (12, ['y', 'x', 'channel'], 'gamma')
+    """
+    dims = [dim for dim in ("y", "x", "channel") if dim in found.dims]
+    kept = [name for name, variable in found.items() if {*variable.dims} <= {*dims}]
+    frame = found[kept].reset_coords(drop=True).to_dataframe(dim_order=dims)
+    for name in kept:
+        attrs = found[name].attrs
+        if "flag_meanings" in attrs:
+            words = zip(
+                np.atleast_1d(attrs["flag_values"]), attrs["flag_meanings"].split(), strict=True
+            )
+            frame[name] = frame[name].map(dict(words)).astype("category")
+    return frame
 
 
 def save(found: xr.Dataset, path: str | Path) -> Path:
@@ -175,7 +207,7 @@ def _finishes(
         "selection": lambda d: finish_selection(d, list(SELECTED), "bic"),
         "goodness": lambda d: finish_goodness(d, "best", resamples=resamples),
         "tail": finish_tail,
-        "mixture": lambda d: label_fit(d, "lognormal", mixture=True),
+        "mixture": lambda d: label_fit(d, "lognormal", Mixture),
         "modality": modes.finish_modality,
         "normality": lambda d: normality.finish_gaussianity(d, transform=_TRANSFORMS, test=_TESTS),
         "patterns": lambda d: classification.finish_patterns(d, thresholds),
@@ -290,18 +322,7 @@ class Overview:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers ready for JSON; what could not be computed is None."""
-        return {name: _plain(value) for name, value in vars(self).items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (tuple, list, np.ndarray)):
-        return [_plain(item) for item in value]
-    number = float(value)
-    if not np.isfinite(number):
-        return None
-    return int(value) if isinstance(value, (int, np.integer)) else number
+        return {name: plain(value) for name, value in vars(self).items()}
 
 
 def overview(found: xr.Dataset) -> Overview:
@@ -390,7 +411,8 @@ def _n_needed(found: xr.Dataset) -> dict[int | str, float]:
     if "averages_n_needed" not in found:
         return {}
     counted = _counted(found["averages_n_needed"].values, missing=UNTESTED)
-    return {"more" if n == MORE_THAN_TESTED else n: share for n, share in counted.items()}
+    named = {"more" if n == MORE_THAN_TESTED else n: share for n, share in counted.items()}
+    return dict(sorted(named.items(), key=lambda item: item[0] == "more"))
 
 
 def _counted(codes: npt.NDArray[np.integer], *, missing: int) -> dict[int, float]:

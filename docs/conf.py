@@ -9,6 +9,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
+from inventories import write_inventories
+
 import chdstat
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -22,18 +24,22 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.extlinks",
+    "sphinx.ext.intersphinx",
     "sphinx.ext.viewcode",
     "numpydoc",
     "sphinx_copybutton",
+    "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "commands",
     "docstrings",
     "families",
     "figures",
+    "markdown",
     "mathml",
     "patterns",
     "public_names",
     "reasons",
+    "run",
 ]
 exclude_patterns = ["_build", "examples"]
 default_role = "autolink"
@@ -42,14 +48,25 @@ smartquotes = False  # they would turn the -- of options into dashes
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
-autosummary_generate = False
+templates_path = ["_templates"]
 numpydoc_show_class_members = False
-numpydoc_xref_param_type = False
+numpydoc_xref_param_type = True
+numpydoc_xref_aliases = {
+    "ndarray": "numpy.ndarray",
+    "Axes": "matplotlib.axes.Axes",
+    "Figure": "matplotlib.figure.Figure",
+    "Path": "pathlib.Path",
+}
+intersphinx_mapping = write_inventories(Path(__file__).parent / "_build" / "inventories")
+intersphinx_timeout = 5
 
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
     "gallery_dirs": "gallery",
+    "doc_module": "chdstat",
+    "backreferences_dir": "gallery/backreferences",
     "filename_pattern": r"plot_",
+    "first_notebook_cell": "%matplotlib inline",
     "within_subsection_order": "FileNameSortKey",
     "image_scrapers": ("figures.last_figure",),
     "capture_repr": ("_repr_html_", "__repr__"),
@@ -80,7 +97,10 @@ html_theme_options = {
     "footer_end": [],
     "show_toc_level": 2,
 }
-html_sidebars: dict[str, list[str]] = {"**": []}
+html_sidebars: dict[str, list[str]] = {
+    page: [] for page in ("index", "tutorial", "gallery/**", "_modules/**", "search", "genindex")
+}
+copybutton_selector = "div:not(.output) > div.highlight > pre"
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat.analysis import overview, save
+from chdstat.analysis import overview, save, to_dataframe
 from chdstat.errors import StoreError
 
 
@@ -75,3 +75,27 @@ def test_maps_are_kept_and_never_overwritten(found, tmp_path):
 def test_every_variable_says_what_it_is(found):
     missing = [n for n, v in found.data_vars.items() if not {"long_name", "units"} <= set(v.attrs)]
     assert missing == []
+
+
+def test_a_data_frame_has_a_row_for_each_pixel_and_channel(found):
+    frame = to_dataframe(found)
+    assert frame.index.names == ["y", "x", "channel"]
+    assert len(frame) == 6 * 8 * 3
+    row = frame.loc[(2, 5, "G")]
+    place = {"y": 2, "x": 5, "channel": "G"}
+    assert row["mean"] == found["mean"].sel(place)
+    assert row["null_share"] == found["null_share"].isel(y=2, x=5)
+    assert row["label"] == names(found["label"])[int(found["label"].isel(y=2, x=5))]
+    assert row["best_family"] == names(found["best_family"])[int(found["best_family"].sel(place))]
+    assert "averages_p_value" not in frame
+
+
+def names(variable):
+    attrs = variable.attrs
+    return dict(zip(attrs["flag_values"], attrs["flag_meanings"].split(), strict=True))
+
+
+def test_a_data_frame_of_what_no_channel_has_is_one_of_pixels(samples):
+    frame = to_dataframe(chd.classify(samples))
+    assert frame.index.names == ["y", "x"]
+    assert len(frame) == 48

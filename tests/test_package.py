@@ -5,10 +5,12 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import io
 import pkgutil
 import re
 import subprocess
 import sys
+import tokenize
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -17,7 +19,7 @@ import pytest
 import chdstat as chd
 
 ROOT = Path(chd.__file__).parent
-API = Path(__file__).parent.parent / "docs/api.rst"
+API = Path(__file__).parent.parent / "docs/reference/index.rst"
 
 ORDER = (
     "errors",
@@ -42,7 +44,11 @@ ORDER = (
 )
 """Folders and modules of chdstat, upstream first: each imports only from earlier ones."""
 
-DOWNSTREAM = {("studies.run", "reporting.study_report")}
+DOWNSTREAM = {
+    ("studies.run", "reporting.study_report"),
+    ("samples.samples", "patterns.pixel"),
+    ("patterns.pixel", "viz"),
+}
 """Imports against that order, inside methods that show or write a result."""
 
 HEAVY = (
@@ -58,6 +64,8 @@ HEAVY = (
     "OpenEXR",
     "bokeh",
 )
+
+LONGEST_MODULE = 450
 
 RENDERING = {"scenes", "rendering"}
 """What may import Mitsuba."""
@@ -105,6 +113,45 @@ def shown(importer: str, name: str) -> bool:
     )
 
 
+# --- size ---------------------------------------------------------------------------------------
+
+
+def code_lines(path: Path) -> int:
+    """Return how many lines of a module hold code: no comment, no docstring, not blank."""
+    text = path.read_text(encoding="utf-8")
+    silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
+    lines = {
+        line
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
+        if token.type not in silent and token.string
+        for line in range(token.start[0], token.end[0] + 1)
+    }
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            lines -= set(range(node.lineno, node.end_lineno + 1))
+    return len(lines)
+
+
+def test_the_package_keeps_its_size():
+    """With ``-s``: modules, lines of code and statements of each folder."""
+    sizes: dict[str, list[int]] = {}
+    long = {}
+    for path in sorted(ROOT.rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        statements = sum(isinstance(node, ast.stmt) for node in ast.walk(ast.parse(text)))
+        counts = 1, code_lines(path), statements
+        for name in (str(path.parent.relative_to(ROOT)), "in all"):
+            sizes[name] = [a + b for a, b in zip(sizes.get(name, (0, 0, 0)), counts, strict=True)]
+        if (length := text.count("\n")) > LONGEST_MODULE:
+            long[str(path.relative_to(ROOT))] = length
+    print(f"\n{'folder':26}{'modules':>8}{'code':>8}{'statements':>12}")
+    for name, (count, code, statements) in sorted(sizes.items()):
+        print(f"{name:26}{count:8}{code:8}{statements:12}")
+    assert not long, f"modules of more than {LONGEST_MODULE} lines: {long}"
+    assert sizes["."][0] <= 4
+    assert len({name.split("/")[0] for name in sizes} - {".", "in all"}) <= 16
+
+
 # --- names --------------------------------------------------------------------------------------
 
 
@@ -115,8 +162,9 @@ def test_every_public_name_resolves():
 
 
 def test_the_names_are_few_and_each_is_described():
-    described = re.findall(r"^- `(\w+)`: ([A-Z][^.]*\.)$", API.read_text("utf-8"), re.MULTILINE)
-    assert sorted(dict(described)) == sorted({*chd.__all__} - {"__version__"})
+    row = r"^   \* - (?::doc:)?`(\w+)(?: <.*>)?`\n     - [A-Z].*\.$"
+    described = re.findall(row, API.read_text("utf-8"), re.MULTILINE)
+    assert sorted(described) == sorted({*chd.__all__} - {"__version__"})
     assert len(dir(chd)) <= 30
 
 

@@ -1,4 +1,4 @@
-"""Simulate null distributions of statistics of normality, for chdstat/inference/null_tables.py.
+"""Simulate null distributions of statistics of normality, for chdstat/inference/statistics.py.
 
     python tools/make_normality_tables.py > tables.txt
 
@@ -19,8 +19,7 @@ import numpy as np
 from scipy import special
 
 from chdstat.inference import statistics
-from chdstat.inference.null_tables import LEVELS
-from chdstat.inference.statistics import SCALES
+from chdstat.inference.statistics import LEVELS, SCALES
 
 SEED = 20240607
 SIZES = (

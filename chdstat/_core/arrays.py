@@ -415,6 +415,8 @@ def _take(value: Any, index: tuple[Any, ...]) -> Any:
         return value[index] if value.ndim >= len(index) else value
     if isinstance(value, Mapping):
         return {name: _take(item, index) for name, item in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_take(item, index) for item in value)
     if is_dataclass(value):
         taken = copy.copy(value)
         # Cached properties lie beside the fields; a frozen dataclass guards only its attributes.

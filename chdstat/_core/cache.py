@@ -30,7 +30,7 @@ from chdstat.errors import StoreError
 if TYPE_CHECKING:
     from cattrs import Converter
 
-__all__ = ["Cache", "code_digest", "read_record", "user_cache", "write_record"]
+__all__ = ["Cache", "installed", "user_cache"]
 
 T = TypeVar("T")
 
@@ -115,8 +115,7 @@ def _converter() -> Converter:
     converter = Converter(structure_fallback_factory=lambda _: _refused)
     # Arrays are found while the tree is read.
     converter.register_structure_hook_func(
-        _is_array,
-        lambda item, kind: item if isinstance(item, np.ndarray) else _refused(item, kind),
+        _is_array, lambda item, kind: item if isinstance(item, np.ndarray) else _refused(item, kind)
     )
     return converter
 
@@ -137,7 +136,7 @@ _LIBRARIES = ("numpy", "scipy", "scikit-learn", "statsmodels", "torch", "pyoidn"
 @functools.cache
 def code_digest() -> str:
     """Return a digest of all code that numbers rest on: what other code computed is not read."""
-    digest = hashlib.sha256(repr([_version(name) for name in _LIBRARIES]).encode())
+    digest = hashlib.sha256(repr([installed(name) for name in _LIBRARIES]).encode())
     package = Path(chdstat.__file__).parent
     for path in sorted(package.rglob("*.py")):
         digest.update(path.relative_to(package).as_posix().encode())
@@ -145,9 +144,10 @@ def code_digest() -> str:
     return digest.hexdigest()[:12]
 
 
-def _version(library: str) -> str:
+def installed(package: str) -> str:
+    """Return the version of an installed package, "" of one that is not there."""
     try:
-        return importlib.metadata.version(library)
+        return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
         return ""
 

@@ -2,32 +2,38 @@
 
 One function runs on many pieces at once, one thread for each core: NumPy releases Python's lock
 while it computes, so threads, which share memory, are enough. Ctrl-C ends the work in all threads
-and is never lost. One progress bar shows rate and time left on the terminal's error stream; where
-no terminal is attached nothing is drawn, so that logs stay clean.
+and is never lost. One progress bar shows rate and time left on the terminal's error stream; a log
+gets a line every ten seconds if progress is asked for, and nothing otherwise.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 import os
 import signal
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING, TypeVar
 
+from chdstat._core.display import duration
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
     from rich.progress import ProgressColumn, Task
     from rich.text import Text
 
-__all__ = ["Interrupted", "Interrupts", "cores", "in_order", "memory", "track"]
+__all__ = ["Interrupted", "Interrupts", "check_memory", "cores", "in_order", "memory", "track"]
+
+_LINE_EVERY = 10.0
+"""Seconds between two lines of progress where no terminal is attached."""
 
 # Those of the signal module may be called in the main thread only.
 _get_handler = ctypes.pythonapi.PyOS_getsig
@@ -72,12 +78,7 @@ class Interrupts:
         """Let no pass begin any more."""
         self._stopped.set()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         _set_handler(signal.SIGINT, self._handler)
         if self._defers:
             signal.signal(signal.SIGINT, self._before)
@@ -109,8 +110,11 @@ def memory() -> int | None:
         total = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (ValueError, OSError, AttributeError):
         return None
-    limit = _container_limit()
-    return total if limit is None else min(limit, total)
+    try:
+        limit = Path("/sys/fs/cgroup/memory.max").read_text().strip()
+    except OSError:
+        return total
+    return min(int(limit), total) if limit.isdecimal() else total
 
 
 def check_memory(needed: float, what: str, advice: str) -> None:
@@ -164,17 +168,14 @@ def in_order(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _container_limit() -> int | None:
-    try:
-        text = Path("/sys/fs/cgroup/memory.max").read_text().strip()
-    except OSError:
-        return None
-    return int(text) if text.isdecimal() else None
-
-
 @contextlib.contextmanager
 def track(
-    description: str, total: float, *, unit: str = "it", show: bool | None = None
+    description: str,
+    total: float,
+    *,
+    unit: str = "it",
+    show: bool | None = None,
+    line_every: float = _LINE_EVERY,
 ) -> Iterator[Callable[[float], None]]:
     """Show the progress of a piece of work while the context lasts.
 
@@ -187,7 +188,10 @@ def track(
     unit
         What is counted; the rate is shown in it per second.
     show
-        Draw the bar; None draws it if the error stream is a terminal.
+        Show the progress, as a bar if the error stream is a terminal and as lines otherwise; None
+        draws the bar only.
+    line_every
+        Seconds between two lines.
 
     Yields
     ------
@@ -200,8 +204,13 @@ def track(
     ...     for _ in range(3):
     ...         advance(1)
     """
-    if show is False or (show is None and not sys.stderr.isatty()):
+    terminal = sys.stderr.isatty()
+    if not (terminal if show is None else show):
         yield lambda _: None
+        return
+    if not terminal:
+        with _lines(description, total, line_every) as advance:
+            yield advance
         return
     from rich import progress as bars
     from rich.console import Console
@@ -216,6 +225,43 @@ def track(
     with bars.Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(description, total=total)
         yield lambda amount: bar.advance(task, amount)
+
+
+_PAUSE = 1.0
+"""Seconds without work after which new work begins."""
+_line_before = _ended = -math.inf
+"""When the last line of progress was written, and when work ended: work of many short pieces has
+lines, too."""
+
+
+@contextlib.contextmanager
+def _lines(description: str, total: float, every: float) -> Iterator[Callable[[float], None]]:
+    """Write a line of progress now and then while the context lasts, also where work stands."""
+    global _line_before, _ended
+    start, ended, done = time.monotonic(), threading.Event(), 0.0
+    if start > _ended + _PAUSE:
+        _line_before = start
+
+    def advance(amount: float) -> None:
+        nonlocal done
+        done += amount
+
+    def write() -> None:
+        global _line_before
+        while not ended.wait(max(0, _line_before + every - time.monotonic())):
+            _line_before = time.monotonic()
+            share, passed = done / total if total else 1.0, duration(max(1, _line_before - start))
+            sys.stderr.write(f"{description}: {share:.0%} after {passed}\n")
+            sys.stderr.flush()
+
+    writer = threading.Thread(target=write, name="chdstat-progress", daemon=True)
+    writer.start()
+    try:
+        yield advance
+    finally:
+        ended.set()
+        writer.join()
+        _ended = time.monotonic()
 
 
 def _rate_column(unit: str) -> ProgressColumn:

@@ -1,7 +1,7 @@
 """Image scales: how bright an image is, for the screen, for published thresholds, and on average.
 
-`display_stops` is for showing it. `exposure_unit` is the radiance that an exposure as usual shows
-as 1. `mean_radiance` is its mean, which a few fireflies do not move.
+`display_stops` and `tonemap` are for showing it. `exposure_unit` is the radiance that an exposure
+as usual shows as 1. `mean_radiance` is its mean, which a few fireflies do not move.
 """
 
 from __future__ import annotations
@@ -14,7 +14,14 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut, as_pixels, is_bad, spans
 from chdstat.errors import InputError
 
-__all__ = ["RadianceSums", "display_stops", "exposure_unit", "mean_of_pixels", "mean_radiance"]
+__all__ = [
+    "RadianceSums",
+    "display_stops",
+    "exposure_unit",
+    "mean_of_pixels",
+    "mean_radiance",
+    "tonemap",
+]
 
 _WHITE, _PERCENTILE = 0.8, 90
 _KEY = 0.09
@@ -61,6 +68,44 @@ def display_stops(image: npt.ArrayLike) -> float:
     stops = np.log2(_WHITE / bright)
     wanted = np.log2(_KEY / _log_average(values))
     return float(np.clip(stops + np.clip(wanted - stops, 0, _MOST_STOPS), -_LIMIT, _LIMIT))
+
+
+def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArray[np.float64]:
+    """Return display values for linear radiance: exposure, then the sRGB curve, clipped to [0, 1].
+
+    Parameters
+    ----------
+    image
+        Linear radiance, shape (y, x, channel) with 1 or 3 channels.
+    exposure
+        Stops. None puts the 90th percentile near white, which suits interiors, or up to three stops
+        above it where windows or lamps would leave all else dark.
+
+    Returns
+    -------
+    ndarray
+        Shape (y, x, 3), in [0, 1]; pixels that are not finite are magenta, to be seen.
+
+    Raises
+    ------
+    InputError
+        If the shape is not (y, x, 1) or (y, x, 3).
+
+    Examples
+    --------
+    >>> tonemap(np.full((1, 1, 3), 1.0), exposure=-1).round(3)
+    array([[[0.735, 0.735, 0.735]]])
+    """
+    linear = np.asarray(image, dtype=np.float64)
+    if linear.ndim != 3 or linear.shape[2] not in {1, 3}:
+        message = f"an image must have shape (y, x, 1) or (y, x, 3), got {linear.shape}"
+        raise InputError(message)
+    linear = np.broadcast_to(linear, (*linear.shape[:2], 3))
+    finite = np.asarray(np.isfinite(linear).all(axis=-1))
+    stops = display_stops(linear[finite]) if exposure is None else exposure
+    value = np.clip(np.where(finite[..., None], linear, 0) * 2.0**stops, 0, 1)
+    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.where(finite[..., None], curve, (1.0, 0.0, 1.0))
 
 
 def exposure_unit(pixels: Array, unit: float | None = None) -> float:

@@ -17,6 +17,7 @@ import numpy.typing as npt
 from scipy import special, stats
 
 from chdstat._core.arrays import block_numbers, generator, spans
+from chdstat._core.display import with_interval, written
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -29,7 +30,6 @@ __all__ = [
     "holm",
     "interval_of",
     "largest_of",
-    "least_of",
     "mean_of",
     "median_of",
     "q_values",
@@ -170,6 +170,12 @@ class Interval(Generic[Value]):
     level: float = LEVEL
     standard_error: Any = math.nan
 
+    def __str__(self) -> str:
+        if isinstance(self.value, np.ndarray):
+            return f"{written(self.value)}, with intervals"
+        ends: Any = self.value, self.low, self.high
+        return with_interval(*ends)
+
     @staticmethod
     def unknown(value: float = math.nan, *, level: float = LEVEL) -> Interval[float]:
         """Return a number without an interval."""
@@ -258,61 +264,14 @@ def interval_of(
     *,
     level: float = LEVEL,
     bounds: tuple[float, float] = (-math.inf, math.inf),
-    seed: int = 0,
 ) -> Interval[float]:
-    """Return a statistic of weighted blocks with its block-bootstrap interval.
+    """Return a statistic of weighted blocks, or the least of several, with its interval.
 
     Percentile intervals of few blocks are too short, and a thousand replicates do not tell the
     extreme percentiles that they would need. So the distances of the value to the percentiles at
     5 % and 95 %, which keep the skew of the distribution, are stretched: with b blocks in r
     regions, by Student's t with b - r degrees of freedom at `level`, times sqrt(b / (b - r)), over
     1.645, the normal quantile at 95 %.
-
-    Parameters
-    ----------
-    statistic
-        Maps how often each block counts, shape (replicate, block), to shape (replicate,).
-    blocks
-        At least 6, else there is no interval.
-    level
-        Coverage.
-    bounds
-        What the statistic can be at least and at most.
-    seed
-        Of the draws.
-
-    References
-    ----------
-    Künsch, "The jackknife and the bootstrap for general stationary observations", 1989,
-    doi:10.1214/aos/1176347265: blocks. Hesterberg, "What teachers should know about the
-    bootstrap", 2015, doi:10.1080/00031305.2015.1089789: expanded percentiles, of which this is a
-    variant.
-
-    Examples
-    --------
-    >>> blocks, values = Blocks.grid(4, 4), np.arange(16.0)
-    >>> found = interval_of(lambda weights: weights @ values / 16, blocks)
-    >>> found.value, found.low < 5.5, found.high > 9.5
-    (7.5, True, True)
-    """
-    return least_of(
-        lambda weights: statistic(weights)[:, np.newaxis],
-        blocks,
-        level=level,
-        bounds=bounds,
-        seed=seed,
-    )
-
-
-def least_of(
-    statistics: Callable[[Floats], Floats],
-    blocks: Blocks,
-    *,
-    level: float = LEVEL,
-    bounds: tuple[float, float] = (-math.inf, math.inf),
-    seed: int = 0,
-) -> Interval[float]:
-    """Return the least of several statistics of weighted blocks with its interval.
 
     The least of several noisy numbers is too small where they are nearly equal, and so are the
     percentiles of its replicates. The low end is therefore the least of the low ends that the
@@ -322,32 +281,47 @@ def least_of(
 
     Parameters
     ----------
-    statistics
-        Maps how often each block counts, shape (replicate, block), to shape (replicate, statistic).
-    blocks, level, bounds, seed
-        As for `interval_of`.
+    statistic
+        Maps how often each block counts, shape (replicate, block), to shape (replicate,), or to
+        (replicate, statistic) for the least of several.
+    blocks
+        At least 6, else there is no interval.
+    level
+        Coverage.
+    bounds
+        What the statistic can be at least and at most.
 
     References
     ----------
-    Berger, "Multiparameter hypothesis testing and acceptance sampling", 1982, doi:10.2307/1267823:
-    the low end. Romano and Wolf, "Stepwise multiple testing as formalized data snooping", 2005,
-    doi:10.1111/j.1468-0262.2005.00615.x: the high end.
+    Künsch, "The jackknife and the bootstrap for general stationary observations", 1989,
+    doi:10.1214/aos/1176347265: blocks. Hesterberg, "What teachers should know about the
+    bootstrap", 2015, doi:10.1080/00031305.2015.1089789: expanded percentiles, of which this is a
+    variant. Berger, "Multiparameter hypothesis testing and acceptance sampling", 1982,
+    doi:10.2307/1267823: the low end of the least of several. Romano and Wolf, "Stepwise multiple
+    testing as formalized data snooping", 2005, doi:10.1111/j.1468-0262.2005.00615.x: its high end.
+
+    Examples
+    --------
+    >>> blocks, values = Blocks.grid(4, 4), np.arange(16.0)
+    >>> found = interval_of(lambda weights: weights @ values / 16, blocks)
+    >>> found.value, found.low < 5.5, found.high > 9.5
+    (7.5, True, True)
     """
+
+    def of_replicates(weights: Floats) -> Floats:
+        return statistic(weights).reshape(len(weights), -1)
+
     if not len(blocks):
         return Interval.unknown(level=level)
     with np.errstate(all="ignore"):
-        values = statistics(np.ones((1, len(blocks))))[0].astype(np.float64)
+        values = of_replicates(np.ones((1, len(blocks))))[0].astype(np.float64)
         value = float(values.min())
         degrees = len(blocks) - len(np.unique(blocks.region))
         if len(blocks) < LEAST_BLOCKS or degrees < 2 or not np.isfinite(values).all():
             return Interval.unknown(value, level=level)
-        rng = generator(seed)
-        draws = np.concatenate(
-            [
-                statistics(blocks.draw(part.stop - part.start, rng))
-                for part in spans(REPLICATES, _AT_ONCE)
-            ]
-        )
+        rng = generator(0)
+        sizes = (part.stop - part.start for part in spans(REPLICATES, _AT_ONCE))
+        draws = np.concatenate([of_replicates(blocks.draw(size, rng)) for size in sizes])
     moves = draws[np.isfinite(draws).all(axis=1)] - values
     if len(moves) < REPLICATES / 2:
         return Interval.unknown(value, level=level)
@@ -369,8 +343,8 @@ def least_of(
 def largest_of(
     statistics: Callable[[Floats], Floats], blocks: Blocks, *, level: float = LEVEL
 ) -> Interval[float]:
-    """Return the largest of several statistics of weighted blocks; see `least_of`."""
-    least = least_of(lambda weights: -statistics(weights), blocks, level=level)
+    """Return the largest of several statistics of weighted blocks; see `interval_of`."""
+    least = interval_of(lambda weights: -statistics(weights), blocks, level=level)
     return Interval(-least.value, -least.high, -least.low, level)
 
 

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import InputError
+
+if TYPE_CHECKING:
+    from chdstat.comparison import Comparison, ErrorCurve
 
 __all__ = ["compare", "estimate", "train"]
 
 _COMPARED = {
     "estimator": "estimator",
-    "mse_ratio": "MSE ratio",
-    "relmse_ratio": "relMSE ratio",
+    "mse_ratio": "MSE / mean's",
+    "relmse_ratio": "relMSE / mean's",
     "improved": "improved",
-    "unchanged": "unchanged",
     "bias": "bias",
-    "fireflies_left": "fireflies left",
+    "fireflies": "fireflies left",
 }
 """Columns of the tables of estimators."""
 
@@ -28,8 +31,9 @@ _COMPARED = {
 def train(
     source: cli.SceneOrStore,
     out: Annotated[Path, typer.Option("--out", "-o", help="The model to write, .safetensors.")],
-    model: Annotated[
-        str, typer.Option("--model", metavar="NAME", help="Name of the learned estimator.")
+    estimator: Annotated[
+        str,
+        typer.Option("-e", "--estimator", metavar="NAME", help="The learned estimator to train."),
     ] = "progressive",
     features: Annotated[
         bool, typer.Option("--features", help="Use first-hit features as inputs.")
@@ -52,8 +56,9 @@ def train(
     define: cli.Defines = None,
     store: cli.StoreKept = None,
     quiet: cli.Quiet = False,
+    as_json: cli.Json = False,
 ) -> None:
-    """Train an estimator on a scene and keep it; of a store, --spp takes the first samples."""
+    """Train an estimator on a scene and write it to a file."""
     from chdstat._core.files import checked_target
     from chdstat.estimators.models import check_choice, train_model
     from chdstat.estimators.progressive.inputs import Input
@@ -61,7 +66,7 @@ def train(
     target = checked_target(out, ".safetensors")  # refused before the work, not after
     wanted: dict[Input, bool] = {"features": features, "direct": direct}
     inputs = [name for name, chosen in wanted.items() if chosen]
-    check_choice(model, inputs=inputs, reference=not no_reference)
+    check_choice(estimator, inputs=inputs, reference=not no_reference)
     samples = cli.samples_of(
         source,
         spp=spp,
@@ -76,16 +81,19 @@ def train(
     )
     trained = train_model(
         samples,
-        model,
+        estimator,
         inputs=inputs,
         reference=not no_reference,
         spp=spp,
         seed=seed,
         iterations=iterations,
-        progress=cli.progress_of(quiet),
+        progress=not quiet,
     )
     trained.save(target)
-    typer.echo(f"wrote {target}")
+    about = {"estimator": estimator, "iterations": int(trained.history.iteration[-1])}
+    output.say_written(target, as_json=as_json, **(about if as_json else {}))
+    image = target.with_suffix(".exr")
+    output.say_next(quiet, f"chdstat estimate {source} --model {target} -o {image}")
 
 
 @cli.app.command(epilog="Example: chdstat estimate bathroom.zarr -o bathroom.exr --denoise")
@@ -93,7 +101,8 @@ def estimate(
     source: cli.SceneOrStore,
     out: Annotated[Path, typer.Option("--out", "-o", help="The image to write, .exr.")],
     model: Annotated[
-        Path | None, typer.Option(help="A trained model, in place of training one here.")
+        Path | None,
+        typer.Option(help="A trained model, as 'train' writes it.", show_default="trained here"),
     ] = None,
     loss_weight: Annotated[
         float, typer.Option(help="From 0, least MSE, to 1, least relMSE.")
@@ -117,8 +126,9 @@ def estimate(
     define: cli.Defines = None,
     store: cli.StoreKept = None,
     quiet: cli.Quiet = False,
+    as_json: cli.Json = False,
 ) -> None:
-    """Estimate the radiance of every pixel; of a store, --spp takes the first samples.
+    """Estimate the radiance of every pixel, with its certainty and its interval.
 
     Trains on these very samples, without a reference; with --while-rendering between the batches
     of a render, in memory that does not grow with --spp. The file holds the estimate, and as layers
@@ -148,7 +158,7 @@ def estimate(
             seed=seed,
             max_depth=max_depth,
             backend=backend,
-            progress=cli.progress_of(quiet),
+            progress=not quiet,
         )
     else:
         samples = cli.samples_of(
@@ -173,9 +183,10 @@ def estimate(
         denoise=denoise,
         seed=seed,
         iterations=iterations,
-        progress=cli.progress_of(quiet),
+        progress=not quiet,
     )
-    typer.echo(f"wrote {path}")
+    output.say_written(path, as_json=as_json)
+    output.say_next(quiet, f"open {path} in an EXR viewer; certainty, low, high, mean are layers")
 
 
 @cli.app.command(
@@ -183,10 +194,7 @@ def estimate(
 )
 def compare(
     store: cli.StorePath,
-    estimator: Annotated[
-        list[str] | None,
-        typer.Option("-e", "--estimator", metavar="NAME", help="An estimator; can be repeated."),
-    ] = None,
+    estimator: Annotated[list[str] | None, cli.compared(cli.COMPARED)] = None,
     n: Annotated[int, typer.Option("--n", help="Number of samples per estimate.")] = 32,
     seed: cli.Seed = 0,
     max_batches: Annotated[
@@ -202,7 +210,10 @@ def compare(
         bool, typer.Option("--curve", help="Also measure errors against the number of samples.")
     ] = False,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder for figures and numbers.")
+        Path | None,
+        typer.Option(
+            "--out", "-o", help="New folder for figures and numbers.", show_default="none"
+        ),
     ] = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
@@ -225,7 +236,7 @@ def compare(
         max_batches=max_batches,
         denoise=denoise,
         labels="classify" if patterns else None,
-        progress=cli.progress_of(quiet),
+        progress=not quiet,
     )
     errors = None
     if curve:
@@ -236,16 +247,37 @@ def compare(
             seed=seed,
             max_batches=max_batches,
             model=found.reusable_models,
-            progress=cli.progress_of(quiet),
+            progress=not quiet,
         )
     if out is not None:
         save_comparison(found, out, curve=errors)
     if as_json:
-        cli.print_json(found.to_dict() | ({} if errors is None else {"curve": errors.to_dict()}))
-        return
-    cli.print_rows(found.table(), _COMPARED, separate="uses_neighbours")
+        curves = {} if errors is None else {"curve": errors.to_dict()}
+        output.print_json(found.to_dict() | curves)
+    else:
+        _print_comparison(found, errors)
+    output.say_next(quiet, f"chdstat estimate {store} -o {store.with_suffix('.exr')}")
+
+
+def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:
+    """Print the tables of a comparison, with 95 % intervals in brackets."""
+    typer.echo(
+        f"{len(found.estimators)} estimators from {found.n} samples, on "
+        f"{found.test_pixels.sum()} test pixels; 95 % intervals in brackets\n"
+    )
+    output.print_rows(_in_words(found.table()), _COMPARED, separate="uses_neighbours")
     if found.breakdown is not None:
+        typer.echo()
         columns = {"label": "pattern", "pixels": "pixels", **_COMPARED}
-        cli.print_rows(found.breakdown.table(), columns)
-    if errors is not None:
-        cli.print_rows(errors.table(), {"n": "N", **_COMPARED})
+        output.print_rows(_in_words(found.breakdown.table()), columns, text=["estimator"])
+    if curve is not None:
+        typer.echo()
+        columns = {"n": "N", **_COMPARED}
+        output.print_rows(_in_words(curve.table()), columns, text=["estimator"])
+
+
+def _in_words(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return rows of measures as a report shows them, by the names that commands take."""
+    from chdstat.comparison.presentation import in_words
+
+    return [row | in_words(row) for row in rows]

@@ -1,10 +1,9 @@
-"""Program: the application, options that several commands take, its output, and how it ends."""
+"""Program: the application, options that several commands take, and how it ends."""
 
 from __future__ import annotations
 
 import contextlib
 import importlib
-import json
 import logging
 import re
 import reprlib
@@ -31,6 +30,8 @@ else:
     Backend = str  # the library knows which there are; it is imported when a command runs
 
 __all__ = [
+    "COMPARED",
+    "SEED",
     "SPP",
     "BackendName",
     "Defines",
@@ -38,23 +39,19 @@ __all__ = [
     "Iterations",
     "Json",
     "Quiet",
+    "RecipeSize",
     "SceneName",
     "SceneOrStore",
     "Seed",
-    "SeedOrNone",
     "Size",
     "Spp",
     "StoreKept",
     "StorePath",
     "app",
     "client_of",
+    "compared",
     "main",
-    "print_json",
-    "print_rows",
-    "print_table",
-    "progress_of",
     "samples_of",
-    "say_samples",
     "scene_of",
     "size_of",
     "source_of",
@@ -63,28 +60,74 @@ __all__ = [
 
 SPP = 256
 """Samples per pixel of a render where none are asked for, as in `chdstat.render`."""
-_WIDE = 200
+COMPARED = "mean, median_of_means, elek2019, progressive"
+"""Estimators that take part where none are named; written here, so that help comes at once."""
 _INTERRUPTED = 130
 
 # --- options ------------------------------------------------------------------------------------
 
-_SEED = typer.Option("--seed", help="Random seed, a non-negative integer.")
+SEED = "Random seed, a non-negative integer."
+
+
+def _scene_names(begun: str) -> list[tuple[str, str]]:
+    """Return the built-in scenes that begin so, with what each shows, for the shell."""
+    from chdstat.scenes import BUILTIN
+
+    return [row for row in BUILTIN.items() if row[0].startswith(begun)]
+
+
+def _estimator_names(begun: str) -> list[str]:
+    """Return the estimators that begin so, for the shell."""
+    from chdstat.estimators.registry import names
+
+    return [name for name in names() if name.startswith(begun)]
+
 
 SceneName = Annotated[
-    str, typer.Argument(metavar="SCENE", help="Built-in name or Mitsuba XML file.")
+    str,
+    typer.Argument(
+        metavar="SCENE", help="Built-in name or Mitsuba XML file.", autocompletion=_scene_names
+    ),
 ]
 SceneOrStore = Annotated[
     str,
     typer.Argument(
-        metavar="SCENE|STORE", help="Built-in name, Mitsuba XML file or finished store."
+        metavar="SCENE|STORE",
+        help="Built-in name, Mitsuba XML file or finished store.",
+        autocompletion=_scene_names,
     ),
 ]
 StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="A finished store.")]
-Spp = Annotated[int | None, typer.Option("--spp", help="Number of samples per pixel.")]
-Size = Annotated[str | None, typer.Option("--size", metavar="WxH", help="Image size in pixels.")]
-Seed = Annotated[int, _SEED]
-SeedOrNone = Annotated[int | None, _SEED]
-Depth = Annotated[int | None, typer.Option("--max-depth", help="Maximum path length in segments.")]
+Spp = Annotated[
+    int | None,
+    typer.Option(
+        "--spp",
+        help="Number of samples per pixel; of a store, the first ones.",
+        show_default=f"{SPP} of a scene, all of a store",
+    ),
+]
+Size = Annotated[
+    str | None,
+    typer.Option(
+        "--size", metavar="WxH", help="Image size in pixels.", show_default="the scene's own"
+    ),
+]
+RecipeSize = Annotated[
+    str | None,
+    typer.Option(
+        "--size",
+        metavar="WxH",
+        help="Image size in pixels.",
+        show_default="the recipe's, or 128 along the longer edge",
+    ),
+]
+Seed = Annotated[int, typer.Option("--seed", help=SEED)]
+Depth = Annotated[
+    int | None,
+    typer.Option(
+        "--max-depth", help="Maximum path length in segments.", show_default="the scene's own"
+    ),
+]
 BackendName = Annotated[
     Backend,
     typer.Option("--backend", help="auto, scalar, llvm or cuda.", metavar="NAME", parser=str),
@@ -94,12 +137,32 @@ Defines = Annotated[
     typer.Option("-D", metavar="KEY=VALUE", help="Parameter of an XML scene; can be repeated."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress bars.")]
-Iterations = Annotated[int | None, typer.Option(help="Number of training minibatches.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Show no progress, and not what to do next.")
+]
+Iterations = Annotated[
+    int | None, typer.Option(help="Number of training minibatches.", show_default="as many as pay")
+]
 StoreKept = Annotated[
     Path | None,
-    typer.Option("--store", help="Store in which the samples are kept, and resumed from."),
+    typer.Option(
+        "--store",
+        help="Store in which the samples are kept, and resumed from.",
+        show_default="none: in memory",
+    ),
 ]
+
+
+def compared(default: str | bool = True) -> Any:
+    """Return the option of estimators to compare, with what the help calls its default."""
+    return typer.Option(
+        "-e",
+        "--estimator",
+        metavar="NAME",
+        help="An estimator to compare, trained here if it learns; can be repeated.",
+        show_default=default,
+        autocompletion=_estimator_names,
+    )
 
 
 def scene_of(name: str, define: list[str] | None) -> Scene:
@@ -152,7 +215,7 @@ def samples_of(
         direct=direct,
         out=store,
         backend=backend,
-        progress=progress_of(quiet),
+        progress=not quiet,
     )
 
 
@@ -197,11 +260,6 @@ def size_of(text: str | None) -> tuple[int, int] | None:
     return int(size[1]), int(size[2])
 
 
-def progress_of(quiet: bool) -> bool | None:
-    """Return whether to show progress: None leaves it to the terminal."""
-    return False if quiet else None
-
-
 def client_of(address: str | None) -> contextlib.AbstractContextManager[Client | None]:
     """Return a context with a Dask client, or with None."""
     if address is None:
@@ -214,76 +272,10 @@ def client_of(address: str | None) -> contextlib.AbstractContextManager[Client |
         raise InputError(message) from error
 
 
-# --- output -------------------------------------------------------------------------------------
-
-
-def say_samples(samples: Samples, as_json: bool) -> None:
-    """Say what samples there are."""
-    if as_json:
-        print_json({**samples.attrs, "path": str(samples.path), "spp": samples.spp})
-    else:
-        typer.echo(repr(samples))
-
-
-def print_json(content: dict[str, Any]) -> None:
-    """Print numbers for scripts."""
-    typer.echo(json.dumps(content, indent=2, allow_nan=False))
-
-
-def print_table(content: dict[str, Any]) -> None:
-    """Print names and values."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, padding=(0, 2, 0, 0))
-    table.add_column(style="bold", no_wrap=True)
-    table.add_column(overflow="fold")
-    for name, value in content.items():
-        table.add_row(name.replace("_", " "), _readable(value))
-    Console(highlight=False).print(table)
-
-
-def print_rows(
-    rows: list[dict[str, Any]], columns: dict[str, str], *, separate: str | None = None
-) -> None:
-    """Print rows with the columns that they have; a line before the first that is `separate`."""
-    from rich.console import Console
-    from rich.table import Table
-
-    shown = {key: title for key, title in columns.items() if key in rows[0]}
-    table = Table(box=None, padding=(0, 2, 0, 0))
-    for key, title in shown.items():
-        side: Any = "left" if isinstance(rows[0][key], str) else "right"
-        table.add_column(title, justify=side, no_wrap=True)
-    before = False
-    for row in rows:
-        if separate is not None and row[separate] and not before:
-            before = True
-            table.add_row("with neighbours:", style="bold")
-        table.add_row(*(_readable(row[key]) for key in shown))
-    console = Console(highlight=False)
-    if not console.is_terminal:
-        console.width = _WIDE  # whole lines for a pipe or a file
-    console.print(table)
-
-
-def _readable(value: Any) -> str:
-    if isinstance(value, dict):
-        return "\n".join(f"{k}: {_readable(v)}" for k, v in value.items()) or "none"
-    if isinstance(value, (list, tuple)):
-        nested = any(isinstance(v, (list, tuple)) for v in value)
-        return ("\n" if nested else ", ").join(_readable(v) for v in value) or "none"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "unknown" if value is None else str(value)
-
-
 # --- the application ----------------------------------------------------------------------------
 
 app = typer.Typer(
     help="Look at the sample distributions behind a Monte Carlo image.",
-    no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -296,8 +288,9 @@ def _say_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def _options(
+    context: typer.Context,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
     version: Annotated[
         bool,
@@ -305,6 +298,26 @@ def _options(
     ] = False,
 ) -> None:
     del debug, version  # main and the callback have seen to them
+    if context.invoked_subcommand is None:
+        _show_flow(context)
+
+
+_FLOW = ("render", "info", "analyze", "compare", "train", "estimate", "report", "explore", "study")
+
+
+def _show_flow(context: typer.Context) -> None:
+    """Print the commands in the order of the work, each with its example and first sentence."""
+    commands: Any = context.command
+    typer.echo("From a scene to its sample distributions, step by step:\n")
+    for name in _FLOW:
+        command = commands.commands[name]
+        example = command.epilog.removeprefix("Example: ")
+        typer.echo(f"  {example}\n      {command.get_short_help_str(200)}")
+    typer.echo(
+        "\nStart with 'chdstat report cornell-box -o report.pdf', which does most of it. Names of "
+        "scenes and\nestimators: chdstat list. Options: chdstat COMMAND --help. What works here: "
+        "chdstat doctor."
+    )
 
 
 def main() -> None:

@@ -1,36 +1,75 @@
-"""Reports: the commands that make a PDF or a page, and describe what works on this machine."""
+"""Reports: the commands that make a PDF or a page, and say what there is and what works here."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from chdstat.cli import output
 from chdstat.cli import program as cli
 
-__all__ = ["doctor", "explore", "report", "study"]
+__all__ = ["doctor", "explore", "list_names", "report", "study"]
 
 
 @cli.app.command(epilog="Example: chdstat report bathroom -o report.pdf")
 def report(
     source: cli.SceneOrStore,
     out: Annotated[Path, typer.Option("--out", "-o", help="The PDF to write.")],
-    spp: cli.Spp = None,
-    size: cli.Size = None,
-    seed: cli.SeedOrNone = None,
+    estimator: Annotated[list[str] | None, cli.compared(cli.COMPARED)] = None,
+    iterations: cli.Iterations = None,
+    spp: Annotated[
+        int | None,
+        typer.Option(
+            "--spp",
+            help="Number of samples per pixel; of a store, the first ones.",
+            show_default="the recipe's, or 512; all of a store",
+        ),
+    ] = None,
+    size: cli.RecipeSize = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            help="Random seed, a non-negative integer.", show_default="the recipe's, or 0"
+        ),
+    ] = None,
     max_depth: cli.Depth = None,
     backend: cli.BackendName = "auto",
     define: cli.Defines = None,
-    recipe: Annotated[Path | None, typer.Option(help="Recipe with the regions to show.")] = None,
+    recipe: Annotated[
+        Path | None,
+        typer.Option(help="Recipe with the regions to show.", show_default="the scene's own"),
+    ] = None,
     store: cli.StoreKept = None,
+    as_published: Annotated[
+        bool,
+        typer.Option(
+            "--as-published",
+            help="Render 800 x 800 pixels at 2000 spp and train as long as the paper did: hours.",
+        ),
+    ] = False,
     quiet: cli.Quiet = False,
+    as_json: cli.Json = False,
 ) -> None:
     """Render, analyse, train, compare and typeset: a PDF on the sample distributions of a scene."""
     import chdstat
+    from chdstat.comparison.candidates import DEFAULT
+    from chdstat.reporting.typst import pages_of
 
+    given = cli.source_of(source, define)
+    if as_published and not isinstance(given, Path):
+        from chdstat.reporting.scene_report import published_seconds
+
+        hours = published_seconds(given, recipe, backend=backend) / 3600
+        kept = store or out.with_suffix(".zarr")
+        typer.echo(
+            f"rendering as published takes about {hours:.1f} h here, the rest about as long; "
+            f"samples are kept in {kept}, and the same command resumes",
+            err=True,
+        )
     path = chdstat.report(
-        cli.source_of(source, define),
+        given,
         out,
         spp=spp,
         size=cli.size_of(size),
@@ -38,13 +77,17 @@ def report(
         max_depth=max_depth,
         recipe=recipe,
         store=store,
+        estimators=estimator or DEFAULT,
+        iterations=iterations,
+        as_published=as_published,
         backend=backend,
-        progress=cli.progress_of(quiet),
+        progress=not quiet,
     )
-    typer.echo(f"wrote {path}")
+    output.say_written(path, as_json=as_json, pages=pages_of(path))
+    output.say_next(quiet, f"chdstat explore {store or source}")
 
 
-@cli.app.command(epilog="Example: chdstat study bathroom fog -o study.pdf --json findings.json")
+@cli.app.command(epilog="Example: chdstat study bathroom fog -o study.pdf")
 def study(
     scenes: Annotated[
         list[str] | None,
@@ -54,60 +97,82 @@ def study(
             "all study scenes without any.",
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="The PDF to write.")] = None,
-    json_out: Annotated[Path | None, typer.Option("--json", help="The JSON to write.")] = None,
-    folder: Annotated[Path, typer.Option(help="Where renders are kept.")] = Path("renders/out"),
-    spp: cli.Spp = None,
-    size: cli.Size = None,
-    seed: cli.SeedOrNone = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The PDF to write.", show_default="none")
+    ] = None,
+    store: Annotated[
+        Path,
+        typer.Option(metavar="FOLDER", help="Folder of stores that are kept, and resumed from."),
+    ] = Path("renders/out"),
+    spp: Annotated[
+        int | None,
+        typer.Option(help="Number of samples per pixel.", show_default="the recipe's, or 1024"),
+    ] = None,
+    size: cli.RecipeSize = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            help="Random seed, a non-negative integer.", show_default="the recipe's, or 1"
+        ),
+    ] = None,
     max_depth: cli.Depth = None,
     backend: cli.BackendName = "auto",
-    estimator: Annotated[
-        list[str],
-        typer.Option(
-            "-e",
-            "--estimator",
-            metavar="NAME",
-            help="An estimator to compare, trained on each scene if it learns; can be repeated.",
-        ),
-    ] = ["mean", "elek2019"],  # noqa: B006 - Typer takes lists
+    estimator: Annotated[list[str], cli.compared()] = [  # noqa: B006 - Typer takes lists
+        "mean",
+        "elek2019",
+    ],
     quiet: cli.Quiet = False,
+    as_json: cli.Json = False,
 ) -> None:
     """Test the claims of the paper on scenes: verdicts, figures, a PDF."""
     import chdstat
     from chdstat._core.files import checked_target
+    from chdstat.reporting.typst import pages_of
 
-    for path, suffix in ((out, ".pdf"), (json_out, ".json")):
-        if path:
-            checked_target(path, suffix)
+    if out:
+        checked_target(out, ".pdf")  # refused before the work, not after
     found = chdstat.study(
         scenes or None,
-        folder=folder,
+        folder=store,
         spp=spp,
         size=cli.size_of(size),
         seed=seed,
         max_depth=max_depth,
         estimators=estimator,
         backend=backend,
-        progress=cli.progress_of(quiet),
+        progress=not quiet,
     )
-    rows = found.table()
-    cli.print_rows(rows, {key: key for key in rows[0]})
-    if json_out:
-        found.save_json(json_out)
+    if as_json:
+        output.print_json(found.to_dict())
+    else:
+        rows = found.table()
+        columns = {key: key for key in rows[0]} | {"number": ""}
+        output.print_rows(rows, columns, text=["claim"])
     if out:
         found.save_pdf(out)
+        typer.echo(f"wrote {out}, {pages_of(out)} pages", err=as_json)
+    first = found.scenes[0].name
+    output.say_next(quiet, f"chdstat report {first} -o {first}.pdf")
 
 
 @cli.app.command(epilog="Example: chdstat explore bathroom.zarr")
 def explore(
     source: cli.SceneOrStore,
-    other: Annotated[Path | None, typer.Option(help="A second store to compare with.")] = None,
+    other: Annotated[
+        Path | None, typer.Option(help="A second store to compare with.", show_default="none")
+    ] = None,
     reference: Annotated[
-        Path | None, typer.Option(help="Store that errors are measured against.")
+        Path | None,
+        typer.Option(
+            help="Store that errors are measured against.", show_default="the source's own samples"
+        ),
     ] = None,
     model: Annotated[
         list[Path] | None, typer.Option(help="A trained estimator to show; can be repeated.")
+    ] = None,
+    maps: Annotated[
+        Path | None,
+        typer.Option(help="Maps that 'chdstat analyze -o' wrote, to show.", show_default="none"),
     ] = None,
     port: Annotated[int, typer.Option(help="Port to listen on; 0 takes a free one.")] = 5006,
     browser: Annotated[
@@ -118,7 +183,7 @@ def explore(
     max_depth: cli.Depth = None,
     define: cli.Defines = None,
 ) -> None:
-    """Serve a page that shows the distribution of any pixel, to this machine alone."""
+    """Show the distribution of any pixel on a page in the browser, served on localhost only."""
     import chdstat
 
     explorer = chdstat.explore(
@@ -126,6 +191,7 @@ def explore(
         other=other,
         reference=reference,
         models=model or (),
+        maps=maps,
         port=port,
         browser=browser,
         size=cli.size_of(size),
@@ -136,10 +202,44 @@ def explore(
     explorer.wait()
 
 
-@cli.app.command(epilog="Example: chdstat doctor --json")
+@cli.app.command("list", epilog="Example: chdstat list estimators")
+def list_names(
+    kind: Annotated[
+        Literal["scenes", "estimators", "families", "patterns"] | None,
+        typer.Argument(help="What to list.", show_default="all four"),
+    ] = None,
+    as_json: cli.Json = False,
+) -> None:
+    """List the scenes, estimators, families and patterns that there are, a sentence for each."""
+    from chdstat.estimators import lookup, names
+    from chdstat.fit.families import FAMILIES
+    from chdstat.patterns import PATTERNS
+    from chdstat.scenes import BUILTIN
+
+    families = {
+        name: (family.documentation or "").partition("\n")[0] for name, family in FAMILIES.items()
+    }
+    found: dict[str, dict[str, str]] = {
+        "scenes": BUILTIN,
+        "estimators": {name: lookup(name).about for name in names()},
+        "families": families,
+        "patterns": {p.name: f"{p.meaning[0].upper()}{p.meaning[1:]}." for p in PATTERNS},
+    }
+    shown = found if kind is None else {kind: found[kind]}
+    if as_json:
+        output.print_json(found if kind is None else found[kind])
+        return
+    for number, (title, rows) in enumerate(shown.items()):
+        if kind is None:
+            typer.echo("\n" * (number > 0) + f"{title}:")
+        output.print_table(rows)
+    output.say_next(False, "chdstat render SCENE -o s.zarr", "chdstat compare s.zarr -e ESTIMATOR")
+
+
+@cli.app.command(epilog="Example: chdstat doctor")
 def doctor(
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Test again what was tested before.")
+        bool, typer.Option("--fresh", help="Ignore cached results and test the backends again.")
     ] = False,
     as_json: cli.Json = False,
 ) -> None:
@@ -148,6 +248,9 @@ def doctor(
 
     found = examine(fresh=fresh)
     if as_json:
-        cli.print_json(found)
+        output.print_json(found)
     else:
-        cli.print_table(found)
+        memory = found.pop("memory_gib")
+        named = {name.replace("_", " "): value for name, value in found.items()}
+        output.print_table(named | {"memory": None if memory is None else f"{memory} GiB"})
+    output.say_next(False, "chdstat render cornell-box -o box.zarr")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError
 
@@ -30,7 +32,12 @@ def render(
     backend: cli.BackendName = "auto",
     define: cli.Defines = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers render.")
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler whose workers render.",
+            show_default="none: this machine",
+        ),
     ] = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
@@ -41,6 +48,8 @@ def render(
     """
     import chdstat
 
+    if not out.parent.exists():
+        typer.echo(f"chdstat: making the folder {out.parent}", err=True)
     with cli.client_of(scheduler) as client:
         samples = chdstat.render(
             cli.scene_of(scene, define),
@@ -53,33 +62,63 @@ def render(
             out=out,
             backend=backend,
             client=client,
-            progress=cli.progress_of(quiet),
+            progress=not quiet,
         )
-    cli.say_samples(samples, as_json)
+    output.say_samples(samples, as_json=as_json, quiet=quiet)
 
 
-@cli.app.command(epilog="Example: chdstat info bathroom.zarr --json")
+@cli.app.command(epilog="Example: chdstat info bathroom.zarr")
 def info(
     store: cli.StorePath,
     verify: Annotated[
         bool, typer.Option("--verify", help="Read everything and list damaged files.")
     ] = False,
+    quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
     """Describe a store, and say whether it is complete and sound."""
     from chdstat.samples import inspect
+    from chdstat.samples.description import provenance
 
     found = inspect(store, verify=verify)
     if as_json:
-        cli.print_json(found)
+        output.print_json(found)
     else:
-        cli.print_table(found | {"scene_files": len(found.get("scene_files", ()))})
+        output.print_table({**provenance(found, [*found["shape"].values()]), **_state(found)})
     if found.get("damaged"):
         message = (
             f"{len(found['damaged'])} damaged file(s) in {store}, listed above; "
             "run the same 'chdstat render' again to repair them"
         )
         raise ChdstatError(message)
+    if found["pending_chunks"]:
+        output.say_next(quiet, "the same 'chdstat render' again, which resumes")
+    else:
+        output.say_next(quiet, f"chdstat analyze {store}", f"chdstat explore {store}")
+
+
+def _state(found: Mapping[str, Any]) -> dict[str, str]:
+    """Return what there is of a store, in words."""
+    from chdstat._core.display import byte_size
+
+    wanted, there = found["shape"]["sample"], found["complete_spp"]
+    state = "complete"
+    if found["pending_chunks"]:
+        state = (
+            f"stopped: every pixel has {there} of {wanted} samples, and "
+            f"{found['pending_chunks']} chunks are missing"
+        )
+    files = "all there; --verify reads them, too"
+    if "damaged" in found:
+        files = "damaged: " + ", ".join(found["damaged"]) if found["damaged"] else "sound, all read"
+    direct = f", direct light of {found['direct_spp']} samples" if found["direct_spp"] else ""
+    return {
+        "Also stored": ", ".join(found["features"]) + " of the first hit" + direct,
+        "State": state,
+        "Files": files,
+        "On disk": byte_size(found["bytes"]),
+        "Written by": f"chdstat {found['chdstat_version']}, schema {found['schema_version']}",
+    }
 
 
 @cli.app.command(epilog="Example: chdstat convert old.zarr -o new.zarr --scene bathroom")
@@ -105,15 +144,18 @@ def convert(
     from chdstat.rendering.conversion import convert as converted
 
     of = None if scene is None else cli.scene_of(scene, define)
-    samples = converted(store, out, scene=of, progress=cli.progress_of(quiet))
-    cli.say_samples(samples, as_json)
+    samples = converted(store, out, scene=of, progress=not quiet)
+    output.say_samples(samples, as_json=as_json, quiet=quiet)
 
 
 @cli.app.command(epilog="Example: chdstat analyze bathroom.zarr -o bathroom-maps.zarr")
 def analyze(
     store: cli.StorePath,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="New zarr store to write all maps to.")
+        Path | None,
+        typer.Option(
+            "--out", "-o", help="New zarr store to write all maps to.", show_default="none"
+        ),
     ] = None,
     threshold: Annotated[
         list[str] | None,
@@ -136,17 +178,25 @@ def analyze(
 
     if out is not None:
         unused(out)  # refused before the work, not after
-    thresholds = cli.thresholds_of(threshold)
+    thresholds, samples = cli.thresholds_of(threshold), chdstat.open(store)
     dataset = chdstat.analyze(
-        chdstat.open(store),
-        thresholds=thresholds,
-        resamples=resamples,
-        progress=cli.progress_of(quiet),
+        samples, thresholds=thresholds, resamples=resamples, progress=not quiet
     )
     if out is not None:
         save(dataset, out)
-    numbers = overview(dataset).to_dict()
     if as_json:
-        cli.print_json(numbers)
+        output.print_json(overview(dataset).to_dict())
     else:
-        cli.print_table(numbers)
+        from chdstat.reporting.content import analysis_content
+
+        found = analysis_content(samples, dataset)
+        output.print_sentences(found["sentences"])
+        typer.echo()
+        output.print_sentences(found["findings"], bullet="- ")
+        typer.echo()
+        columns = {"name": "pattern", "share": "pixels", "meaning": "meaning"}
+        output.print_rows(found["patterns"], columns, text=["meaning"])
+        typer.echo()
+        columns = {"name": "best family", "bic": "by BIC", "held_out": "by held-out likelihood"}
+        output.print_rows(found["families"], columns)
+    output.say_next(quiet, f"chdstat explore {store}", f"chdstat compare {store}")

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from chdstat._core.resampling import Interval
 from chdstat.comparison.accumulate import MEASURES, PixelEstimates
-from chdstat.comparison.candidates import Denoised, denoised
-from chdstat.comparison.side_by_side import compare, curve_sizes, error_curve
+from chdstat.comparison.candidates import Denoised, curve_sizes, denoised
+from chdstat.comparison.side_by_side import compare, error_curve
 from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
 
 __all__ = [

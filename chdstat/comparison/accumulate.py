@@ -1,6 +1,6 @@
 """Errors of many estimators on the same batches, added up, and the measures that follow from them.
 
-`judge` lets every estimator estimate from each batch and returns an `ErrorAccumulator`. Every
+`judge` lets every estimator estimate from each batch and returns `BatchErrors`. Every
 measure is a ratio of sums over units, so that one bootstrap over the units serves them all. A unit
 is a block of pixels with all their batches, or a batch with all its pixels. Neighbours see the same
 light and gain or lose together, so that intervals are over blocks, not pixels (Künsch 1989,
@@ -14,32 +14,39 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import repeat
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import block_numbers
+from chdstat._core.display import Shown
 from chdstat._core.executor import track
+from chdstat._core.reasons import flag_attributes
 from chdstat._core.resampling import Interval
 from chdstat.comparison.candidates import Candidates
 from chdstat.comparison.metrics import bootstrap, relative_squared_error
 from chdstat.errors import InputError
 from chdstat.estimators.order import mean
 from chdstat.estimators.validation import batches
+from chdstat.patterns import Label, classify
+from chdstat.samples import Samples
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 __all__ = [
     "MEASURES",
     "SUMS",
-    "ErrorAccumulator",
-    "ErrorSums",
-    "EstimateImages",
     "PixelEstimates",
     "Units",
+    "counts",
     "errors_of",
     "judge",
-    "stack_measures",
+    "labels_of",
+    "measures_of",
+    "stacked",
 ]
 
 Array = npt.NDArray[Any]
@@ -57,8 +64,8 @@ MEASURES = {
 }
 """Long name and unit of every measure."""
 
-SUMS = ("squared", "relative", "improved", "unchanged", "firefly", "error")
-"""What is added up for every estimator and channel."""
+SUMS = ("squared", "relative", "improved", "unchanged", "firefly", "error", "reference", "count")
+"""What is added up for every estimator and channel: of estimates that count, the last is 1."""
 
 _SAME = 1e-6
 """Relative difference below which an estimate is the mean, summed in another order."""
@@ -66,80 +73,34 @@ _FIREFLY = 3.0
 """Excess over the reference, in units of it, from which an estimate is a firefly: two stops."""
 
 
-@dataclass(frozen=True)
-class ErrorSums:
-    """Sums of errors, one row a unit.
+def counts(sums: Array) -> npt.NDArray[np.int64]:
+    """Return how many estimates of each channel were added, shape (unit,)."""
+    return np.asarray(sums[:, -1, 0, 0], np.int64)
 
-    Attributes
+
+def measures_of(sums: Array, *, seed: int) -> dict[str, Interval[Array]]:
+    """Return every measure with its interval over units, shape (estimator, channel + 1).
+
+    The last place of the channel axis is the average over channels. The measures of a single unit
+    have no interval. Of k units, percentiles are too close by sqrt((k - 1) / k), and by the normal
+    quantile in place of Student's (Hesterberg 2015, doi:10.1080/00031305.2015.1089789); they are
+    moved apart by as much.
+
+    Parameters
     ----------
     sums
         By the names of `SUMS`, shape (unit, sum, 1 + estimator, channel); the sample mean is
         estimator 0.
-    reference
-        Sum of the references, radiance, shape (unit, channel).
-    count
-        Estimates of each channel that were added, shape (unit,).
+    seed
+        Of the bootstrap.
     """
-
-    sums: npt.NDArray[np.float64]
-    reference: npt.NDArray[np.float64]
-    count: npt.NDArray[np.int64]
-
-    @classmethod
-    def empty(cls, units: int, estimators: int, channels: int) -> ErrorSums:
-        """Return zeros for a number of estimators beside the sample mean."""
-        return cls(
-            np.zeros((units, len(SUMS), 1 + estimators, channels)),
-            np.zeros((units, channels)),
-            np.zeros(units, np.int64),
-        )
-
-    def __getitem__(self, units: Any) -> ErrorSums:
-        """Return the sums of some units."""
-        return ErrorSums(self.sums[units], self.reference[units], self.count[units])
-
-    def joined(self, groups: npt.NDArray[np.int64]) -> ErrorSums:
-        """Return the sums of units of the same group, in the order of the groups' numbers."""
-        _, group = np.unique(groups, return_inverse=True)
-        found = ErrorSums.empty(
-            group.max(initial=-1) + 1, self.sums.shape[2] - 1, self.sums.shape[3]
-        )
-        np.add.at(found.sums, group, self.sums)
-        np.add.at(found.reference, group, self.reference)
-        np.add.at(found.count, group, self.count)
-        return found
-
-    def measures(self, *, seed: int) -> dict[str, Interval[Array]]:
-        """Return every measure with its interval over units, shape (estimator, channel + 1).
-
-        The last place of the channel axis is the average over channels. The measures of a single
-        unit have no interval.
-        """
-        used = self[self.count > 0]
-        units, channels = used.reference.shape
-        parts = used.sums.reshape(units, -1), used.reference, used.count[:, np.newaxis]
-
-        def statistic(means: Array) -> Array:
-            sums, reference, count = np.split(means, [-1 - channels, -1], axis=1)
-            return _measure(sums.reshape(-1, *used.sums.shape[1:]), reference, count)
-
-        found = _stretched(bootstrap(np.concatenate(parts, axis=1), statistic, seed=seed), units)
-        return {name: found[index] for index, name in enumerate(MEASURES)}
-
-
-def _stretched(found: Interval[Array], units: int) -> Interval[Array]:
-    """Return an interval that is right for few units, too; of a single one there is none.
-
-    Of k units, percentiles are too close by sqrt((k - 1) / k), and by the normal quantile in place
-    of Student's (Hesterberg 2015, doi:10.1080/00031305.2015.1089789).
-    """
-    if units == 1:
-        unknown = np.full_like(found.value, np.nan)
-        return Interval(found.value, unknown, unknown, found.level, unknown)
-    spread = float(np.sqrt(units / (units - 1)))
+    used = sums[counts(sums) > 0]
+    found, units = bootstrap(used, _measures, seed=seed), len(used)
+    spread = float(np.sqrt(units / (units - 1))) if units > 1 else np.nan
     reach = spread * float(stats.t.ppf(0.975, units - 1) / stats.norm.ppf(0.975))
     low, high = (found.value + reach * (end - found.value) for end in (found.low, found.high))
-    return Interval(found.value, low, high, found.level, spread * found.standard_error)
+    found = Interval(found.value, low, high, found.level, spread * found.standard_error)
+    return {name: found[index] for index, name in enumerate(MEASURES)}
 
 
 def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Array) -> Array:
@@ -169,39 +130,33 @@ def errors_of(estimate: Array, mean: Array, reference: Array, *, scene_mean: Arr
     unchanged = np.abs(p - mean) <= _SAME * np.abs(mean)
     improved = (np.abs(error) < np.abs(mean - reference)) & ~unchanged
     firefly = (error > 0) & (relative > _FIREFLY**2)
-    return np.stack([error**2, relative, improved, unchanged, firefly, error], axis=1)
+    ones = np.ones_like(p)
+    parts = [error**2, relative, improved, unchanged, firefly, error, reference, ones]
+    return np.stack(parts, axis=1)
 
 
-def stack_measures(parts: Sequence[Mapping[str, Interval[Array]]]) -> dict[str, Interval[Array]]:
-    """Return the measures of several parts as one, along a new first axis."""
-
-    def stacked(name: str, field: str) -> Array:
-        return np.stack([getattr(part[name], field) for part in parts])
-
-    return {
-        name: Interval(
-            stacked(name, "value"),
-            stacked(name, "low"),
-            stacked(name, "high"),
-            standard_error=stacked(name, "standard_error"),
+def stacked(parts: Sequence[Mapping[str, Interval[Array]]]) -> dict[str, Interval[Array]]:
+    """Return the measures of several parts, averaged over channels, along a new first axis."""
+    found = {}
+    for name in MEASURES:
+        value, low, high, error = (
+            np.stack([getattr(part[name], field)[:, -1] for part in parts])
+            for field in ("value", "low", "high", "standard_error")
         )
-        for name in MEASURES
-    }
+        found[name] = Interval(value, low, high, standard_error=error)
+    return found
 
 
-def _measure(sums: Array, reference: Array, count: Array) -> Array:
+def _measures(sums: Array) -> Array:
     """Return measures (replicate, measure, estimator, channel + 1) of sums over units."""
+    *shares, error, reference, count = np.moveaxis(sums, 1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = _with_average(sums[:, :5] / count[:, :, np.newaxis, np.newaxis])
-        squared, relative, improved, unchanged, firefly = np.moveaxis(shares, 1, 0)
-        bias = _with_average(sums[:, 5] / reference[:, np.newaxis])
+        found = np.stack([*(part / count for part in shares), error / reference])
+        found = np.concatenate([found, found.mean(axis=-1, keepdims=True)], axis=-1)
+        squared, relative, improved, unchanged, firefly, bias = found
         ratios = [part / part[:, :1] for part in (squared, relative, firefly)]
-    found = [squared, relative, improved, unchanged, bias, firefly, *ratios]
-    return np.stack(found, axis=1)[:, :, 1:]
-
-
-def _with_average(values: Array) -> Array:
-    return np.concatenate([values, values.mean(axis=-1, keepdims=True)], axis=-1)
+    measures = [squared, relative, improved, unchanged, bias, firefly, *ratios]
+    return np.stack(measures, axis=1)[:, :, 1:]
 
 
 _ACROSS = 8
@@ -220,8 +175,6 @@ class Units:
         Where each unit begins, shape (unit,).
     label, block
         Of each unit, shape (unit,).
-    pixels
-        Pixels in each unit, shape (unit,).
     """
 
     ys: npt.NDArray[np.intp]
@@ -229,7 +182,6 @@ class Units:
     starts: npt.NDArray[np.intp]
     label: npt.NDArray[np.int64]
     block: npt.NDArray[np.int64]
-    pixels: npt.NDArray[np.int64]
 
     @classmethod
     def of(cls, test: npt.NDArray[np.bool_], labels: npt.NDArray[np.int64] | None = None) -> Units:
@@ -241,8 +193,7 @@ class Units:
         label, block = label[order], block[order]
         new = (np.diff(label, prepend=-1) != 0) | (np.diff(block, prepend=-1) != 0)
         starts = np.flatnonzero(new)
-        pixels = np.diff(starts, append=len(ys))
-        return cls(ys[order], xs[order], starts, label[starts], block[starts], pixels)
+        return cls(ys[order], xs[order], starts, label[starts], block[starts])
 
     def __call__(self, image: Array) -> Array:
         """Return an image's values at the pixels, shape (pixel, ...)."""
@@ -253,37 +204,57 @@ class Units:
         return np.asarray(np.add.reduceat(values, self.starts, axis=0))
 
 
-@dataclass(frozen=True)
-class EstimateImages:
-    """The first batch over the whole image, radiance.
+def labels_of(
+    given: npt.ArrayLike | xr.DataArray | xr.Dataset | str,
+    samples: Samples,
+    *,
+    progress: bool | None = None,
+) -> tuple[npt.NDArray[np.int64], dict[int, str]]:
+    """Return the labels of an image as codes (y, x), and the names of the codes.
 
-    Attributes
+    Parameters
     ----------
-    estimates
-        Shape (estimator, y, x, channel).
-    squared_error
-        Of the estimates against the reference, same shape.
-    mean
-        Sample mean of the batch, shape (y, x, channel).
-    reference
-        Mean of all other samples, shape (y, x, channel).
+    given
+        Codes of `Label`, shape (y, x); a labelled map of other codes with the attributes
+        ``flag_values`` and ``flag_meanings``; a dataset with such a map as ``label``; or
+        "classify".
+
+    Raises
+    ------
+    InputError
+        If it is neither, has another shape, or holds codes without a name.
     """
+    found: Any = given
+    if isinstance(given, str):
+        if given != "classify":
+            message = f"labels must be a map of labels or 'classify', got {given!r}"
+            raise InputError(message)
+        found = classify(samples, progress=progress)
+    if hasattr(found, "data_vars"):
+        if "label" not in found:
+            message = f"a dataset of labels has a variable 'label'; this one has {list(found)}"
+            raise InputError(message)
+        found = found["label"]
+    codes = np.asarray(found)
+    if codes.shape != samples.shape[:2] or codes.dtype.kind not in "iu":
+        message = (
+            f"labels must be integers of shape {samples.shape[:2]}, one for each pixel; "
+            f"got {codes.dtype} of shape {codes.shape}"
+        )
+        raise InputError(message)
+    attrs = getattr(found, "attrs", {})
+    flags = attrs if "flag_meanings" in attrs else flag_attributes(Label)
+    values = np.atleast_1d(flags["flag_values"]).tolist()
+    names = dict(zip(values, flags["flag_meanings"].split(), strict=True))
+    unknown = set(np.unique(codes).tolist()) - set(names)
+    if unknown:
+        message = f"labels must be among {names}, got {sorted(unknown)} too"
+        raise InputError(message)
+    return codes.astype(np.int64), names
 
-    estimates: npt.NDArray[np.float32]
-    squared_error: npt.NDArray[np.float32]
-    mean: npt.NDArray[np.float32]
-    reference: npt.NDArray[np.float64]
 
-    @classmethod
-    def of(cls, estimates: Sequence[Array], mean: Array, reference: Array) -> EstimateImages:
-        """Add the squared errors; float32 is what an image holds, and 1e30 squared is beyond it."""
-        with np.errstate(over="ignore"):
-            squared = [np.square(one - reference).astype(np.float32) for one in estimates]
-        return cls(np.stack(estimates), np.stack(squared), mean.astype(np.float32), reference)
-
-
-@dataclass(frozen=True)
-class PixelEstimates:
+@dataclass(frozen=True, repr=False)
+class PixelEstimates(Shown):
     """A few pixels that no estimator was trained on, one batch each.
 
     Attributes
@@ -327,31 +298,36 @@ class PixelEstimates:
 
 
 @dataclass(frozen=True)
-class ErrorAccumulator:
+class BatchErrors:
     """What many estimators did on the same batches.
 
     Attributes
     ----------
-    by_unit, by_block
-        Sums over batches, one row a unit of pixels, or a block, whatever the labels in it.
-    by_batch
-        Sums over pixels, one row a batch.
+    by_unit, by_block, by_batch
+        Sums, see `measures_of`: over batches, one row a unit of pixels, or a block, whatever the
+        labels in it, and over pixels, one row a batch; NaN for estimators that do not take so many
+        samples.
     excluded
         Batches of test pixels without a reference.
-    images
-        Images of the first batch.
+    estimates
+        Of the whole image from the first batch, of those that take as many, shape (estimator, y, x,
+        channel).
+    mean, reference
+        Of the first batch and of all other samples, shape (y, x, channel).
     """
 
-    by_unit: ErrorSums
-    by_block: ErrorSums
-    by_batch: ErrorSums
+    by_unit: npt.NDArray[np.float64]
+    by_block: npt.NDArray[np.float64]
+    by_batch: npt.NDArray[np.float64]
     excluded: int
-    images: EstimateImages
+    estimates: npt.NDArray[np.float32]
+    mean: npt.NDArray[np.float32]
+    reference: npt.NDArray[np.float64]
 
 
 def judge(
     candidates: Candidates, units: Units, *, n: int, limit: int | None, progress: bool | None = None
-) -> ErrorAccumulator:
+) -> BatchErrors:
     """Let every estimator that takes n samples estimate from the same batches; add up its errors.
 
     The image is read with n samples at a time and estimated by one estimator at a time.
@@ -375,14 +351,14 @@ def judge(
     functions, samples, totals = candidates.taking(n), candidates.samples, candidates.totals
     height, width, channels, spp = samples.shape
     rounds = spp // n if limit is None else min(limit, spp // n)
-    by_unit = ErrorSums.empty(len(units.starts), len(functions), channels)
-    by_batch = ErrorSums.empty(rounds, len(functions), channels)
+    sums = len(SUMS), 1 + len(candidates.entries), channels
+    by_unit, by_batch = np.zeros((len(units.starts), *sums)), np.zeros((rounds, *sums))
     scene_mean = totals.mean()[totals.count > 0].mean(axis=0)
     first: list[Array] = []
     excluded = 0
     direct = candidates.direct
     parts = repeat(None) if direct is None else batches(direct, n, limit=limit)
-    work = rounds * height * width * len(functions)
+    work = rounds * height * width * (1 + len(functions))
     with track(f"comparing at N = {n}", work, unit="px", show=progress) as advance:
         images = batches(samples, n, limit=limit)
         for index, (x, part) in enumerate(zip(images, parts, strict=False)):
@@ -390,14 +366,12 @@ def judge(
             truth, of_mean = units(reference), units(average)
             usable = np.asarray(np.isfinite(truth).all(axis=-1))
             excluded += int((~usable).sum())
-            total = units.sum(np.where(usable[:, np.newaxis], truth, 0))
-            count = units.sum(usable.astype(np.int64))
-            by_unit.reference[:] += total
-            by_unit.count[:] += count
-            by_batch.reference[index], by_batch.count[index] = total.sum(axis=0), count.sum()
             if index == 0:
-                first_mean, first_reference = average, reference
-            for k, name in enumerate(["mean", *functions]):
+                first_reference = reference
+            for k, name in enumerate(["mean", *candidates.entries]):
+                if k > 0 and name not in functions:
+                    by_unit[:, :, k] = by_batch[:, :, k] = np.nan
+                    continue
                 estimate = average if k == 0 else np.asarray(functions[name](x, part))
                 if estimate.shape != average.shape:
                     message = (
@@ -409,16 +383,20 @@ def judge(
                 found[usable] = errors_of(
                     units(estimate)[usable], of_mean[usable], truth[usable], scene_mean=scene_mean
                 )
-                sums = units.sum(found)
-                by_unit.sums[:, :, k] += sums
-                by_batch.sums[index, :, k] = sums.sum(axis=0)
-                if index == 0 and k > 0:
+                added = units.sum(found)
+                by_unit[:, :, k] += added
+                by_batch[index, :, k] = added.sum(axis=0)
+                if index == 0:
                     first.append(estimate.astype(np.float32))
-                advance(height * width if k > 0 else 0)
-    if by_unit.count.sum() == 0:
+                advance(height * width)
+    if not counts(by_unit).any():
         message = (
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
         )
         raise InputError(message)
-    shown = EstimateImages.of(first, first_mean, first_reference)
-    return ErrorAccumulator(by_unit, by_unit.joined(units.block), by_batch, excluded, shown)
+    blocks, block = np.unique(units.block, return_inverse=True)
+    by_block = np.zeros((len(blocks), *sums))
+    np.add.at(by_block, block, by_unit)
+    first_mean, *estimates = first
+    shown = np.stack(estimates), first_mean, first_reference
+    return BatchErrors(by_unit, by_block, by_batch, excluded, *shown)

@@ -10,16 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import whole
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser, through_denoiser
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup, names
-from chdstat.estimators.validation import Totals, direct_of, draw_pixels, judging_pixels
+from chdstat.estimators.validation import Totals, check_spp, direct_of, draw_pixels, judging_pixels
 from chdstat.samples import Samples
 
 __all__ = [
@@ -28,15 +29,16 @@ __all__ = [
     "Denoised",
     "Entry",
     "Given",
+    "curve_sizes",
     "denoised",
-    "least_taken",
-    "looked_up",
     "options_of",
     "resolve",
-    "takes",
 ]
 
 Array = npt.NDArray[Any]
+
+_SMALLEST, _SHARE = 4, 8
+"""By default, sizes double from 4 to an eighth of the samples: the rest is the reference."""
 
 
 @dataclass(frozen=True)
@@ -51,22 +53,20 @@ class Denoised:
         Whether the denoiser is given albedo and normal of the first hit.
     with_certainty
         Whether an estimate is kept as far as its model is certain of it.
+    uses_neighbours
+        A denoiser always looks across pixels.
     """
 
     entry: Estimator | LearnedEstimator
     with_features: bool = False
     with_certainty: bool = False
+    uses_neighbours: ClassVar[bool] = True
 
     @property
     def name(self) -> str:
         """What it is called by, such as "progressive + OIDN features"."""
         features = " features" if self.with_features else ""
         return f"{self.entry.name} + OIDN{features}{' certainty' if self.with_certainty else ''}"
-
-    @property
-    def uses_neighbours(self) -> bool:
-        """Whether it looks across pixels: a denoiser always does."""
-        return True
 
 
 def denoised(
@@ -130,22 +130,22 @@ def resolve(estimators: Sequence[str | Entry], sizes: Sequence[int]) -> dict[str
     InputError
         If one is unknown, named twice, or takes none of the `sizes`.
     """
-    found = looked_up(estimators)
+    found = _looked_up(estimators)
     entries = {e.name: e for e in sorted(found, key=lambda entry: entry.uses_neighbours)}
     if not entries or len(entries) < len(found):
         message = f"estimators must be one or more different names, got {[e.name for e in found]}"
         raise InputError(message)
     for entry in map(_without_denoiser, found):
-        if not any(takes(entry, n) for n in sizes):
+        if not any(_takes(entry, n) for n in sizes):
             exact = isinstance(entry, LearnedEstimator)
-            least = f"{'exactly' if exact else 'at least'} {least_taken(entry)}"
+            least = f"{'exactly' if exact else 'at least'} {_least_taken(entry)}"
             given = f"n={sizes[0]}" if len(sizes) == 1 else f"sizes {tuple(sizes)}"
             message = f"{entry.name} takes {least} samples, got {given}; give another n"
             raise InputError(message)
     return entries
 
 
-def looked_up(estimators: Sequence[str | Entry]) -> list[Entry]:
+def _looked_up(estimators: Sequence[str | Entry]) -> list[Entry]:
     """Return the entries of names, and entries as they are.
 
     Raises
@@ -164,7 +164,38 @@ def looked_up(estimators: Sequence[str | Entry]) -> list[Entry]:
     return found
 
 
-def takes(entry: Entry, n: int) -> bool:
+def curve_sizes(
+    samples: Samples,
+    estimators: Sequence[str | Entry] = DEFAULT,
+    *,
+    sizes: Sequence[int] | None = None,
+) -> tuple[int, ...]:
+    """Return the N of an error curve in ascending order, checked before any work.
+
+    Raises
+    ------
+    InputError
+        As `error_curve` does.
+    """
+    if sizes is None:
+        largest = max(_SMALLEST, samples.spp // _SHARE)
+        doubled = [2**k for k in range(_SMALLEST.bit_length() - 1, largest.bit_length())]
+        entries = _looked_up(estimators)
+        fewest = {_least_taken(e) for e in entries if not any(_takes(e, n) for n in doubled)}
+        sizes = [*doubled, *(n for n in fewest if 2 * n <= samples.spp)]
+    if np.ndim(sizes) != 1:
+        message = f"sizes must be several numbers, got {sizes!r}"
+        raise InputError(message)
+    chosen = tuple(sorted(whole("a size", n, least=1) for n in sizes))
+    if not chosen or len(set(chosen)) < len(chosen):
+        message = f"sizes must be one or more different numbers from 1, got {chosen}"
+        raise InputError(message)
+    check_spp(samples, chosen[-1])
+    resolve(estimators, chosen)
+    return chosen
+
+
+def _takes(entry: Entry, n: int) -> bool:
     """Return whether an estimator takes n samples."""
     own = _without_denoiser(entry)
     if isinstance(own, LearnedEstimator):
@@ -172,7 +203,7 @@ def takes(entry: Entry, n: int) -> bool:
     return n >= own.minimum_samples
 
 
-def least_taken(entry: Entry) -> int:
+def _least_taken(entry: Entry) -> int:
     """Return the fewest samples that an estimator takes."""
     own = _without_denoiser(entry)
     return (own.inputs or 1) if isinstance(own, LearnedEstimator) else own.minimum_samples
@@ -207,8 +238,8 @@ class Candidates:
         Those that were trained, by name; entries that share a training share a model.
     judging
         Pixels that no training draws, shape (y, x), whoever takes part.
-    foreign
-        Those of the models that did not train on this scene, by name.
+    trained_here
+        Those of the models that were trained for this comparison, by name.
     """
 
     samples: Samples
@@ -216,7 +247,7 @@ class Candidates:
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
     judging: npt.NDArray[np.bool_]
-    foreign: frozenset[str]
+    trained_here: frozenset[str]
 
     @classmethod
     def of(
@@ -244,7 +275,14 @@ class Candidates:
         # What cannot be done is refused before the training.
         for entry in entries.values():
             if isinstance(entry, Denoised):
-                _check_denoised(entry, samples)
+                check_denoiser(samples.shape[2])
+                if entry.with_features and "albedo" not in samples.features:
+                    message = (
+                        f"{entry.name!r} needs the albedo of the first hit, which this image "
+                        f"lacks; it has {sorted(samples.features) or 'none'}. "
+                        "Give denoised(..., with_features=False)"
+                    )
+                    raise InputError(message)
         own = [_without_denoiser(entry) for entry in entries.values()]
         learned = {e.name: e for e in own if isinstance(e, LearnedEstimator)}
         if any(entry.uses_direct for entry in learned.values()):
@@ -261,17 +299,14 @@ class Candidates:
                 )
         models = {name: trained[entry.train] for name, entry in learned.items()}
         for name, entry in entries.items():
+            base = _without_denoiser(entry).name
             certain = isinstance(entry, Denoised) and entry.with_certainty
-            if certain and not hasattr(models[_without_denoiser(entry).name], "estimate"):
-                message = f"{_without_denoiser(entry).name} says no certainty; leave {name!r} out"
+            if certain and not hasattr(models[base], "estimate"):
+                message = f"{base} says no certainty; leave {name!r} out"
                 raise InputError(message)
-        foreign = frozenset(
-            name
-            for name, entry in learned.items()
-            if entry.train in given and not _trained_on(given[entry.train], samples)
-        )
+        here = frozenset(name for name, entry in learned.items() if entry.train not in given)
         judging = judging_pixels(samples.shape[:2], seed=seed)
-        return cls(samples, totals, entries, models, judging, foreign)
+        return cls(samples, totals, entries, models, judging, here)
 
     def with_denoised(self) -> Candidates:
         """Add every way to denoise each of them that the image and its model allow, at the end."""
@@ -285,11 +320,6 @@ class Candidates:
                         added = Denoised(entry, with_features, kept)
                         entries.setdefault(added.name, added)
         return replace(self, entries=entries)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names in order."""
-        return tuple(self.entries)
 
     @property
     def uses_neighbours(self) -> npt.NDArray[np.bool_]:
@@ -318,7 +348,7 @@ class Candidates:
         return {
             name: partial(self._estimate, entry)
             for name, entry in self.entries.items()
-            if takes(entry, n)
+            if _takes(entry, n)
         }
 
     def _estimate(self, entry: Entry, x: Array, direct: Array | None) -> Array:
@@ -328,8 +358,9 @@ class Candidates:
         options = options_of(own, features)
         if own.uses_direct:
             options["direct"] = direct
-        if isinstance(model, Progressive) and own.name not in self.foreign:
-            options["trust"] = 1.0
+        if isinstance(model, Progressive):
+            here = own.name in self.trained_here or model.trained_on(self.samples.attrs)
+            options |= {"trust": 1.0} if here else {}
         guides = features if isinstance(entry, Denoised) and entry.with_features else {}
         if isinstance(entry, Denoised) and entry.with_certainty:
             found = model.estimate(x, **options)
@@ -358,33 +389,20 @@ class Candidates:
         return test
 
 
-def _check_denoised(entry: Denoised, samples: Samples) -> None:
-    """Refuse an image that lacks what the denoiser is given, and a missing denoiser."""
-    check_denoiser(samples.shape[2])
-    if entry.with_features and "albedo" not in samples.features:
-        message = (
-            f"{entry.name!r} needs the albedo of the first hit, which this image lacks; it has "
-            f"{sorted(samples.features) or 'none'}. Give denoised(..., with_features=False)"
-        )
-        raise InputError(message)
-
-
 def _given(model: Given, learned: Mapping[str, LearnedEstimator]) -> dict[Any, Model]:
     """Return the models that are at hand, by the training that they stand for."""
     if model is None:
         return {}
-    named = model if isinstance(model, Mapping) else {model.name: model}
-    trainings = {entry.train for entry in learned.values()}
-    found = {}
-    for name, own in named.items():
-        entry = learned[name] if name in learned else lookup(name)
-        if not isinstance(entry, LearnedEstimator) or entry.train not in trainings:
+    trainings, found = {entry.train for entry in learned.values()}, {}
+    for name, own in (model if isinstance(model, Mapping) else {model.name: model}).items():
+        train = getattr(learned.get(name) or lookup(name), "train", None)
+        if train not in trainings:
             message = (
                 f"the model is a {name!r}, which is not among {list(learned)}, those that learn; "
                 "name it there"
             )
             raise InputError(message)
-        found[entry.train] = own
+        found[train] = own
     return found
 
 
@@ -393,7 +411,3 @@ def _seen(model: Model, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
     if hasattr(model, "train_pixels_of"):  # it may have been trained on several images
         return np.asarray(model.train_pixels_of(shape))
     return model.train_pixels if model.train_shape == shape else np.zeros((0, 2), np.int64)
-
-
-def _trained_on(model: Model, samples: Samples) -> bool:
-    return isinstance(model, Progressive) and model.trained_on(samples.attrs)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import generator, spans, whole
 from chdstat._core.resampling import Interval
 from chdstat.errors import InputError
-from chdstat.estimators.rows import check_probability
+from chdstat.estimators.registry import check_probability
 
 __all__ = [
     "bias",
@@ -252,7 +252,6 @@ def bootstrap(
         ends = [(1 - level) / 2, (1 + level) / 2]
         low, high = np.quantile(np.concatenate(draws), ends, axis=0)
     value = of_means(data.mean(axis=0, keepdims=True))[0]
-    value, low, high, error = (np.asarray(part) for part in (value, low, high, error))
     return Interval(value, low, high, level, error)
 
 

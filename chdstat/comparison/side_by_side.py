@@ -7,47 +7,41 @@ depends on the image and the seed alone, so that no row of the table depends on 
 estimators; only where none was trained on an image of this size, all pixels judge.
 
 `error_curve` does the same for many n: use it to see up to which size an estimator pays. Where it
-has a bias that does not fall, its error does not.
+has a bias that does not fall, its error does not. `SelfTraining` is an estimate without a
+reference, and its errors against all other samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, seed_number, whole
-from chdstat._core.reasons import flag_attributes
-from chdstat._core.resampling import Interval
-from chdstat.comparison.accumulate import ErrorSums, Units, judge, stack_measures
-from chdstat.comparison.candidates import (
-    DEFAULT,
-    Candidates,
-    Entry,
-    Given,
-    least_taken,
-    looked_up,
-    resolve,
-    takes,
-)
+from chdstat._core.display import Shown
+from chdstat.comparison.accumulate import Units, counts, judge, labels_of, measures_of, stacked
+from chdstat.comparison.candidates import DEFAULT, Candidates, Entry, Given, curve_sizes, resolve
 from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
-from chdstat.errors import InputError
+from chdstat.estimators import Estimates, Estimator, Progressive
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.validation import check_spp
-from chdstat.patterns import Label, classify
 from chdstat.samples import Image, Samples, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["compare", "curve_sizes", "error_curve"]
+__all__ = ["LEVELS", "SelfTraining", "compare", "coverage", "error_curve", "train_alone"]
 
 Array = npt.NDArray[Any]
 
-_SMALLEST, _SHARE = 4, 8
-"""By default, sizes double from 4 to an eighth of the samples: the rest is the reference."""
+LEVELS = (0.5, 0.8, 0.9, 0.95)
+"""Probabilities that intervals state."""
+_SELF_TRAINED = 64
+"""Samples that are improved without a reference."""
 
 
 def compare(
@@ -141,27 +135,29 @@ def compare(
     check_spp(samples, n)
     if denoise:
         check_denoiser(samples.shape[2])  # before the training, not after
-    codes, names = (None, {}) if labels is None else _labels_of(labels, samples, progress=progress)
+    codes, names = (None, {}) if labels is None else labels_of(labels, samples, progress=progress)
     found = Candidates.of(entries, samples, sizes=[n], seed=seed, model=model, progress=progress)
     found = found.with_denoised() if denoise else found
     test = found.test_pixels()
     units = Units.of(test, codes)
     errors = judge(found, units, n=n, limit=max_batches, progress=progress)
-    images = errors.images
+    # float32 is what an image holds, and 1e30 squared is beyond it.
+    with np.errstate(over="ignore"):
+        squared = [np.square(p - errors.reference).astype(np.float32) for p in errors.estimates]
     return Comparison(
-        estimators=found.names,
+        estimators=tuple(found.entries),
         uses_neighbours=found.uses_neighbours,
         channels=samples.channels,
-        measures=errors.by_block.measures(seed=seed),
-        over_batches=errors.by_batch.measures(seed=seed),
-        estimates=images.estimates,
-        squared_error=images.squared_error,
-        first_mean=images.mean,
-        first_reference=images.reference,
+        measures=measures_of(errors.by_block, seed=seed),
+        over_batches=measures_of(errors.by_batch, seed=seed),
+        estimates=errors.estimates,
+        squared_error=np.stack(squared),
+        first_mean=errors.mean,
+        first_reference=errors.reference,
         reference=found.totals.mean(),
         test_pixels=test,
         n=n,
-        batches=int(errors.by_unit.count.sum()),
+        batches=int(counts(errors.by_unit).sum()),
         excluded=errors.excluded,
         breakdown=None if codes is None else _breakdown(names, units, errors.by_unit, found, seed),
         models=found.models,
@@ -170,19 +166,19 @@ def compare(
 
 
 def _breakdown(
-    names: Mapping[int, str], units: Units, sums: ErrorSums, candidates: Candidates, seed: int
+    names: Mapping[int, str], units: Units, sums: Array, candidates: Candidates, seed: int
 ) -> Breakdown:
     """Measure the pixels of each label separately."""
-    judged = sums.count > 0
+    judged = counts(sums) > 0
     codes = np.unique(units.label[judged])
-    found = [sums[units.label == code].measures(seed=seed) for code in codes]
-    parts = [{name: part[:, -1] for name, part in measures.items()} for measures in found]
+    parts = [measures_of(sums[units.label == code], seed=seed) for code in codes]
+    pixels = np.where(judged, units.sum(np.ones(len(units.ys), np.int64)), 0)
     return Breakdown(
         labels=tuple(names[code] for code in codes.tolist()),
-        estimators=candidates.names,
+        estimators=tuple(candidates.entries),
         uses_neighbours=candidates.uses_neighbours,
-        pixels=np.array([units.pixels[judged & (units.label == code)].sum() for code in codes]),
-        measures=stack_measures(parts),
+        pixels=np.array([pixels[units.label == code].sum() for code in codes]),
+        measures=stacked(parts),
     )
 
 
@@ -247,114 +243,108 @@ def error_curve(
     entries = resolve(estimators, chosen)
     found = Candidates.of(entries, samples, sizes=chosen, seed=seed, model=model, progress=progress)
     units = Units.of(found.test_pixels())
-    parts, noise, counts = [], [], []
+    parts, noise, judged = [], [], []
     for n in chosen:
-        errors = judge(found, units, n=n, limit=max_batches, progress=progress)
-        taken = list(found.taking(n))
-        place = [taken.index(name) if name in taken else len(taken) for name in found.names]
-        measures = errors.by_block.measures(seed=seed)
-        parts.append({name: _placed(part[:, -1], place) for name, part in measures.items()})
-        counts.append(errors.by_unit.count.sum())
+        sums = judge(found, units, n=n, limit=max_batches, progress=progress).by_unit
+        parts.append(measures_of(sums, seed=seed))
+        judged.append(counts(sums).sum())
         # The reference adds the share N / spp of the sample mean's own error.
-        of_mean = errors.by_unit.sums[:, :2, 0].sum(axis=0).mean(axis=-1) / counts[-1]
+        of_mean = sums[:, :2, 0].sum(axis=0).mean(axis=-1) / judged[-1]
         noise.append(of_mean * (n / samples.spp))
     return ErrorCurve(
-        estimators=found.names,
+        estimators=tuple(found.entries),
         uses_neighbours=found.uses_neighbours,
         sizes=chosen,
-        measures=stack_measures(parts),
+        measures=stacked(parts),
         reference_noise=dict(zip(("mse", "relmse"), np.transpose(noise), strict=True)),
-        batches=np.array(counts),
+        batches=np.array(judged),
         test_pixels=len(units.ys),
         models=found.models,
         provenance=found.provenance(seed=seed, max_batches=max_batches),
     )
 
 
-def curve_sizes(
-    samples: Samples,
-    estimators: Sequence[str | Entry] = DEFAULT,
-    *,
-    sizes: Sequence[int] | None = None,
-) -> tuple[int, ...]:
-    """Return the N of an error curve in ascending order, checked before any work.
-
-    Raises
-    ------
-    InputError
-        As `error_curve` does.
-    """
-    if sizes is None:
-        largest = max(_SMALLEST, samples.spp // _SHARE)
-        doubled = [2**k for k in range(_SMALLEST.bit_length() - 1, largest.bit_length())]
-        entries = looked_up(estimators)
-        fewest = {least_taken(e) for e in entries if not any(takes(e, n) for n in doubled)}
-        sizes = [*doubled, *(n for n in fewest if 2 * n <= samples.spp)]
-    if np.ndim(sizes) != 1:
-        message = f"sizes must be several numbers, got {sizes!r}"
-        raise InputError(message)
-    chosen = tuple(sorted(whole("a size", n, least=1) for n in sizes))
-    if not chosen or len(set(chosen)) < len(chosen):
-        message = f"sizes must be one or more different numbers from 1, got {chosen}"
-        raise InputError(message)
-    check_spp(samples, chosen[-1])
-    resolve(estimators, chosen)
-    return chosen
-
-
-def _placed(interval: Interval[Array], place: list[int]) -> Interval[Array]:
-    """Put estimators in their place; beyond the last, which took no such samples, there is NaN."""
-    return interval.map(lambda part: np.append(part, np.nan)[place])
-
-
 def _limit(max_batches: int | None) -> int | None:
     return None if max_batches is None else whole("max_batches", max_batches, least=1)
 
 
-def _labels_of(
-    given: npt.ArrayLike | xr.DataArray | xr.Dataset | str,
-    samples: Samples,
-    *,
-    progress: bool | None = None,
-) -> tuple[npt.NDArray[np.int64], dict[int, str]]:
-    """Return the labels of an image as codes (y, x), and the names of the codes.
+@dataclass(frozen=True, repr=False)
+class SelfTraining(Shown):
+    """An estimate without a reference, and its errors.
 
-    Parameters
+    Attributes
     ----------
-    given
-        Codes of `Label`, shape (y, x); a labelled map of other codes with the attributes
-        ``flag_values`` and ``flag_meanings``; a dataset with such a map as ``label``; or
-        "classify".
-
-    Raises
-    ------
-    InputError
-        If it is neither, has another shape, or holds codes without a name.
+    comparison
+        Of the mean and the estimate from the same samples.
+    estimates
+        The estimate of the whole image, with its certainty and the interval of 90 %.
+    coverage
+        Share of the intervals that contain the reference, at `LEVELS`, by what estimated.
+    iterations
+        Minibatches of the training.
     """
-    found: Any = given
-    if isinstance(given, str):
-        if given != "classify":
-            message = f"labels must be a map of labels or 'classify', got {given!r}"
-            raise InputError(message)
-        found = classify(samples, progress=progress)
-    if hasattr(found, "data_vars"):
-        if "label" not in found:
-            message = f"a dataset of labels has a variable 'label'; this one has {list(found)}"
-            raise InputError(message)
-        found = found["label"]
-    codes = np.asarray(found)
-    if codes.shape != samples.shape[:2] or codes.dtype.kind not in "iu":
-        message = (
-            f"labels must be integers of shape {samples.shape[:2]}, one for each pixel; "
-            f"got {codes.dtype} of shape {codes.shape}"
+
+    comparison: Comparison
+    estimates: Estimates
+    coverage: Mapping[str, tuple[float, ...]]
+    iterations: int
+
+    @classmethod
+    def of(
+        cls, samples: Samples, comparison: Comparison, model: Progressive, *, progress: bool | None
+    ) -> Self:
+        """Measure what `train_alone` trained against all other samples of the scene.
+
+        Parameters
+        ----------
+        samples, comparison
+            The scene, and how estimators compare on it, a progressive one among them.
+        model
+            Trained on the first samples alone.
+        progress
+            As for `chdstat.compare`.
+        """
+        features, few = samples.features, samples.read(ss=slice(0, _SELF_TRAINED))
+        alone = Estimator(
+            "self_trained",
+            partial(model.predict, trust=1.0),
+            "this library",
+            uses_neighbours=True,
+            uses_features=True,
         )
-        raise InputError(message)
-    attrs = getattr(found, "attrs", {})
-    flags = attrs if "flag_meanings" in attrs else flag_attributes(Label)
-    values = np.atleast_1d(flags["flag_values"]).tolist()
-    names = dict(zip(values, flags["flag_meanings"].split(), strict=True))
-    unknown = set(np.unique(codes).tolist()) - set(names)
-    if unknown:
-        message = f"labels must be among {names}, got {sorted(unknown)} too"
-        raise InputError(message)
-    return codes.astype(np.int64), names
+        found = compare(samples, ["mean", alone], n=_SELF_TRAINED, max_batches=1, progress=progress)
+        own = [model.estimate(few, features=features, level=p, trust=1.0) for p in LEVELS]
+        measured = {f"{_SELF_TRAINED} spp, without a reference": coverage(own, found)}
+        supervised = comparison.models.get("progressive")
+        if isinstance(supervised, Progressive):
+            first = samples.read(ss=slice(0, comparison.n))
+            theirs = [supervised.estimate(first, level=p, trust=1.0) for p in LEVELS]
+            measured[f"{comparison.n} spp, with one"] = coverage(theirs, comparison)
+        return cls(
+            comparison=found,
+            estimates=own[LEVELS.index(0.9)],
+            coverage=measured,
+            iterations=int(model.history.iteration[-1]),
+        )
+
+
+def train_alone(
+    samples: Samples, *, iterations: int | None, progress: bool | None
+) -> Progressive | None:
+    """Train on the first samples, without a reference; None where too few others would judge."""
+    if samples.spp < 2 * _SELF_TRAINED:
+        return None
+    model = Progressive(inputs=["features", "neighbours"] if samples.features else ["neighbours"])
+    return model.train(
+        samples.first(_SELF_TRAINED), reference=False, iterations=iterations, progress=progress
+    )
+
+
+def coverage(estimates: Sequence[Estimates], comparison: Comparison) -> tuple[float, ...]:
+    """Return the share of the test pixels' intervals, of each level, that contain the reference."""
+    usable = comparison.test_pixels & np.isfinite(comparison.first_reference).all(axis=-1)
+    reference = comparison.first_reference[usable].astype(np.float32)
+    return tuple(
+        float(((x.low[usable] <= reference) & (reference <= x.high[usable])).mean())
+        for x in estimates
+    )

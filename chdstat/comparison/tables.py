@@ -6,8 +6,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +14,26 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator, plain, whole
+from chdstat._core.display import Card, Shown, png
+from chdstat._core.image_scales import tonemap
 from chdstat._core.resampling import Interval
 from chdstat.comparison.accumulate import MEASURES, PixelEstimates
+from chdstat.comparison.presentation import (
+    columns_of,
+    data_frame,
+    dataset_of,
+    described,
+    latex,
+    row_of,
+    text_coordinate,
+    titled,
+    variables_of,
+)
 from chdstat.errors import InputError
 from chdstat.estimators.registry import Model
 
 if TYPE_CHECKING:
+    import pandas as pd
     import xarray as xr
 
 __all__ = ["Breakdown", "Comparison", "ErrorCurve"]
@@ -29,77 +42,12 @@ Array = npt.NDArray[Any]
 
 _ALL_CHANNELS = -1
 """Last place of the channel axis of a measure: the average over channels."""
-_OVER_BATCHES = "_over_batches"
-"""What follows the suffix of an interval over batches, in place of pixels."""
 _LOOKS = "whether it looks at the pixels around"
 _ALL_BUT_FIRST = "mean of all but the first n"
-_SUFFIXES = {
-    "": "",
-    "_se": ", standard error",
-    "_low": ", lower end of the 95 % interval",
-    "_high": ", upper end of the 95 % interval",
-}
 
 
-def _values(
-    measures: Mapping[str, Interval[Array]], over_batches: bool
-) -> Iterator[tuple[str, str, Array]]:
-    """Yield measure, suffix and values of all intervals; over batches, without the measures."""
-    for measure, found in measures.items():
-        arrays = found.value, found.standard_error, found.low, found.high
-        for suffix, values in zip(_SUFFIXES, arrays, strict=True):
-            if suffix or not over_batches:
-                yield measure, suffix, values
-
-
-def _row(
-    measures: Mapping[str, Interval[Array]], index: tuple[int, int], *, over_batches: bool = False
-) -> dict[str, float]:
-    """Return one place of all measures as a flat row."""
-    end = _OVER_BATCHES if over_batches else ""
-    return {m + s + end: float(values[index]) for m, s, values in _values(measures, over_batches)}
-
-
-def _variables(
-    measures: Mapping[str, Interval[Array]],
-    dims: tuple[str, ...],
-    *,
-    prefix: str = "",
-    over_batches: bool = False,
-) -> dict[str, Any]:
-    """Return measures as variables of a dataset."""
-    end = _OVER_BATCHES if over_batches else ""
-    variables = {}
-    for measure, suffix, values in _values(measures, over_batches):
-        long_name, units = MEASURES[measure]
-        about = _about(long_name + _SUFFIXES[suffix] + end.replace("_", " "), units)
-        variables[prefix + measure + suffix + end] = (dims, values, about)
-    return variables
-
-
-def _about(long_name: str, units: str = "1") -> dict[str, str]:
-    return {"long_name": long_name, "units": units}
-
-
-def _dataset(
-    variables: Mapping[str, Any], coordinates: Mapping[str, Any], attrs: Mapping[str, Any]
-) -> xr.Dataset:
-    """Return a dataset whose attributes a file can hold: what is neither text nor whole is JSON."""
-    import xarray as xr
-
-    plain = {
-        k: v if isinstance(v, str | int) else json.dumps(v, default=str) for k, v in attrs.items()
-    }
-    return xr.Dataset(dict(variables), dict(coordinates), plain)
-
-
-def _names(names: Iterable[str]) -> npt.NDArray[np.object_]:
-    """Return names as a coordinate: zarr v3 has no stable type for text of fixed length."""
-    return np.array(list(names), dtype=object)
-
-
-@dataclass(frozen=True)
-class Breakdown:
+@dataclass(frozen=True, repr=False)
+class Breakdown(Shown):
     """Which estimator for which pattern: the measures by label, averaged over channels.
 
     Attributes
@@ -144,23 +92,36 @@ class Breakdown:
             self.estimators[row.argmin()] if np.isfinite(row).any() else "" for row in errors
         )
 
+    def _card(self) -> Card:
+        return Card("Breakdown by pattern", table=titled(self.table()))
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a `pandas.DataFrame` as that of a `Comparison`, by label and estimator."""
+        import pandas as pd
+
+        index = pd.MultiIndex.from_product(
+            [self.labels, self.estimators], names=["label", "estimator"]
+        )
+        return data_frame(self.measures, index, ...)
+
     def table(self) -> list[dict[str, Any]]:
         """Return one row per label and estimator: names, pixels and every measure."""
+        columns = columns_of(self.measures)
         return [
             {
                 "label": label,
                 "pixels": int(self.pixels[row]),
                 "estimator": name,
                 "uses_neighbours": bool(self.uses_neighbours[k]),
-                **_row(self.measures, (row, k)),
+                **row_of(columns, row, k),
             }
             for row, label in enumerate(self.labels)
             for k, name in enumerate(self.estimators)
         ]
 
 
-@dataclass(frozen=True)
-class Comparison:
+@dataclass(frozen=True, repr=False)
+class Comparison(Shown):
     """What `compare` has found.
 
     Attributes
@@ -230,7 +191,11 @@ class Comparison:
 
         Those that take any number were trained for n, and are better trained anew for others.
         """
-        return {name: model for name, model in self.models.items() if hasattr(model, "inputs")}
+        return {
+            name: model
+            for name, model in self.models.items()
+            if isinstance(getattr(model, "inputs", None), int)
+        }
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per estimator: its name and every measure, averaged over channels.
@@ -238,15 +203,60 @@ class Comparison:
         Each measure also has ``_se``, ``_low`` and ``_high``, the standard error and the interval
         over blocks, and the same with ``_over_batches``.
         """
+        columns = columns_of(self.measures) | columns_of(self.over_batches, over_batches=True)
         return [
             {
                 "estimator": name,
                 "uses_neighbours": bool(self.uses_neighbours[index]),
-                **_row(self.measures, (index, _ALL_CHANNELS)),
-                **_row(self.over_batches, (index, _ALL_CHANNELS), over_batches=True),
+                **row_of(columns, index, _ALL_CHANNELS),
             }
             for index, name in enumerate(self.estimators)
         ]
+
+    def _card(self) -> Card:
+        facts = {
+            "samples per estimate": self.n,
+            "test pixels": int(self.test_pixels.sum()),
+            "estimates": self.batches,
+        }
+        images = {}
+        if len(self.channels) in (1, 3):
+            images["reference: the mean of all samples"] = png(tonemap(self.reference))
+        return Card("Comparison of estimators", facts, titled(self.table()), images)
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return the measures as a `pandas.DataFrame`, averaged over channels.
+
+        Rows are estimators; columns have two levels: the measure, and its ``value`` with the
+        ``low`` and ``high`` end of the 95 % interval over blocks of pixels.
+
+        Examples
+        --------
+        >>> import chdstat as chd
+        >>> rng = np.random.default_rng(0)
+        >>> found = chd.compare(rng.exponential(size=(8, 8, 3, 128)), ["mean", "median"])
+        >>> float(found.to_dataframe().loc["mean", ("mse_ratio", "value")])
+        1.0
+        """
+        import pandas as pd
+
+        index = pd.Index(self.estimators, name="estimator")
+        return data_frame(self.measures, index, (slice(None), _ALL_CHANNELS))
+
+    def to_latex(self) -> str:
+        r"""Return the table as LaTeX with the rules of the package booktabs.
+
+        Ratios to the errors of the sample mean have their 95 % interval in brackets.
+
+        Examples
+        --------
+        >>> import chdstat as chd
+        >>> rng = np.random.default_rng(0)
+        >>> found = chd.compare(rng.exponential(size=(8, 8, 3, 128)), ["mean", "median"])
+        >>> print(found.to_latex().splitlines()[4])
+        sample mean & 1.00 [1.00, 1.00] & 1.00 [1.00, 1.00] &  & 0.0~\% & --- \\
+        """
+        return latex(titled(self.table()))
 
     def draw_pixels(self, count: int = 25, *, seed: int = 0) -> PixelEstimates:
         """Draw pixels at random from those that judge, with what was estimated for each.
@@ -295,17 +305,19 @@ class Comparison:
             }
             for index, name in enumerate(self.estimators)
         }
-        content = {
-            "n": self.n,
-            "batches": self.batches,
-            "excluded": self.excluded,
-            "test_pixels": int(self.test_pixels.sum()),
-            "table": self.table(),
-            "per_channel": per_channel,
-            "per_label": [] if self.breakdown is None else self.breakdown.table(),
-            "provenance": dict(self.provenance),
-        }
-        return {key: plain(value) for key, value in content.items()}
+        found: dict[str, Any] = plain(
+            {
+                "n": self.n,
+                "batches": self.batches,
+                "excluded": self.excluded,
+                "test_pixels": self.test_pixels.sum(),
+                "table": self.table(),
+                "per_channel": per_channel,
+                "per_label": [] if self.breakdown is None else self.breakdown.table(),
+                "provenance": self.provenance,
+            }
+        )
+        return found
 
     def to_dataset(self) -> xr.Dataset:
         """Return measures and images with named dims.
@@ -314,12 +326,11 @@ class Comparison:
         ``<measure>_se``, ``_low``, ``_high``, and the same with ``_over_batches``. Those by label
         have dims (label, estimator) and the prefix ``label_``.
         """
-        measured = ("estimator", "part")
         height, width = self.test_pixels.shape
         coordinates: dict[str, Any] = {
-            "estimator": _names(self.estimators),
-            "part": _names([*self.channels, "mean"]),
-            "channel": _names(self.channels),
+            "estimator": text_coordinate(self.estimators),
+            "part": text_coordinate([*self.channels, "mean"]),
+            "channel": text_coordinate(self.channels),
             "y": np.arange(height),
             "x": np.arange(width),
         }
@@ -333,22 +344,23 @@ class Comparison:
             "test_pixel": (dims[1:3], self.test_pixels, "pixel counts", "1"),
         }
         variables = {
-            **_variables(self.measures, measured),
-            **_variables(self.over_batches, measured, over_batches=True),
-            **{k: (where, v, _about(*about)) for k, (where, v, *about) in images.items()},
-            "uses_neighbours": (dims[:1], self.uses_neighbours, _about(_LOOKS)),
+            **variables_of(columns_of(self.measures), "estimator", "part"),
+            **variables_of(columns_of(self.over_batches, over_batches=True), "estimator", "part"),
+            **{k: (where, v, described(*about)) for k, (where, v, *about) in images.items()},
+            "uses_neighbours": (dims[:1], self.uses_neighbours, described(_LOOKS)),
         }
         if self.breakdown is not None:
             found = self.breakdown
-            coordinates["label"] = _names(found.labels)
-            about = _about("pixels with the label that judge")
+            coordinates["label"] = text_coordinate(found.labels)
+            about = described("pixels with the label that judge")
             variables["label_pixels"] = (("label",), found.pixels, about)
-            variables |= _variables(found.measures, ("label", "estimator"), prefix="label_")
-        return _dataset(variables, coordinates, {"n": self.n, **self.provenance})
+            columns = columns_of(found.measures)
+            variables |= variables_of(columns, "label", "estimator", prefix="label_")
+        return dataset_of(variables, coordinates, {"n": self.n, **self.provenance})
 
 
-@dataclass(frozen=True)
-class ErrorCurve:
+@dataclass(frozen=True, repr=False)
+class ErrorCurve(Shown):
     """What `error_curve` has found.
 
     Attributes
@@ -381,39 +393,45 @@ class ErrorCurve:
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per size and estimator that takes it, with every measure."""
+        columns = columns_of(self.measures)
         return [
             {
                 "n": size,
                 "estimator": name,
                 "uses_neighbours": bool(self.uses_neighbours[k]),
-                **_row(self.measures, (row, k)),
+                **row_of(columns, row, k),
             }
             for row, size in enumerate(self.sizes)
             for k, name in enumerate(self.estimators)
             if np.isfinite(self.measures["mse"].value[row, k])
         ]
 
+    def _card(self) -> Card:
+        return Card("Error curve", table=titled(self.table()))
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return a `pandas.DataFrame` as that of a `Comparison`, by n and estimator."""
+        import pandas as pd
+
+        names = ["n", "estimator"]
+        index = pd.MultiIndex.from_product([self.sizes, self.estimators], names=names)
+        return data_frame(self.measures, index, ...)
+
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the models, ready for JSON (NaN becomes None)."""
-        content = {
-            "sizes": self.sizes,
-            "batches": self.batches,
-            "test_pixels": self.test_pixels,
-            "reference_noise": dict(self.reference_noise),
-            "table": self.table(),
-            "provenance": dict(self.provenance),
-        }
-        return {key: plain(value) for key, value in content.items()}
+        names = "sizes", "batches", "test_pixels", "reference_noise", "provenance"
+        found: dict[str, Any] = plain({name: getattr(self, name) for name in names})
+        return found | {"table": plain(self.table())}
 
     def to_dataset(self) -> xr.Dataset:
         """Return the measures with dims (n, estimator), each with ``_se``, ``_low``, ``_high``."""
-        variables = _variables(self.measures, ("n", "estimator"))
+        variables = variables_of(columns_of(self.measures), "n", "estimator")
         for measure, noise in self.reference_noise.items():
             long_name, units = MEASURES[measure]
-            about = _about(f"{long_name} of a perfect estimator", units)
+            about = described(f"{long_name} of a perfect estimator", units)
             variables[f"{measure}_reference_noise"] = (("n",), noise, about)
-        variables["uses_neighbours"] = (("estimator",), self.uses_neighbours, _about(_LOOKS))
-        variables["batches"] = (("n",), self.batches, _about("estimates that count"))
-        sizes = ("n", np.array(self.sizes), _about("samples per estimate"))
-        coordinates = {"n": sizes, "estimator": _names(self.estimators)}
-        return _dataset(variables, coordinates, self.provenance)
+        variables["uses_neighbours"] = (("estimator",), self.uses_neighbours, described(_LOOKS))
+        variables["batches"] = (("n",), self.batches, described("estimates that count"))
+        sizes = ("n", np.array(self.sizes), described("samples per estimate"))
+        coordinates = {"n": sizes, "estimator": text_coordinate(self.estimators)}
+        return dataset_of(variables, coordinates, self.provenance)

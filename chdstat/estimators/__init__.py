@@ -1,8 +1,8 @@
 """Estimators: from a few samples of a pixel to its radiance.
 
 All take samples on the last axis, ``x (..., sample) -> (...)``, and leave bad samples out. `mean`
-is the baseline. `MLP` is the network of the paper, `Progressive` ours: from any number of samples,
-with a certainty and an interval, and without a reference as `self_trained`. The others are order
+is the baseline. `MLP` is the network of the paper; `Progressive` takes any number of samples, has a
+certainty and an interval, and needs no reference as `self_trained`. The others are order
 statistics and M-estimators; buckets, reweighting and resampling; shrinkage by `james_stein`;
 outliers, which a pixel's other samples or the pixels around do not confirm; and those that share
 statistics with similar pixels around.

@@ -24,13 +24,12 @@ from chdstat._core.executor import check_memory
 from chdstat._core.files import checked_target
 from chdstat.errors import InputError
 from chdstat.estimators.models import AnyModel, first_samples, load_model, train_model
-from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.progressive import Estimates, Progressive, Stream
 from chdstat.estimators.progressive.stream import follow
-from chdstat.estimators.rows import check_probability
+from chdstat.estimators.registry import check_probability, mean_of_good
 from chdstat.estimators.validation import direct_of
 from chdstat.io import denoise, write_exr
-from chdstat.samples import Image, Samples, samples_of
+from chdstat.samples import Image, Samples
 
 if TYPE_CHECKING:
     from chdstat.rendering import Rendering
@@ -212,12 +211,7 @@ class _Image:
     mean: npt.NDArray[np.float32]
 
     @classmethod
-    def of(
-        cls,
-        source: Any,
-        model: AnyModel | str | Path | None,
-        options: _Options,
-    ) -> _Image:
+    def of(cls, source: Any, model: AnyModel | str | Path | None, options: _Options) -> _Image:
         if not 0 <= options.loss_weight <= 1:
             message = (
                 f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {options.loss_weight}"
@@ -236,7 +230,7 @@ class _Image:
 
     @classmethod
     def _of_samples(cls, source: Any, model: AnyModel | None, options: _Options) -> _Image:
-        samples = first_samples(samples_of(source), options.spp)
+        samples = first_samples(source, options.spp)
         if options.denoise:
             check_denoiser(samples.shape[2])  # refused before the training, not after
         check_memory(
@@ -244,16 +238,14 @@ class _Image:
             f"the {samples.spp} spp of an estimate and what it computes of them",
             "use fewer, by spp or --spp, or estimate from render_batches or with --while-rendering",
         )
-        own = model
-        if own is None:
-            own = train_model(
-                samples,
-                inputs=["features"] if samples.features else [],
-                reference=False,
-                seed=options.seed,
-                iterations=options.iterations,
-                progress=options.progress,
-            )
+        own = model or train_model(
+            samples,
+            inputs=["features"] if samples.features else [],
+            reference=False,
+            seed=options.seed,
+            iterations=options.iterations,
+            progress=options.progress,
+        )
         x = samples.read()
         if isinstance(own, Progressive):
             known = model is None or own.trained_on(samples.attrs)
@@ -288,13 +280,13 @@ class _Image:
         own = Progressive(inputs=["features"]) if model is None else model
         if not isinstance(own, Progressive) or own.inputs.neighbours or own.inputs.direct:
             message = (
-                "while rendering, a model must be 'progressive' and look at no neighbours, since "
-                f"no samples are kept, nor at direct light, which is rendered apart; got {own!r}"
+                "while rendering, a model must be 'progressive' and look neither at neighbours, "
+                "since no samples are kept, nor at direct light, which is rendered separately; "
+                f"got {own!r}"
             )
             raise InputError(message)
-        if model is not None and own.channels != channels:
-            message = f"the model takes {own.channels} channels, got a rendering of {channels}"
-            raise InputError(message)
+        if model is not None:
+            own.check(channels)
         stream = Stream(
             own,
             features=rendering.features if own.inputs.features else None,
@@ -329,15 +321,14 @@ class _Image:
         return found | ({"estimate": self.first.radiance} if self.options.denoise else {})
 
     def header(self) -> dict[str, str]:
+        mixes = isinstance(self.model, Progressive)
         about = {
             "software": f"chdstat {__version__}",
             "scene": self.source.name,
             "spp": self.source.spp,
             "estimator": self.model.name,
             "training": self.training,
-            "loss_weight": self.options.loss_weight
-            if isinstance(self.model, Progressive)
-            else "none",
+            "loss_weight": self.options.loss_weight if mixes else "none",
             "level": "none" if np.isnan(self.first.level) else self.first.level,
             "denoiser": "Open Image Denoise" if self.options.denoise else "none",
             "samples": self.source.attrs,

@@ -26,22 +26,8 @@ import numpy.typing as npt
 from chdstat._core.arrays import all_good, as_samples, generator, is_bad, spans, warn_left_out
 from chdstat._core.executor import track
 from chdstat.errors import InputError
-from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.training import (
-    Trained,
-    TrainedModel,
-    check_iterations,
-    descend,
-    provenance_of,
-    threads,
-)
-from chdstat.estimators.validation import (
-    PUBLISHED_PIXELS,
-    check_spp,
-    checked_pixels,
-    draw_pixels,
-    training_batches,
-)
+from chdstat.estimators import training, validation
+from chdstat.estimators.registry import mean_of_good
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:
@@ -95,7 +81,7 @@ class Preset:
     source: str
     inputs: int = 32
     hidden: tuple[int, ...] = (32, 32, 32)
-    pixels: int = PUBLISHED_PIXELS
+    pixels: int = validation.PUBLISHED_PIXELS
     validation_share: float = 0.1
     iterations: int = 30_000
     learning_rate: float = 0.005
@@ -115,7 +101,7 @@ PRESETS = {"elek2019": Preset(name="elek2019", source="Elek, Thomas and Forbes 2
 
 
 @dataclass(frozen=True, kw_only=True)
-class _TrainedMLP(Trained):
+class _TrainedMLP(training.Trained):
     """All that training leaves behind.
 
     Attributes
@@ -130,7 +116,7 @@ class _TrainedMLP(Trained):
     scale: float
 
 
-class MLP(TrainedModel[_TrainedMLP]):
+class MLP(training.TrainedModel[_TrainedMLP]):
     """A network from samples of one channel to their pixel's radiance.
 
     Make one with `MLP.preset` or `MLP.load`.
@@ -205,14 +191,14 @@ class MLP(TrainedModel[_TrainedMLP]):
         InputError
             If there are too few samples, or too few pixels with good ones.
         """
-        check_iterations(iterations)
+        training.check_iterations(iterations)
         config, shape = self.config, samples.shape[:2]
-        check_spp(samples, config.inputs)
+        validation.check_spp(samples, config.inputs)
         if pixels is None:
-            chosen = draw_pixels(shape, config.pixels, seed=seed)
+            chosen = validation.draw_pixels(shape, config.pixels, seed=seed)
         else:
-            chosen = checked_pixels(pixels, shape)
-        batches, references = training_batches(samples, chosen, config.inputs)
+            chosen = validation.checked_pixels(pixels, shape)
+        batches, references = validation.training_batches(samples, chosen, config.inputs)
         if len(batches) < 2:
             message = (
                 f"training needs at least 2 batches without a bad sample, got {len(batches)} from "
@@ -232,7 +218,7 @@ class MLP(TrainedModel[_TrainedMLP]):
             progress=progress,
         )
         history[:, 1:] *= scale**2
-        provenance = provenance_of(
+        provenance = training.provenance_of(
             samples.name,
             samples.attrs,
             samples.shape,
@@ -394,8 +380,8 @@ def _fit(
     weights = initial_weights(preset.sizes, rng)
     parameters = [torch.tensor(w, requires_grad=True) for w in weights]
     history = []
-    with threads(1), track("training", iterations, unit="it", show=progress) as advance:
-        for iteration, seen in descend(
+    with training.threads(1), track("training", iterations, unit="it", show=progress) as advance:
+        for iteration, seen in training.descend(
             parameters,
             losses(),
             iterations=iterations,

@@ -9,36 +9,22 @@ from __future__ import annotations
 from collections.abc import Collection
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, as_pixels, seed_number
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators.mlp import MLP, PRESETS, Preset
+from chdstat.estimators.mlp import MLP, PRESETS
 from chdstat.estimators.progressive.inputs import Features, Input
 from chdstat.estimators.progressive.model import Progressive
-from chdstat.estimators.registry import (
-    Estimator,
-    LearnedEstimator,
-    lookup,
-    names,
-    register,
-    register_learned,
-)
-from chdstat.estimators.rows import reordered
+from chdstat.estimators.registry import LearnedEstimator, lookup, names, register, register_learned
 from chdstat.estimators.training import read_model
+from chdstat.estimators.validation import reordered
 from chdstat.samples import Image, Samples, samples_of
 
-__all__ = [
-    "AnyModel",
-    "check_choice",
-    "first_samples",
-    "load_model",
-    "self_trained",
-    "train_model",
-]
+__all__ = ["AnyModel", "check_choice", "first_samples", "load_model", "self_trained", "train_model"]
 
 AnyModel = MLP | Progressive
 """What can be trained and saved."""
@@ -49,33 +35,37 @@ _PIXELS = 8192
 """That a progressive estimator wants to train on."""
 
 
-def _train_preset(preset: Preset, samples: Samples, **options: Any) -> MLP:
-    return MLP(preset).train(samples, **options)
+_ELEK = PRESETS["elek2019"]
+
+
+def _train_elek(samples: Samples, **options: Any) -> MLP:
+    return MLP(_ELEK).train(samples, **options)
 
 
 def _train_progressive(inputs: Collection[Input], samples: Samples, **options: Any) -> Progressive:
     return Progressive(inputs=inputs).train(samples, **options)
 
 
-_ELEK = PRESETS["elek2019"]
 register_learned(
     LearnedEstimator(
         _ELEK.name,
-        partial(_train_preset, _ELEK),
+        _train_elek,
         _ELEK.source,
         inputs=_ELEK.inputs,
         pixels=_ELEK.pixels,
+        about="Network of the paper: 32 samples of a channel in, its radiance out.",
         label="Elek et al. 2019",
         place=8,
         default=True,
     )
 )
+_PROGRESSIVE = "Network that weighs any number of samples by their luminance"
 _ROWS: tuple[tuple[str, str, float, tuple[Input, ...]], ...] = (
-    ("progressive", "progressive (ours)", 0.5, ()),
+    ("progressive", "progressive", 0.5, ()),
     ("progressive_mse", "progressive, for MSE", 0.0, ()),
     ("progressive_relmse", "progressive, for relMSE", 1.0, ()),
     ("progressive_features", "progressive, with features", 0.5, ("features",)),
-    ("progressive_direct", "progressive, with direct light apart", 0.5, ("direct",)),
+    ("progressive_direct", "progressive, with direct light", 0.5, ("direct",)),
 )
 """Name, label, loss weight and inputs of each; those of the same inputs share a training."""
 _TRAININGS = {inputs: partial(_train_progressive, inputs) for *_, inputs in _ROWS}
@@ -87,6 +77,7 @@ for _name, _label, _loss_weight, _inputs in _ROWS:
             _SOURCE,
             inputs=None,
             pixels=_PIXELS,
+            about=_PROGRESSIVE + _label.removeprefix(Progressive.name) + ".",
             label=_label,
             place=9,
             default=_name == "progressive",
@@ -101,7 +92,7 @@ for _name, _label, _loss_weight, _inputs in _ROWS:
 @register(
     "self_trained",
     source="this library, after Lehtinen et al. 2018",
-    label="self-trained (ours)",
+    label="self-trained",
     place=9,
     minimum_samples=4,
     uses_neighbours=True,
@@ -215,11 +206,7 @@ def train_model(
     """
     entry = check_choice(name, inputs=inputs, reference=reference)
     used = first_samples(samples, spp)
-    options: dict[str, Any] = {
-        "seed": seed_number(seed),
-        "iterations": iterations,
-        "progress": progress,
-    }
+    options: Any = {"seed": seed_number(seed), "iterations": iterations, "progress": progress}
     if name == Progressive.name:
         around: tuple[Input, ...] = () if reference else ("neighbours",)
         model = Progressive(inputs=[*inputs, *around])
@@ -242,8 +229,9 @@ def check_choice(
         If it learns nothing, or sees no such inputs, or needs a reference.
     """
     entry = lookup(name)
-    if not _can_be_kept(entry):
-        kept = [other for other in names("learned") if _can_be_kept(lookup(other))]
+    if not isinstance(entry, LearnedEstimator):
+        learned = names("learned")
+        kept = [other for other in learned if isinstance(lookup(other), LearnedEstimator)]
         message = f"{name} trains no network that could be kept; give one of {', '.join(kept)}"
         raise InputError(message)
     if name != Progressive.name and (inputs or not reference):
@@ -252,10 +240,6 @@ def check_choice(
         )
         raise InputError(message)
     return entry
-
-
-def _can_be_kept(entry: Estimator | LearnedEstimator) -> TypeGuard[LearnedEstimator]:
-    return isinstance(entry, LearnedEstimator)
 
 
 def load_model(path: str | Path) -> AnyModel:

@@ -3,16 +3,16 @@
 `delbracio2014` compares histograms of the samples, patch by patch; `sakai2024` compares their means
 by a test of significance, pixel by pixel. Neither shares across an edge that the samples show.
 
-`shared_patches`, ours, averages pixels whose surroundings are statistically similar, in two passes;
-on rendered scenes at 32 samples, its error is the smallest of all that are not learned.
-`shared_shape`, ours, learns from similar pixels only how far a mean may lie above what the other
+Two are new here. `shared_patches` averages pixels whose surroundings are statistically similar, in
+two passes; on rendered scenes at 32 samples, its error is the smallest of all that are not learned.
+`shared_shape` learns from similar pixels only how far a mean may lie above what the other
 samples of the pixel say, and averages nothing: it removes fireflies, and leaves noise and edges to
 a denoiser.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -21,12 +21,10 @@ from chdstat._core.arrays import as_pixels, whole
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import InputError
 from chdstat.estimators import similarity
-from chdstat.estimators.registry import register
-from chdstat.estimators.rows import Floats, check_positive, check_probability
+from chdstat.estimators.registry import Array, Floats, check_positive, check_probability, register
 
 __all__ = ["Fireflies", "delbracio2014", "sakai2024", "shared_patches", "shared_shape"]
 
-Array = npt.NDArray[np.floating[Any]]
 Fireflies = Literal["limit", "keep"]
 
 _FIRST, _SECOND = 0.3, 0.5
@@ -54,12 +52,7 @@ _OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
     uses_neighbours=True,
 )
 def delbracio2014(
-    x: Array,
-    *,
-    threshold: float = 1.0,
-    radius: int = 6,
-    patch: int = 1,
-    unit: float | None = None,
+    x: Array, *, threshold: float = 1.0, radius: int = 6, patch: int = 1, unit: float | None = None
 ) -> Array:
     """Ray histogram fusion: average patches whose samples have similar histograms.
 
@@ -116,21 +109,20 @@ def delbracio2014(
     check_positive(threshold=threshold)
     image = similarity.ScaledSamples.of(x)
     mean = image.mean()
-    found = exposure_unit(mean.mean(axis=-1) * image.unit, unit)
+    exposed = exposure_unit(mean.mean(axis=-1) * image.unit, unit)
     counts = image.count[..., np.newaxis].astype(np.float64)
-    fields = (similarity.histograms(image, found), counts)
+    fields = (similarity.histograms(image, exposed), counts)
 
     def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
         distance, used = _chi_square(*here, *there)
-        similar = similarity.patch_sum(distance, patch) <= threshold * similarity.patch_sum(
+        similar = similarity.window_sum(distance, patch) <= threshold * similarity.window_sum(
             used, patch
         )
         # A patch lends to each of its pixels what lies at the same place of the other patch.
-        return similarity.patch_sum(similar.astype(np.float64), patch) / (2 * patch + 1) ** 2
+        return similarity.window_sum(similar.astype(np.float64), patch) / (2 * patch + 1) ** 2
 
-    values = similarity.with_weight(mean, image.count)
-    sums, _ = similarity.pool(weigh, fields, values, radius=radius, reach=2 * patch)
-    return image.radiance(similarity.quotient(sums))
+    window = similarity.Window(weigh, fields, radius, reach=2 * patch)
+    return image.radiance(window.average(mean, counts)[0])
 
 
 @register(
@@ -148,10 +140,10 @@ def sakai2024(x: Array, *, alpha: float = 0.005, radius: int = 5) -> Array:
     SE_j^2``: Welch's test on the samples after a Box-Cox transform with lambda = 1/2, their means
     corrected for skewness as by Johnson. The estimate is the mean of all their samples.
 
-    Formulas are those of the authors' published code; the root of a negative sample is ours, minus
-    that of its size (Bickel and Doksum 1981). Of their denoiser this is the membership of
-    pixels; its Gaussian weights in space and in albedo and normals are left out, and its window is
-    a square.
+    Formulas are those of the authors' published code; the root of a negative sample, minus that of
+    its size, is that of Bickel and Doksum 1981. Of their denoiser this is the membership of pixels;
+    its Gaussian weights in space and in albedo and normals are left out, and its window is a
+    square.
 
     Parameters
     ----------
@@ -196,12 +188,9 @@ def sakai2024(x: Array, *, alpha: float = 0.005, radius: int = 5) -> Array:
     check_probability(alpha=alpha)
     image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
     # 2 (sqrt(x) - 1) gives the same test as sqrt(x).
-    fields = similarity.significance(
-        similarity.corrected_means(image, similarity.root), image.count, alpha
-    )
-    values = similarity.with_weight(image.mean(), image.count)
-    sums, _ = similarity.pool(similarity.not_different, fields, values, radius=radius)
-    return image.radiance(similarity.quotient(sums))
+    fields = similarity.significance(similarity.corrected_means(image), image.count, alpha)
+    window = similarity.Window(similarity.not_different, fields, radius)
+    return image.radiance(window.average(image.mean(), image.count[..., np.newaxis])[0])
 
 
 @register("shared_patches", _OURS, place=7, minimum_samples=2, uses_neighbours=True)
@@ -225,7 +214,8 @@ def shared_patches(
 
     Test and transform are those of `sakai2024`, patches those of `delbracio2014`. A single pixel
     tells too little: its error may be large for one firefly, or small because none has come yet.
-    The second pass is that of Rousselle et al. 2012. Weights, statistics and passes are ours.
+    The second pass is that of Rousselle et al. 2012. Weights, statistics and passes are
+    new here.
 
     Parameters
     ----------
@@ -275,33 +265,27 @@ def shared_patches(
         raise InputError(message)
     image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
     own = image.mean() if fireflies == "keep" else _limited(image, _LIMIT, _ALPHA, _AROUND)
-    members = similarity.significance(
-        similarity.corrected_means(image, similarity.root), image.count, _ALPHA
-    )
+    members = similarity.significance(similarity.corrected_means(image), image.count, _ALPHA)
 
     def pooled(
         means: similarity.Means, scale: float, values: Floats, squares: Floats | None = None
-    ) -> tuple[Floats, Floats]:
+    ) -> similarity.Means:
         def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
             distance = _distance(here[:2], there[:2])
             apart = _patch_mean(np.minimum(distance, _FAR), np.isfinite(distance), patch)
             excess = np.maximum(apart - threshold, 0) / scale
             weight = np.where(excess < _CUT, np.exp(-np.minimum(excess, _CUT)), 0)
-            lent = similarity.patch_sum(weight, patch) / (2 * patch + 1) ** 2
+            lent = similarity.window_sum(weight, patch) / (2 * patch + 1) ** 2
             return lent * similarity.not_different(here[2:], there[2:])
 
-        fields = (means.value, means.variance, *members)
-        return similarity.pool(weigh, fields, values, squares, radius=radius, reach=2 * patch)
+        window = similarity.Window(weigh, (*means, *members), radius, reach=2 * patch)
+        return window.average(values, good, squares)
 
-    means, good = _statistics(image), image.count > 0
-    variance = np.nan_to_num(means.variance, posinf=0)
-    sums, squared = pooled(means, _FIRST, similarity.with_weight(means.value, good), variance)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        averaged = similarity.Means(
-            similarity.quotient(sums), _CORRELATED * squared / sums[..., -1:] ** 2
-        )
-    sums, _ = pooled(averaged, _SECOND, similarity.with_weight(own, good))
-    return image.radiance(similarity.quotient(sums))
+    good = image.count[..., np.newaxis] > 0
+    mean, variance = _statistics(image)
+    averaged, its = pooled((mean, variance), _FIRST, mean, np.nan_to_num(variance, posinf=0))
+    found, _ = pooled((averaged, _CORRELATED * its), _SECOND, own)
+    return image.radiance(found)
 
 
 @register("shared_shape", _OURS, place=7, minimum_samples=2, uses_neighbours=True)
@@ -391,15 +375,12 @@ def _limited(image: similarity.ScaledSamples, limit: float, alpha: float, radius
     depth = np.divide(level, mean, out=np.zeros_like(mean), where=known)
     weight = np.where(known, positive, 0)
     fields = similarity.significance(similarity.shape_means(image), image.count, alpha)
-    values = np.concatenate([weight * depth, weight], axis=-1)
-    depths, weights = np.split(
-        similarity.pool(similarity.not_different, fields, values, radius=radius)[0], 2, axis=-1
-    )
-    by_shape = np.divide(level * weights, depths, out=mean.copy(), where=known & (depths > 0))
+    around, _ = similarity.Window(similarity.not_different, fields, radius).average(depth, weight)
+    by_shape = np.divide(level, around, out=mean.copy(), where=known & (around > 0))
     return np.asarray(np.minimum(mean, limit * by_shape, out=mean, where=known) + below)
 
 
-def _level(image: similarity.ScaledSamples) -> tuple[Floats, Floats]:
+def _level(image: similarity.ScaledSamples) -> tuple[Floats, ...]:
     """Return levels and the number k of positive samples, without the largest sample."""
 
     def work(rows: Floats, _: object, n: npt.NDArray[np.int64]) -> tuple[Floats, Floats]:
@@ -411,8 +392,7 @@ def _level(image: similarity.ScaledSamples) -> tuple[Floats, Floats]:
         pairs[pairs < _ROUNDING * total**2] = 0
         return pairs / (np.maximum(positive - 1, 1) * np.maximum(n, 1)), positive
 
-    level, positive = image.walk(work)
-    return level, positive
+    return image.walk(work)
 
 
 def _statistics(image: similarity.ScaledSamples) -> similarity.Means:
@@ -422,13 +402,13 @@ def _statistics(image: similarity.ScaledSamples) -> similarity.Means:
         roots = similarity.root(rows)
         return np.concatenate([rows, roots, -np.diff(roots, axis=-2)], axis=-2)
 
-    means = similarity.corrected_means(image, transform)
+    mean, variance = similarity.corrected_means(image, transform)
     channels = image.samples.shape[2]
-    roots = means.value[..., channels : 2 * channels].mean(axis=-1, keepdims=True)
+    roots = mean[..., channels : 2 * channels].mean(axis=-1, keepdims=True)
     # Equal samples differ by rounding alone.
-    floor = (_ROUNDING * means.value) ** 2
+    floor = (_ROUNDING * mean) ** 2
     floor[..., 2 * channels :] = (_HUE * roots) ** 2
-    return similarity.Means(means.value, means.variance + floor)
+    return mean, variance + floor
 
 
 def _distance(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
@@ -445,6 +425,6 @@ def _distance(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
 
 def _patch_mean(values: Floats, known: npt.NDArray[np.bool_], radius: int) -> Floats:
     """Average what is known of (y, x) over patches; infinite where nothing is."""
-    count = similarity.patch_sum(known.astype(values.dtype), radius)
-    total = similarity.patch_sum(np.where(known, values, 0), radius)
+    count = similarity.window_sum(known.astype(values.dtype), radius)
+    total = similarity.window_sum(np.where(known, values, 0), radius)
     return np.divide(total, count, out=np.full_like(total, np.inf), where=count > 0)

@@ -1,55 +1,45 @@
 """The sample mean, which every other estimator is measured against, and robust locations.
 
-Order statistics: `median` ignores all but the middle, `trimmed_mean` leaves the ends out,
-`winsorized_mean` pulls them in. All treat both ends equally, and radiance is skewed to the right:
-they come out too dark, and black where at least half of the samples are null (the median) or all
-but the trimmed ones.
+Order statistics: `median`, `trimmed_mean` and `winsorized_mean` treat both ends equally, and
+radiance is skewed to the right: they come out too dark, and black where at least half of the
+samples are null (the median) or all but the trimmed ones.
 
 M-estimators are the location at which the influences of the samples balance, ``sum_i psi((x_i -
 theta) / s) = 0`` with an influence psi that is bounded or grows slowly. `huber` limits the
-influence of far samples, `tukey` takes it away altogether; both measure distance by the median
-absolute deviation and tend to a centre of the distribution that lies below its mean. `catoni`
-widens with the number of samples and tends to the mean.
+influence of far samples, `tukey` takes it away altogether; both tend to a centre of the
+distribution that lies below its mean. `catoni` widens with the number of samples and tends to the
+mean.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chdstat._core.arrays import as_samples, is_bad
+from chdstat._core.arrays import as_samples
 from chdstat.errors import InputError
-from chdstat.estimators.registry import register
-from chdstat.estimators.rows import (
-    Floats,
-    balance,
-    check_positive,
-    check_probability,
-    estimate_rows,
-    median_of_sorted,
-    row_sums,
-)
+from chdstat.estimators import registry
+from chdstat.estimators.registry import Array, Floats, register
 
 __all__ = [
+    "balance",
     "catoni",
     "huber",
     "mean",
-    "mean_of_good",
     "median",
+    "row_sums",
     "trimmed_mean",
     "tukey",
     "winsorized_mean",
 ]
 
-Array = npt.NDArray[np.floating[Any]]
 
 _NORMAL_MAD = 0.6744897501960817
 """Median absolute deviation of the standard normal distribution."""
-_TUKEY_STEPS = 200
+_TOLERANCE = 1e-12
+"""Of a step, relative to the sample of the row that is farthest from 0."""
 _TUKEY_TOLERANCE = 1e-10
 """Of a step, relative to the scale."""
 
@@ -89,18 +79,7 @@ def mean(x: Array) -> Array:
     >>> float(mean([0.0, 1.0, 5.0]))
     2.0
     """
-    return mean_of_good(x)
-
-
-def mean_of_good(x: Array) -> Floats:
-    """Average the good samples of (..., sample) in float64; NaN where there is none."""
-    with np.errstate(invalid="ignore"):
-        found = np.asarray(x.mean(axis=-1, dtype=np.float64))
-        if np.isfinite(found).all():
-            return found
-        bad = is_bad(x)
-        total = np.where(bad, 0, x).sum(axis=-1, dtype=np.float64)
-        return np.asarray(total / (~bad).sum(axis=-1))
+    return registry.mean_of_good(x)
 
 
 @register("median", "Hampel 1974, doi:10.1080/01621459.1974.10482962", place=1)
@@ -135,7 +114,7 @@ def median(x: Array) -> Array:
     >>> float(median([1.0, 2.0, 900.0]))
     2.0
     """
-    return estimate_rows(x, median_of_sorted, ordered=True)
+    return registry.estimate_rows(x, registry.median_of_sorted, ordered=True)
 
 
 @register("trimmed_mean", "Tukey 1962, doi:10.1214/aoms/1177704711", place=1)
@@ -170,14 +149,7 @@ def trimmed_mean(x: Array, *, share: float = 0.1) -> Array:
     >>> float(trimmed_mean([0.0, 1.0, 2.0, 3.0, 900.0], share=0.2))
     2.0
     """
-    _check_share(share)
-
-    def kernel(rows: Floats) -> Floats:
-        cut = int(share * rows.shape[-1])
-        inner = rows[:, cut : rows.shape[-1] - cut]
-        return np.asarray(row_sums(inner) / inner.shape[-1])
-
-    return estimate_rows(x, kernel, ordered=True)
+    return _without_ends(x, share, pulled_in=False)
 
 
 @register("winsorized_mean", "Dixon 1960, doi:10.1214/aoms/1177705900", place=1)
@@ -215,15 +187,7 @@ def winsorized_mean(x: Array, *, share: float = 0.1) -> Array:
     >>> float(winsorized_mean([0.0, 1.0, 2.0, 3.0, 900.0], share=0.2))
     2.0
     """
-    _check_share(share)
-
-    def kernel(rows: Floats) -> Floats:
-        m = rows.shape[-1]
-        cut = int(share * m)
-        ends = cut * (rows[:, cut] + rows[:, m - 1 - cut])
-        return np.asarray((row_sums(rows[:, cut : m - cut]) + ends) / m)
-
-    return estimate_rows(x, kernel, ordered=True)
+    return _without_ends(x, share, pulled_in=True)
 
 
 @register("huber", "Huber 1964, doi:10.1214/aoms/1177703732", label="Huber", place=2)
@@ -360,11 +324,12 @@ def catoni(x: Array, *, delta: float = 0.01) -> Array:
     >>> float(np.mean(x)), float(catoni(x).round(1))
     (29.09375, 22.3)
     """
-    check_probability(delta=delta)
+    registry.check_probability(delta=delta)
     level = float(np.log(1 / delta))
     as_samples(x, minimum=int(2 * level) + 1)
 
-    def influence(rows: Floats, theta: Floats, a: Floats) -> tuple[Floats, Floats]:
+    def influence(rows: Floats, theta: Floats, width: Floats) -> tuple[Floats, Floats]:
+        a = 1 / width
         t = (rows - theta[:, np.newaxis]) * a[:, np.newaxis]
         size = np.abs(t)
         inner = 1 + size + 0.5 * t * t
@@ -379,30 +344,79 @@ def catoni(x: Array, *, delta: float = 0.01) -> Array:
         deviation = rows - mean[:, np.newaxis]
         variance = np.vecdot(deviation, deviation) / n
         width = np.sqrt(n * variance * (1 + 2 * level / (n - 2 * level)) / (2 * level))
-        return _where_spread(
-            lambda some, start, by: balance(influence, some, start, 1 / by), rows, mean, width
-        )
+        return _where_spread(partial(balance, influence), rows, mean, width)
 
-    return estimate_rows(x, kernel)
+    return registry.estimate_rows(x, kernel)
 
 
-def _check_share(share: float) -> None:
-    """Refuse a share of samples to cut off at each end that leaves nothing."""
+def balance(
+    influence: Callable[..., tuple[Floats, Floats]], rows: Floats, start: Floats, *beside: Floats
+) -> Floats:
+    """Solve sum_i psi(x_i - theta) = 0 for theta in each row.
+
+    Newton's steps inside a bracket that shrinks with every one of them, for every M-estimator whose
+    influence function is monotone.
+
+    Parameters
+    ----------
+    influence
+        ``influence(rows, theta, *beside)`` returns the sum, which decreases with theta, and minus
+        its derivative, shape (row,).
+    rows, beside
+        Samples, shape (row, m), and whatever else belongs to them, shape (row,).
+    start
+        First guesses within the range of their row, shape (row,).
+    """
+
+    def update(
+        here: Floats, rows: Floats, low: Floats, high: Floats, *beside: Floats
+    ) -> tuple[Floats, ...]:
+        total, slope = influence(rows, here, *beside)
+        low, high = np.where(total > 0, here, low), np.where(total < 0, here, high)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            there = here + total / slope
+        # A bracket also catches the steps that a flat piece sends anywhere, NaN included.
+        there = np.where((there >= low) & (there <= high), there, 0.5 * (low + high))
+        return np.where(total == 0, here, there), rows, low, high, *beside
+
+    low, high = rows.min(axis=-1), rows.max(axis=-1)
+    near = _TOLERANCE * np.maximum(high, -low)
+    return registry.converge(update, start, near, rows, low, high, *beside)
+
+
+def row_sums(rows: Floats) -> Floats:
+    """Return the sums of rows; a product with ones adds short rows up faster than a sum does."""
+    return np.asarray(rows @ np.ones(rows.shape[-1]))
+
+
+def _without_ends(x: Array, share: float, *, pulled_in: bool) -> Array:
+    """Average the samples without a share at each end, which is left out or set to the next."""
     if not 0 <= share < 0.5:
         message = f"share must be at least 0 and less than 0.5, got {share}"
         raise InputError(message)
 
+    def kernel(rows: Floats) -> Floats:
+        m = rows.shape[-1]
+        cut = int(share * m)
+        inner = row_sums(rows[:, cut : m - cut])
+        if pulled_in:
+            return np.asarray((inner + cut * (rows[:, cut] + rows[:, m - 1 - cut])) / m)
+        return np.asarray(inner / (m - 2 * cut))
+
+    return registry.estimate_rows(x, kernel, ordered=True)
+
 
 def _by_deviation(x: Array, solve: Callable[..., Floats], c: float) -> Array:
     """Solve rows whose influences reach c times their normalised median absolute deviation."""
-    check_positive(c=c)
+    registry.check_positive(c=c)
 
     def kernel(rows: Floats) -> Floats:
-        centre = median_of_sorted(rows)
+        centre = registry.median_of_sorted(rows)
         deviation = np.sort(np.abs(rows - centre[:, np.newaxis]))
-        return _where_spread(solve, rows, centre, c * (median_of_sorted(deviation) / _NORMAL_MAD))
+        scale = registry.median_of_sorted(deviation) / _NORMAL_MAD
+        return _where_spread(solve, rows, centre, c * scale)
 
-    return estimate_rows(x, kernel, ordered=True)
+    return registry.estimate_rows(x, kernel, ordered=True)
 
 
 def _where_spread(
@@ -417,10 +431,7 @@ def _where_spread(
 
 
 def _biweight(rows: Floats, start: Floats, reach: Floats) -> Floats:
-    theta = start.copy()
-    left = np.arange(len(rows))
-    for _ in range(_TUKEY_STEPS):
-        here = theta[left]
+    def update(here: Floats, rows: Floats, reach: Floats) -> tuple[Floats, ...]:
         weight = (rows - here[:, np.newaxis]) / reach[:, np.newaxis]
         np.square(weight, out=weight)
         np.subtract(1, weight, out=weight)
@@ -430,10 +441,6 @@ def _biweight(rows: Floats, start: Floats, reach: Floats) -> Floats:
         # for c >= 0.7; for smaller c the estimate may run out of samples and stays.
         total = row_sums(weight)
         there = np.divide(np.vecdot(weight, rows), total, out=here.copy(), where=total > 0)
-        theta[left] = there
-        going = np.abs(there - here) > _TUKEY_TOLERANCE * reach
-        if not going.any():
-            break
-        if not going.all():
-            left, rows, reach = left[going], rows[going], reach[going]
-    return theta
+        return there, rows, reach
+
+    return registry.converge(update, start, _TUKEY_TOLERANCE * reach, rows, reach)

@@ -11,31 +11,20 @@ averages the rest.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
-from chdstat._core.arrays import all_good, as_pixels, is_bad, luminance, spans, whole
+from chdstat._core.arrays import as_pixels, luminance, spans, whole
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import InputError
-from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.registry import register
-from chdstat.estimators.rows import Floats, check_positive
-from chdstat.estimators.similarity import dense
+from chdstat.estimators import registry
+from chdstat.estimators.registry import Array, Floats, register
+from chdstat.estimators.similarity import window_sum
 
-__all__ = [
-    "BASE",
-    "LAYERS",
-    "Cascade",
-    "decoro2010",
-    "karis2013",
-    "layer_weights",
-    "zirr2018",
-    "zirr2018_pixel",
-]
+__all__ = ["Cascade", "decoro2010", "karis2013", "zirr2018", "zirr2018_pixel"]
 
-Array = npt.NDArray[np.floating[Any]]
 
 BASE = 8.0
 """Ratio b of the brightness of neighbouring layers: the paper's default, in the authors' code."""
@@ -48,6 +37,8 @@ _OFF = 1e-6
 """Largest kappa that switches the reweighting off (authors' code)."""
 _CHUNK = 2**16
 """Samples split at once."""
+_BLACK = 1e-2
+"""Radiance, of an image exposed as usual, below which colours are as good as black."""
 _SOURCE = "Zirr et al. 2018, doi:10.1111/cgf.13335"
 
 
@@ -160,15 +151,20 @@ class Cascade:
         samples = as_pixels(x)
         channels, n = samples.shape[-2:]
         rows = samples.reshape(-1, channels, n)
-        count = np.empty(len(rows), np.int64)
         # The image is exposed by what it shows, before anything is reweighted.
-        means = luminance(np.nan_to_num(mean_of_good(rows)), channel_axis=-1)
+        means = luminance(np.nan_to_num(registry.mean_of_good(rows)), channel_axis=-1)
         found = exposure_unit(means, unit)
-        layers = np.empty((LAYERS, len(rows), channels))
-        for part in spans(len(rows), max(1, _CHUNK // (channels * n))):
-            layers[:, part], count[part] = _split(rows[part], found)
+        layers, counts = [], []
+        # One part at least, for what has no pixels has layers, too.
+        for part in spans(len(rows) or 1, max(1, _CHUNK // (channels * n))):
+            kept, whole = registry.whole_samples(rows[part])
+            relative = kept / np.float64(found)
+            counts.append(np.count_nonzero(whole, axis=-1))
+            divided = np.maximum(counts[-1], 1)[:, np.newaxis, np.newaxis]
+            layers.append(relative @ layer_weights(luminance(relative)) / divided)
         shape = samples.shape[:-2]
-        return cls(layers.reshape(LAYERS, *shape, channels), count.reshape(shape), found)
+        split = np.moveaxis(np.concatenate(layers), -1, 0).reshape(LAYERS, *shape, channels)
+        return cls(split, np.concatenate(counts).reshape(shape), found)
 
     def resolve(self, kappa: npt.ArrayLike, *, radius: int = 1) -> Floats:
         """Add the layers up by their reliability, for one kappa or many.
@@ -203,33 +199,31 @@ class Cascade:
         if radius and self.layers.ndim != 4:
             message = f"neighbours need an image (y, x, channel), got {self.layers.shape[1:]}"
             raise InputError(message)
-        near = self._luminances(0)
-        around = self._luminances(radius) if radius else near
-        found = [self._resolve(float(k), near, around) for k in kappas.reshape(-1)]
-        return found[0] if kappas.ndim == 0 else np.stack(found, axis=-1)
+        k = kappas.reshape(-1, *(1,) * self.count.ndim)
+        near, around = self._luminances(0), self._luminances(radius)
+        accepted = np.zeros((kappas.size, *self.layers.shape[1:]))
+        # Up to b times as much energy in one sample passes where kappa aims at a small error.
+        slack = 1 + 0.6 * (BASE - 1) * (1 - np.minimum(1 / k, 1))
+        hits = self.count / k
+        for index, layer in enumerate(self.layers):
+            rows = slice(max(index - 1, 0), index + 2)
+            reliable, own = (hits * part[rows].sum(axis=0) - 1 / k for part in (around, near))
+            reliable = np.where(reliable >= 0, own, reliable)
+            bright = np.maximum(luminance(accepted, channel_axis=-1), _DARKEST)
+            colour = bright * hits / BASE**index * slack
+            weight = np.clip((reliable + colour) / 2, k <= _OFF, 1)
+            accepted += weight[..., np.newaxis] * layer
+        found = np.moveaxis(accepted * self.unit, 0, -1)
+        return np.asarray(found.reshape(*self.layers.shape[1:], *kappas.shape))
 
     def _luminances(self, radius: int) -> Floats:
         """Return luminances of the layers, averaged over a window, in units of their brightness."""
         values: Floats = luminance(self.layers, channel_axis=-1).astype(np.float64)
         values /= BASE ** np.arange(LAYERS).reshape(-1, *(1,) * (values.ndim - 1))
-        return _window_mean(values, radius) if radius else values
-
-    def _resolve(self, kappa: float, near: Floats, around: Floats) -> Floats:
-        accepted = np.zeros(self.layers.shape[1:])
-        # Up to b times as much energy in one sample passes where kappa aims at a small error.
-        for_error = 1 - min(1 / kappa, 1)
-        slack = 1 + 0.6 * (BASE - 1) * for_error
-        hits = self.count / kappa
-        for index, layer in enumerate(self.layers):
-            rows = slice(max(index - 1, 0), index + 2)
-            reliable = hits * around[rows].sum(axis=0) - 1 / kappa
-            own = hits * near[rows].sum(axis=0) - 1 / kappa
-            reliable = np.where(reliable >= 0, own, reliable)
-            bright = np.maximum(luminance(accepted, channel_axis=-1), _DARKEST)
-            colour = bright * hits / BASE**index * slack
-            weight = np.clip((reliable + colour) / 2, float(kappa <= _OFF), 1)
-            accepted += weight[..., np.newaxis] * layer
-        return accepted * self.unit
+        if radius == 0:
+            return values
+        # The border repeats, as in the authors' viewer.
+        return window_sum(values, radius, mode="edge") / (2 * radius + 1) ** 2
 
 
 def layer_weights(brightness: npt.ArrayLike) -> Floats:
@@ -272,31 +266,8 @@ def _estimate(x: Array, kappa: float, unit: float | None, *, radius: int) -> Arr
     cascade = Cascade.of(x, unit=unit)
     found = cascade.resolve(kappa, radius=radius)
     empty = cascade.count == 0
-    found[empty] = mean_of_good(x[empty])
+    found[empty] = registry.mean_of_good(x[empty])
     return found
-
-
-def _split(rows: npt.NDArray[Any], unit: float) -> tuple[Floats, npt.NDArray[np.int64]]:
-    """Return the layers (layer, row, channel) of rows (row, channel, sample), and their counts."""
-    count = np.full(len(rows), rows.shape[-1], np.int64)
-    if not all_good(rows):
-        bad = np.asarray(is_bad(rows).any(axis=-2, keepdims=True))
-        count -= np.count_nonzero(bad[:, 0], axis=-1)
-        rows = np.where(bad, 0, rows)
-    relative = rows / np.float64(unit)
-    weights = layer_weights(luminance(relative))
-    layers = np.matmul(relative, weights) / np.maximum(count, 1)[:, np.newaxis, np.newaxis]
-    return np.moveaxis(layers, -1, 0), count
-
-
-def _window_mean(values: Floats, radius: int) -> Floats:
-    """Average (layer, y, x) over windows; the border repeats, as in the authors' viewer."""
-    width = 2 * radius + 1
-    _, height, across = values.shape
-    padded = np.pad(values, ((0, 0), (radius, radius), (radius, radius)), mode="edge")
-    rows = sum((padded[:, i : i + height] for i in range(width)), np.zeros(1))
-    columns = sum((rows[:, :, j : j + across] for j in range(width)), np.zeros(1))
-    return np.asarray(columns / width**2)
 
 
 @register(
@@ -338,14 +309,13 @@ def karis2013(x: Array, *, unit: float | None = None) -> Array:
     >>> float(karis2013([[1.0] * 31 + [900.0]], unit=1.0)[0].round(2))
     1.06
     """
-    bad = np.asarray(is_bad(x).any(axis=-2))
-    good = np.where(bad[..., np.newaxis, :], 0, x)
-    bright, count = luminance(good), np.count_nonzero(~bad, axis=-1)
+    kept, whole = registry.whole_samples(x)
+    bright, count = luminance(kept), np.count_nonzero(whole, axis=-1)
     exposed = exposure_unit(bright.sum(axis=-1, dtype=np.float64) / np.maximum(count, 1), unit)
-    weight = ~bad / (1 + np.maximum(bright, 0) / np.float64(exposed))
+    weight = whole / (1 + np.maximum(bright, 0) / np.float64(exposed))
     total = weight.sum(axis=-1)[..., np.newaxis]
-    found = np.vecdot(good, weight[..., np.newaxis, :])
-    return np.where(total > 0, found / np.where(total > 0, total, 1), mean_of_good(x))
+    found = np.vecdot(kept, weight[..., np.newaxis, :])
+    return np.where(total > 0, found / np.where(total > 0, total, 1), registry.mean_of_good(x))
 
 
 @register(
@@ -370,10 +340,10 @@ def decoro2010(
     nearest neighbour, the classical estimate of a density.
 
     Reconstructed from the paper's abstract, which characterises outliers by their density among
-    nearby paths in joint image and colour space; metric, bounds and defaults are ours. Colours are
-    those of an image exposed as usual, and what is darker than 0.01 of that is black: dim samples
-    and negative ones are not outliers. Bias is to the dark, more where a bright event is rare but
-    real.
+    nearby paths in joint image and colour space; metric, bounds and defaults are chosen here.
+    Colours are those of an image exposed as usual, and what is darker than 0.01 of that is black:
+    dim samples and negative ones are not outliers. Bias is to the dark, more where a bright event
+    is rare but real.
 
     Parameters
     ----------
@@ -415,14 +385,21 @@ def decoro2010(
     >>> decoro2010(image)[1, 1].tolist()
     [1.0, 1.0, 1.0]
     """
-    whole("neighbours", neighbours, least=1)
-    whole("radius", radius, least=0)
-    check_positive(bandwidth=bandwidth)
-    bad = np.asarray(is_bad(x).any(axis=-2))
-    kept = dense(x, bad, neighbours, bandwidth, radius, unit) & ~bad
-    alone = ~kept.any(axis=-1)
-    count = np.maximum(np.count_nonzero(kept, axis=-1), 1)[..., np.newaxis]
-    # A product with the mask would turn what is left out, infinite or NaN, into NaN.
-    found = np.where(kept[..., np.newaxis, :], x, 0).sum(axis=-1, dtype=np.float64) / count
-    found[alone] = mean_of_good(x[alone])
+    neighbours = whole("neighbours", neighbours, least=1)
+    radius = whole("radius", radius, least=0)
+    registry.check_positive(bandwidth=bandwidth)
+    kept, usable = registry.whole_samples(x)
+    exposed = np.float64(exposure_unit(kept.mean(axis=(-1, -2), dtype=np.float64), unit))
+    colours = np.log(np.maximum(kept / exposed, 0) + _BLACK).swapaxes(-1, -2)[usable]
+    colours /= bandwidth * np.sqrt(x.shape[-2])
+    places = np.argwhere(usable)[:, :2] / (radius + 1)
+    tree = cKDTree(np.concatenate([places, colours], axis=-1))
+    # The nearest is the sample itself. What has no k-th neighbour within 1 is infinitely far.
+    distance = tree.query(tree.data, [neighbours + 1], distance_upper_bound=1, workers=-1)[0][:, 0]
+    stays = np.zeros(usable.shape, bool)
+    stays[usable] = np.isfinite(distance)
+    found = (kept * stays[..., np.newaxis, :]).sum(axis=-1, dtype=np.float64)
+    found /= np.maximum(np.count_nonzero(stays, axis=-1), 1)[..., np.newaxis]
+    alone = ~stays.any(axis=-1)
+    found[alone] = registry.mean_of_good(x[alone])
     return np.asarray(found)

@@ -1,4 +1,4 @@
-"""Registry of estimators: what there is, where it comes from and what it needs.
+"""Registry of estimators, and what those of one row of samples are written with.
 
 A fixed estimator is a function of samples, ``x (..., sample) -> (...)``, entered with `register`.
 Every one takes an image (y, x, channel, sample); two flags say which need more of that shape than
@@ -7,40 +7,60 @@ pixels. The decorated function takes array-likes and returns the dtype of the sa
 itself is given a floating-point array of at least these axes.
 
 A learned estimator is entered with `register_learned` as a function that trains it on a scene and
-returns a `Model`. Both are found by name with `lookup`; `chdstat.compare` takes the names. Their
-rows also hold the label and the place that reports, the explorer and the documentation show.
+returns a `Model`. Both are found by name with `lookup`, which also tells their label and place.
+
+An estimator of single pixels is a kernel on rows of good samples. `estimate_rows` hands them over
+in float64, with their mean size brought to about 1 by a power of two, which changes no digit:
+squares and cubes of a radiance of 1e30 or of subnormal radiance neither overflow nor vanish. Rows
+that miss samples are gathered by how many they have, so that a kernel never sees a mask.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, Protocol, TypeVar, cast
+from typing import Any, ClassVar, Literal, Protocol, TypedDict, TypeVar, Unpack, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels, as_samples, warn_left_out
+from chdstat._core.arrays import all_good, as_pixels, as_samples, is_bad, spans, warn_left_out
+from chdstat._core.display import Shown
 from chdstat.errors import InputError
 
 __all__ = [
+    "ENTRIES",
     "LABELS",
+    "Array",
     "Estimator",
+    "Floats",
     "LearnedEstimator",
     "Model",
+    "check_positive",
+    "check_probability",
+    "converge",
+    "estimate_rows",
     "forget",
     "lookup",
+    "mean_of_good",
+    "median_of_sorted",
     "names",
     "register",
     "register_learned",
+    "whole_samples",
 ]
 
-Array = npt.NDArray[Any]
+Array = npt.NDArray[np.floating[Any]]
+Floats = npt.NDArray[np.float64]
 Function = TypeVar("Function", bound=Callable[..., Array])
 
 _LAST = 100
 """Place of an estimator that names none."""
+_CHUNK = 2**15
+"""Samples worked on at once: their float64 copies, and those of a kernel, stay in the cache."""
+_STEPS = 200
+"""Bisection alone arrives in a quarter as many."""
 
 
 class Model(Protocol):
@@ -62,8 +82,8 @@ class Model(Protocol):
         """Estimate from samples (..., sample); the result has shape (...)."""
 
 
-@dataclass(frozen=True)
-class Estimator:
+@dataclass(frozen=True, repr=False)
+class Estimator(Shown):
     """A fixed estimator: call it with samples (..., sample) for estimates (...).
 
     Attributes
@@ -110,6 +130,11 @@ class Estimator:
     learns: bool = False
     uses_direct: ClassVar[bool] = False
 
+    @property
+    def about(self) -> str:
+        """What it does, in a sentence: the first of its documentation."""
+        return (self.function.__doc__ or "").strip().partition("\n")[0].replace("`", "")
+
     def __call__(self, x: npt.ArrayLike, **options: Any) -> Array:
         """Estimate the radiance that the samples `x` are draws of.
 
@@ -134,8 +159,8 @@ class Estimator:
         return as_samples(x, minimum=minimum)
 
 
-@dataclass(frozen=True)
-class LearnedEstimator:
+@dataclass(frozen=True, repr=False)
+class LearnedEstimator(Shown):
     """An estimator that is trained on a scene before it estimates.
 
     Attributes
@@ -156,9 +181,9 @@ class LearnedEstimator:
     options
         Keywords of its models' ``predict``: entries that share `train` share one model, and differ
         in these.
-    uses_features
-        As for `Estimator`.
-    joint_channels
+    about
+        What it does, in a sentence.
+    uses_features, joint_channels
         As for `Estimator`.
     uses_direct
         Whether its models take ``direct=``, the direct part of the samples; they cannot do without.
@@ -171,6 +196,7 @@ class LearnedEstimator:
     source: str
     inputs: int | None
     pixels: int
+    about: str = ""
     label: str = ""
     place: int = _LAST
     default: bool = False
@@ -182,27 +208,26 @@ class LearnedEstimator:
     uses_neighbours: ClassVar[bool] = False
 
 
-Kind = Literal["fixed", "learned"]
-
-_ENTRIES: dict[str, Estimator | LearnedEstimator] = {}
-
+ENTRIES: dict[str, Estimator | LearnedEstimator] = {}
+"""The registered estimators, by name."""
 LABELS: dict[str, str] = {}
 """What text and figures call the registered estimators, by name."""
 
 
-def register(
-    name: str,
-    source: str,
-    *,
-    label: str = "",
-    place: int = _LAST,
-    default: bool = False,
-    minimum_samples: int = 1,
-    uses_neighbours: bool = False,
-    joint_channels: bool = False,
-    uses_features: bool = False,
-    learns: bool = False,
-) -> Callable[[Function], Function]:
+class Facts(TypedDict, total=False):
+    """What is known of a fixed estimator; see `Estimator`."""
+
+    label: str
+    place: int
+    default: bool
+    minimum_samples: int
+    uses_neighbours: bool
+    joint_channels: bool
+    uses_features: bool
+    learns: bool
+
+
+def register(name: str, source: str, **facts: Unpack[Facts]) -> Callable[[Function], Function]:
     """Enter the decorated function as the estimator `name`; see `Estimator` for the parameters.
 
     Examples
@@ -215,7 +240,8 @@ def register(
     array([1., 3.])
     >>> registry.forget("first")
     """
-    joint = joint_channels or uses_neighbours
+    joint = facts.get("joint_channels", False) or facts.get("uses_neighbours", False)
+    facts["joint_channels"] = joint
 
     def enter(function: Function) -> Function:
         @functools.wraps(function)
@@ -224,19 +250,7 @@ def register(
             warn_left_out(samples, channel_axis=-2 if joint else None, within="chdstat.estimators")
             return np.asarray(function(samples, *args, **options), samples.dtype)
 
-        entry = Estimator(
-            name,
-            estimate,
-            source,
-            label=label,
-            place=place,
-            default=default,
-            minimum_samples=minimum_samples,
-            uses_neighbours=uses_neighbours,
-            joint_channels=joint,
-            uses_features=uses_features,
-            learns=learns,
-        )
+        entry = Estimator(name, estimate, source, **facts)
         _enter(entry)
         return cast("Function", estimate)
 
@@ -251,10 +265,10 @@ def register_learned(entry: LearnedEstimator) -> None:
 def forget(name: str) -> None:
     """Take an estimator out again."""
     lookup(name)
-    del _ENTRIES[name], LABELS[name]
+    del ENTRIES[name], LABELS[name]
 
 
-def names(kind: Kind | None = None) -> tuple[str, ...]:
+def names(kind: Literal["fixed", "learned"] | None = None) -> tuple[str, ...]:
     """Return the names of all estimators, or of one kind, in the order of their places.
 
     Examples
@@ -263,7 +277,7 @@ def names(kind: Kind | None = None) -> tuple[str, ...]:
     >>> "mean" in estimators.names("fixed"), "mean" in estimators.names("learned")
     (True, False)
     """
-    entries = sorted(_ENTRIES.values(), key=lambda entry: entry.place)
+    entries = sorted(ENTRIES.values(), key=lambda entry: entry.place)
     return tuple(e.name for e in entries if kind is None or e.learns == (kind == "learned"))
 
 
@@ -275,15 +289,132 @@ def lookup(name: str) -> Estimator | LearnedEstimator:
     InputError
         If there is no estimator of that name.
     """
-    if name not in _ENTRIES:
+    if name not in ENTRIES:
         message = f"no estimator is called {name!r}; there are {', '.join(names())}"
         raise InputError(message)
-    return _ENTRIES[name]
+    return ENTRIES[name]
 
 
 def _enter(entry: Estimator | LearnedEstimator) -> None:
-    if entry.name in _ENTRIES:
+    if entry.name in ENTRIES:
         message = f"an estimator called {entry.name!r} is registered already; choose another name"
         raise InputError(message)
-    _ENTRIES[entry.name] = entry
+    ENTRIES[entry.name] = entry
     LABELS[entry.name] = entry.label or entry.name.replace("_", " ")
+
+
+def mean_of_good(x: npt.NDArray[np.floating[Any]]) -> Floats:
+    """Average the good samples of (..., sample) in float64; NaN where there is none."""
+    with np.errstate(invalid="ignore"):
+        found = np.asarray(x.mean(axis=-1, dtype=np.float64))
+        if np.isfinite(found).all():
+            return found
+        bad = is_bad(x)
+        total = np.where(bad, 0, x).sum(axis=-1, dtype=np.float64)
+        return np.asarray(total / (~bad).sum(axis=-1))
+
+
+def estimate_rows(
+    x: npt.NDArray[np.floating[Any]],
+    kernel: Callable[..., Floats],
+    *beside: npt.NDArray[np.floating[Any]],
+    ordered: bool = False,
+) -> npt.NDArray[Any]:
+    """Estimate from the good samples of each row.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., sample).
+    kernel
+        ``kernel(rows, *beside) -> (row,)`` for rows (row, m) of m >= 1 good samples and what stands
+        beside them (row,). Equivariant under a change of the unit of radiance.
+    beside
+        Radiances that belong to the rows, shape (...).
+    ordered
+        Whether the kernel wants ascending samples. Without, a row that misses samples is sorted,
+        too, so the kernel must not depend on their order.
+
+    Returns
+    -------
+    ndarray
+        Shape (...), dtype of `x`; NaN where no sample is good.
+    """
+    rows = x.reshape(-1, x.shape[-1])
+    others = [other.reshape(-1) for other in beside]
+    result = np.full(len(rows), np.nan)
+    for where, good in _good_rows(rows, ordered):
+        relative = good.astype(np.float64)
+        m = relative.shape[-1]
+        _, exponent = np.frexp(np.abs(relative) @ np.full(m, 1 / m))
+        # The unit and its inverse are finite for every mean, 0 included.
+        unit = np.ldexp(1.0, exponent - 1)
+        relative /= unit[:, np.newaxis]
+        result[where] = kernel(relative, *(other[where] / unit for other in others)) * unit
+    return result.astype(x.dtype).reshape(x.shape[:-1])
+
+
+def _good_rows(rows: npt.NDArray[Any], ordered: bool) -> Iterator[tuple[Any, npt.NDArray[Any]]]:
+    """Yield the good samples of some rows, as many of each, and the places of these rows."""
+    for part in spans(len(rows), max(1, _CHUNK // rows.shape[-1])):
+        chunk = rows[part]
+        if all_good(chunk):
+            yield part, np.sort(chunk) if ordered else chunk
+            continue
+        # Bad samples sort behind the others.
+        ascending = np.sort(np.where(is_bad(chunk), np.inf, chunk))
+        count = np.count_nonzero(np.isfinite(ascending), axis=-1)
+        for m in np.unique(count[count > 0]):
+            same = np.flatnonzero(count == m)
+            yield part.start + same, ascending[same, :m]
+
+
+def median_of_sorted(rows: Floats) -> Floats:
+    """Return the medians of ascending rows."""
+    m = rows.shape[-1]
+    return np.asarray(0.5 * (rows[:, (m - 1) // 2] + rows[:, m // 2]))
+
+
+def whole_samples(
+    x: npt.NDArray[np.floating[Any]],
+) -> tuple[npt.NDArray[np.floating[Any]], npt.NDArray[np.bool_]]:
+    """Return samples (..., channel, sample), 0 where a channel is bad, and which have none bad."""
+    good = np.asarray(~is_bad(x).any(axis=-2))
+    return x if good.all() else np.where(good[..., np.newaxis, :], x, 0), good
+
+
+def check_positive(**options: float) -> None:
+    """Refuse options, by name, that are not larger than 0."""
+    for name, value in options.items():
+        if not value > 0:
+            message = f"{name} must be larger than 0, got {value}"
+            raise InputError(message)
+
+
+def check_probability(**options: float) -> None:
+    """Refuse options, by name, that do not lie between 0 and 1."""
+    for name, value in options.items():
+        if not 0 < value < 1:
+            message = f"{name} must lie between 0 and 1, got {value}"
+            raise InputError(message)
+
+
+def converge(
+    update: Callable[..., tuple[Floats, ...]], start: Floats, near: Floats, *beside: Floats
+) -> Floats:
+    """Repeat an update until it moves no row by more than `near`; rows that arrive drop out.
+
+    ``update(theta, *beside)`` returns the next theta (row,), and what stands beside it then.
+    """
+    theta, left = start.copy(), np.arange(len(start))
+    for _ in range(_STEPS):
+        there, *others = update(theta[left], *beside)
+        going = np.abs(there - theta[left]) > near
+        theta[left] = there
+        if not going.any():
+            break
+        if going.all():
+            beside = tuple(others)
+        else:
+            left, near, beside = left[going], near[going], tuple(one[going] for one in others)
+    return theta

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,14 +23,10 @@ import numpy.typing as npt
 from chdstat._core.arrays import all_good, is_bad
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError
-from chdstat.estimators.buckets import gmon_adaptive
-from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.registry import register
-from chdstat.estimators.rows import Floats, estimate_rows
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.mixtures import mixture
-from chdstat.fit.mle import fit_part
-from chdstat.fit.results import Fit, Mixture
+from chdstat.estimators.registry import Array, Floats, estimate_rows, mean_of_good, register
+from chdstat.estimators.robust_means import gmon_adaptive
+from chdstat.fit.families import FAMILIES, Fit, fit_part
+from chdstat.fit.mixtures import Mixture, mixture
 
 __all__ = [
     "gamma_shrinkage",
@@ -39,10 +34,8 @@ __all__ = [
     "james_stein",
     "lognormal_shrinkage",
     "mixture_shrinkage",
-    "standard_error",
 ]
 
-Array = npt.NDArray[np.floating[Any]]
 
 _SOURCE = "Green and Strawderman 1991, doi:10.1080/01621459.1991.10475144"
 
@@ -118,24 +111,6 @@ def james_stein(
         pull = (k - 2) * mean_noise / np.square(difference).sum(axis=axes, keepdims=True)
     pull = np.where(np.isfinite(pull) | (pull == np.inf), np.clip(pull, 0, 1), 0)
     return np.asarray(y + pull * difference)
-
-
-def standard_error(x: Array) -> Floats:
-    """Return the standard error of the mean of the good samples, ``sqrt(M2 / (n (n - 1)))``.
-
-    0 where there is one sample, NaN where there is none.
-
-    Examples
-    --------
-    >>> standard_error(np.array([[1.0, 3.0, np.nan]])).tolist()
-    [1.0]
-    """
-
-    def kernel(rows: Floats) -> Floats:
-        n = rows.shape[-1]
-        return np.asarray(np.sqrt(rows.var(axis=-1) / max(n - 1, 1)))
-
-    return estimate_rows(x, kernel).astype(np.float64)
 
 
 @register(
@@ -331,7 +306,11 @@ def _shrink_mean(x: Array, towards: Callable[[Array], Array]) -> Array:
     if not all_good(x):
         bad = is_bad(x).any(axis=-2, keepdims=True)
         x = np.where(bad & ~bad.all(axis=-1, keepdims=True), x.dtype.type(np.nan), x)
-    mean, error = mean_of_good(x), standard_error(x)
+
+    def standard_error(rows: Floats) -> Floats:
+        return np.asarray(rows.std(axis=-1) / np.sqrt(max(rows.shape[-1] - 1, 1)))
+
+    mean, error = mean_of_good(x), estimate_rows(x, standard_error).astype(np.float64)
     # Radiance in units of the pixel's brightest channel can be squared whatever it is.
     unit = np.fmax.reduce(np.fmax(np.abs(mean), error), axis=-1, keepdims=True, initial=0)
     unit[unit == 0] = 1

@@ -4,41 +4,36 @@ Means of transformed samples with their standard errors, as Welch's test compare
 histograms that a chi-square distance compares. Only samples that are good in all channels count;
 where there are too few, errors are NaN and histograms empty.
 
-`pool` adds up the pixels of a window, each weighted by its similarity. It walks over the offsets of
-the window and shifts the image by each, so that all pixels of an offset are compared at once. A
-pair of pixels is compared once and counts both ways: the weight of one for the other is symmetric.
-`dense` compares single samples: which have enough others near them, in space and colour.
+A `Window` averages the pixels around each pixel, each weighted by its similarity. It walks over the
+offsets of the window and shifts the image by each, so that all pixels of an offset are compared at
+once. A pair of pixels is compared once and counts both ways: the weight of one for the other is
+symmetric.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtrit
 
-from chdstat._core.arrays import all_good, is_bad, spans
+from chdstat._core.arrays import spans
 from chdstat._core.image_scales import exposure_unit
-from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.rows import Floats
+from chdstat.estimators.registry import Floats, mean_of_good, whole_samples
 
 __all__ = [
-    "Means",
     "ScaledSamples",
+    "Window",
     "corrected_means",
-    "dense",
     "histograms",
     "not_different",
-    "patch_sum",
-    "pool",
-    "quotient",
     "root",
     "shape_means",
     "significance",
-    "with_weight",
+    "window_sum",
     "without_largest",
 ]
 
@@ -54,28 +49,6 @@ _CHUNK = 2**16
 """Samples transformed at once."""
 _PIXELS = 2**15
 """Pixels compared at once."""
-_BLACK = 1e-2
-"""Radiance, of an image exposed as usual, below which colours are as good as black."""
-_FAR = 1e30
-"""Half a squared distance that is never bridged."""
-_DISTANCES = 2**17
-"""Distances computed at once."""
-
-
-@dataclass(frozen=True)
-class Means:
-    """Means of transformed samples.
-
-    Attributes
-    ----------
-    value
-        Shape (y, x, statistic).
-    variance
-        Squared standard error of `value`, same shape; NaN of less than 2 samples.
-    """
-
-    value: Floats
-    variance: Floats
 
 
 @dataclass(frozen=True)
@@ -89,7 +62,7 @@ class ScaledSamples:
     samples
         The same, 0 where a channel is bad.
     good
-        Marks samples of which all channels are good, shape (y, x, sample); None where all are.
+        Marks samples of which all channels are good, shape (y, x, sample).
     count
         Number of these, shape (y, x).
     unit
@@ -98,20 +71,17 @@ class ScaledSamples:
 
     given: npt.NDArray[np.floating[Any]]
     samples: npt.NDArray[np.floating[Any]]
-    good: npt.NDArray[np.bool_] | None
+    good: npt.NDArray[np.bool_]
     count: npt.NDArray[np.int64]
     unit: float
 
     @classmethod
     def of(cls, x: npt.NDArray[np.floating[Any]]) -> ScaledSamples:
         """Find the bad samples among (y, x, channel, sample), and the unit."""
-        good, kept, count = None, x, np.full(x.shape[:2], x.shape[-1], np.int64)
-        if not all_good(x):
-            good = ~np.asarray(is_bad(x).any(axis=-2))
-            kept = np.where(good[..., np.newaxis, :], x, 0)
-            count = np.count_nonzero(good, axis=-1)
+        kept, good = whole_samples(x)
         _, exponent = np.frexp(exposure_unit(mean_of_good(kept).mean(axis=-1)))
-        return cls(x, kept, good, count, float(np.ldexp(1.0, int(exponent) - 1)))
+        unit = float(np.ldexp(1.0, int(exponent) - 1))
+        return cls(x, kept, good, np.count_nonzero(good, axis=-1), unit)
 
     def mean(self) -> Floats:
         """Return the mean of the good samples in units of `unit`, shape (y, x, channel)."""
@@ -132,24 +102,33 @@ class ScaledSamples:
     def walk(self, work: Callable[..., tuple[Floats, ...]]) -> tuple[Floats, ...]:
         """Apply ``work(rows, mask, count)`` to pixels that stay in the cache together.
 
-        Rows have shape (pixel, channel, sample), in units of `unit`; masks (pixel, 1, sample), None
-        where all is good; counts (pixel, 1).
+        Rows have shape (pixel, channel, sample), in units of `unit`; masks (pixel, 1, sample);
+        counts (pixel, 1).
         """
         height, width, channels, n = self.samples.shape
         rows = self.samples.reshape(-1, channels, n)
-        good = None if self.good is None else self.good.reshape(-1, 1, n)
-        count = self.count.reshape(-1, 1)
-        found = []
-        for part in spans(len(rows), max(1, _CHUNK // (channels * n))):
-            mask = None if good is None else good[part]
-            found.append(work(rows[part] / np.float64(self.unit), mask, count[part]))
+        good, count = self.good.reshape(-1, 1, n), self.count.reshape(-1, 1)
+        found = [
+            work(rows[part] / np.float64(self.unit), good[part], count[part])
+            for part in spans(len(rows), max(1, _CHUNK // (channels * n)))
+        ]
         return tuple(
             np.concatenate(kind).reshape(height, width, *kind[0].shape[1:])
             for kind in zip(*found, strict=True)
         )
 
 
-def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats]) -> Means:
+Means = tuple[Floats, ...]
+"""Means of transformed samples, shape (y, x, statistic), and their squared standard errors, NaN of
+less than 2 samples."""
+
+
+def root(x: Floats) -> Floats:
+    """Return the root of samples; of negative ones, minus the root of their size."""
+    return np.sqrt(x) if x.min() >= 0 else np.copysign(np.sqrt(np.abs(x)), x)
+
+
+def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats] = root) -> Means:
     """Return means of transformed samples, corrected for their skewness, and standard errors.
 
     The transform turns samples (pixel, channel, sample) into values (pixel, statistic, sample).
@@ -159,15 +138,13 @@ def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats])
     """
 
     def work(
-        rows: Floats, good: npt.NDArray[np.bool_] | None, n: npt.NDArray[np.int64]
+        rows: Floats, good: npt.NDArray[np.bool_], n: npt.NDArray[np.int64]
     ) -> tuple[Floats, Floats]:
         # Where radiances of one image differ by a factor of 1e100, errors may be infinite.
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             y = transform(rows)
             mean = y.sum(axis=-1) / n
-            deviation = y - mean[..., np.newaxis]
-            if good is not None:
-                deviation *= good
+            deviation = (y - mean[..., np.newaxis]) * good
             square = deviation * deviation
             second, third = square.sum(axis=-1), np.vecdot(square, deviation)
             shift = third * (n - 1) / (6 * second * n**2)
@@ -175,12 +152,7 @@ def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats])
             shift = np.where((second > 0) & np.isfinite(shift), shift, 0)
             return mean + shift, second / (n * np.where(n > 1, n - 1, np.nan))
 
-    return Means(*image.walk(work))
-
-
-def root(x: Floats) -> Floats:
-    """Return the root of samples; of negative ones, minus the root of their size."""
-    return np.sqrt(x) if x.min() >= 0 else np.copysign(np.sqrt(np.abs(x)), x)
+    return image.walk(work)
 
 
 def shape_means(image: ScaledSamples) -> Means:
@@ -204,7 +176,7 @@ def shape_means(image: ScaledSamples) -> Means:
             relative = (b - a * a) / b - a * (c - a * b) / b**2 + a * a * (d - b * b) / (4 * b**3)
             return a / np.sqrt(b), np.maximum(relative, 0) / np.where(m > 1, m - 1, np.nan)
 
-    return Means(*image.walk(work))
+    return image.walk(work)
 
 
 def without_largest(rows: Floats) -> Floats:
@@ -224,19 +196,18 @@ def histograms(image: ScaledSamples, unit: float) -> Floats:
     """
     channels = image.samples.shape[2]
 
-    def work(rows: Floats, good: npt.NDArray[np.bool_] | None, _: object) -> tuple[Floats]:
+    def work(rows: Floats, good: npt.NDArray[np.bool_], _: object) -> tuple[Floats]:
         with np.errstate(over="ignore"):
             v = (np.maximum(rows, 0) * (image.unit / unit)) ** (1 / _GAMMA) / _HIGHEST
         v = np.minimum(v, _SATURATION)
         place = v * (_BINS - 2)
         low = np.minimum(place.astype(np.intp), _BINS - 2)
         high = np.where(v < 1, place - low, v - 1)
-        counted = np.ones(rows.shape) if good is None else np.broadcast_to(good, rows.shape)
         start = _BINS * np.arange(len(rows) * channels).reshape(len(rows), channels, 1)
         where = (low + start).reshape(-1)
         size = _BINS * len(rows) * channels
-        low_bins = np.bincount(where, (counted * (1 - high)).reshape(-1), size)
-        found = low_bins + np.bincount(where + 1, (counted * high).reshape(-1), size)
+        low_bins = np.bincount(where, (good * (1 - high)).reshape(-1), size)
+        found = low_bins + np.bincount(where + 1, (good * high).reshape(-1), size)
         return (np.asarray(found, dtype=np.float64).reshape(len(rows), -1),)
 
     return image.walk(work)[0]
@@ -249,7 +220,8 @@ def significance(means: Means, count: npt.NDArray[np.int64], alpha: float) -> tu
     """
     found, places = np.unique(np.maximum(count, 2), return_inverse=True)
     t = stdtrit(2.0 * found - 2, 1 - alpha / 2)[places.reshape(count.shape)]
-    return means.value, t[..., np.newaxis] ** 2 * means.variance
+    mean, variance = means
+    return mean, t[..., np.newaxis] ** 2 * variance
 
 
 def not_different(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
@@ -263,54 +235,84 @@ Weigh = Callable[[tuple[Floats, ...], tuple[Floats, ...]], Floats]
 """Weights (y, x) of pixels, from the fields here and the fields at an offset, each (y, x, ...)."""
 
 
-def pool(
-    weigh: Weigh,
-    fields: tuple[Floats, ...],
-    values: Floats,
-    squares: Floats | None = None,
-    *,
-    radius: int,
-    reach: int = 0,
-) -> tuple[Floats, Floats]:
-    """Add up what lies within a window, each pixel by its weight.
+@dataclass(frozen=True)
+class Window:
+    """The pixels around each pixel, weighted by their similarity to it.
 
-    Parameters
+    Attributes
     ----------
     weigh
         Weights of pairs; the pixel itself counts with weight 1.
     fields
         What `weigh` compares, each of shape (y, x, ...).
-    values, squares
-        What is added up, shape (y, x, value): values by the weights, squares by the squared
-        weights, as variances of the former are.
     radius
         Pixels up to this far in y and in x belong to the window.
     reach
         How many rows around a pair its weight depends on.
-
-    Returns
-    -------
-    tuple of ndarray
-        Both sums, shape (y, x, value); outside the image there is nothing.
     """
-    squares = values[..., :0] if squares is None else squares
-    height, width = values.shape[:2]
-    sums, squared = np.empty_like(values), np.empty_like(squares)
-    halo = radius + reach
-    for rows in spans(height, max(halo, _PIXELS // max(width, 1), 1)):
-        # Strips with what they depend on around them give what the whole image does.
-        strip = slice(max(rows.start - halo, 0), rows.stop + halo)
-        compared, own, own_squares = [f[strip] for f in fields], values[strip], squares[strip]
-        total, total_squares = own.copy(), own_squares.copy()
-        for here, there in _pairs(len(own), width, radius):
-            weight = weigh(tuple(f[here] for f in compared), tuple(f[there] for f in compared))
-            weight = weight[..., np.newaxis]
-            for target, source in ((here, there), (there, here)):
-                total[target] += weight * own[source]
-                total_squares[target] += weight**2 * own_squares[source]
-        inner = slice(rows.start - strip.start, rows.stop - strip.start)
-        sums[rows], squared[rows] = total[inner], total_squares[inner]
-    return sums, squared
+
+    weigh: Weigh
+    fields: tuple[Floats, ...]
+    radius: int
+    reach: int = 0
+
+    def sums(self, values: Floats, squares: Floats | None = None) -> tuple[Floats, Floats]:
+        """Add up what lies within the window, each pixel by its weight.
+
+        Parameters
+        ----------
+        values, squares
+            What is added up, shape (y, x, value): values by the weights, squares by the squared
+            weights, as variances of the former are.
+
+        Returns
+        -------
+        tuple of ndarray
+            Both sums, shape (y, x, value); outside the image there is nothing.
+        """
+        squares = values[..., :0] if squares is None else squares
+        height, width = values.shape[:2]
+        sums, squared = np.empty_like(values), np.empty_like(squares)
+        halo = self.radius + self.reach
+        for rows in spans(height, max(halo, _PIXELS // max(width, 1), 1)):
+            # Strips with what they depend on around them give what the whole image does.
+            strip = slice(max(rows.start - halo, 0), rows.stop + halo)
+            own, own_squares = values[strip], squares[strip]
+            compared = [field[strip] for field in self.fields]
+            total, total_squares = own.copy(), own_squares.copy()
+            for pair in _pairs(len(own), width, self.radius):
+                here, there = (tuple(field[place] for field in compared) for place in pair)
+                weight = self.weigh(here, there)[..., np.newaxis]
+                for target, source in (pair, pair[::-1]):
+                    total[target] += weight * own[source]
+                    total_squares[target] += weight**2 * own_squares[source]
+            inner = slice(rows.start - strip.start, rows.stop - strip.start)
+            sums[rows], squared[rows] = total[inner], total_squares[inner]
+        return sums, squared
+
+    def average(
+        self, values: Floats, weight: npt.NDArray[Any], variance: Floats | None = None
+    ) -> tuple[Floats, Floats]:
+        """Average what lies within the window, each pixel by its own weight and that of the pair.
+
+        Parameters
+        ----------
+        values, variance
+            What is averaged, shape (y, x, value), and the squares of its errors.
+        weight
+            Of each pixel, shape (y, x, 1), or of each value.
+
+        Returns
+        -------
+        tuple of ndarray
+            Averages, NaN where nothing has weight, and the squares of their errors.
+        """
+        known = (weight > 0) & np.isfinite(values).all(axis=-1, keepdims=True)
+        parts = np.where(known, values * weight, 0), np.where(known, weight, 0)
+        sums, squared = self.sums(np.concatenate(parts, axis=-1, dtype=np.float64), variance)
+        total, weights = np.split(sums, [values.shape[-1]], axis=-1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return total / weights, squared / weights[..., : squared.shape[-1]] ** 2
 
 
 def _pairs(
@@ -325,79 +327,19 @@ def _pairs(
             yield (slice(0, height - dy), left), (slice(dy, height), right)
 
 
-def patch_sum(values: Floats, radius: int) -> Floats:
-    """Add up (y, x) over patches of (2 radius + 1)^2 pixels; outside, there is nothing."""
+def window_sum(
+    values: Floats, radius: int, *, mode: Literal["constant", "edge"] = "constant"
+) -> Floats:
+    """Add up (..., y, x) over windows of (2 radius + 1)^2 pixels.
+
+    Outside, there is nothing; with the mode "edge", the border repeats.
+    """
     if radius == 0:
         return values
-    height, width = values.shape
-    padded = np.pad(values, radius)
-    rows = padded[:height].copy()
-    for step in range(1, 2 * radius + 1):
-        rows += padded[step : step + height]
-    total = rows[:, :width].copy()
-    for step in range(1, 2 * radius + 1):
-        total += rows[:, step : step + width]
-    return total
-
-
-def with_weight(values: Floats, weight: npt.NDArray[Any]) -> Floats:
-    """Return values (y, x, value) times weights (y, x), and these behind; 0 if unknown."""
-    weights = weight[..., np.newaxis].astype(np.float64)
-    known = (weights > 0) & np.isfinite(values).all(axis=-1, keepdims=True)
-    parts = np.where(known, values * weights, 0), np.where(known, weights, 0)
-    return np.concatenate(parts, axis=-1)
-
-
-def quotient(sums: Floats) -> Floats:
-    """Return the averages of what `with_weight` has prepared; NaN where nothing has weight."""
-    weight = sums[..., -1:]
-    return np.divide(
-        sums[..., :-1], weight, out=np.full_like(sums[..., :-1], np.nan), where=weight > 0
+    height, width = values.shape[-2:]
+    padded = np.pad(
+        values, (*((0, 0),) * (values.ndim - 2), (radius, radius), (radius, radius)), mode
     )
-
-
-def dense(
-    x: npt.NDArray[Any],
-    bad: npt.NDArray[np.bool_],
-    neighbours: int,
-    bandwidth: float,
-    radius: int,
-    unit: float | None,
-) -> npt.NDArray[np.bool_]:
-    """Mark the samples (y, x, channel, sample) with enough others near; shape (y, x, sample)."""
-    height, width, channels, n = x.shape
-    colours = _log_colours(x, bad, unit) / (bandwidth * np.sqrt(channels))
-    # a . b - |b|^2 / 2 + limit / 2 > |a|^2 / 2 is |a - b|^2 < limit: one product tells.
-    half = 0.5 * np.vecdot(colours, colours)
-    here = np.concatenate([colours, np.ones((*half.shape, 1))], axis=-1)
-    edge = ((radius, radius), (radius, radius), (0, 0))
-    # Bad samples, and what lies outside the image, are far from everything.
-    far = np.pad(np.where(bad, _FAR, half), edge, constant_values=_FAR)
-    padded = np.concatenate([np.pad(colours, (*edge, (0, 0))), -far[..., np.newaxis]], axis=-1)
-    found = np.empty((height, width, n), dtype=bool)
-    for y in range(height):
-        for part in spans(width, max(1, _DISTANCES // (n**2 * (2 * radius + 1) ** 2))):
-            there = _window(padded[y : y + 2 * radius + 1], part, radius)
-            near = here[y, part] @ there.swapaxes(-1, -2) > half[y, part, :, np.newaxis]
-            # The sample itself is always near.
-            found[y, part] = np.count_nonzero(near, axis=-1) > neighbours
-    return found
-
-
-def _window(strip: Floats, part: slice, radius: int) -> Floats:
-    """Return what lies around some pixels of the middle row of a strip, shape (pixel, -1, :)."""
-    pieces = []
-    for dy, dx in np.ndindex(2 * radius + 1, 2 * radius + 1):
-        piece = strip[dy, part.start + dx : part.stop + dx].copy()
-        distance = ((dx - radius) ** 2 + (dy - radius) ** 2) / (radius + 1) ** 2
-        piece[..., -1] += 0.5 * (1 - distance)
-        pieces.append(piece)
-    return np.concatenate(pieces, axis=1)
-
-
-def _log_colours(x: npt.NDArray[Any], bad: npt.NDArray[np.bool_], unit: float | None) -> Floats:
-    """Return log(max(x / unit, 0) + black), shape (y, x, sample, channel)."""
-    good = np.where(bad[..., np.newaxis, :], 0, x) if bad.any() else x
-    found = exposure_unit(good.mean(axis=(-1, -2), dtype=np.float64), unit)
-    relative = np.ascontiguousarray(good.swapaxes(-1, -2)) / np.float64(found)
-    return np.asarray(np.log(np.maximum(relative, 0) + _BLACK))
+    steps = range(1, 2 * radius + 1)
+    rows = sum((padded[..., k : k + height, :] for k in steps), padded[..., :height, :])
+    return np.asarray(sum((rows[..., k : k + width] for k in steps), rows[..., :width]))

@@ -20,6 +20,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 import chdstat
+from chdstat._core.display import Card, Shown, number
 from chdstat._core.files import checksum, replacing
 from chdstat.errors import InputError, StoreError
 
@@ -34,6 +35,7 @@ __all__ = [
     "descend",
     "provenance_of",
     "read_model",
+    "scene_record",
     "threads",
     "write_model",
 ]
@@ -41,8 +43,8 @@ __all__ = [
 Arrays = dict[str, npt.NDArray[Any]]
 
 _KEY = "chdstat"
-"""Header entry that marks a file as ours: a checksum of it and the arrays, and the JSON. What else
-a file holds is not looked at."""
+"""Header entry that marks a file of chdstat: a checksum of it and the arrays, and the JSON. What
+else a file holds is not looked at."""
 _FOREIGN = (
     AttributeError,
     LookupError,
@@ -55,8 +57,8 @@ _FOREIGN = (
 """What damaged bytes may raise in the libraries that read them."""
 
 
-@dataclass(frozen=True)
-class History:
+@dataclass(frozen=True, repr=False)
+class History(Shown):
     """How the training went; every field has shape (record,).
 
     Losses of `MLP` are squared radiance, those of `Progressive` in units of what the sample mean
@@ -106,13 +108,25 @@ class Trained:
 State = TypeVar("State", bound=Trained)
 
 
-class TrainedModel(ABC, Generic[State]):
+class TrainedModel(Shown, ABC, Generic[State]):
     """An estimator that is trained once, then estimates, and can be saved."""
 
     name: str
     kind: ClassVar[str]
     """Name of its kind in model files."""
     _trained: State | None
+
+    def _card(self) -> Card:
+        if self._trained is None:
+            return Card(repr(self))
+        iterations, _, loss, _, baseline = self.state.history[-1].tolist()
+        known = {k: v for k, v in self.provenance.items() if isinstance(v, str | int | float)}
+        facts = {name.replace("_", " "): value for name, value in known.items()} | {
+            "iterations": f"{iterations:.0f}",
+            "trained on": f"{len(self.train_pixels)} pixels",
+            "validation loss": f"{number(loss)}, where the sample mean has {number(baseline)}",
+        }
+        return Card(repr(self), facts)
 
     @property
     def train_pixels(self) -> npt.NDArray[np.int64]:
@@ -201,12 +215,16 @@ class TrainedModel(ABC, Generic[State]):
         return self._trained
 
 
-def provenance_of(
+def scene_record(
     scene: str, attrs: Mapping[str, Any], shape: Sequence[int], **facts: Any
 ) -> dict[str, Any]:
-    """Return where a trained network comes from: the samples, what is known beside, our version."""
-    samples = {"scene": scene, "samples": attrs, "samples_shape": list(shape)}
-    return {**samples, **facts, "chdstat": chdstat.__version__}
+    """Return what provenance says of an image that trained, ready for JSON."""
+    return {"scene": scene, "samples": dict(attrs), "samples_shape": list(shape), **facts}
+
+
+def provenance_of(*image: Any, **facts: Any) -> dict[str, Any]:
+    """Return where a trained network comes from: the `scene_record`, and the version."""
+    return scene_record(*image, **facts, chdstat=chdstat.__version__)
 
 
 def check_iterations(iterations: int | None) -> None:
@@ -266,20 +284,25 @@ def descend(
     """
     import torch
 
-    optimiser = torch.optim.Adam(parameters, lr=learning_rate, fused=True)
-    schedule = (
-        torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations) if annealed else None
-    )
+    # `torch.optim.Adam` is a class around this function that also imports the compiler of torch.
+    from torch.optim.adam import adam
+
+    trained = list(parameters)
+    first, second = ([torch.zeros_like(parameter) for parameter in trained] for _ in range(2))
+    steps = [torch.zeros((), device=parameter.device) for parameter in trained]
+    usual: Any = {"beta1": 0.9, "beta2": 0.999, "eps": 1e-8, "weight_decay": 0.0}
+    usual |= {"fused": True, "amsgrad": False, "maximize": False}
     seen: list[Losses] = []
     for iteration, (loss, *others) in enumerate(losses, 1):
-        gradients = torch.autograd.grad(loss, parameters)
-        for parameter, gradient in zip(parameters, gradients, strict=True):
+        gradients = list(torch.autograd.grad(loss, trained))
+        for parameter, gradient in zip(trained, gradients, strict=True):
             parameter.grad = gradient
         if largest_gradient is not None:
-            torch.nn.utils.clip_grad_norm_(parameters, largest_gradient)
-        optimiser.step()
-        if schedule is not None:
-            schedule.step()
+            torch.nn.utils.clip_grad_norm_(trained, largest_gradient)
+        falling = np.cos(np.pi * (iteration - 1) / iterations) if annealed else 1.0
+        with torch.no_grad():
+            step = learning_rate * (1 + falling) / 2
+            adam(trained, gradients, first, second, [], steps, lr=step, **usual)
         after_step()
         seen.append((loss.detach(), *others))
         if iteration % every == 0 or iteration == iterations:

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LeftOut, generator, is_bad
+from chdstat._core.arrays import LeftOut, as_samples, generator, spans
 from chdstat.errors import InputError
+from chdstat.estimators.registry import whole_samples
 from chdstat.samples import Samples
 
 __all__ = [
@@ -25,10 +26,12 @@ __all__ = [
     "Totals",
     "batches",
     "check_spp",
+    "checked_direct",
     "checked_pixels",
     "direct_of",
     "draw_pixels",
     "judging_pixels",
+    "reordered",
     "training_batches",
     "training_pixels",
     "without",
@@ -41,6 +44,8 @@ _PIXELS = 8192
 """Of one image, at most, where several may train together."""
 _MOST_PIXELS = 4 * _PIXELS
 """Of all images together: more take memory, and tell little."""
+_REORDERED = 2**15
+"""Samples sorted at once."""
 _ROUNDING = 1e-13
 """Share of a sum that is as good as nothing: what rounding leaves of all of it less all of it."""
 
@@ -69,9 +74,9 @@ class Totals:
         left_out = LeftOut()
         for ys, xs, _, block in samples.blocks():
             left_out.see(block, channel_axis=-2)
-            bad = np.asarray(is_bad(block).any(axis=2))
-            total[ys, xs] += _sum_of_good(block, bad)
-            count[ys, xs] += (~bad).sum(axis=-1)
+            kept, good = whole_samples(block)
+            total[ys, xs] += kept.sum(axis=-1, dtype=np.float64)
+            count[ys, xs] += good.sum(axis=-1)
         left_out.warn()
         return cls(total, count)
 
@@ -81,7 +86,9 @@ class Totals:
 
     def mean(self) -> npt.NDArray[np.float64]:
         """Return the mean of the good samples, shape (..., channel); NaN where there is none."""
-        return _divide(self.total, self.count)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            known = np.where(self.count > 0, self.count, np.nan)
+            return np.asarray(self.total / known[..., np.newaxis])
 
     def mean_without(self, batch: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.float64]:
         """Return the leave-batch-out mean, (total - sum of batch) / (count - n).
@@ -96,10 +103,10 @@ class Totals:
         ndarray
             Shape (..., channel); NaN where the batch holds a bad sample or nothing remains.
         """
-        bad = np.asarray(is_bad(batch).any(axis=-2))
-        rest = np.asarray(self.count - (~bad).sum(axis=-1))
-        reference = _divide(without(self.total, _sum_of_good(batch, bad)), rest)
-        return np.where(bad.any(axis=-1, keepdims=True), np.nan, reference)
+        kept, good = whole_samples(batch)
+        total = without(self.total, kept.sum(axis=-1, dtype=np.float64))
+        reference = Totals(total, self.count - good.sum(axis=-1)).mean()
+        return np.where(good.all(axis=-1, keepdims=True), reference, np.nan)
 
 
 def without(
@@ -163,6 +170,21 @@ def direct_of(samples: Samples) -> Samples:
     return direct
 
 
+def checked_direct(direct: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """Return the direct part of samples of a shape.
+
+    Raises
+    ------
+    InputError
+        If it has another shape.
+    """
+    part = as_samples(direct, name="direct")
+    if part.shape != shape:
+        message = f"direct must have the shape of the samples, {shape}, got {part.shape}"
+        raise InputError(message)
+    return part
+
+
 def draw_pixels(
     shape: tuple[int, int], count: int, *, seed: int | np.random.Generator | None
 ) -> npt.NDArray[np.int64]:
@@ -191,7 +213,10 @@ def draw_pixels(
     [2, 4050, 6400]
     """
     order = generator(seed).permutation(shape[0] * shape[1])
-    drawn = np.sort(order[: min(count, _trainable(shape))])
+    # Where the published number leaves a quarter to judge, it trains, else half of the image.
+    half, published = order.size // 2, PUBLISHED_PIXELS
+    most = published if half < published <= 3 * order.size // 4 else half
+    drawn = np.sort(order[: min(count, most)])
     return np.stack(np.unravel_index(drawn, shape), axis=-1).astype(np.int64)
 
 
@@ -206,11 +231,6 @@ def judging_pixels(
     judging = np.ones(shape, bool)
     judging[tuple(draw_pixels(shape, judging.size, seed=seed).T)] = False
     return judging
-
-
-def _trainable(shape: tuple[int, int]) -> int:
-    size = shape[0] * shape[1]
-    return PUBLISHED_PIXELS if size // 2 < PUBLISHED_PIXELS <= 3 * size // 4 else size // 2
 
 
 def checked_pixels(pixels: npt.ArrayLike, shape: tuple[int, int]) -> npt.NDArray[np.int64]:
@@ -295,16 +315,32 @@ def training_batches(
     return np.concatenate(found), np.concatenate(references)
 
 
-def _sum_of_good(
-    block: npt.NDArray[np.floating[Any]], bad: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.float64]:
-    """Add up samples (..., channel, sample) where not `bad` (..., sample)."""
-    good = np.where(bad[..., np.newaxis, :], 0, block) if bad.any() else block
-    return np.asarray(good.sum(axis=-1, dtype=np.float64))
+def reordered(
+    x: npt.NDArray[np.floating[Any]], *beside: npt.NDArray[np.floating[Any]]
+) -> list[npt.NDArray[np.floating[Any]]]:
+    """Return samples (..., channel, sample) in a random order that theirs does not change.
 
+    What splits samples by their places then finds the same parts in whatever order they come, and
+    in whatever unit. They are sorted, and then shuffled in each pixel: the parts would else be of
+    bright samples, or of dark ones.
 
-def _divide(
-    total: npt.NDArray[np.float64], count: npt.NDArray[np.int64]
-) -> npt.NDArray[np.float64]:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(total / np.where(count > 0, count, np.nan)[..., np.newaxis])
+    Parameters
+    ----------
+    x, beside
+        Arrays of one shape, which come into one order.
+
+    Examples
+    --------
+    >>> one, two = (reordered(np.array([[3.0, 1.0, 2.0][::step]]))[0] for step in (1, -1))
+    >>> bool((one == two).all())
+    True
+    """
+    arrays = [array.reshape(-1, *array.shape[-2:]) for array in (x, *beside)]
+    ordered, rng = [np.empty_like(array) for array in arrays], generator(0)
+    for part in spans(len(arrays[0]), max(1, _REORDERED // x.shape[-1])):
+        keys = np.concatenate([array[part] for array in arrays], axis=1)
+        rank = np.lexsort(np.moveaxis(keys, 1, 0), axis=-1)
+        places = np.take_along_axis(rank, rng.random(rank.shape).argsort(axis=-1), axis=-1)
+        for array, own in zip(arrays, ordered, strict=True):
+            own[part] = np.take_along_axis(array[part], places[:, np.newaxis], axis=-1)
+    return [own.reshape(array.shape) for own, array in zip(ordered, (x, *beside), strict=True)]

@@ -1,4 +1,4 @@
-"""Maps: one number or label per pixel in place of the image, and images as a browser shows them.
+"""Maps: one number or label per pixel, over the image.
 
 `MAPS` is the table. Some come with the image (`of_overall`); for the others, `walk` goes through
 the store tile by tile and shows what it has so far.
@@ -8,42 +8,60 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat import viz
 from chdstat._core.arrays import is_bad, luminance
-from chdstat.errors import InputError, Reason
+from chdstat.errors import InputError, Reason, StoreError
 from chdstat.explorer.estimators import batches_of, fixed
 from chdstat.explorer.sources import Overall, StoreSource, tiles
+from chdstat.explorer.tones import ramp
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part
 from chdstat.inference import MORE_THAN_TESTED, N_MEANS, sizes_of_means
 from chdstat.inference.normality_of_means import means_of_block
 from chdstat.patterns import classification
+from chdstat.patterns.pixel_statistics import PixelFits
 from chdstat.samples.samples import Mapped
+from chdstat.viz.estimators import NAMES
 
-__all__ = ["IMAGES", "MAPS", "Map", "MapKind", "map_kind", "of_overall", "ramp", "rgba", "walk"]
+if TYPE_CHECKING:
+    import xarray as xr
 
-_ERROR = "error:"
+__all__ = [
+    "DIFFERENCES",
+    "IMAGES",
+    "MAPS",
+    "Map",
+    "MapKind",
+    "difference_of",
+    "map_kind",
+    "of_overall",
+    "read_maps",
+    "walk",
+]
+
+_ERROR, _FILE = "error:", "file:"
 _BATCH = 32
 """Samples of an estimate, in maps of errors."""
 _MOST_BATCHES = 16
 _DECADES = 8.0
 """Of a colour bar, at most."""
+_TILE, _CELL = 16, 8
+"""Pixels of a tile and of a cell, of which one pixel is computed first."""
+_COARSE_SHARE = 0.05
+_LONGEST = 60
+"""Characters of a description beside a colour bar."""
 _OVER_MEAN = "log10, luminance"
 
 _LABELS = (
     *("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e", "#2f6fb7", "#8a5a9e"),
     *("#8f9296", "#9c3b3b", "#5b7f2b", "#c8c9ca"),
 )
-_FILMIC = (0.15, 0.50, 0.10, 0.20, 0.02, 0.30)
-_WHITE = 11.2
-
 Image = npt.NDArray[np.float32]
 Step = Callable[[float, Image], None]
 
@@ -66,6 +84,8 @@ class MapKind:
         Whether the numbers are shown as their log10.
     limits
         Ends of the colour bar; None for percentiles of what there is.
+    diverging
+        Whether 0 stands in the middle, between two colours.
     """
 
     name: str
@@ -75,6 +95,12 @@ class MapKind:
     ordered: bool = False
     log: bool = False
     limits: tuple[float, float] | None = None
+    diverging: bool = False
+
+    @property
+    def ramp(self) -> tuple[str, ...]:
+        """Colours of the numbers."""
+        return ramp("BrBG_r" if self.diverging else "viridis")
 
 
 @dataclass(frozen=True)
@@ -167,10 +193,107 @@ def map_kind(name: str, spp: int = 0) -> MapKind:
         return MAPS[name]
     estimator = name.removeprefix(_ERROR)
     if name.startswith(_ERROR) and estimator in fixed():
+        if estimator == "mean":
+            return MapKind(name, "Error of the mean", f"log10 of MSE, N = {_BATCH}")
         unit = f"log10 of MSE over that of the mean, N = {_BATCH}"
-        return MapKind(name, f"Error of {estimator}", unit, limits=(-1, 1))
+        title = f"Error of {NAMES.get(estimator, estimator)}"
+        return MapKind(name, title, unit, limits=(-1, 1), diverging=True)
     message = f"no map is called {name!r}; there are {', '.join(MAPS)} and {_ERROR}ESTIMATOR"
     raise InputError(message)
+
+
+def read_maps(path: str | Path, size: tuple[int, int]) -> dict[str, Map]:
+    """Return the maps of an analysis that was written before, by name.
+
+    Parameters
+    ----------
+    path
+        What ``chdstat analyze -o`` wrote.
+    size
+        (height, width) of the image.
+
+    Raises
+    ------
+    StoreError
+        If there is no dataset.
+    InputError
+        If it is of an image of another size.
+    """
+    import xarray as xr
+
+    try:
+        found = xr.open_zarr(path, consolidated=False, chunks=None)
+        shape = tuple(found.sizes[dim] for dim in ("y", "x"))
+    except (OSError, ValueError, KeyError) as error:
+        message = f"no maps at {path}: give what 'chdstat analyze STORE -o MAPS' wrote"
+        raise StoreError(message) from error
+    if shape != size:
+        expected, got = (f"{width} x {height}" for height, width in (size, shape))
+        message = f"the maps in {path} must have {expected} pixels, got {got}"
+        raise InputError(message)
+    maps = {}
+    for variable, values in found.data_vars.items():
+        if values.dims == ("y", "x") and values.dtype.kind in "bif":
+            name = f"{_FILE}{str(variable).lower()}"
+            maps[name] = Map(_kind_of(name, values), values.to_numpy().astype(np.float32))
+    return maps
+
+
+def _kind_of(name: str, values: xr.DataArray) -> MapKind:
+    attrs, title = values.attrs, name.removeprefix(_FILE).replace("_", " ").capitalize()
+    words = str(attrs.get("flag_meanings", "")).split()
+    codes = dict(zip(map(int, attrs.get("flag_values", ())), words, strict=False))
+    names = {code: word.lower().replace("_", " ") for code, word in codes.items()}
+    if values.dtype.kind == "b":
+        names = {0: "no", 1: "yes"}
+    unit = str(attrs.get("long_name", ""))
+    return MapKind(name, title, unit if len(unit) <= _LONGEST else "", names)
+
+
+DIFFERENCES: dict[str, MapKind] = {
+    kind.name: kind
+    for kind in (
+        MapKind("diff:signed", "Difference", "second minus first, luminance", diverging=True),
+        MapKind("diff:absolute", "Absolute difference", "luminance"),
+        MapKind("diff:squared", "Squared difference", "log10, luminance", log=True),
+        MapKind(
+            "diff:relative",
+            "Relative difference",
+            "second minus first, over their mean, luminance",
+            limits=(-1, 1),
+            diverging=True,
+        ),
+    )
+}
+"""Maps of two stores."""
+
+
+def difference_of(one: Overall, other: Overall, name: str) -> Map | None:
+    """Return one of `DIFFERENCES` of two images, None for another map.
+
+    Examples
+    --------
+    >>> image = Overall.empty(1, 1, 3)
+    >>> one, other = (replace(image, mean=np.full((1, 1, 3), v, np.float32)) for v in (1, 3))
+    >>> [f"{difference_of(one, other, name).values[0, 0]:.2f}" for name in DIFFERENCES]
+    ['2.00', '2.00', '0.60', '1.00']
+    """
+    if name not in DIFFERENCES:
+        return None
+    first, second = (luminance(image.mean, channel_axis=-1) for image in (one, other))
+    kind, values = DIFFERENCES[name], second - first
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if name == "diff:relative":
+            values = values / ((first + second) / 2)
+        elif name == "diff:squared":
+            values = np.log10(values**2)
+        elif name == "diff:absolute":
+            values = np.abs(values)
+    values = np.where(np.isfinite(values), values, np.nan).astype(np.float32)
+    if name == "diff:signed":
+        most = float(np.nanpercentile(np.abs(values), 99)) if np.isfinite(values).any() else 0.0
+        kind = replace(kind, limits=(-most or -1.0, most or 1.0))
+    return Map(kind, values)
 
 
 def of_overall(overall: Overall, name: str) -> Map | None:
@@ -198,20 +321,26 @@ def walk(source: StoreSource, name: str, step: Step) -> Map:
         Called with the share that is done and the values so far; whatever it raises ends the walk.
     """
     values = np.full(source.size, np.nan, np.float32)
-    places = tiles(source.size, 16)
+    places = tiles(source.size, _TILE)
+
+    def found_in(block: Image) -> tuple[npt.NDArray[Any], Mapped]:
+        if name != "pattern":
+            return _value(name, block), {"label": ((), np.empty(0))}
+        part = classification.luminance_part(block)
+        variables = classification.patterns_variables(classification.patterns_of(PixelFits(part)))
+        return np.asarray(variables["label"][1]), variables
+
+    # Coarsely first, a pixel for each cell, which takes little more than reading.
+    for i, (ys, xs) in enumerate(places):
+        step(_COARSE_SHARE * i / len(places), values)
+        cells, _ = found_in(np.ascontiguousarray(source.read(ys, xs)[::_CELL, ::_CELL]))
+        height, width = values[ys, xs].shape
+        values[ys, xs] = cells.repeat(_CELL, 0).repeat(_CELL, 1)[:height, :width]
 
     def parts() -> Iterator[tuple[slice, slice, Mapped]]:
         for i, (ys, xs) in enumerate(places):
-            step(i / len(places), values)
-            block = source.read(ys, xs)
-            variables: Mapped = {"label": ((), np.empty(0))}
-            if name == "pattern":
-                part = classification.luminance_part(block)
-                found = classification.patterns_of_part(part)
-                variables = classification.patterns_variables(found)
-                values[ys, xs] = variables["label"][1]
-            else:
-                values[ys, xs] = _value(name, block)
+            step(_COARSE_SHARE + (1 - _COARSE_SHARE) * i / len(places), values)
+            values[ys, xs], variables = found_in(source.read(ys, xs))
             yield ys, xs, variables
 
     if name == "pattern":
@@ -226,7 +355,7 @@ def walk(source: StoreSource, name: str, step: Step) -> Map:
 
 def _value(name: str, block: Image) -> npt.NDArray[Any]:
     if name.startswith(_ERROR):
-        return _error_ratio(name.removeprefix(_ERROR), block)
+        return _error(name.removeprefix(_ERROR), block)
     if name == "n_needed":
         spp = block.shape[-1]
         if spp < N_MEANS:
@@ -249,71 +378,20 @@ def _value(name: str, block: Image) -> npt.NDArray[Any]:
     return np.where(best < 0, np.nan, best)
 
 
-def _error_ratio(name: str, block: Image) -> npt.NDArray[Any]:
-    """Return log10 of an estimator's squared error over the mean's, against all other samples."""
+def _error(name: str, block: Image) -> npt.NDArray[Any]:
+    """Return log10 of an estimator's squared error over the mean's, against all other samples.
+
+    Of the mean itself, log10 of the mean squared error.
+    """
     batches = batches_of(block, _BATCH, most=_MOST_BATCHES)
     if batches is None or len(batches.x) < 2:
         return np.full(block.shape[:2], np.nan)
     estimates = np.asarray(fixed()[name](np.ascontiguousarray(batches.x)), np.float64)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        errors = [
+        own, of_mean = (
             np.nansum((e - batches.truth) ** 2, axis=-1).sum(axis=0)
             for e in (estimates, batches.mean)
-        ]
-        ratio = np.log10(errors[0] / errors[1])
-    return np.where(np.isfinite(ratio), ratio, np.nan)
-
-
-# --- on the screen ------------------------------------------------------------------------------
-
-
-@cache
-def ramp() -> tuple[str, ...]:
-    """Return 256 colours of magnitudes, dark to bright, distinct for the colour-blind: viridis."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_hex
-
-    return tuple(to_hex(color) for color in colormaps["viridis"](range(256)))
-
-
-def rgba(mean: Image, exposure: float, tone: str) -> npt.NDArray[np.uint32]:
-    """Return an image as a browser wants it: packed RGBA, shape (y, x).
-
-    Parameters
-    ----------
-    mean
-        Linear radiance, shape (y, x, channel); what is not finite becomes magenta.
-    exposure
-        Stops.
-    tone
-        'srgb' clips, 'reinhard' maps v to v / (1 + v), 'filmic' is Hable's curve.
-
-    References
-    ----------
-    Reinhard, Stark, Shirley and Ferwerda, "Photographic tone reproduction for digital images",
-    2002, doi:10.1145/566654.566575, equation 3. Hable, "Uncharted 2: HDR lighting", Game Developers
-    Conference 2010.
-
-    Examples
-    --------
-    >>> hex(rgba(np.ones((1, 1, 3), np.float32), 0, "srgb")[0, 0])
-    '0xffffffff'
-    """
-    with np.errstate(invalid="ignore", over="ignore"):
-        value = mean * np.float32(2.0**exposure)
-        if tone == "reinhard":
-            value = np.where(np.isfinite(value), value / (1 + value), value)
-        elif tone == "filmic":
-            value = np.where(
-                np.isfinite(value), _hable(2 * value) / _hable(np.float32(_WHITE)), value
-            )
-    shown = viz.tonemap(value, exposure=0)
-    packed = np.full((*shown.shape[:2], 4), 255, np.uint8)
-    packed[..., :3] = np.round(255 * shown)
-    return packed.view(np.uint32)[..., 0]
-
-
-def _hable(v: npt.NDArray[np.float32] | np.float32) -> npt.NDArray[np.float32]:
-    a, b, c, d, e, f = _FILMIC
-    v = np.minimum(v, np.float32(1e15))  # v squared stays within float32
-    return np.asarray((v * (a * v + c * b) + d * e) / (v * (a * v + b) + d * f) - e / f, np.float32)
+        )
+        number = np.isfinite(batches.truth).sum(axis=(0, -1))
+        error = np.log10(own / (number if name == "mean" else of_mean))
+    return np.where(np.isfinite(error), error, np.nan)

@@ -1,208 +1,176 @@
-"""Panels: the lines and areas that each plot draws of a selection, as plain arrays.
+"""Panels: what each plot draws of a selection, as plain arrays.
 
-One place shows its channels, several places show luminance or one channel in a colour each. The
-density of a fit is that of the positive samples, as the histograms are. The ranges of the axes are
-computed here, since Bokeh's own data ranges send each of their changes to the server, eighteen
-messages a click. Colours contrast with the dark ground by 4.5 to 1 or more (WCAG 2.2, AA).
+The density of a fit is that of the positive samples, as the histograms are. Densities of several
+pixels stand above each other, one row for each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from itertools import cycle
-from typing import Any, Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.display import number
 from chdstat._core.resampling import Z_95
 from chdstat.explorer.statistics import PlaceStatistics
+from chdstat.explorer.traces import BLENDED, DASHES, PanelData, Series, Trace
 from chdstat.explorer.view import View
-from chdstat.fit.families import FAMILIES
-from chdstat.reporting.typst import NAMES
+from chdstat.viz.estimators import NAMES
 
-__all__ = [
-    "BLENDED",
-    "DASHES",
-    "PANELS",
-    "PIXEL_COLORS",
-    "PanelData",
-    "Trace",
-    "extent",
-    "panels",
-    "series_of",
-]
-
-BLENDED = "#d0d3d6"
-"""Luminance, and whatever is no channel."""
-CHANNEL_COLORS = {"R": "#ff7b72", "G": "#56d18b", "B": "#79b8ff"}
-PIXEL_COLORS = ("#f0b429", "#62c4f5", "#3fd0a4", "#e39ac8", "#f4ea5c", "#ff8f5e")
-"""After Okabe and Ito (2008), lightened: colour-blind readers tell them apart."""
-_PATTERNS = ("solid", "6 6", "2 4 6 4", "2 4", "12 4", "6 4 2 4 2 4", "12 4 2 4")
-DASHES = {**dict(zip(FAMILIES, cycle(_PATTERNS), strict=False)), "mixture": "6 4 2 4"}
-"""Line dashes of fits by name: lengths of lines and gaps, as Bokeh and SVG read them."""
+__all__ = ["panels"]
 
 Floats = npt.NDArray[Any]
-Scale = Literal["linear", "log"]
-Extent = tuple[float, float]
-
-
-@dataclass(frozen=True)
-class PanelKind:
-    """A row of `PANELS`.
-
-    Attributes
-    ----------
-    title, x, y
-        Text above the panel and along its axes.
-    x_scale, y_scale
-        Scales of the axes.
-    from_zero
-        Whether it stands on the axis, as densities do.
-    """
-
-    title: str
-    x: str
-    y: str
-    x_scale: Scale = "linear"
-    y_scale: Scale = "linear"
-    from_zero: bool = False
-
-
-PANELS = {
-    "linear": PanelKind("Linear histogram", "radiance", "density", from_zero=True),
-    "log": PanelKind("Log10 histogram", "radiance", "density per decade", "log", from_zero=True),
-    "qq": PanelKind("Quantiles", "quantiles of the family", "of the samples", "log", "log"),
-    "running": PanelKind("Running mean", "spp", "radiance", "log"),
-    "averages": PanelKind("Averages of N samples", "radiance", "density", from_zero=True),
-}
-
-
-@dataclass(frozen=True)
-class Trace:
-    """A line, or the outline of an area.
-
-    Attributes
-    ----------
-    x, y
-        Vertices, shape (point,).
-    color
-        As "#rrggbb".
-    dash
-        Line dash in Bokeh's words.
-    width
-        In screen pixels.
-    """
-
-    x: Floats
-    y: Floats
-    color: str
-    dash: str = "solid"
-    width: float = 1.3
-
-
-@dataclass(frozen=True)
-class PanelData:
-    """What one panel draws.
-
-    Attributes
-    ----------
-    areas, lines
-        Filled and drawn.
-    marks
-        x and colour of vertical lines.
-    notes
-        Text beside the title.
-    """
-
-    areas: Sequence[Trace] = ()
-    lines: Sequence[Trace] = ()
-    marks: Sequence[tuple[float, str]] = ()
-    notes: Sequence[str] = ()
-
-
-@dataclass(frozen=True)
-class Series:
-    """One row of samples that panels show.
-
-    Attributes
-    ----------
-    place, row
-        Where it comes from.
-    color
-        Of the channel or of the pixel.
-    name
-        As in the legend.
-    other
-        Whether it belongs to the store that is compared with: drawn as dashed outlines.
-    """
-
-    place: PlaceStatistics
-    row: int
-    color: str
-    name: str
-    other: bool
-
-    @property
-    def dash(self) -> str:
-        """Dash of its lines."""
-        return "dashed" if self.other else "solid"
-
-
-def series_of(
-    view: View, places: Sequence[PlaceStatistics], others: Sequence[PlaceStatistics] = ()
-) -> list[Series]:
-    """Return what the panels show of the selected places, those of a second store beside them."""
-    found = []
-    several = len(places) > 1
-    for is_other, group in ((False, places), (True, others)):
-        for i, place in enumerate(group):
-            rows = [place.row("luminance" if view.channel == "all" else view.channel)]
-            if view.channel == "all" and not several:
-                rows = list(range(len(place.channels)))
-            for row in rows:
-                name, color = f"pixel {i + 1}", PIXEL_COLORS[i]
-                if not several:
-                    name = place.names[row]
-                    color = CHANNEL_COLORS.get(name, BLENDED)
-                found.append(Series(place, row, color, name, is_other))
-    return found
-
 
 _POINTS = 160
 _QUANTILES = (np.arange(100) + 0.5) / 100
+_ROW_HEIGHT = 0.78
+"""Of a density among others, of the distance between rows."""
 
 
 def panels(view: View, series: Sequence[Series]) -> dict[str, PanelData]:
-    """Return all panels by name: linear, log, qq, running, averages."""
+    """Return all panels by name: linear, log, qq, running, averages.
+
+    Densities of several pixels stand above each other, each over its own peak: on one axis the
+    narrowest would flatten the others to a line.
+    """
     return {
-        "linear": _histogram(view, series, "linear"),
-        "log": _histogram(view, series, "log"),
+        "linear": _densities(series, partial(_histogram, view, "linear"), "linear"),
+        "log": _densities(series, partial(_histogram, view, "log"), "log"),
         "qq": _qq(view, series),
         "running": _running(series),
-        "averages": _averages(view, series),
+        "averages": _densities(series, partial(_averages, view.batch), "averages"),
     }
 
 
-# --- histograms ---------------------------------------------------------------------------------
+# --- densities ----------------------------------------------------------------------------------
 
 
-def _histogram(view: View, series: Sequence[Series], scale: Scale) -> PanelData:
+@dataclass(frozen=True)
+class Density:
+    """Density of one series.
+
+    Attributes
+    ----------
+    outline
+        x and height of the outline of its histogram; None without one.
+    curves
+        Fitted densities.
+    mean
+        Where it is marked; NaN for no mark.
+    value
+        The one value of samples that are nearly equal, else None.
+    note
+        What else is said of it.
+    beyond
+        Share of the samples beyond the end of the outline.
+    """
+
+    outline: tuple[Floats, Floats] | None = None
+    curves: Sequence[Trace] = ()
+    mean: float = float("nan")
+    value: float | None = None
+    note: str = ""
+    beyond: float = 0.0
+
+
+def _densities(
+    series: Sequence[Series], density: Callable[[Series], Density], name: str
+) -> PanelData:
+    """Draw densities upon each other, or each pixel in a row of its own."""
+    found = [(s, density(s)) for s in series]
+    rows = max((s.pixel for s in series), default=0)
+    own_x = rows > 0 and name != "log"
+    if not rows:
+        notes = _uncounted(series, name) if name != "averages" else []
+        notes += dict.fromkeys(d.note for _, d in found if d.note)
+        beyond = max((d.beyond for _, d in found), default=0.0)
+        notes += [f"{_percent(beyond)} beyond"] if beyond > 0 else []
+        values = [f"{s.name} {number(d.value)}" for s, d in found if d.value is not None]
+        notes += [f"constant: {', '.join(values)}"] if values else []
+        return replace(_row(found, None, own_x=False), notes=notes)
+    parts = [
+        _row([f for f in found if f[0].pixel == i + 1], rows - 1 - i, own_x=own_x)
+        for i in range(rows)
+    ]
+    note = "each density over its peak" + (", on an axis of its own" if own_x else "")
+    return PanelData(
+        [area for part in parts for area in part.areas],
+        [line for part in parts for line in part.lines],
+        [mark for part in parts for mark in part.marks],
+        [text for part in parts for text in part.texts],
+        notes=[note],
+        rows=rows,
+        own_x=own_x,
+    )
+
+
+def _row(group: Sequence[tuple[Series, Density]], base: int | None, *, own_x: bool) -> PanelData:
+    """Draw densities with a common axis, above a base line where there are several rows."""
+    outlines = [(s, *d.outline) for s, d in group if d.outline is not None]
+    peak = max((float(y.max()) for _, _, y in outlines), default=1.0) or 1.0
+    spikes = [(s, d.value) for s, d in group if d.value is not None]
+    ends = [x for _, x, _ in outlines] + [np.array([value]) for _, value in spikes]
+    if not ends:
+        return PanelData(texts=_labels(group, base, None))
+    whole = np.concatenate(ends)
+    low, high = float(whole.min()), float(whole.max())
+
+    def across(x: Floats) -> Floats:
+        return (x - low) / (high - low) if high > low else np.full_like(x, 0.5)
+
+    def put(x: Floats, y: Floats, *look: Any) -> Trace:
+        x = across(x) if own_x else x
+        return Trace(x, y if base is None else base + _ROW_HEIGHT * y / peak, *look)
+
     areas, lines, marks = [], [], []
-    for s in series:
-        counted = s.place.histograms[scale]
-        x, y = _steps(counted.edges, counted.density, s.row)
-        if not x.size:
-            continue
-        lines.append(Trace(x, y, s.color, s.dash, 1.2))
-        if not s.other:
-            areas.append(Trace(x, y, s.color))
-            marks.append((float(s.place.moments.mean[s.row]), s.color))
-            lines += _fits(view, s, scale, x[0], x[-1], 1.3 * y.max())
-    if scale == "log":
-        marks = [mark for mark in marks if mark[0] > 0]
-    return PanelData(areas, lines, marks, _uncounted(series, scale))
+    for s, x, y in outlines:
+        lines.append(put(x, y, s.color, s.dash, 1.2))
+        areas += [] if s.other else [put(x, y, s.color)]
+    for s, d in group:
+        top = 1.2 * peak if base is not None else np.inf
+        for curve in d.curves:
+            inside = (curve.x >= low) & (curve.x <= high) | (not own_x)
+            height = np.minimum(curve.y, top)[inside]
+            lines.append(put(curve.x[inside], height, s.color, curve.dash, curve.width))
+        if np.isfinite(d.mean) and d.value is None:
+            at = float(across(np.array(d.mean))) if own_x else d.mean
+            feet = (None, None) if base is None else (base, base + _ROW_HEIGHT)
+            marks.append((at, *feet, s.color))
+    # Nearly equal samples have no density to speak of: a spike says where they are.
+    for s, value in spikes:
+        lines.append(put(np.full(2, value), np.array([0.0, peak]), s.color, s.dash, 3.0))
+    return PanelData(areas, lines, marks, _labels(group, base, (low, high) if own_x else None))
+
+
+def _labels(
+    group: Sequence[tuple[Series, Density]], base: int | None, span: tuple[float, float] | None
+) -> list[tuple[str, float, str, str]]:
+    """Return the number of a pixel, and the range of its row or the share of its nulls."""
+    if base is None or not group:
+        return []
+    s = group[0][0]
+    note = f"{_percent(s.place.null_share)} null"
+    if span is not None:
+        note = " – ".join(dict.fromkeys(number(end) for end in span))
+    return [("left", base, str(s.pixel), s.color), ("right", base, note, s.color)]
+
+
+def _histogram(view: View, scale: str, s: Series) -> Density:
+    if s.constant is not None:
+        return Density(value=s.constant)
+    counted = s.place.histograms[scale]
+    x, y = _steps(counted.edges, counted.density, s.row)
+    if not x.size:
+        return Density()
+    if s.other:
+        return Density((x, y))
+    mean = float(s.place.moments.mean[s.row])
+    mean = mean if scale == "linear" or mean > 0 else float("nan")
+    return Density((x, y), _fits(view, s, scale, x[0], x[-1], 1.3 * y.max()), mean)
 
 
 def _steps(edges: Floats, density: Floats, row: int) -> tuple[Floats, Floats]:
@@ -218,7 +186,7 @@ def _steps(edges: Floats, density: Floats, row: int) -> tuple[Floats, Floats]:
     return x, np.concatenate([[0.0], np.repeat(heights[bins], 2), [0.0]])
 
 
-def _fits(view: View, s: Series, scale: Scale, low: float, high: float, top: float) -> list[Trace]:
+def _fits(view: View, s: Series, scale: str, low: float, high: float, top: float) -> list[Trace]:
     low = max(low, 1e-300)
     x = np.geomspace(low, high, _POINTS) if scale == "log" else np.linspace(low, high, _POINTS)
     lines = []
@@ -236,21 +204,16 @@ def _fits(view: View, s: Series, scale: Scale, low: float, high: float, top: flo
     return lines
 
 
-def _uncounted(series: Sequence[Series], scale: Scale) -> list[str]:
+def _uncounted(series: Sequence[Series], scale: str) -> list[str]:
     """Return what is not in the bins: nulls, bad samples, those beyond the support."""
-    groups = [
-        list(dict.fromkeys(s.place for s in series if s.other is other)) for other in (False, True)
-    ]
-    if len(groups[0]) == 1 and not groups[1]:
-        place, rows = groups[0][0], [s.row for s in series]
-        counted = place.histograms[scale]
-        outside = (counted.underflow + counted.overflow)[rows].sum() / (len(rows) * place.spp)
-        return [f"{_counts(place)} · {_percent(outside)} outside"]
-    notes = []
-    for i, place in enumerate(groups[0]):
-        text = f"{i + 1}: {_counts(place)}" if len(groups[0]) > 1 else _counts(place)
-        notes.append(f"{text} (second: {_counts(groups[1][i])})" if groups[1] else text)
-    return notes
+    if not series:
+        return []
+    place, second = series[0].place, series[-1]
+    if second.other:
+        return [f"{_counts(place)} (second: {_counts(second.place)})"]
+    counted, rows = place.histograms[scale], [s.row for s in series]
+    outside = (counted.underflow + counted.overflow)[rows].sum() / (len(rows) * place.spp)
+    return [f"{_counts(place)} · {_percent(outside)} outside the bins"]
 
 
 def _counts(place: PlaceStatistics) -> str:
@@ -291,7 +254,8 @@ def _qq(view: View, series: Sequence[Series]) -> PanelData:
             lines.append(Trace(expected[keep], seen[keep], s.color, s.dash, 2.2))
             ends += [seen[keep].min(), seen[keep].max()]
     if not lines:
-        return PanelData(notes=["no family could be fitted"])
+        constant = all(s.constant is not None for s in series)
+        return PanelData(notes=["constant samples" if constant else "no family could be fitted"])
     diagonal = np.array([min(ends), max(ends)])
     lines.insert(0, Trace(diagonal, diagonal, BLENDED, "dotted", 1.2))
     names = [NAMES.get(family, family) for family in families]
@@ -299,59 +263,52 @@ def _qq(view: View, series: Sequence[Series]) -> PanelData:
 
 
 def _running(series: Sequence[Series]) -> PanelData:
-    areas, lines = [], []
-    tails = []
+    areas, lines, tails = [], [], []
+    several = any(s.pixel for s in series)
     for s in series:
         at, means, errors = s.place.running
         if not at.size:
             continue
         mean, error = means[s.row], Z_95 * errors[s.row]
+        if several and mean[-1] > 0:
+            mean, error = mean / mean[-1], error / mean[-1]
         if not s.other:
             band = np.concatenate([mean - error, (mean + error)[::-1]])
             areas.append(Trace(np.concatenate([at, at[::-1]]), band, s.color))
         lines.append(Trace(at, mean, s.color, s.dash, 1.6))
-        tails.append((s.place.fits.tail, s.row))
+        tails += [(s.place.fits.tail, s.row)] if s.constant is None else []
     caution = ""
     if any(tail.variance_suspect[row] for tail, row in tails):
         caution = " · tail index ≥ ½: do not trust it"
     elif any(tail.variance_unidentified[row] for tail, row in tails):
-        caution = " · samples cannot tell whether the variance is finite"
-    return PanelData(areas, lines, notes=[f"95 % interval of the mean{caution}"])
+        caution = " · too few samples to say whether the variance is finite"
+    y = "over the mean of all" if several else ""
+    return PanelData(areas, lines, notes=[f"95 % interval of the mean{caution}"], y=y)
 
 
-def _averages(view: View, series: Sequence[Series]) -> PanelData:
-    """Draw the distribution of averages of N samples, with the Gaussian of the same moments."""
-    areas, lines, notes = [], [], []
-    beyond = 0.0
-    for s in series:
-        averages = s.place.averages(view.batch)[s.row]
-        averages = averages[np.isfinite(averages)]
-        if len(averages) < 4:
-            continue
-        if averages.min() == averages.max():
-            notes.append(f"{s.name}: all equal")
-            continue
-        # Bins go up to the largest average, or to where few fireflies begin.
-        bins = int(np.clip(np.sqrt(len(averages)), 8, 40))
-        low, usual, high = averages.min(), np.quantile(averages, 0.99), averages.max()
-        end = min(high, usual + (usual - low)) if usual > low else high
-        edges = np.linspace(low, end, bins + 1)
-        heights = np.histogram(averages, edges)[0] / (len(averages) * (edges[1] - edges[0]))
-        beyond = max(beyond, float((averages > edges[-1]).mean()))
-        x, y = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
-        lines.append(Trace(x, y, s.color, s.dash, 1.2))
-        if not s.other:
-            areas.append(Trace(x, y, s.color))
-            lines.append(_gaussian(averages, edges, s.color))
-            means = s.place.means
-            if means is not None and view.batch in means.sizes:
-                p = float(means.p_value[s.row, list(means.sizes).index(view.batch)])
-                notes += [f"{s.name} p = {p:.2g}"] if np.isfinite(p) else []
-    if not lines:
-        notes = notes or [f"too few samples for averages of {view.batch}"]
-    if beyond > 0:
-        notes.append(f"{_percent(beyond)} beyond")
-    return PanelData(areas, lines, notes=[n for n in notes if n])
+def _averages(n: int, s: Series) -> Density:
+    """Return the distribution of averages of N samples, with the Gaussian of the same moments."""
+    averages = s.place.averages(n)[s.row]
+    averages = averages[np.isfinite(averages)]
+    if len(averages) < 4:
+        return Density(note=f"too few samples for averages of {n}")
+    if averages.min() == averages.max() or (s.constant is not None and not s.place.null.any()):
+        return Density(value=float(averages[0]))
+    # Bins go up to the largest average, or to where few fireflies begin.
+    bins = int(np.clip(np.sqrt(len(averages)), 8, 40))
+    low, usual, high = averages.min(), np.quantile(averages, 0.99), averages.max()
+    end = min(high, usual + (usual - low)) if usual > low else high
+    edges = np.linspace(low, end, bins + 1)
+    heights = np.histogram(averages, edges)[0] / (len(averages) * (edges[1] - edges[0]))
+    outline = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(heights, 2), [0.0]])
+    if s.other:
+        return Density(outline)
+    means, note = s.place.means, ""
+    if means is not None and n in means.sizes:
+        p = float(means.p_value[s.row, list(means.sizes).index(n)])
+        note = f"{s.name} p = {p:.2g}" if np.isfinite(p) else ""
+    beyond = float((averages > end).mean())
+    return Density(outline, [_gaussian(averages, edges, s.color)], note=note, beyond=beyond)
 
 
 def _gaussian(averages: Floats, edges: Floats, color: str) -> Trace:
@@ -360,42 +317,3 @@ def _gaussian(averages: Floats, edges: Floats, color: str) -> Trace:
     x = np.linspace(max(low - sd, min(0.0, low)), min(high + sd, 2 * high - low), 120)
     y = np.exp(-(((x - mean) / sd) ** 2) / 2) / (sd * np.sqrt(2 * np.pi))
     return Trace(x, y, color, "dotted", 1.8)
-
-
-_MARGIN = 0.04
-_TINY = 1e-300
-
-
-def extent(name: str, panel: PanelData) -> tuple[Extent, Extent] | None:
-    """Return what a panel shows across and up: all that it draws, and a margin; None for nothing.
-
-    Examples
-    --------
-    >>> line = Trace(np.array([0.0, 10.0]), np.array([1.0, 2.0]), "#ffffff")
-    >>> extent("linear", PanelData(lines=[line]))
-    ((-0.4, 10.4), (0.0, 2.08))
-    """
-    kind, traces = PANELS[name], (*panel.areas, *panel.lines)
-    marks = np.array([mark[0] for mark in panel.marks])
-    across = _span([*(t.x for t in traces), marks], kind.x_scale)
-    up = _span([t.y for t in traces], kind.y_scale)
-    if across is None or up is None:
-        return None
-    vertical = (0.0, up[1] * (1 + _MARGIN)) if kind.from_zero else _padded(up, kind.y_scale)
-    return _padded(across, kind.x_scale), vertical
-
-
-def _span(parts: Iterable[npt.ArrayLike], scale: Scale) -> Extent | None:
-    whole = np.concatenate([np.empty(0), *(np.asarray(part, np.float64) for part in parts)])
-    shown = whole[np.isfinite(whole) & ((whole > _TINY) if scale == "log" else True)]
-    return (float(shown.min()), float(shown.max())) if shown.size else None
-
-
-def _padded(span: Extent, scale: Scale) -> Extent:
-    """Return a span with a margin; one value alone gets a tenth, or a factor of two, around it."""
-    low, high = np.log10(span) if scale == "log" else span
-    alone = np.log10(2) if scale == "log" else 0.1 * abs(low) or 1.0
-    margin = _MARGIN * (high - low) if high > low else alone
-    ends = np.array([low - margin, high + margin])
-    start, end = 10.0**ends if scale == "log" else ends
-    return float(start), float(end)

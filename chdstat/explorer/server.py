@@ -139,6 +139,7 @@ def explore(
     other: str | Path | Samples | None = None,
     reference: str | Path | Samples | None = None,
     models: Sequence[AnyModel | str | Path] = (),
+    maps: str | Path | None = None,
     port: int = 0,
     browser: bool = False,
     size: tuple[int, int] | None = None,
@@ -165,6 +166,8 @@ def explore(
     models
         Trained estimators, or their files: shown among the estimates, with certainty and interval
         where they say them.
+    maps
+        Maps that were computed before, as ``chdstat analyze -o`` writes them: they are in the menu.
     port
         Where to listen; 0 takes a free one.
     browser
@@ -193,7 +196,9 @@ def explore(
     ...     print(explorer.url)
     http://127.0.0.1:38671/
     """
-    shared = opened(source, other, reference, models, size=size, seed=seed, max_depth=max_depth)
+    shared = opened(
+        source, other, reference, models, maps=maps, size=size, seed=seed, max_depth=max_depth
+    )
     shared.start()
     explorer = Explorer(shared, port)
     if browser:

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -24,13 +24,17 @@ from bokeh.document import Document
 
 from chdstat.errors import ChdstatError, InputError
 from chdstat.explorer.estimators import ScoredEstimate
-from chdstat.explorer.maps import of_overall, rgba
-from chdstat.explorer.page import Page, colorbar, encode_panels
-from chdstat.explorer.panels import PIXEL_COLORS
-from chdstat.explorer.selection import EXPORTS, SelectionPlots, SelectionResults, exported
+from chdstat.explorer.exports import EXPORTS, exported
+from chdstat.explorer.page import Page, colorbar
+from chdstat.explorer.plots import encode_panels
+from chdstat.explorer.scene_source import MOST_SPP, SceneSource
+from chdstat.explorer.selection import SelectionPlots, SelectionResults
 from chdstat.explorer.shared import Shared, Stopped
-from chdstat.explorer.sources import MOST_SPP, SceneSource, StoreSource
-from chdstat.explorer.statistics import Table
+from chdstat.explorer.sources import StoreSource
+from chdstat.explorer.suggestions import first_pixel
+from chdstat.explorer.tables import Table, headline
+from chdstat.explorer.tones import isolated, rgba
+from chdstat.explorer.traces import PIXEL_COLORS
 from chdstat.explorer.view import View, box_between, check_pixel, parse_view
 
 __all__ = ["Session"]
@@ -73,9 +77,12 @@ class Session:
         self._generation = 0
         self._live_spp: int | None = None
         self._paused, self._visible = False, True
+        self._makes_image = self._image_is_old = False
         self._seq = _OWN_ACCORD
         self.view, self._notes = parse_view(arguments, *self._size)
-        self._page = Page(document, shared.source, shared.other, self._gone)
+        if not self.view.pixels and self.view.region is None:
+            self.view = self.view.pick(*first_pixel(shared.overall))
+        self._page = Page(document, shared.source, shared.other, shared.given, self._gone)
         self._page.inbox.on_change("value", self._received)
         self._end = shared.listen(lambda what: self._page.next(partial(self._heard, what)))
 
@@ -114,6 +121,7 @@ class Session:
         if notes:
             self._page.alert("; ".join(notes))
         self._heard("working")
+        self._heard("suggested")
         self._go(self.view)
 
     def _pick(self, *, y: int, x: int, add: bool = False) -> None:
@@ -138,11 +146,15 @@ class Session:
         if option == "map" and value != "image":
             self._shared.want(str(value))
         view = self.view.changed(str(option), value)
-        if option not in {"map", "exposure", "tone"}:
+        if option == "map":
+            view = view.changed("limits", None)
+        if option not in {"map", "limits", "exposure", "tone"}:
             self._go(view)
+            if option == "channel":
+                self._show_image()
             return
         self.view = view
-        if option == "map":
+        if option in {"map", "limits"}:
             self._show_map()
         else:
             self._show_image()
@@ -156,8 +168,9 @@ class Session:
             message = "nothing is selected: click a pixel before exporting"
             raise InputError(message)
         self._page.send({"kind": "working", "text": f"exporting {format}"})
-        name, exposure = self._shared.source.name, self._exposure
-        work = partial(exported, format, name, self._shown, self._shared.overall, exposure)
+        source, overall = self._shared.source, self._shared.overall
+        given = source.name, self._shown, overall, self._exposure, source.origin
+        work = partial(exported, format, *given)
         self._page.run(self._shared.exports, work, self._exported)
 
     def _pause(self) -> None:
@@ -225,6 +238,8 @@ class Session:
             self._page.send({"kind": "working", "text": self._shared.working})
             if self._shared.failed:
                 self._page.alert(self._shared.failed)
+        elif what == "suggested":
+            self._page.send({"kind": "suggested", "pixels": self._shared.suggested})
         elif what == "image":
             self._show_image()
             self._show_view()
@@ -252,18 +267,34 @@ class Session:
         return self._shared.overall.exposure if exposure is None else exposure
 
     def _show_image(self) -> None:
-        """Show the image, or both."""
-        shown = [self._shared.overall, self._shared.other_overall]
-        for i, overall in enumerate(shown if self._shared.other else shown[:1]):
-            mean = overall.mean
-            if not np.isfinite(mean).any():  # nothing is drawn yet, which is no error
-                mean = np.zeros_like(mean)
-            self._page.show_image(i, rgba(mean, self._exposure, self.view.tone), mean)
+        """Show the image, or both; while one is made, only the latest request is kept."""
+        self._image_is_old = True
+        if self._makes_image:
+            return
+        self._image_is_old, self._makes_image = False, True
+        shared, exposure, tone = self._shared, self._exposure, self.view.tone
+        means = [shared.overall.mean, shared.other_overall.mean][: 1 + (shared.other is not None)]
+        channel = self.view.channel
+
+        def work() -> list[tuple[Any, Any]]:
+            # Where nothing is drawn yet there is no error.
+            known = [m if np.isfinite(m).any() else np.zeros_like(m) for m in means]
+            return [(rgba(isolated(mean, channel), exposure, tone), mean) for mean in known]
+
+        self._page.run(shared.images, work, self._made_image)
+
+    def _made_image(self, future: Future[list[tuple[Any, Any]]]) -> None:
+        for i, (packed, mean) in enumerate(future.result()):
+            self._page.show_image(i, packed, mean)
+        self._makes_image = False
+        if self._image_is_old:
+            self._show_image()
 
     def _show_map(self) -> None:
         """Show what there is of the map, or take it away."""
-        name = self.view.map
-        found = of_overall(self._shared.overall, name) or self._shared.maps.get(name)
+        found = self._shared.map(self.view.map)
+        if found is not None and self.view.limits and not found.kind.names:
+            found = replace(found, kind=replace(found.kind, limits=self.view.limits))
         self._page.show_map(found)
         self._page.send({"kind": "colorbar", "bar": colorbar(found)})
 
@@ -301,6 +332,7 @@ class Session:
         if plots.places:
             notes = {name: list(panel.notes) for name, panel in plots.panels.items()}
             drawn = {**encode_panels(plots.panels), "notes": notes, "legend": plots.legend}
+            drawn["title"] = plots.title
             self._page.next(_guarded(check, self._page.send, {"kind": "panels", **drawn}))
         return plots, *self._results.describe(plots)
 
@@ -340,7 +372,10 @@ class Session:
         plots, tables, quick = future.result()
         done["took"] = time.perf_counter() - start
         self._shown, self._is_new = (plots if plots.places else None), False
-        self._page.send(*([{"kind": "tables", "tables": tables}] if tables else []), done)
+        if tables:
+            self._page.send({"kind": "headline", "numbers": headline(plots.place)})
+            self._page.send({"kind": "tables", "tables": tables})
+        self._page.send(done)
         self._live_spp = plots.live_spp
         self._tell_live()
         self._draw_more()
@@ -382,7 +417,7 @@ class Session:
     def _alert(self, error: BaseException) -> None:
         text = str(error)
         if not isinstance(error, ChdstatError):
-            _log.error("the explorer could not answer", exc_info=error)
+            _log.error("the explorer failed", exc_info=error)
             text = f"{type(error).__name__}: {error}"
         self._page.alert(text)
 

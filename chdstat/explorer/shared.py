@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -22,8 +23,20 @@ from chdstat._core.cache import Cache, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.models import AnyModel
 from chdstat.explorer.estimators import Learner, learners, quick_names
-from chdstat.explorer.maps import IMAGES, Map, map_kind, of_overall, walk
-from chdstat.explorer.sources import Overall, SceneSource, Source, StoreSource, stream
+from chdstat.explorer.maps import (
+    DIFFERENCES,
+    IMAGES,
+    Map,
+    difference_of,
+    map_kind,
+    of_overall,
+    read_maps,
+    walk,
+)
+from chdstat.explorer.scene_source import SceneSource, Source
+from chdstat.explorer.sources import Overall, StoreSource, stream
+from chdstat.explorer.suggestions import suggest
+from chdstat.explorer.view import Pixel
 from chdstat.samples import Samples, cache_key, is_store
 from chdstat.samples import open as open_store
 from chdstat.scenes import Scene, load_scene
@@ -34,6 +47,9 @@ _MOST_FILES = 64
 _FIRST_SPP = 64
 _EVERY = 0.4
 """Seconds between two reports of a pass."""
+
+_SHOWN_EVERY = 0.5
+"""Of the time since drawing began, between two times that the image is shown."""
 
 T = TypeVar("T")
 Explored = str | Path | dict[str, Any] | Scene | Samples
@@ -63,6 +79,7 @@ def opened(
     reference: str | Path | Samples | None = None,
     models: Sequence[AnyModel | str | Path] = (),
     *,
+    maps: str | Path | None = None,
     size: tuple[int, int] | None = None,
     seed: int = 0,
     max_depth: int | None = None,
@@ -94,7 +111,8 @@ def opened(
                 f"{expected}, got {got}"
             )
             raise InputError(message)
-    return Shared(first, second, truth, trained)
+    given = {} if maps is None else read_maps(maps, first.size)
+    return Shared(first, second, truth, trained, given)
 
 
 def _store(source: str | Path | Samples) -> StoreSource:
@@ -123,6 +141,8 @@ class Shared:
         A store of the same scene with more samples, which errors are measured against.
     learners
         Trained estimators of the selection.
+    given
+        Maps that were computed before, by name.
 
     Attributes
     ----------
@@ -130,12 +150,15 @@ class Shared:
         Images of `source` and `other` so far.
     maps
         Maps by name, finished or not.
+    suggested
+        Names and places of pixels that are worth a first look.
     working
         What a pass is doing, as text; empty for nothing.
     failed
         Why the last pass ended early; empty if it did not.
-    clicks, exports, additions
-        Threads for clicks, for exports and reading ahead, and for slow estimates.
+    clicks, exports, additions, images
+        Threads for clicks, for exports and reading ahead, for slow estimates, and for what images
+        look like on the screen.
     """
 
     def __init__(
@@ -144,16 +167,18 @@ class Shared:
         other: StoreSource | None = None,
         reference: StoreSource | None = None,
         learners: Sequence[Learner] = (),
+        given: Mapping[str, Map] = MappingProxyType({}),
     ) -> None:
         self.source, self.other, self.reference = source, other, reference
-        self.learners = tuple(learners)
+        self.learners, self.given = tuple(learners), given
         self.overall = Overall.empty(*source.size, len(source.channels))
         self.other_overall = self.overall
         self.maps: dict[str, Map] = {}
+        self.suggested: list[tuple[str, Pixel]] = []
         self.working = self.failed = ""
-        self.clicks, self.exports, self.additions, self._passes = (
+        self.clicks, self.exports, self.additions, self.images, self._passes = (
             ThreadPoolExecutor(1, thread_name_prefix=f"chdstat-{name}")
-            for name in ("clicks", "exports", "additions", "passes")
+            for name in ("clicks", "exports", "additions", "images", "passes")
         )
         self._listeners: set[Listener] = set()
         self._wanted: dict[str, Future[None]] = {}
@@ -165,23 +190,28 @@ class Shared:
     def start(self) -> None:
         """Show the first image, then begin to improve it."""
         quick_names()
+        if isinstance(self.source, SceneSource):
+            self.source.preview()
+            self.overall = self.source.overall()
         if isinstance(self.source, StoreSource):
             # The first samples take a second where all take minutes.
             self.overall = stream(self.source, spp=_FIRST_SPP)
             if self.other is not None:
                 self.other_overall = stream(self.other, spp=_FIRST_SPP)
-        self._passes.submit(self._guarded, self._draw)
+        self._passes.submit(self._guarded, self._begin)
 
     def stop(self) -> None:
         """End all threads, now or at the next tile."""
         self._stopping.set()
-        for pool in (self.clicks, self.exports, self.additions, self._passes):
+        for pool in (self.clicks, self.exports, self.additions, self.images, self._passes):
             pool.shutdown(wait=False, cancel_futures=True)
+        if isinstance(self.source, SceneSource):
+            self.source.close()
 
     def listen(self, listener: Listener) -> Callable[[], None]:
-        """Call a listener with "image", "working", "source" or the name of a map when it changes.
+        """Call a listener with the name of what changes; return what to call to end that.
 
-        Returns what to call to end that.
+        The names are "image", "working", "source", "suggested" and those of maps.
         """
         self._listeners.add(listener)
         return partial(self._listeners.discard, listener)
@@ -204,6 +234,8 @@ class Shared:
         InputError
             If there is no such map, or it needs a store and there is none.
         """
+        if name in self.given or (self.other is not None and name in DIFFERENCES):
+            return
         kind = map_kind(name)
         if not isinstance(self.source, StoreSource):
             if name not in IMAGES:
@@ -215,6 +247,12 @@ class Shared:
         there = name in self.maps and self.maps[name].done >= 1
         if not there and (running is None or running.done()):
             self._wanted[name] = self._passes.submit(self._guarded, lambda: self._walk(name))
+
+    def map(self, name: str) -> Map | None:
+        """Return what there is of a map."""
+        of_two = difference_of(self.overall, self.other_overall, name) if self.other else None
+        found = self.given.get(name) or of_two or of_overall(self.overall, name)
+        return found or self.maps.get(name)
 
     def refresh(self) -> None:
         """Go on with the samples that were added to the store since, if there are any."""
@@ -241,18 +279,39 @@ class Shared:
         finally:
             self._say("")
 
+    def _begin(self) -> None:
+        """Draw the image, then look for pixels that are worth a look."""
+        self._draw()
+
+        def step(_: float) -> None:
+            if self._is_due():
+                self._say("looking for typical pixels")
+
+        self.suggested = suggest(self.source, step)
+        self.tell("suggested")
+
     def _draw(self) -> None:
         source = self.source
         if isinstance(source, SceneSource):
+            shown = start = time.monotonic()
             for share in source.passes():
-                if self._is_due() or share >= 1:
-                    self.overall = source.overall()
+                due, now = self._is_due(), time.monotonic()
+                if due:
                     self._say(f"drawing the image, {100 * share:.0f} %")
-                    self.tell("image")
+                # The later, the less it changes; a large image takes long to send and to show.
+                if now - shown > _SHOWN_EVERY * (now - start) + _EVERY or share >= 1:
+                    self._image(source.overall())
+                    shown = now
             return
-        self.overall = self._streamed(source)
+        overall = self._streamed(source)
         if self.other is not None:
             self.other_overall = self._streamed(self.other)
+        self._image(overall)
+
+    def _image(self, overall: Overall) -> None:
+        """Show an image; what takes long is found here and not in the thread of the server."""
+        _ = overall.exposure
+        self.overall = overall
         self.tell("image")
 
     def _streamed(self, source: StoreSource) -> Overall:

@@ -1,15 +1,13 @@
-"""Sources of samples: a store that is never loaded as a whole, or a scene sampled on demand.
+"""Sources of samples: a store that is never loaded as a whole, and the image that is made of it.
 
-`stream` makes the image of a store in constant memory. `SceneSource` renders a scene
-that has no store: the image coarsely, tile by tile, and a pixel when it is picked, with more
-samples for as long as it stays selected. Only the thread that owns the renderer draws.
+`stream` makes the image in constant memory.
 """
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -20,30 +18,30 @@ import numpy.typing as npt
 from chdstat._core.arrays import generator, is_bad, is_null, luminance, spans
 from chdstat._core.image_scales import RadianceSums, display_stops, mean_of_pixels
 from chdstat._core.moments import Moments
-from chdstat.errors import ChdstatError, SceneError, StoreError
+from chdstat.errors import ChdstatError, StoreError
 from chdstat.explorer.view import Box, Pixel, check_pixel
-from chdstat.rendering.backend import activate
-from chdstat.rendering.renderer import Job, Renderer
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
-from chdstat.samples.layout import BLOCK, TILE, Chunk
-from chdstat.scenes import Scene
+from chdstat.samples.layout import BLOCK
 
-__all__ = ["MOST_SPP", "Overall", "SceneSource", "Source", "StoreSource", "stream", "tiles"]
+__all__ = [
+    "KEPT_BYTES",
+    "ImageAccumulator",
+    "Overall",
+    "StoreSource",
+    "mixed",
+    "pooled",
+    "stream",
+    "tiles",
+]
 
 Image = npt.NDArray[np.float32]
 
 _TILE = _BATCH = 64
 _BLOCK_BYTES = 16 * 2**20
-_KEPT_BYTES = 128 * 2**20
+KEPT_BYTES = 128 * 2**20
 _MOST_POOLED = 2**15
 """Samples of a region: as many as fits look at."""
-FIRST_SPP = 2048
-MOST_SPP = 10**6
-_PIECE = 4096
-"""Samples drawn at once while a pixel is selected: a tenth of a second, which a click waits for."""
-_PASSES = (1, 1, 2, 2, 2, 2, 2, 2, 2)
-"""Samples per pixel of the passes over the image."""
 
 
 # --- the image ----------------------------------------------------------------------------------
@@ -158,6 +156,8 @@ class StoreSource:
         Names of the channels.
     name
         Name of the store, or of the scene where it is in memory.
+    title
+        The same with the name of the scene.
     complete
         Whether every pixel has as many samples as were asked for.
     """
@@ -167,6 +167,7 @@ class StoreSource:
         self.size = samples.shape[:2]
         self.channels = samples.channels
         self.name = samples.path.name if samples.path else samples.name
+        self.title = " · ".join(dict.fromkeys((self.name, samples.name)))
         self._asked_spp = int(samples.attrs.get("spp", samples.spp))
         self.complete = samples.spp >= self._asked_spp
         self._block_bytes = 4 * BLOCK**2 * samples.shape[2] * samples.spp
@@ -182,6 +183,13 @@ class StoreSource:
         deep = "" if depth is None else f"depth {depth}"
         parts = (f"{width} × {height} px", f"{spp}{of} spp", str(kind or ""), deep)
         return " · ".join(part for part in parts if part)
+
+    @property
+    def origin(self) -> dict[str, str | int]:
+        """Scene, samples per pixel and seed; without a seed, none is named."""
+        seed = self.samples.attrs.get("seed")
+        found: dict[str, str | int] = {"scene": self.samples.name, "spp": self.samples.spp}
+        return found if seed is None else {**found, "seed": int(seed)}
 
     def refreshed(self) -> StoreSource | None:
         """Return the source with the samples that were added since, None where there are none."""
@@ -209,6 +217,11 @@ class StoreSource:
         block = self._block((y // BLOCK, x // BLOCK))
         self._check()
         return np.asarray(block[y % BLOCK, x % BLOCK])
+
+    def some(self, pixels: Sequence[Pixel], spp: int) -> Image:
+        """Return the first samples of several pixels, shape (pixel, channel, sample)."""
+        parts = [self.read(slice(y, y + 1), slice(x, x + 1), slice(0, spp)) for y, x in pixels]
+        return np.concatenate(parts)[:, 0]
 
     def around(
         self, y: int, x: int, spp: int, *, radius: int
@@ -254,7 +267,7 @@ class StoreSource:
             with self._lock:
                 if block.exception():
                     self._blocks.pop(key, None)
-                while len(self._blocks) * self._block_bytes > _KEPT_BYTES:
+                while len(self._blocks) * self._block_bytes > KEPT_BYTES:
                     del self._blocks[next(iter(self._blocks))]
         return block.result()
 
@@ -316,108 +329,3 @@ def pooled(height: int, width: int, spp: int) -> tuple[int, int]:
     step = max(1, math.ceil(math.sqrt(height * width / (_MOST_POOLED / 2))))
     pixels = -(-height // step) * -(-width // step)
     return max(1, min(spp, _MOST_POOLED // pixels)), step
-
-
-# --- a scene ------------------------------------------------------------------------------------
-
-
-class SceneSource:
-    """A scene, sampled on demand.
-
-    Parameters
-    ----------
-    scene
-        What `chdstat.load_scene` returns.
-    size, seed, max_depth
-        As for `chdstat.render`.
-    """
-
-    channels = ("R", "G", "B")
-
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        size: tuple[int, int] | None = None,
-        seed: int = 0,
-        max_depth: int | None = None,
-    ) -> None:
-        self._job = Job.of(scene, size=size, seed=seed, max_depth=max_depth, backend="scalar")
-        with activate(self._job.verdict):
-            self._renderer = Renderer(self._job)
-        width, height = self._renderer.size
-        self.size = (height, width)
-        self.name = scene.name
-        self._pixels: dict[Pixel, Image] = {}
-        self._tiles = [
-            (ys, xs, ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start))
-            for ys, xs in tiles(self.size, TILE)
-        ]
-        self._drawn = 0
-
-    def describe(self) -> str:
-        """Return size and integrator in one line."""
-        height, width = self.size
-        kind = self._renderer.integrator["type"]
-        return f"{width} × {height} px · {kind} · sampled where you click"
-
-    def pixel(self, y: int, x: int) -> Image:
-        """Return the samples that a pixel has; the first of them are drawn on the first call."""
-        check_pixel(y, x, *self.size)
-        if (y, x) not in self._pixels:
-            self._draw(y, x, FIRST_SPP)
-        return self._pixels[y, x]
-
-    def more(self, y: int, x: int) -> Image:
-        """Draw as many samples again, a limited piece at a time, up to `MOST_SPP`."""
-        spp = self.pixel(y, x).shape[1]
-        if spp < MOST_SPP:
-            self._draw(y, x, min(_PIECE, spp, MOST_SPP - spp))
-        return self._pixels[y, x]
-
-    def region(self, box: Box) -> Image:
-        """Return pooled samples of a region, as many of each pixel, shape (channel, sample)."""
-        top, left, bottom, right = box
-        each, step = pooled(bottom - top, right - left, 64)
-        at = [(y, x) for y in range(top, bottom, step) for x in range(left, right, step)]
-        with activate(self._job.verdict):
-            return mixed(self._renderer.pixels(np.array(at), each))
-
-    def passes(self) -> Iterator[float]:
-        """Draw the image better and better; yield the share that is done after each tile."""
-        columns, total = -(-self.size[1] // TILE), len(self._tiles) * len(_PASSES)
-        start = 0
-        for spp in _PASSES:
-            samples = slice(start, start + spp)
-            start += spp
-            for i, (ys, xs, sums) in enumerate(self._tiles):
-                chunk = Chunk(0, i // columns, i % columns, ys, xs, samples)
-                with activate(self._job.verdict):
-                    sums.add(self._renderer.chunk(chunk))
-                self._drawn += 1
-                yield self._drawn / total
-        if not np.nan_to_num(self.overall().mean).any():
-            message = f"the image of {self.name!r} is black: does it have an emitter?"
-            raise SceneError(message)
-
-    def overall(self) -> Overall:
-        """Return the image as far as it is drawn."""
-        whole = Overall.empty(*self.size, len(self.channels))
-        for ys, xs, sums in self._tiles[: self._drawn]:
-            whole.put(ys, xs, sums.overall())
-        return whole
-
-    def _draw(self, y: int, x: int, spp: int) -> None:
-        there = self._pixels.get((y, x))
-        # The seed moves a pixel's stream by a golden section: its pieces never meet.
-        seed = self._job.seed + (0 if there is None else -(-there.shape[1] // FIRST_SPP))
-        with activate(self._job.verdict):
-            drawn: Image = self._renderer.pixels(np.array([[y, x]]), spp, seed=seed)[0]
-        self._pixels.pop((y, x), None)
-        self._pixels[y, x] = drawn if there is None else np.concatenate([there, drawn], axis=1)
-        held = sum(x.nbytes for x in self._pixels.values())
-        while len(self._pixels) > 1 and held > _KEPT_BYTES:
-            held -= self._pixels.pop(next(iter(self._pixels))).nbytes
-
-
-Source = StoreSource | SceneSource

@@ -63,6 +63,8 @@ class View:
         pixels.
     map
         Name of the map in the place of the image; "image" for the image itself.
+    limits
+        Ends of the colour bar of a map of numbers; None for those that suit the map.
     channel
         "all", "luminance", or the number of a channel. Several pixels show luminance for "all".
     families
@@ -87,6 +89,7 @@ class View:
     active: int = 0
     region: Box | None = None
     map: str = "image"
+    limits: tuple[float, float] | None = None
     channel: str = "all"
     families: tuple[str, ...] = ("best",)
     batch: int = 32
@@ -140,7 +143,7 @@ class View:
         return replace(self, pixels=pixels)
 
     def changed(self, option: str, value: Any) -> View:
-        """Set the map, the channel, the families, the batch, the exposure or the tone.
+        """Set the map, its limits, the channel, the families, the batch, the exposure or the tone.
 
         Raises
         ------
@@ -157,6 +160,11 @@ class View:
             if value is not None and not -_MOST_STOPS <= value <= _MOST_STOPS:
                 message = f"exposure must be within {_MOST_STOPS:g} stops of 0, got {value}"
                 raise InputError(message)
+        elif option == "limits":
+            value = None if value is None else tuple(map(float, value))
+            if value is not None and not (len(value) == 2 and value[0] < value[1] < math.inf):
+                message = f"limits must be two numbers, the smaller first, got {value}"
+                raise InputError(message)
         elif option != "map" or not set(value) <= _MAP_CHARACTERS:
             message = f"there is no option {option!r} with the value {value!r}"
             raise InputError(message)
@@ -172,7 +180,9 @@ class View:
         for key, name in OPTIONS.items():
             value = getattr(self, name)
             if value != getattr(_DEFAULT, name):
-                pairs.append((key, ",".join(value) if isinstance(value, tuple) else value))
+                pairs.append(
+                    (key, ",".join(map(str, value)) if isinstance(value, tuple) else value)
+                )
         return urlencode(pairs)
 
 
@@ -216,6 +226,7 @@ def check_pixel(y: int, x: int, height: int, width: int) -> None:
 _DEFAULT = View()
 OPTIONS = {
     "map": "map",
+    "lim": "limits",
     "c": "channel",
     "f": "families",
     "n": "batch",
@@ -243,7 +254,7 @@ def parse_view(
     ['pixel (y=99, x=2) is outside the image of 8 x 8 pixels']
     """
     view, notes = View(), list[str]()
-    keys = ("p", "r", "a", *sorted(OPTIONS))
+    keys = ("p", "r", "a", *OPTIONS)
     for key in keys:
         texts = arguments.get(key, ())
         for text in texts if key == "p" else texts[:1]:
@@ -251,7 +262,7 @@ def parse_view(
                 view = _followed(view, key, text, height, width)
             except InputError as error:
                 notes.append(str(error))
-    unknown = sorted(arguments.keys() - set(keys))
+    unknown = sorted(arguments.keys() - {*keys, "z"})  # the page itself knows how it is zoomed
     notes += [f"the address has {name!r}, which means nothing here" for name in unknown]
     return view, notes
 
@@ -275,11 +286,12 @@ def _followed(view: View, key: str, text: str, height: int, width: int) -> View:
         value = tuple(part for part in text.split(",") if part)
     elif key == "n":
         value = _integers(text, 1)[0]
-    elif key == "ev":
+    elif key in {"ev", "lim"}:
         try:
-            value = float(text)
+            value = float(text) if key == "ev" else tuple(map(float, text.split(",")))
         except ValueError:
-            message = f"exposure must be a number of stops, got {text!r}"
+            what = "exposure must be a number of stops" if key == "ev" else "limits must be numbers"
+            message = f"{what}, got {text!r}"
             raise InputError(message) from None
     return view.changed(OPTIONS[key], value)
 

@@ -7,13 +7,12 @@ pixel, a batch with the samples on the last axis, or a whole `Samples`; families
 fitted to log histograms, too.
 """
 
-from chdstat.fit.families import FAMILIES, Family
+from chdstat.fit.families import FAMILIES, Family, Fit, family_fit, fit
 from chdstat.fit.goodness_of_fit import Goodness, goodness
-from chdstat.fit.mixtures import mixture
-from chdstat.fit.mle import FamilyFit, family_fit, fit
-from chdstat.fit.results import Fit, Mixture
+from chdstat.fit.mixtures import Mixture, mixture
 from chdstat.fit.selection import HeldOut, Selection, family_shares, select
 from chdstat.fit.tail import Tail, tail_index
+from chdstat.summary.dispatch import OfSource
 
 __all__ = [
     "FAMILIES",
@@ -34,7 +33,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> FamilyFit:
+def __getattr__(name: str) -> OfSource[..., Fit]:
     if name in FAMILIES:
         return family_fit(name)
     message = f"module 'chdstat.fit' has no attribute {name!r}"

@@ -3,10 +3,10 @@
 ``f(x) = (c d / s) (x/s)^(c-1) (1 + (x/s)^c)^(-d-1)``, known to economists as Singh-Maddala; its
 tail index is ``1 / (c d)``. It has two limits, where rows are NaN with a reason of their own.
 As d grows without bound, it becomes a Weibull distribution: where the likelihood rises towards
-that, the reason is `AT_LIMIT`, and the Weibull fit is the answer. As c grows without bound and
+that, the reason is `AT_LIMIT`, and the Weibull fit describes it. As c grows without bound and
 c d does not, it becomes a power law that begins at the smallest sample: where that is likelier
 than any, as it is above a floor of ambient light, the reason is `AT_PARETO_LIMIT`, and no
-family of this library is the answer; `chdstat.fit.tail_index` has the index of the tail.
+family of this library describes it; `chdstat.fit.tail_index` has the index of the tail.
 Standard errors are those of the observed information.
 
 References
@@ -39,7 +39,7 @@ from chdstat.summary.dispatch import Part
 __all__ = ["BURR"]
 
 _LEAST = 1e-4
-"""Floor of q: below, d is about 1e4 or more, and no sample tells it from the Weibull limit."""
+"""Floor of q: below, d is about 1e4 or more, which is the Weibull limit to any sample."""
 _NEAR_LIMIT = 0.01
 _SHAPES = np.exp(np.linspace(np.log(0.02), np.log(100), 200))
 """Shapes d at which the skewness of log x is tabulated for the start."""

@@ -101,9 +101,7 @@ def _profile(points: WeightedSamples, at: Floats) -> Floats:
         value = np.where(xi > -1, -np.log(g) - xi, np.nan)
         by_u = -slope / g - g - u * slope
         by_u_u = -curvature / g + (slope / g) ** 2 - 2 * slope - u * curvature
-        zero = np.zeros_like(u)
-        curvature = (1 + u) ** 2 * by_u_u + (1 + u) * by_u
-        return np.stack([value, (1 + u) * by_u, zero, curvature, zero, zero - 1])
+        return np.stack([value, (1 + u) * by_u, (1 + u) ** 2 * by_u_u + (1 + u) * by_u])
 
 
 def _ratio(points: WeightedSamples) -> Floats:

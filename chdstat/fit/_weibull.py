@@ -37,8 +37,7 @@ def _profile(points: WeightedSamples, at: Floats) -> Floats:
         first, second = first / total, second / total
         second -= first**2
         value = at[0] - np.log(total) - k * top
-    slope, curvature, zero = 1 - k * first, -k * first - k**2 * second, np.zeros_like(k)
-    return np.stack([value, slope, zero, curvature, zero, zero - 1])
+    return np.stack([value, 1 - k * first, -k * first - k**2 * second])
 
 
 def _start(points: WeightedSamples) -> Floats:

@@ -5,26 +5,28 @@ samples or at the edges of the bins; `chdstat.fit.goodness` explains them and co
 
 The bootstrap draws samples from the fit and fits them again. The random numbers of a row are made
 of the seed and of the row's own samples, so that its p-value does not depend on which rows are
-tested with it. The replicates of several rows are fitted at once.
+tested with it. The replicates of several rows are fitted at once. For mixtures, `mixture_family`
+makes a family of them.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat.fit.family import Family, Parameters
-from chdstat.fit.mle import estimate_part
+from chdstat.fit.families import estimate_part, get_family
+from chdstat.fit.family import Estimate, Family, Parameters, summed, take
+from chdstat.fit.mixtures import Mixture, mixture_of_part
+from chdstat.fit.weighted_samples import WeightedSamples, take_part
 from chdstat.summary.dispatch import Part, PositiveHistogram
 
-__all__ = ["DISTANCES", "FitTest", "bootstrap"]
+__all__ = ["DISTANCES", "FitTest", "bootstrap", "mixture_family"]
 
 FitTest = Literal["kolmogorov-smirnov", "cramer-von-mises", "anderson-darling", "chi-square"]
 
@@ -86,8 +88,8 @@ def _distances(
     rows = np.flatnonzero(fitted)
     if not len(rows):
         return found
-    some = part if len(rows) == len(fitted) else _take(part, rows)
-    known, count = {name: value[rows] for name, value in parameters.items()}, len(parameters)
+    some = part if len(rows) == len(fitted) else take_part(part, rows)
+    known, count = take(parameters, rows), len(parameters)
     n = some.n[:, np.newaxis]
     if isinstance(some, PositiveHistogram):
         binned = _Binned(some.counts, _bin_probabilities(some, family, known) * n, n, count)
@@ -96,10 +98,8 @@ def _distances(
         # Rows have from few to all samples: distribution functions are dear, so of those alone.
         present = some.valid
         below, above = np.zeros(present.shape), np.ones(present.shape)
-        of_samples = {name: np.repeat(value, some.n) for name, value in known.items()}
-        below[present], above[present] = _both_sides(
-            family, of_samples, some.sorted[present].astype(np.float64)
-        )
+        x, of_samples = some.sorted[present].astype(np.float64), np.repeat(rows, some.n)
+        below[present], above[present] = _both_sides(family, take(parameters, of_samples), x)
         rank = np.arange(1, present.shape[-1] + 1)
         ranked = _Ranked(below, above, rank, present, n, count)
         values = [DISTANCES[test][0](ranked) for test in tests]
@@ -113,8 +113,7 @@ def _both_sides(family: Family, parameters: Parameters, x: Floats) -> tuple[Floa
         below = np.asarray(family.distribution(parameters).cdf(x))
         above = 1 - below
         far = below > _FAR
-        there = {name: value[far] for name, value in parameters.items()}
-        above[far] = family.distribution(there).sf(x[far])
+        above[far] = family.distribution(take(parameters, far)).sf(x[far])
     return below, above
 
 
@@ -223,22 +222,22 @@ def bootstrap(
     tests: Sequence[FitTest],
     resamples: int,
     seed: int,
-) -> tuple[Floats, Floats, Floats]:
-    """Return statistics, p-values and replicates that could be fitted, each of shape (row, test).
+) -> Floats:
+    """Return statistics, p-values and replicates that could be fitted, shape (3, row, test).
 
-    Rows are those of the flattened batch; what is not usable is NaN, NaN and 0. P-values are NaN
-    where fewer than half of the replicates could be fitted.
+    Rows are those of the flattened batch; what is not usable is NaN. P-values are NaN where fewer
+    than half of the replicates could be fitted.
     """
-    shape = (part.n.size, len(tests))
-    statistic, p_value, fitted = np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape)
+    table = np.full((3, part.n.size, len(tests)), np.nan)
+    statistic, p_value, fitted = table
     rows = np.flatnonzero(usable)
     # Rows of as many samples go together: a block is as wide as its rows need.
     rows = rows[np.argsort(part.n.ravel()[rows], kind="stable")]
     width = (part.counts if isinstance(part, PositiveHistogram) else part.x).shape[-1]
     for block in spans(len(rows), max(1, _CHUNK // width // max(1, resamples))):
         here = rows[block]
-        some = _take(part, here)
-        known = {name: value.ravel()[here] for name, value in parameters.items()}
+        some = take_part(part, here)
+        known = take(parameters, here)
         statistic[here] = _distances(some, family, known, tests)
         if not resamples:
             continue
@@ -247,7 +246,7 @@ def bootstrap(
         # Davison and Hinkley (1997), equation 4.11.
         known_enough = (count > 0) & (2 * count >= resamples)
         p_value[here] = np.where(known_enough, (more + 1) / (count + 1), np.nan)
-    return statistic, p_value, fitted
+    return table
 
 
 def _replicates(
@@ -290,7 +289,7 @@ def _draw(
     parameters: Parameters,
     times: int,
     streams: Sequence[np.random.Generator],
-) -> PositivePart | PositiveHistogram:
+) -> Part:
     """Draw as many samples from the family as a row has, so many times, one row after the other."""
     if isinstance(part, PositiveHistogram):
         probability = _bin_probabilities(part, family, parameters)
@@ -298,12 +297,11 @@ def _draw(
         rows = zip(streams, part.n, probability / total, strict=True)
         counts = [rng.multinomial(n, row, size=times) for rng, n, row in rows]
         drawn_counts = np.concatenate(counts).astype(np.float64)
-        one = len(part.log_centers) == 1
         none = np.zeros(len(drawn_counts), dtype=np.int64)
         return PositiveHistogram(
             counts=drawn_counts,
-            log_centers=part.log_centers if one else np.repeat(part.log_centers, times, axis=0),
-            width=part.width if len(part.width) == 1 else np.repeat(part.width, times),
+            log_centers=np.repeat(part.log_centers, times, axis=0),
+            width=np.repeat(part.width, times),
             n=drawn_counts.sum(axis=-1).astype(np.int64),
             **dict.fromkeys(("n_null", "n_zero", "n_negative", "n_bad"), none),
         )
@@ -315,22 +313,79 @@ def _draw(
     return PositivePart.of(drawn.reshape(-1, drawn.shape[-1]), bad=bad)
 
 
-def _take(part: Part, rows: npt.NDArray[np.intp]) -> PositivePart | PositiveHistogram:
-    """Return some rows of the flattened batch."""
-    others = {
-        name: getattr(part, name).ravel()[rows]
-        for name in ("n", "n_null", "n_zero", "n_negative", "n_bad")
-    }
-    if isinstance(part, PositiveHistogram):
-        bins = part.counts.shape[-1]
-        centers = part.log_centers.reshape(-1, bins)
-        width = part.width.ravel()
-        return PositiveHistogram(
-            counts=part.counts.reshape(-1, bins)[rows],
-            log_centers=centers if len(centers) == 1 else centers[rows],
-            width=width if len(width) == 1 else width[rows],
-            **others,
+def mixture_family(mixture: Mixture, k: int) -> tuple[Family, Parameters]:
+    """Return mixtures of as many components as a family, for the bootstrap, and those given.
+
+    Its parameters are those of each component, numbered: ``mu_1``, ``sigma_1``, ``weight_1``, ...
+    """
+    base = get_family(mixture.family)
+    names = (*base.units, "weight")
+
+    def components(parameters: Parameters) -> list[dict[str, Floats]]:
+        return [{name: parameters[f"{name}_{i}"] for name in names} for i in range(1, k + 1)]
+
+    def estimate(part: Part, _near: Parameters | None) -> Estimate:
+        found = mixture_of_part(part, k, family=mixture.family)
+        errors = _numbered(found.standard_errors, k)
+        return Estimate(_of_components(found, k), errors, found.converged)
+
+    def log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
+        densities = [
+            base.log_density(points, one) + np.log(one["weight"])[:, np.newaxis]
+            for one in components(parameters)
+        ]
+        return np.asarray(np.logaddexp.reduce(densities))
+
+    def distribution(parameters: Parameters) -> _MixtureDistribution:
+        each = components(parameters)
+        return _MixtureDistribution(
+            [one["weight"] for one in each], [base.distribution(one) for one in each]
         )
-    samples = part.x.shape[-1]
-    x, positive = part.x.reshape(-1, samples), part.positive.reshape(-1, samples)
-    return PositivePart(x=x[rows], positive=positive[rows], **others)
+
+    family = Family(
+        name=mixture.name,
+        label=f"mixture of {base.label}",
+        documentation=None,
+        units={f"{name}_{i}": base.units.get(name, "1") for i in range(1, k + 1) for name in names},
+        estimate=estimate,
+        log_likelihood=summed(log_density),
+        log_density=log_density,
+        distribution=distribution,
+    )
+    return family, _of_components(mixture, k)
+
+
+def _of_components(mixture: Mixture, k: int) -> dict[str, Floats]:
+    return _numbered({**mixture.parameters, "weight": mixture.weights}, k)
+
+
+def _numbered(values: Parameters, k: int) -> dict[str, Floats]:
+    return {f"{name}_{i + 1}": v[..., i] for i in range(k) for name, v in values.items()}
+
+
+@dataclass(frozen=True)
+class _MixtureDistribution:
+    """Distribution of a mixture: what the bootstrap needs of SciPy's."""
+
+    weights: Sequence[Floats]
+    components: Sequence[Any]
+
+    def cdf(self, x: Floats) -> Floats:
+        """Return P(X <= x)."""
+        return np.asarray(sum(w * c.cdf(x) for w, c in self._each()))
+
+    def sf(self, x: Floats) -> Floats:
+        """Return P(X > x)."""
+        return np.asarray(sum(w * c.sf(x) for w, c in self._each()))
+
+    def rvs(self, size: tuple[int, ...], random_state: np.random.Generator) -> Floats:
+        """Draw samples."""
+        # A sample is of the component in whose share of (0, 1) its number lies.
+        number, drawn, below = random_state.random(size), np.zeros(size), np.zeros(1)
+        for weight, component in self._each():
+            values = component.rvs(size=size, random_state=random_state)
+            drawn, below = np.where(number >= below, values, drawn), below + weight
+        return drawn
+
+    def _each(self) -> Iterator[tuple[Floats, Any]]:
+        return zip(self.weights, self.components, strict=True)

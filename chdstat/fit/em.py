@@ -1,4 +1,9 @@
-"""Expectation-maximisation: mixtures of exponential families, fitted to groups, all rows at once.
+"""Components of mixtures, and expectation-maximisation: all rows at once, on groups of samples.
+
+The density of y = log x of a component is ``exp(a0 + a1 y + a2 t(y))``, with t(y) = y^2 for a
+log-normal component and t(y) = exp(y) for a gamma one. Its state is (log weight, location, log
+scale): mean and log standard deviation of y for log-normal, log mean of x and log shape for gamma
+components. States and coefficients have shape (3, component, row).
 
 The responsibilities of a group are those of its mean sufficient statistics: of all that do not
 differ within groups, they give the largest lower bound of the log-likelihood, and every step raises
@@ -6,39 +11,204 @@ it (Verbeek, Nunnink and Vlassis, "Accelerated EM-based clustering of large data
 doi:10.1007/s10618-005-0033-3). Steps are extrapolated by SQUAREM (Varadhan and Roland, "Simple and
 globally convergent methods for accelerating the convergence of any EM algorithm", 2008,
 doi:10.1111/j.1467-9469.2007.00585.x, scheme S3), which is undone wherever the bound falls.
-
-Likelihoods of mixtures have many maxima. Three kinds of start, none of them random, find the best
-one of nearly all pixels: cutting the row into k segments; inserting a component into a fit of k - 1
-(greedy EM: Verbeek, Vlassis and Kröse, "Efficient greedy learning of Gaussian mixture models",
-2003, doi:10.1162/089976603762553004), from narrow windows, for the spikes of renders, to wide ones;
-and splitting the broadest component of that fit, for bodies beside spikes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
-from itertools import combinations, pairwise
-from math import comb
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask
-from chdstat.fit.components import ComponentFamily, Summaries, cumulative
+from chdstat.fit._gamma import gap_of_shape
+from chdstat.fit.weighted_samples import SPREAD_FLOOR, Summaries
 
 __all__ = [
-    "Optimum",
+    "COMPONENTS",
+    "ComponentFamily",
+    "MixtureFamily",
+    "Solution",
     "bound_at",
-    "insertions",
     "log_density",
-    "maximise",
+    "refit",
     "responsibilities",
     "run",
-    "segmentations",
-    "single",
-    "split",
 ]
+
+MixtureFamily = Literal["lognormal", "gamma"]
+
+_DARKEST = 1e-280
+"""Least mean of exp(y) of a component: a component without samples keeps a finite state."""
+_LOG_ROOT_TAU = 0.5 * np.log(2 * np.pi)
+
+
+@dataclass(frozen=True)
+class ComponentFamily:
+    """An exponential family of components.
+
+    Attributes
+    ----------
+    name
+        What users call it.
+    statistic
+        Mean of t(y) per group.
+    transform
+        t(y) itself.
+    maximise
+        State of maximum likelihood from the share of samples, mean y and mean t(y) of each
+        component, and the least spread of a component.
+    coefficients
+        (a0 + log weight, a1, a2) of a state.
+    power
+        Of the scale, that gives about the standard deviation of y.
+    moments
+        Mean and standard deviation of y of each component, shape (component, row).
+    median
+        Median of y of each component, shape (component, row).
+    parameters
+        Those of users, in the order of the family's units, of a state and the origin of y, each of
+        shape (component, row).
+    scores
+        Derivatives of the log density by these parameters, or their logarithms, at the groups, of a
+        state of shape (3, component, row, 1).
+    logarithmic
+        Of which parameters the scores take the logarithm.
+    directions
+        How location and log scale change with each of what the scores are by.
+    """
+
+    name: MixtureFamily
+    statistic: Callable[[Summaries], Floats]
+    transform: Callable[[Floats], Floats]
+    maximise: Callable[[Floats, Floats, Floats, Floats], Floats]
+    coefficients: Callable[[Floats], Floats]
+    power: float
+    moments: Callable[[Floats], tuple[Floats, Floats]]
+    median: Callable[[Floats], Floats]
+    parameters: Callable[[Floats, Floats], tuple[Floats, Floats]]
+    scores: Callable[[Summaries, Floats], tuple[Floats, Floats]]
+    logarithmic: tuple[bool, bool]
+    directions: tuple[tuple[int, int], tuple[int, int]]
+
+    def spread(self, state: Floats) -> Floats:
+        """Return about the standard deviation of y of each component, shape (component, row)."""
+        return np.asarray(np.exp(self.power * state[2]))
+
+    def narrowed(self, log_scale: Floats, part: float) -> Floats:
+        """Return the log scale of components of a given part of the spread."""
+        return np.asarray(log_scale + np.log(part) / self.power)
+
+    def bounded(self, state: Floats, floor: Floats) -> Floats:
+        """Return the state with its log scale moved to where the spread is at least the floor."""
+        log_spread = np.maximum(self.power * state[2], np.log(floor))
+        return np.stack([state[0], state[1], log_spread / self.power])
+
+
+def _maximise_lognormal(share: Floats, log: Floats, square: Floats, floor: Floats) -> Floats:
+    variance = np.maximum(square - log * log, floor * floor)
+    return np.stack([np.log(share), log, 0.5 * np.log(variance)])
+
+
+def _lognormal_coefficients(state: Floats) -> Floats:
+    log_weight, mean, log_deviation = state
+    precision = np.exp(-2 * log_deviation)
+    constant = log_weight - log_deviation - _LOG_ROOT_TAU - 0.5 * precision * mean * mean
+    return np.stack([constant, precision * mean, -0.5 * precision])
+
+
+def _lognormal_scores(summaries: Summaries, state: Floats) -> tuple[Floats, Floats]:
+    _, mean, log_deviation = state
+    precision = np.exp(-2 * log_deviation)
+    square = summaries.square - 2 * mean * summaries.log + mean**2
+    return (summaries.log - mean) * precision, square * precision - 1
+
+
+def _maximise_gamma(share: Floats, log: Floats, ratio: Floats, floor: Floats) -> Floats:
+    log_mean = np.log(np.maximum(ratio, _DARKEST))
+    # The variance of y is near 1 / shape, and the gap near 1 / (2 shape), where both are small.
+    gap = np.maximum(log_mean - log, 0.5 * floor * floor)
+    return np.stack([np.log(share), log_mean, _log_shape(gap)])
+
+
+def _gamma_coefficients(state: Floats) -> Floats:
+    log_weight, log_mean, log_shape = state
+    shape = np.exp(log_shape)
+    constant = log_weight - special.gammaln(shape) + shape * (log_shape - log_mean)
+    return np.stack([constant, shape, -np.exp(log_shape - log_mean)])
+
+
+def _gamma_moments(state: Floats) -> tuple[Floats, Floats]:
+    shape = np.exp(state[2])
+    mean = state[1] - state[2] + special.digamma(shape)
+    return mean, np.sqrt(special.polygamma(1, shape))
+
+
+def _gamma_median(state: Floats) -> Floats:
+    shape = np.exp(state[2])
+    with np.errstate(divide="ignore"):
+        return np.asarray(state[1] + np.log(special.gammaincinv(shape, 0.5) / shape))
+
+
+def _gamma_scores(summaries: Summaries, state: Floats) -> tuple[Floats, Floats]:
+    _, log_mean, log_shape = state
+    shape, log_scale = np.exp(log_shape), log_mean - log_shape
+    by_log_shape = shape * (summaries.log - log_scale - special.digamma(shape))
+    return by_log_shape, summaries.ratio * np.exp(-log_scale) - shape
+
+
+def _log_shape(gap: Floats) -> Floats:
+    """Solve log(k) - digamma(k) = gap for log(k), to 1e-7, by interpolation in a table."""
+    return np.interp(np.log(gap), *_log_gaps_and_shapes())
+
+
+@cache
+def _log_gaps_and_shapes() -> tuple[Floats, Floats]:
+    log_shape = np.linspace(np.log(2 / SPREAD_FLOOR**2), np.log(1e-4), 16384)
+    return np.log(gap_of_shape(np.exp(log_shape))), log_shape
+
+
+COMPONENTS = {
+    family.name: family
+    for family in (
+        ComponentFamily(
+            name="lognormal",
+            statistic=lambda summaries: summaries.square,
+            transform=np.square,
+            maximise=_maximise_lognormal,
+            coefficients=_lognormal_coefficients,
+            power=1.0,
+            moments=lambda state: (state[1], np.exp(state[2])),
+            median=lambda state: state[1],
+            parameters=lambda state, origin: (state[1] + origin, np.exp(state[2])),
+            scores=_lognormal_scores,
+            logarithmic=(False, True),
+            directions=((1, 0), (0, 1)),
+        ),
+        ComponentFamily(
+            name="gamma",
+            statistic=lambda summaries: summaries.ratio,
+            transform=np.exp,
+            maximise=_maximise_gamma,
+            coefficients=_gamma_coefficients,
+            power=-0.5,
+            moments=_gamma_moments,
+            median=_gamma_median,
+            parameters=lambda state, origin: (
+                np.exp(state[2]),
+                np.exp(state[1] - state[2] + origin),
+            ),
+            scores=_gamma_scores,
+            logarithmic=(True, True),
+            directions=((1, 1), (1, 0)),
+        ),
+    )
+}
+"""Families of components by name."""
+
 
 _LEAST_SIZE = 1e-10
 """Least share of a component, so that it keeps a place and a width."""
@@ -48,12 +218,39 @@ _REACH = 64.0
 """Longest extrapolation, in steps."""
 
 
-class Optimum(NamedTuple):
-    """Where EM ended: state (3, component, row), bound (row,), converged (row,)."""
+@dataclass(frozen=True)
+class Solution:
+    """A mixture of each row, of a family and a number of components.
 
+    Attributes
+    ----------
+    family
+        Of the components.
+    state
+        Shape (3, component, row).
+    origin
+        Of y = log x - origin, shape (row,).
+    log_likelihood
+        Of log x, shape (row,): without the Jacobian of the logarithm. From `run`, it is the bound.
+    converged
+        Whether the last cycle gained less than the tolerance, shape (row,).
+    """
+
+    family: ComponentFamily
     state: Floats
-    bound: Floats
+    origin: Floats
+    log_likelihood: Floats
     converged: Mask
+
+    def take(self, rows: Counts) -> Solution:
+        """Return some of the rows."""
+        return Solution(
+            self.family,
+            self.state[..., rows],
+            self.origin[rows],
+            self.log_likelihood[rows],
+            self.converged[rows],
+        )
 
 
 class _Data(NamedTuple):
@@ -81,8 +278,14 @@ class _Data(NamedTuple):
 
 def run(
     summaries: Summaries, family: ComponentFamily, state: Floats, *, cycles: int, tolerance: float
-) -> Optimum:
-    """Raise the bound until a cycle of three steps gains less than `tolerance` per sample."""
+) -> Solution:
+    """Raise the bound until a cycle of three steps gains less than `tolerance` per sample.
+
+    One component is at its maximum at once.
+    """
+    if state.shape[1] == 1:
+        value, there = bound_at(summaries, family, state), np.ones(state.shape[-1], dtype=bool)
+        return Solution(family, state, summaries.origin, value, there)
     state = state.copy()
     bound = np.full(state.shape[-1], -np.inf)
     converged = np.zeros(state.shape[-1], dtype=bool)
@@ -100,7 +303,7 @@ def run(
         if 8 * np.count_nonzero(done) > done.size:
             active = active[~done]
             data = data.take(~done)
-    return Optimum(state, bound, converged)
+    return Solution(family, state, summaries.origin, bound, converged)
 
 
 def responsibilities(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:
@@ -113,9 +316,16 @@ def bound_at(summaries: Summaries, family: ComponentFamily, state: Floats) -> Fl
     return _expect(_Data.of(summaries, family), family.coefficients(state))[1]
 
 
-def maximise(summaries: Summaries, family: ComponentFamily, shares: Floats) -> Floats:
-    """Return the state of maximum likelihood, given responsibilities."""
-    return _maximise(_Data.of(summaries, family), family, shares.transpose(0, 2, 1))
+def refit(
+    summaries: Summaries, solution: Solution, onto: Summaries, family: ComponentFamily
+) -> Floats:
+    """Return the state of maximum likelihood of other groups or components.
+
+    They are given the responsibilities that the groups have under a solution.
+    """
+    coefficients = solution.family.coefficients(solution.state)
+    shares, _ = _expect(_Data.of(summaries, solution.family), coefficients)
+    return _maximise(_Data.of(onto, family), family, shares)
 
 
 def log_density(log: Floats, statistic: Floats, coefficients: Floats) -> Floats:
@@ -186,139 +396,3 @@ def _maximise(data: _Data, family: ComponentFamily, shares: Floats) -> Floats:
     log = np.einsum("kcr,cr->kr", shares, data.log) / sizes
     statistic = np.einsum("kcr,cr->kr", shares, data.statistic) / sizes
     return family.maximise(sizes / data.n, log, statistic, data.floor)
-
-
-_CHOICES = 150
-"""Most segmentations that are compared."""
-_LEAST = 1e-9
-_APART, _NARROWER = 0.8, 0.6
-"""Of the halves of a split component: their distance from it, and their spread, in spreads."""
-_LARGEST = 0.9
-"""Largest weight of an inserted component."""
-_LOG_PEAK = -0.5 * (1 + np.log(2 * np.pi))
-"""Mean log density of a Gaussian sample of variance 1, at maximum likelihood."""
-
-
-def single(summaries: Summaries, family: ComponentFamily) -> Floats:
-    """Return the state of one component, which is its fit."""
-    below = _sums_below(summaries, family)
-    return _state(summaries, family, below[:, :, -1:].transpose(0, 2, 1))
-
-
-def segmentations(summaries: Summaries, family: ComponentFamily, k: int) -> Iterator[Floats]:
-    """Yield the best cut of each row into k segments, by two criteria.
-
-    The likelihood of a Gaussian for each segment, and the sum of squares within them (k-means):
-    the first favours narrow segments.
-    """
-    if summaries.count.shape[-1] < k:
-        return
-    below = _sums_below(summaries, family)
-    edges = _cuts(summaries.count.shape[-1], k)
-    sizes = [below[0][:, b] - below[0][:, a] for a, b in pairwise(edges)]
-    spread = [_variance(below, summaries.floor, a, b) for a, b in pairwise(edges)]
-    pairs = list(zip(sizes, spread, strict=True))
-    possible = np.where(np.min(sizes, axis=0) >= 1, 0.0, -np.inf)
-    likelihood = sum((n * (np.log(n + _LEAST) - 0.5 * np.log(v)) for n, v in pairs), possible)
-    compactness = sum((-n * v for n, v in pairs), possible)
-    rows = np.arange(len(summaries.floor))
-    for score in (likelihood, compactness):
-        chosen = edges[:, score.argmax(axis=-1)]
-        ends = below[:, rows, chosen]
-        yield _state(summaries, family, np.diff(ends, axis=1))
-
-
-def insertions(
-    summaries: Summaries,
-    family: ComponentFamily,
-    state: Floats,
-    windows: tuple[tuple[int, ...], ...],
-) -> Iterator[Floats]:
-    """Yield, for each group of window lengths, the state with one component more.
-
-    It is that of the window, in groups, whose samples gain most from a Gaussian of their own.
-    """
-    below = _sums_below(summaries, family)
-    old = log_density(summaries.log, family.statistic(summaries), family.coefficients(state))
-    old_below = cumulative(summaries.count * old)
-    for lengths in windows:
-        start, stop = _best_window(below, old_below, summaries.floor, lengths)
-        ends = np.stack([start, stop])
-        sums = np.diff(below[:, np.arange(len(start)), ends], axis=1)
-        share = np.clip(sums[0] / summaries.n, _LEAST, _LARGEST)
-        new = _state(summaries, family, sums)
-        new[0] = np.log(share)
-        shrunk = state.copy()
-        shrunk[0] += np.log1p(-share)
-        yield np.concatenate([shrunk, new], axis=1)
-
-
-def split(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:
-    """Return the state with its broadest component, by weight times spread, split into two.
-
-    The halves lie 0.8 spreads to either side and have 0.6 of the spread, so that mean and variance
-    of both together stay about the same.
-    """
-    spread = family.spread(state)
-    rows = np.arange(state.shape[-1])
-    broadest = (np.exp(state[0]) * spread).argmax(axis=0)
-    log_weight, location, log_scale = state[:, broadest, rows]
-    half = np.stack([log_weight - np.log(2), location, family.narrowed(log_scale, _NARROWER)])
-    shift = np.zeros_like(half)
-    shift[1] = _APART * spread[broadest, rows]
-    whole = np.concatenate([state, (half + shift)[:, np.newaxis]], axis=1)
-    whole[:, broadest, rows] = half - shift
-    return family.bounded(whole, summaries.floor)
-
-
-def _best_window(
-    below: Floats, old_below: Floats, floor: Floats, lengths: tuple[int, ...]
-) -> tuple[Counts, Counts]:
-    groups = below.shape[-1] - 1
-    best = np.full(len(floor), -np.inf)
-    start, stop = np.zeros((2, len(floor)), dtype=np.int64)
-    for length in lengths:
-        if length > groups:
-            continue
-        a, b = np.arange(groups - length + 1), np.arange(length, groups + 1)
-        n = below[0][:, b] - below[0][:, a]
-        peak = _LOG_PEAK - 0.5 * np.log(_variance(below, floor, a, b))
-        share = np.maximum(n, _LEAST) / below[0][:, -1:]
-        gain = n * (np.log(share) + peak) - (old_below[:, b] - old_below[:, a])
-        gain[n == 0] = -np.inf
-        place = gain.argmax(axis=-1)
-        value = np.take_along_axis(gain, place[:, np.newaxis], axis=-1)[:, 0]
-        start, stop = (np.where(value > best, p, q) for p, q in ((place, start), (b[place], stop)))
-        best = np.maximum(best, value)
-    return start, stop
-
-
-def _state(summaries: Summaries, family: ComponentFamily, sums: Floats) -> Floats:
-    """Return the state of components whose counts, sums of y and of t(y) are given."""
-    n = np.maximum(sums[0], _LEAST)
-    return family.maximise(n / summaries.n, sums[1] / n, sums[2] / n, summaries.floor)
-
-
-def _sums_below(summaries: Summaries, family: ComponentFamily) -> Floats:
-    """Return sums of 1, y, t(y) and y^2 over the groups below each edge, shape (4, row, edge)."""
-    means = (1.0, summaries.log, family.statistic(summaries), summaries.square)
-    return np.stack([cumulative(summaries.count * mean) for mean in means])
-
-
-def _variance(below: Floats, floor: Floats, start: Counts, stop: Counts) -> Floats:
-    n, log, square = (below[i][:, stop] - below[i][:, start] for i in (0, 1, 3))
-    np.maximum(n, _LEAST, out=n)
-    square /= n
-    log /= n
-    square -= log * log
-    return np.asarray(np.maximum(square, (floor * floor)[:, np.newaxis]))
-
-
-@cache
-def _cuts(groups: int, k: int) -> Counts:
-    """Return edges of k segments, shape (k + 1, choice), on as fine a grid as there is time for."""
-    grid = next(g for g in range(groups - 1, 0, -1) if comb(g, k - 1) <= _CHOICES or g <= k)
-    places = np.unique(np.linspace(1, groups - 1, grid).round().astype(np.int64))
-    inner = np.array(list(combinations(places, k - 1))).T
-    outer = np.zeros((1, inner.shape[-1]), dtype=np.int64)
-    return np.concatenate([outer, inner, outer + groups])

@@ -1,16 +1,30 @@
-"""Families: the distributions that the positive part of a CHD can be fitted with.
+"""Families: the distributions that the positive part of a CHD can be fitted with, and their fits.
 
 `FAMILIES` is the table. A family is a row of it: how its parameters are estimated from the positive
 part (whose sums are shared between the families), its log-likelihood, SciPy's distribution for
-everything else, and what documentation, reports and tests say of it. Each has a module of its own;
-the engine that runs one is in `chdstat.fit.mle`.
+everything else, and what documentation, reports and tests need. Each has a module of its own.
+
+`fit` fits any of them by maximum likelihood to the samples of a pixel, a batch or an image, or to a
+log histogram of them; `family_fit` makes functions that fit one, as `chdstat.fit.gamma` does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from chdstat.errors import InputError
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from chdstat._core.arrays import Seed, generator
+from chdstat._core.display import Card, Shown, each, reasons, with_error, with_interval, written
+from chdstat._core.positive import Counts, Floats, Mask
+from chdstat._core.reasons import label_variables
+from chdstat._core.resampling import wilson
+from chdstat.errors import InputError, Reason
 from chdstat.fit._burr import BURR
 from chdstat.fit._gamma import GAMMA
 from chdstat.fit._inverse_gaussian import INVERSE_GAUSSIAN
@@ -18,8 +32,29 @@ from chdstat.fit._lognormal import LOGNORMAL
 from chdstat.fit._pareto import PARETO
 from chdstat.fit._weibull import WEIBULL
 from chdstat.fit.family import Estimate, Family, Parameters
+from chdstat.samples import Mapped
+from chdstat.summary.dispatch import OfSource, Part, Source, of_source, run
 
-__all__ = ["FAMILIES", "SELECTED", "Estimate", "Family", "Parameters", "get_family"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "FAMILIES",
+    "SELECTED",
+    "Family",
+    "Fit",
+    "ZeroInflated",
+    "counts_of",
+    "estimate_part",
+    "expand",
+    "family_fit",
+    "fit",
+    "fit_part",
+    "fit_variables",
+    "get_family",
+    "label_fit",
+    "zero_log_likelihood",
+]
 
 FAMILIES: Mapping[str, Family] = {
     family.name: family for family in (GAMMA, LOGNORMAL, WEIBULL, BURR, PARETO, INVERSE_GAUSSIAN)
@@ -43,3 +78,371 @@ def get_family(family: str | Family) -> Family:
         message = f"family must be one of {', '.join(FAMILIES)}, got {family!r}"
         raise InputError(message)
     return FAMILIES[family]
+
+
+_SHARED = {
+    "null_share": "share of null samples among the good ones",
+    "null_interval": "Wilson interval of the share of null samples",
+    "n": "samples that the family was fitted to",
+    "n_null": "null samples: all channels are 0",
+    "n_zero": "zeros of this channel in samples that are not null",
+    "n_negative": "negative samples of this channel, left out: they have no logarithm",
+    "n_bad": "samples left out: a channel is NaN or infinite",
+}
+"""Variables that all fits of the same samples share, with their long names."""
+
+
+@dataclass(frozen=True, repr=False)
+class ZeroInflated(Shown):
+    """What fits of families and mixtures share: a point mass at 0, a density on the positive rest.
+
+    The attributes are those of `Fit`. Of the variables that an image's fits become, `prefix` starts
+    the names, and `labels` has the long names of those that are fields.
+    """
+
+    prefix: ClassVar[str] = "{}"
+    labels: ClassVar[Mapping[str, str]] = {
+        "log_likelihood": "log-likelihood of the zero-inflated model",
+        "aic": "Akaike information criterion",
+        "bic": "Bayesian information criterion",
+        "converged": "{} fit converged",
+        "reason": "why there is no {} fit",
+        "error_reason": "why {} has no standard errors",
+    }
+
+    family: str
+    parameters: Parameters
+    standard_errors: Parameters
+    log_likelihood: Floats
+    aic: Floats
+    bic: Floats
+    null_share: Floats
+    null_interval: Floats
+    n: Counts
+    n_null: Counts
+    n_zero: Counts
+    n_negative: Counts
+    n_bad: Counts
+    converged: Mask
+    reason: npt.NDArray[np.int8]
+
+    @property
+    def name(self) -> str:
+        """What was fitted: the family, or its mixture."""
+        return self.prefix.format(self.family)
+
+    @property
+    def zero_share(self) -> Floats:
+        """Mass at 0: the nulls, and the zeros of this channel in other samples; shape (...)."""
+        zeros = self.n_null + self.n_zero
+        return np.where(np.isnan(self.null_share), np.nan, zeros / np.maximum(zeros + self.n, 1))
+
+    def pdf(self, x: npt.ArrayLike) -> Floats:
+        """Return the density of the positive part alone: it integrates to 1.
+
+        Multiply by ``1 - zero_share`` for the density of the whole model away from 0. The result
+        has the shape of the batch followed by that of `x`, which are radiances of any shape.
+        """
+        x = np.asarray(x, dtype=np.float64)
+        with np.errstate(all="ignore"):
+            return self._mixed(self._distribution(x.ndim).pdf(x), x.ndim)
+
+    def cdf(self, x: npt.ArrayLike) -> Floats:
+        """Return P(X <= x) of the zero-inflated model, shape of the batch, then that of `x`."""
+        x = np.asarray(x, dtype=np.float64)
+        zero = expand(self.zero_share, x.ndim)
+        with np.errstate(all="ignore"):
+            positive = self._mixed(self._distribution(x.ndim).cdf(x), x.ndim)
+        return np.where(x < 0, 0 * zero, zero + (1 - zero) * positive)
+
+    def ppf(self, q: npt.ArrayLike) -> Floats:
+        """Return quantiles of the zero-inflated model, shape of the batch, then that of `q`."""
+        q = np.asarray(q, dtype=np.float64)
+        return self._quantile(q, q.ndim)
+
+    def rvs(self, size: int, *, seed: Seed = None) -> Floats:
+        """Draw samples of the zero-inflated model, shape (..., size)."""
+        return self._quantile(generator(seed).random((*self.null_share.shape, size)), 1)
+
+    def mean(self) -> Floats:
+        """Return the expectation of the zero-inflated model, shape (...).
+
+        It is infinite where the family has none (a tail index of 1 or more), and where that of a
+        very wide log-normal is too large for double precision.
+        """
+        own = get_family(self.family).mean
+        with np.errstate(all="ignore"):
+            mean = self._distribution(0).mean() if own is None else own(self.parameters)
+            return np.asarray((1 - self.zero_share) * self._mixed(mean, 0))
+
+    def _card(self) -> Card:
+        errors = {name: np.full_like(v, np.nan) for name, v in self.parameters.items()}
+        errors |= self.standard_errors
+        facts = {name: each(with_error, v, errors[name]) for name, v in self.parameters.items()}
+        ends = np.moveaxis(self.null_interval, -1, 0)
+        facts["null share"] = each(with_interval, self.null_share, *ends)
+        facts |= {"n": written(self.n), "BIC": written(self.bic)}
+        facts["not fitted"] = reasons(self.reason)
+        return Card(f"{type(self).__name__} {self.name}", facts)
+
+    def _distribution(self, trailing: int) -> Any:
+        expanded = {name: expand(value, trailing) for name, value in self.parameters.items()}
+        return get_family(self.family).distribution(expanded)
+
+    def _quantile(self, q: Floats, trailing: int) -> Floats:
+        zero = expand(self.zero_share, trailing)
+        # Every family puts its quantile 0 at radiance 0: up to the mass at 0, so is that of all.
+        with np.errstate(all="ignore"):
+            return self._positive_quantile(np.clip((q - zero) / (1 - zero), 0, 1), trailing)
+
+    def _positive_quantile(self, level: Floats, trailing: int) -> Floats:
+        """Return quantiles of the positive part, whose axes after the batch's are `trailing`."""
+        return np.asarray(self._distribution(trailing).ppf(level))
+
+    def _mixed(self, values: Floats, _trailing: int) -> Floats:
+        return np.asarray(values)  # of the positive part from those of its distribution
+
+
+@dataclass(frozen=True, repr=False)
+class Fit(ZeroInflated):
+    """A zero-inflated family: a point mass at 0, and a density on the positive radiances.
+
+    ``P(X = 0) = zero_share``; otherwise X follows the family. Every array has the batch's shape,
+    () for a single pixel; a row that could not be fitted holds NaN and says why in `reason`.
+
+    Attributes
+    ----------
+    family
+        Name of the family.
+    parameters, standard_errors
+        Estimates and their asymptotic standard errors, by name.
+    null_share, null_interval
+        Share of nulls among the good samples, shape (...), and its interval, shape (..., 2).
+    n, n_null, n_zero, n_negative, n_bad
+        Samples fitted; null ones; zeros of one channel in samples that are not null; negative ones,
+        which the model leaves out; bad ones.
+    log_likelihood
+        Of all good samples: the positive ones in linear radiance, and the Bernoulli part of zeros.
+    aic, bic
+        Information criteria; the zero share counts as a parameter of every family.
+    converged
+        Whether the estimate met its tolerance.
+    reason
+        `Reason` codes.
+    error_reason
+        `Reason` codes of why one or more standard errors are NaN: as `reason`; `TOO_FEW` samples
+        for them to hold, fewer than `Family.errors_from`; or `NOT_REGULAR`.
+    """
+
+    error_reason: npt.NDArray[np.int8]
+
+
+def counts_of(part: Part) -> dict[str, Any]:
+    """Return the fields that all fits to the same samples share."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        null_share = np.asarray(part.n_null / part.n_good)
+    counts = {
+        name: getattr(part, name) for name in ("n", "n_null", "n_zero", "n_negative", "n_bad")
+    }
+    interval = wilson(part.n_null, part.n_good)
+    return {"null_share": null_share, "null_interval": interval, **counts}
+
+
+def fit_variables(result: ZeroInflated) -> Mapped:
+    """Return a fit over (y, x, channel) as variables for `Samples.map`."""
+    errors = {f"{name}_se": value for name, value in result.standard_errors.items()}
+    fields = {name: getattr(result, name) for name in result.labels}
+    own = {**result.parameters, **errors, **fields}
+    variables = {f"{result.name}_{name}": value for name, value in own.items()}
+    variables |= {name: getattr(result, name) for name in _SHARED}
+    deep = {name: ("component",) for name, value in variables.items() if value.ndim > result.n.ndim}
+    deep["null_interval"] = ("bound",)
+    return {name: (("channel", *deep.get(name, ())), value) for name, value in variables.items()}
+
+
+def label_fit(dataset: xr.Dataset, family: str, kind: type[ZeroInflated] = Fit) -> xr.Dataset:
+    """Set long names, units and flag meanings of the variables of fits of a family."""
+    prefix = kind.prefix.format(family)
+    labels = {name: (text, "1") for name, text in _SHARED.items()}
+    labels |= {f"{prefix}_{name}": (text.format(family), "1") for name, text in kind.labels.items()}
+    components = "component" in dataset.dims
+    for name, unit in {**get_family(family).units, "weight": "1"}.items():
+        named = f"{name} of the {family} components" if components else f"{family} {name}"
+        labels[f"{prefix}_{name}"] = named, unit
+        labels[f"{prefix}_{name}_se"] = f"standard error of the {named}", unit
+    if components:
+        numbers = np.arange(1, dataset.sizes["component"] + 1)
+        dataset = dataset.assign_coords(component=numbers)
+    return label_variables(dataset, labels)
+
+
+def expand(value: npt.NDArray[Any], trailing: int) -> npt.NDArray[Any]:
+    """Append axes of length 1 to the batch's, to broadcast against an argument."""
+    return np.asarray(value).reshape((*np.shape(value), *(1,) * trailing))
+
+
+_SECTIONS = """Parameters
+----------
+x, null, progress
+    As for `fit`.
+
+Returns
+-------
+Fit or xarray.Dataset
+    As of `fit`, with the parameters {parameters}.
+
+Raises
+------
+InputError
+    As `fit` does.
+
+References
+"""
+
+
+@of_source
+def fit(
+    x: Source,
+    family: str | Family,
+    *,
+    null: npt.ArrayLike | None = None,
+    progress: bool | None = None,
+) -> Fit | xr.Dataset:
+    """Fit a zero-inflated family by maximum likelihood.
+
+    The share of nulls is estimated separately; the family is fitted to the samples that are good,
+    not null and larger than 0.
+
+    Parameters
+    ----------
+    x
+        Radiance of a pixel, shape (sample,), of a batch, shape (..., sample), or all samples of an
+        image. Of an array, exact zeros are nulls and NaN or infinite numbers are bad.
+        Of `Samples`, a sample is null where all channels are 0 and bad where any channel is; a 0 of
+        one channel in another sample cannot enter a positive family: it is left out of the fit of
+        that channel and counted as `n_zero`. Or a `Histogram` of log scale, or the dataset that
+        `chdstat.histogram` makes of an image: see below what is lost.
+    family
+        A `Family`, or the name of one of `FAMILIES`, such as 'gamma'.
+    null
+        Which samples of an array are null, broadcastable to it, where the caller knows better.
+    progress
+        For `Samples`: show a progress bar; None shows it on a terminal.
+
+    Returns
+    -------
+    Fit or xarray.Dataset
+        `Fit` for an array or a `Histogram`. For an image, its fields as variables over (y, x,
+        channel): named after the family, as ``gamma_shape``, ``gamma_shape_se``, ``gamma_bic``,
+        ``gamma_reason``, except what all families share, as ``null_share``.
+
+    Raises
+    ------
+    InputError
+        If there is no such family, or `x` or `null` has the wrong shape or goes without the other.
+
+    Notes
+    -----
+    A fit from a histogram costs the same whatever the spp. It takes the bins for what they are by
+    Sheppard's corrections of the log moments; parameters are those of the samples as long as the
+    log radiance spreads over more than a bin. What is lost: a distribution within one bin (0.1
+    decades by default) is constant; a zero of one channel is the same as radiance below the support
+    (1e-5 by default), both are `n_zero`; radiance above the support counts as the last
+    bin; and the likelihood is that at the centres of the bins.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.random.default_rng(1).gamma(2.0, 3.0, size=(5, 4096))
+    >>> result = fit(x, "gamma")
+    >>> result.parameters["shape"].round(1)
+    array([2., 2., 2., 2., 2.])
+    """
+    chosen = get_family(family)
+    result = run(
+        x,
+        lambda part: fit_part(part, chosen),
+        fit_variables,
+        null=null,
+        description=f"fitting {chosen.name}",
+        progress=progress,
+    )
+    return result if isinstance(result, Fit) else label_fit(result, chosen.name)
+
+
+@cache
+def family_fit(name: str) -> OfSource[..., Fit]:
+    """Return `fit` for the family of this name, with the documentation of its module."""
+    family = get_family(name)
+
+    def function(
+        x: Source, *, null: npt.ArrayLike | None = None, progress: bool | None = None
+    ) -> Fit | xr.Dataset:
+        return fit(x, family, null=null, progress=progress)
+
+    names = ", ".join(f"``{name}`` ({unit})" for name, unit in family.units.items())
+    text = (family.documentation or "").partition(": ")[2]
+    text = text.replace("References\n", _SECTIONS.format(parameters=names), 1)
+    function.__doc__ = f"Fit a zero-inflated {family.label} distribution: {text}"
+    function.__name__ = function.__qualname__ = name
+    function.__module__ = "chdstat.fit"
+    return of_source(function)
+
+
+def fit_part(part: Part, family: Family) -> Fit:
+    """Fit a family to samples that are already split; several families share one part."""
+    estimate, reason = estimate_part(part, family)
+    parameters = estimate.parameters
+    log_likelihood = np.asarray(family.log_likelihood(part, parameters) + zero_log_likelihood(part))
+    count = len(parameters) + 1
+    no_error = np.isnan(list(estimate.standard_errors.values())).any(axis=0)
+    few = part.n < max(family.errors_from.values(), default=0)
+    why = np.where(few, Reason.TOO_FEW, np.where(no_error, Reason.NOT_REGULAR, Reason.OK))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        # Nulls hold nothing about the shape: only their own share is estimated from all samples.
+        of_shape = len(parameters) * np.log(part.n)
+        bic = np.asarray(of_shape + np.log(part.n_good) - 2 * log_likelihood)
+    return Fit(
+        family=family.name,
+        parameters=parameters,
+        standard_errors=estimate.standard_errors,
+        **counts_of(part),
+        log_likelihood=log_likelihood,
+        aic=np.asarray(2 * count - 2 * log_likelihood),
+        bic=bic,
+        converged=estimate.converged,
+        reason=reason,
+        error_reason=np.where(reason == Reason.OK, why, reason).astype(np.int8),
+    )
+
+
+def estimate_part(
+    part: Part, family: Family, near: Parameters | None = None
+) -> tuple[Estimate, npt.NDArray[np.int8]]:
+    """Return parameters and standard errors, NaN where there are none, and `Reason` codes.
+
+    The search begins at `near`, where that is given and known: it is faster, and the same in the
+    end.
+    """
+    estimate = family.estimate(part, near)
+    reason = part.reason(family.minimum)
+    failed = (reason == Reason.OK) & ~estimate.converged
+    limit = np.broadcast_to(estimate.limit, reason.shape)
+    reason[failed] = np.where(limit == Reason.OK, Reason.NOT_CONVERGED, limit)[failed]
+    ok = np.asarray(reason == Reason.OK)
+    kept = Estimate(
+        parameters={n: np.where(ok, value, np.nan) for n, value in estimate.parameters.items()},
+        standard_errors={
+            name: np.where(ok & (part.n >= family.errors_from.get(name, 0)), value, np.nan)
+            for name, value in estimate.standard_errors.items()
+        },
+        converged=ok,
+    )
+    return kept, reason
+
+
+def zero_log_likelihood(part: Part) -> Floats:
+    """Return the log-likelihood of which good samples are 0, shape (...)."""
+    zeros = part.n_null + part.n_zero
+    total = np.maximum(part.n_good, 1)
+    return np.asarray(special.xlogy(zeros, zeros / total) + special.xlogy(part.n, part.n / total))

@@ -3,15 +3,15 @@
 Estimates in closed form aside, families have profile likelihoods of one or two parameters, which
 Newton's method maximises for all rows at once. Steps are damped where the function is not concave
 or a step did not climb (Levenberg 1944, doi:10.1090/qam/10666), so that a row converges from afar
-and quadratically in the end; rows that are done leave the block. A function of one parameter fills
-the second with gradient 0 and curvature -1.
+and quadratically in the end; rows that are done leave the block. To a function of one parameter, a
+second is added with gradient 0 and curvature -1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -34,14 +34,14 @@ RADIANCE = "W sr-1 m-2"
 class Estimate:
     """Parameters and standard errors by name, and where the estimate is a maximum.
 
-    `limit` says where there is none, for the likelihood rises towards a limit of the family: the
-    `Reason` code of that limit, and 0 elsewhere.
+    `limit` is the `Reason` code of the limit of the family that the likelihood rises towards, where
+    it has no maximum, and 0 elsewhere.
     """
 
     parameters: Parameters
     standard_errors: Parameters
     converged: Mask
-    limit: npt.NDArray[np.int8] | None = None
+    limit: npt.NDArray[np.int8] | Literal[0] = 0
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,9 @@ class Family:
         return len(self.units)
 
 
-def take(parameters: Parameters, points: WeightedSamples) -> dict[str, Floats]:
-    """Return the parameters, of any batch shape, of the rows of these points."""
-    return {name: value.reshape(-1)[points.rows] for name, value in parameters.items()}
+def take(parameters: Parameters, rows: npt.NDArray[Any]) -> dict[str, Floats]:
+    """Return the parameters of some rows of the flattened batch."""
+    return {name: value.reshape(-1)[rows] for name, value in parameters.items()}
 
 
 def summed(log_density: LogDensity) -> Callable[[Part, Parameters], Floats]:
@@ -117,7 +117,9 @@ def summed(log_density: LogDensity) -> Callable[[Part, Parameters], Floats]:
         known = np.asarray(np.isfinite(np.stack(list(parameters.values()))).all(axis=0))
 
         def of_points(points: WeightedSamples) -> Floats:
-            return log_density(points, take(parameters, points)) - points.log_mean[:, np.newaxis]
+            return (
+                log_density(points, take(parameters, points.rows)) - points.log_mean[:, np.newaxis]
+            )
 
         return sum_over_samples(part, known, of_points)
 
@@ -140,7 +142,23 @@ Surface = Callable[[WeightedSamples, Floats], Floats]
 
 It returns six numbers, shape (6, row): the value; the first derivatives by the first and the second
 parameter; the second derivatives by the first, mixed, and by the second. NaN where it has no value.
+One of the first parameter alone returns three: its value and its two derivatives.
 """
+
+
+def _of_two(surface: Surface) -> Surface:
+    """Return a surface as one of two parameters, whatever it is of."""
+
+    def six(points: WeightedSamples, at: Floats) -> Floats:
+        values = surface(points, at)
+        return values if len(values) == 6 else _padded(*values)
+
+    return six
+
+
+def _padded(value: Floats, slope: Floats, curvature: Floats) -> Floats:
+    zero = np.zeros_like(value)
+    return np.stack([value, slope, zero, curvature, zero, zero - 1])
 
 
 def _maximise_block(
@@ -259,18 +277,18 @@ def maximise(
         _try_others(surface, points, other, floor, at, converged)
         return finish(points, at, converged)
 
-    tolerance = _EXACTLY
+    surface = _of_two(surface)
     rough = np.full((4, part.n.size), np.nan)
     if near is not None:
         rough[:2] = np.stack(near).reshape(2, -1)
     unknown = np.asarray(np.isnan(rough[:2]).any(axis=0))
-    if isinstance(part, Halves) and near is not None:
-        tolerance = _HALVES
-        return of_rows(part, minimum, names, exactly, among=~unknown).reshape(names, *part.n.shape)
-    if unknown.any():
+    halves = isinstance(part, Halves) and near is not None
+    tolerance = _HALVES if halves else _EXACTLY
+    if unknown.any() and not halves:
         found = of_rows(part, minimum, 4, roughly, thin=True, among=unknown)
         rough = np.where(unknown, found, rough)
-    return of_rows(part, minimum, names, exactly).reshape(names, *part.n.shape)
+    results = of_rows(part, minimum, names, exactly, among=~unknown if halves else None)
+    return results.reshape(names, *part.n.shape)
 
 
 def _from_afar(
@@ -324,8 +342,7 @@ def _along(at: Floats, here: Floats, floor: float) -> Floats:
     if not held.any():
         return here
     value, slope, _, curvature, _, _ = here
-    zero = np.zeros_like(value)
-    return np.where(held, np.stack([value, slope, zero, curvature, zero, zero - 1]), here)
+    return np.where(held, _padded(value, slope, curvature), here)
 
 
 def _step(here: Floats, damping: Floats) -> Floats:

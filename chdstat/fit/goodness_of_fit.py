@@ -1,11 +1,12 @@
 """Goodness of fit: whether a fitted family describes the samples, and how large the misfit is.
 
-`goodness` gives, for each test, a p-value that knows the parameters were estimated, and an effect
-size: with thousands of samples every family is rejected, and the effect says whether it matters.
+`goodness` gives, for each test, a p-value that allows for the parameters being estimated, and an
+effect size: with thousands of samples every family is rejected, and the effect shows whether it
+matters.
 Use `chdstat.fit.select` to compare families with each other.
 
 Anderson-Darling has the most power against tails that differ, which decide noise; Cramer-von Mises
-looks at the body, Kolmogorov-Smirnov at the largest gap, whose size is the easiest to read;
+weighs the body, Kolmogorov-Smirnov takes the largest gap, whose size is the easiest to read;
 chi-square at all cells equally, whatever their order, and is the weakest of the four.
 """
 
@@ -13,25 +14,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias, overload
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, seed_number, whole
+from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
 from chdstat.errors import InputError, Reason
-from chdstat.fit.distances import DISTANCES, FitTest, bootstrap
-from chdstat.fit.families import Family, Parameters, get_family
-from chdstat.fit.mixtures import mixture_family, mixture_parameters
-from chdstat.fit.mle import fit_part, zero_log_likelihood
-from chdstat.fit.results import Fit, Mixture
+from chdstat.fit.distances import DISTANCES, FitTest, bootstrap, mixture_family
+from chdstat.fit.families import Fit, fit_part, get_family, zero_log_likelihood
+from chdstat.fit.family import Family, Parameters
+from chdstat.fit.mixtures import Mixture
 from chdstat.fit.selection import Selection
 from chdstat.samples import Samples
-from chdstat.summary.dispatch import Part, PositiveHistogram, Source, run
-from chdstat.summary.histograms import Histogram
+from chdstat.summary.dispatch import Part, PositiveHistogram, Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -61,8 +61,8 @@ _LABELS = {
 }
 
 
-@dataclass(frozen=True)
-class Goodness:
+@dataclass(frozen=True, repr=False)
+class Goodness(Shown):
     """Goodness of fit of a family; arrays of shape (..., test), NaN where `reason` says why.
 
     With the reasons `UNTESTED` and `FEW_REPLICATES`, there is a statistic and an effect.
@@ -139,27 +139,7 @@ _SAME = 1e-6
 other samples is about 1 / sqrt(n), that of the same in single precision below 1e-7."""
 
 
-@overload
-def goodness(
-    x: Samples | xr.Dataset,
-    fit: str | Family,
-    *,
-    tests: Sequence[FitTest] = ...,
-    resamples: int = ...,
-    seed: Seed = ...,
-    alpha: float = ...,
-    progress: bool | None = None,
-) -> xr.Dataset: ...
-@overload
-def goodness(
-    x: Histogram | npt.ArrayLike,
-    fit: str | Family | Fitted,
-    *,
-    tests: Sequence[FitTest] = ...,
-    resamples: int = ...,
-    seed: Seed = ...,
-    null: npt.ArrayLike | None = None,
-) -> Goodness: ...
+@of_source
 def goodness(
     x: Source,
     fit: str | Family | Fitted,
@@ -287,13 +267,11 @@ def goodness_of_part(
         reason[few] = Reason.TOO_FEW
         usable = rows & (reason == Reason.OK)
         found = bootstrap(part, usable, family, parameters, tests, resamples, root)
-        for value, of_rows in zip(values, found, strict=True):
-            value[usable] = of_rows.reshape(value.shape)[usable]
+        values[:, usable] = found.reshape(values.shape)[:, usable]
     statistic, p_value, fitted = values
     effect = np.sqrt(np.maximum(statistic, 0) / np.maximum(part.n, 1)[..., np.newaxis])
-    for i, test in enumerate(tests):
-        if test == "kolmogorov-smirnov":
-            effect[..., i] = statistic[..., i]
+    # Kolmogorov's D is a distance already, whatever the number of samples.
+    effect = np.where(np.array(tests) == "kolmogorov-smirnov", statistic, effect)
     reasons = np.repeat(reason[..., np.newaxis], len(tests), axis=-1)
     reasons[(reasons == Reason.OK) & np.isnan(statistic)] = Reason.TOO_FEW
     untested = Reason.FEW_REPLICATES if resamples else Reason.UNTESTED
@@ -313,7 +291,7 @@ def goodness_of_part(
 def _check_fit(part: Part, fit: Fitted) -> None:
     """Raise InputError if a fit is not one to these samples: these have another likelihood.
 
-    That of a mixture in bins spreads the samples within them: there, only their numbers are told.
+    That of a mixture in bins spreads the samples within them: there, only numbers are compared.
     """
     if fit.reason.shape != part.n.shape:
         message = f"expected a fit of batch shape {part.n.shape}, got {fit.reason.shape}"
@@ -335,11 +313,7 @@ def _check_fit(part: Part, fit: Fitted) -> None:
 
 
 def _name(fit: Family | Fitted) -> str:
-    if isinstance(fit, Mixture):
-        return f"{fit.family}_mixture"
-    if isinstance(fit, Selection):
-        return "best"
-    return fit.name if isinstance(fit, Family) else fit.family
+    return "best" if isinstance(fit, Selection) else fit.name
 
 
 def _cases(
@@ -357,4 +331,4 @@ def _cases(
         return
     for k in np.unique(fit.k[fit.k > 0]).tolist():
         rows = np.asarray(fit.k == k)
-        yield mixture_family(fit.family, k), mixture_parameters(fit, k), rows, fit
+        yield *mixture_family(fit, k), rows, fit

@@ -7,31 +7,150 @@ One search finds the mixtures of all numbers of components; `chdstat.fit.mixture
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast, overload
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
 
+from chdstat._core.arrays import Seed, generator
+from chdstat._core.display import Card
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.errors import InputError, Reason
-from chdstat.fit.components import COMPONENTS, MixtureFamily
-from chdstat.fit.families import Estimate, Family, Parameters, get_family
-from chdstat.fit.family import summed
-from chdstat.fit.mle import zero_log_likelihood
+from chdstat.fit.em import COMPONENTS, MixtureFamily
+from chdstat.fit.families import (
+    ZeroInflated,
+    counts_of,
+    expand,
+    fit_variables,
+    get_family,
+    label_fit,
+    zero_log_likelihood,
+)
 from chdstat.fit.peaks import standard_errors
-from chdstat.fit.results import Mixture, MixtureCriterion, counts_of, fit_variables, label_fit
-from chdstat.fit.search import EFFORTS, Effort, Found, Solution, log_likelihood, search
-from chdstat.fit.weighted_samples import WeightedSamples
-from chdstat.samples import Samples
-from chdstat.summary.dispatch import Part, Source, run
-from chdstat.summary.histograms import Histogram
+from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, score, search
+from chdstat.summary.dispatch import Part, Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ChosenMixtures", "mixture", "mixture_family", "mixture_of_part", "mixture_parameters"]
+__all__ = ["ChosenMixtures", "Mixture", "mixture", "mixture_of_part"]
+
+
+MixtureCriterion = Literal["bic", "held_out"]
+
+_HALVINGS = 70
+"""Of the logarithmic interval that a quantile lies in: more than its 64 bits."""
+_DARKEST = 1e-320
+
+
+@dataclass(frozen=True, repr=False)
+class Mixture(ZeroInflated):
+    """A zero-inflated mixture: a point mass at 0, and K or fewer components on the rest.
+
+    ``P(X = 0) = zero_share``; otherwise X follows ``sum_j weights_j f(x; parameters_j)``. Arrays
+    have the batch's shape, () for a single pixel, and (..., K) for components: those of a row are
+    sorted by their median, and NaN beyond its `k`. A row that could not be fitted holds NaN, has
+    `k` 0 and says why in `reason`.
+
+    Attributes
+    ----------
+    family
+        Of the components: 'lognormal' or 'gamma'.
+    criterion
+        What the number of components was chosen by: 'bic' or 'held_out'.
+    k
+        Number of components, shape (...).
+    weights
+        Shape (..., K); they add up to 1.
+    parameters
+        By name, shape (..., K): ``mu`` and ``sigma`` of the natural logarithm of radiance, or
+        ``shape`` (1) and ``scale`` (radiance).
+    standard_errors
+        By the names of the parameters, and ``weight``, shape (..., K); NaN where the information
+        matrix is singular, as it is for components at the least spread.
+    log_likelihood
+        Of all good samples: the positive ones in linear radiance, and the Bernoulli part of zeros.
+    aic, bic
+        Of the chosen mixture. It has 3 k parameters: those of k components, k - 1 weights, and the
+        zero share, as `Fit` counts them.
+    bics
+        For 1 to K components, shape (..., K); NaN where there are too few samples for so many.
+    held_out
+        Log-likelihood per positive sample in linear radiance, each half of the samples under the
+        fit of the other half, shape (..., K); NaN unless it is the criterion.
+    null_share, null_interval
+        Share of nulls among the good samples, shape (...), and its interval, shape (..., 2).
+    n, n_null, n_zero, n_negative, n_bad
+        Samples fitted; null ones; zeros of one channel in samples that are not null; negative ones,
+        which the model leaves out; bad ones.
+    converged
+        Whether the last cycle of the chosen fit raised its log-likelihood by less than the
+        tolerance; where not, it is the best that was reached.
+    reason
+        `Reason` codes.
+    """
+
+    prefix: ClassVar[str] = "{}_mixture"
+    labels: ClassVar[Mapping[str, str]] = {
+        "k": "number of components",
+        "weights": "weights of the components",
+        "log_likelihood": "log-likelihood of the zero-inflated mixture",
+        "aic": "Akaike information criterion",
+        "bic": "Bayesian information criterion",
+        "bics": "Bayesian information criterion for each number of components",
+        "held_out": "held-out log-likelihood per sample for each number of components",
+        "converged": "the chosen fit converged",
+        "reason": "why there is no {} mixture",
+    }
+
+    family: MixtureFamily
+    criterion: MixtureCriterion
+    k: npt.NDArray[np.int8]
+    weights: Floats
+    bics: Floats
+    held_out: Floats
+
+    def _card(self) -> Card:
+        card = super()._card()
+        return replace(card, facts={"components": self.k, "weights": self.weights, **card.facts})
+
+    def rvs(self, size: int, *, seed: Seed = None) -> Floats:
+        """Draw samples of the zero-inflated model, shape (..., size)."""
+        rng = generator(seed)
+        shape = (*self.null_share.shape, size)
+        below = np.cumsum(np.nan_to_num(self.weights), axis=-1)[..., np.newaxis, :-1]
+        which = (rng.random(shape)[..., np.newaxis] > below).sum(axis=-1)
+        which = np.minimum(which, np.maximum(self.k, 1)[..., np.newaxis] - 1)
+        chosen = {n: np.take_along_axis(v, which, axis=-1) for n, v in self.parameters.items()}
+        drawn = get_family(self.family).distribution(chosen).ppf(rng.random(shape))
+        zero = self.zero_share[..., np.newaxis]
+        return np.asarray(np.where(rng.random(shape) < zero, 0 * drawn, drawn))
+
+    def _positive_quantile(self, level: Floats, trailing: int) -> Floats:
+        """Bisect between the quantiles of the components, which it lies between."""
+        axis, distribution = -1 - trailing, self._distribution(trailing)
+        # The ends of the range are known; half stands in for them.
+        inside = np.where((level > 0) & (level < 1), level, 0.5)
+        each = distribution.ppf(np.expand_dims(inside, axis=axis))
+        used = expand(~np.isnan(self.weights), trailing) & ~np.isnan(each)
+        largest = np.finfo(np.float64).max
+        low = np.clip(np.where(used, each, np.inf).min(axis=axis), _DARKEST, largest)
+        high = np.clip(np.where(used, each, 0.0).max(axis=axis), _DARKEST, largest)
+        for _ in range(_HALVINGS):
+            middle = np.sqrt(low) * np.sqrt(high)
+            each = distribution.cdf(np.expand_dims(middle, axis=axis))
+            below = self._mixed(each, trailing) < inside
+            low, high = np.where(below, middle, low), np.where(below, high, middle)
+        ends = np.where(level == 0, 0.0, np.where(level == 1, np.inf, high))
+        return np.where(np.isnan(level + expand(self.weights[..., 0], trailing)), np.nan, ends)
+
+    def _mixed(self, values: Floats, trailing: int) -> Floats:
+        """Add up the values of the components, weighted; NaN where there are none."""
+        weighted = expand(self.weights, trailing) * values
+        used = expand(~np.isnan(self.weights), trailing)
+        mixed = np.sum(np.where(used, weighted, 0.0), axis=-1 - trailing)
+        return np.where(expand(self.k > 0, trailing), mixed, np.nan)
 
 
 class ChosenMixtures:
@@ -66,7 +185,8 @@ class ChosenMixtures:
         self._allowed = allowed.reshape(rows, largest)
         self._held_out = None if held_out is None else np.where(self._allowed, held_out, np.nan)
         self._k = np.zeros(rows, dtype=np.int8)
-        self._values, self._errors = np.full((2, 3, rows, largest), np.nan)
+        # Estimates and their errors, of weights and of both parameters.
+        self._table = np.full((2, 3, rows, largest), np.nan)
         self._likelihoods = np.full((rows, largest), np.nan)
         self._converged = np.zeros(rows, dtype=bool)
 
@@ -81,18 +201,18 @@ class ChosenMixtures:
         elif self._held_out is not None:
             best = _highest(self._held_out[found.rows], allowed)
         else:
-            parameters = 3 * np.arange(1, len(solutions) + 1)
-            best = _highest(
-                values - parameters * np.log(found.summaries.n)[:, np.newaxis] / 2, allowed
-            )
+            log_n = np.log(found.summaries.n)
+            best = _highest(np.stack([score(s, log_n) for s in solutions], axis=-1), allowed)
         for k in np.unique(best):
             at = np.flatnonzero(best == k)
             rows, solution = found.rows[at], solutions[k].take(at)
+            weight, family = np.exp(solution.state[0]), solution.family
+            parameters = family.parameters(solution.state, solution.origin)
+            estimates = np.stack([weight / weight.sum(axis=0), *parameters])
             errors = standard_errors(solution, found.summaries.take(at))
-            order = np.argsort(_median(solution), axis=-1)
-            for i, (name, value) in enumerate(_parameters(solution).items()):
-                self._values[i, rows, : k + 1] = np.take_along_axis(value, order, axis=-1)
-                self._errors[i, rows, : k + 1] = np.take_along_axis(errors[name], order, axis=-1)
+            order = np.argsort(family.median(solution.state), axis=0)[np.newaxis, np.newaxis]
+            ordered = np.take_along_axis(np.stack([estimates, errors]), order, axis=2)
+            self._table[:, :, rows, : k + 1] = np.moveaxis(ordered, -1, 2)
             self._k[rows] = k + 1
             self._converged[rows] = solution.converged
 
@@ -103,17 +223,21 @@ class ChosenMixtures:
         rest = (zero_log_likelihood(part) - part.n * part.log_statistics.log_mean)[..., np.newaxis]
         values = self._likelihoods.reshape(*shape, largest) + rest
         k = self._k.reshape(shape)
-        at = np.maximum(k, 1).astype(np.int64)[..., np.newaxis] - 1
-        chosen = np.where(k > 0, np.take_along_axis(values, at, axis=-1)[..., 0], np.nan)
-        none = np.full(values.shape, np.nan)
         of_shape = 3 * np.arange(1, largest + 1) - 1
         with np.errstate(invalid="ignore", divide="ignore"):
-            log_n, log_good = np.log(part.n), np.log(part.n_good)
-            bics = of_shape * log_n[..., np.newaxis] + log_good[..., np.newaxis] - 2 * values
-            bic = np.asarray((3.0 * k - 1) * log_n + log_good - 2 * chosen)
+            penalty = of_shape * np.log(part.n)[..., np.newaxis]
+            bics = penalty + np.log(part.n_good)[..., np.newaxis] - 2 * values
+        at = np.maximum(k, 1).astype(np.int64)[..., np.newaxis] - 1
+        chosen, bic = (
+            np.where(k > 0, np.take_along_axis(each, at, axis=-1)[..., 0], np.nan)
+            for each in (values, bics)
+        )
         names = ("weight", *get_family(family).units)
-        estimates = dict(zip(names, self._values.reshape(3, *shape, largest), strict=True))
-        errors = dict(zip(names, self._errors.reshape(3, *shape, largest), strict=True))
+        estimates, errors = (
+            dict(zip(names, values, strict=True))
+            for values in self._table.reshape(2, 3, *shape, largest)
+        )
+        held_out = np.full(bics.shape, np.nan) if self._held_out is None else self._held_out
         return Mixture(
             family=family,
             criterion="bic" if self._held_out is None else "held_out",
@@ -125,7 +249,7 @@ class ChosenMixtures:
             aic=np.asarray(6.0 * k - 2 * chosen),
             bic=bic,
             bics=bics,
-            held_out=none if self._held_out is None else self._held_out.reshape(none.shape),
+            held_out=held_out.reshape(bics.shape),
             **counts_of(part),
             converged=self._converged.reshape(shape),
             reason=self._reason,
@@ -133,7 +257,7 @@ class ChosenMixtures:
 
 
 def _allowed_components(part: Part, largest: int) -> Mask:
-    """Say how many components a row may have: with as many samples as parameters, or more.
+    """Return which numbers of components have as many samples as parameters, or more.
 
     Nor may there be more components than distinct values, shape (..., component).
     """
@@ -152,53 +276,10 @@ def _highest(score: Floats, allowed: Mask) -> Counts:
     return np.asarray(np.where(allowed & ~np.isnan(score), score, -np.inf).argmax(axis=-1))
 
 
-def _parameters(solution: Solution) -> dict[str, Floats]:
-    """Return weights and parameters by name, in the order of the family, (row, component)."""
-    log_weight, location, log_scale = solution.state.transpose(0, 2, 1)
-    origin = solution.origin[:, np.newaxis]
-    weight = np.exp(log_weight)
-    weight /= weight.sum(axis=-1, keepdims=True)
-    if solution.family.name == "lognormal":
-        return {"weight": weight, "mu": location + origin, "sigma": np.exp(log_scale)}
-    scale = np.exp(location - log_scale + origin)
-    return {"weight": weight, "shape": np.exp(log_scale), "scale": scale}
-
-
-def _median(solution: Solution) -> Floats:
-    """Return the medians of the components as log radiance less origin, shape (row, component)."""
-    _, location, log_scale = solution.state.transpose(0, 2, 1)
-    if solution.family.name == "lognormal":
-        return np.asarray(location)
-    shape = np.exp(log_scale)
-    with np.errstate(divide="ignore"):
-        return np.asarray(location + np.log(special.gammaincinv(shape, 0.5) / shape))
-
-
 _LARGEST_K = 8
 
 
-@overload
-def mixture(
-    x: Samples | xr.Dataset,
-    k: int | None = ...,
-    *,
-    family: MixtureFamily = ...,
-    criterion: MixtureCriterion = ...,
-    max_k: int = ...,
-    effort: Effort = ...,
-    progress: bool | None = None,
-) -> xr.Dataset: ...
-@overload
-def mixture(
-    x: Histogram | npt.ArrayLike,
-    k: int | None = ...,
-    *,
-    family: MixtureFamily = ...,
-    criterion: MixtureCriterion = ...,
-    max_k: int = ...,
-    effort: Effort = ...,
-    null: npt.ArrayLike | None = None,
-) -> Mixture: ...
+@of_source
 def mixture(
     x: Source,
     k: int | None = None,
@@ -213,7 +294,7 @@ def mixture(
     """Fit a zero-inflated mixture of log-normal or gamma components by maximum likelihood.
 
     ``f(x) = sum_j w_j f_j(x)`` on the positive part: expectation-maximisation from starts that are
-    not random, on groups of neighbouring samples (see `chdstat.fit.components`), so that the cost
+    not random, on groups of neighbouring samples (see `chdstat.fit.em`), so that the cost
     hardly depends on spp. Its log-likelihood is of linear radiance and compares with that of any
     family.
 
@@ -248,7 +329,7 @@ def mixture(
     Raises
     ------
     InputError
-        If an option is unknown or out of range, or a histogram is asked for held-out likelihood.
+        If an option is unknown or out of range, or held-out likelihood is asked of a histogram.
 
     References
     ----------
@@ -276,7 +357,7 @@ def mixture(
         description=f"fitting {family} mixtures",
         progress=progress,
     )
-    return result if isinstance(result, Mixture) else label_fit(result, family, mixture=True)
+    return result if isinstance(result, Mixture) else label_fit(result, family, Mixture)
 
 
 def mixture_of_part(
@@ -327,8 +408,8 @@ def _held_out(
         n, ascending = scored.n.reshape(-1), scored.log_sorted.reshape(-1, scored.x.shape[-1])
         for found in search(fitted, both, family, largest, effort=effort):
             for i, solution in enumerate(found.solutions):
-                rows, fit = found.rows, (solution.family, solution.state, solution.origin)
-                total[rows, i] += log_likelihood(ascending[rows], n[rows], *fit)
+                rows = found.rows
+                total[rows, i] += log_likelihood(ascending[rows], n[rows], solution)
     enough = smallest.reshape(-1, 1) >= 3 * np.arange(1, largest + 1) - 1
     with np.errstate(invalid="ignore", divide="ignore"):
         per_sample = total / part.n.reshape(-1, 1) - part.log_statistics.log_mean.reshape(-1, 1)
@@ -336,110 +417,15 @@ def _held_out(
 
 
 def _check(k: Any, family: str, criterion: str, max_k: Any, effort: str) -> None:
-    tables = {
-        "family": (family, tuple(COMPONENTS)),
-        "criterion": (criterion, ("bic", "held_out")),
-        "effort": (effort, tuple(EFFORTS)),
-    }
-    for name, (given, choices) in tables.items():
+    for name, given, choices in (
+        ("family", family, tuple(COMPONENTS)),
+        ("criterion", criterion, get_args(MixtureCriterion)),
+        ("effort", effort, tuple(EFFORTS)),
+    ):
         if given not in choices:
             message = f"{name} must be one of {', '.join(choices)}, got {given!r}"
             raise InputError(message)
-    for name, number in (("k", k), ("max_k", max_k)):
-        whole = isinstance(number, (int, np.integer)) and 1 <= cast("int", number) <= _LARGEST_K
-        if not whole and not (name == "k" and number is None):
+    for name, number in (("k", 1 if k is None else k), ("max_k", max_k)):
+        if not isinstance(number, (int, np.integer)) or not 1 <= number <= _LARGEST_K:
             message = f"{name} must be a whole number from 1 to {_LARGEST_K}, got {number!r}"
             raise InputError(message)
-
-
-def mixture_family(component: MixtureFamily, k: int) -> Family:
-    """Return mixtures of a fixed number of components as a family, for the bootstrap.
-
-    Its parameters are those of each component, numbered: ``mu_1``, ``sigma_1``, ``weight_1``, ...
-    """
-    base = get_family(component)
-
-    def estimate(part: Part, _near: Parameters | None) -> Estimate:
-        found = mixture_of_part(part, k, family=component)
-        return Estimate(
-            parameters=mixture_parameters(found, k),
-            standard_errors=_numbered(found.standard_errors, k),
-            converged=found.converged,
-        )
-
-    def log_density(points: WeightedSamples, parameters: Parameters) -> Floats:
-        densities = [
-            base.log_density(points, one) + np.log(weight)[:, np.newaxis]
-            for weight, one in _components(parameters, k)
-        ]
-        return np.asarray(np.logaddexp.reduce(densities))
-
-    return Family(
-        name=f"{component}_mixture",
-        label=f"mixture of {base.label}",
-        documentation=None,
-        units={
-            f"{name}_{i + 1}": unit
-            for i in range(k)
-            for name, unit in {**base.units, "weight": "1"}.items()
-        },
-        estimate=estimate,
-        log_likelihood=summed(log_density),
-        log_density=log_density,
-        distribution=lambda parameters: _MixtureDistribution(base, parameters, k),
-    )
-
-
-def mixture_parameters(mixture: Mixture, k: int) -> dict[str, Floats]:
-    """Return the parameters of the first `k` components by numbered name, each of shape (...)."""
-    return _numbered({**mixture.parameters, "weight": mixture.weights}, k)
-
-
-@dataclass(frozen=True)
-class _MixtureDistribution:
-    """Distribution of a mixture of `k` components: what the bootstrap needs of SciPy's."""
-
-    base: Family
-    parameters: Parameters
-    k: int
-
-    def cdf(self, x: Floats) -> Floats:
-        """Return P(X <= x)."""
-        return self._mix("cdf", x)
-
-    def sf(self, x: Floats) -> Floats:
-        """Return P(X > x)."""
-        return self._mix("sf", x)
-
-    def rvs(self, size: tuple[int, ...], random_state: np.random.Generator) -> Floats:
-        """Draw samples."""
-        # A sample is of the component in whose share of (0, 1) its number lies.
-        number, drawn = random_state.random(size), np.zeros(size)
-        below = np.zeros(1)
-        for i, (weight, one) in enumerate(_components(self.parameters, self.k)):
-            values = self.base.distribution(one).rvs(size=size, random_state=random_state)
-            drawn = np.where(number >= below, values, drawn) if i else values
-            below = below + weight
-        return np.asarray(drawn)
-
-    def _mix(self, name: str, x: Floats) -> Floats:
-        return np.asarray(
-            sum(
-                weight * getattr(self.base.distribution(one), name)(x)
-                for weight, one in _components(self.parameters, self.k)
-            )
-        )
-
-
-def _numbered(values: Mapping[str, Floats], k: int) -> dict[str, Floats]:
-    return {f"{name}_{i + 1}": v[..., i] for i in range(k) for name, v in values.items()}
-
-
-def _components(parameters: Parameters, k: int) -> list[tuple[Floats, dict[str, Floats]]]:
-    """Return the weight and the parameters of each component."""
-    components = []
-    for i in range(1, k + 1):
-        mark = f"_{i}"
-        one = {n.removesuffix(mark): v for n, v in parameters.items() if n.endswith(mark)}
-        components.append((one.pop("weight"), one))
-    return components

@@ -10,75 +10,62 @@ smallest BIC, unless a single family describes it better.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit import em
-from chdstat.fit.components import ComponentFamily, Summaries
-from chdstat.fit.search import Found, Solution, score, search
+from chdstat.fit.em import Solution
+from chdstat.fit.search import Found, score, search
 from chdstat.fit.unimodal_bic import edge_scores, log_samples
+from chdstat.fit.weighted_samples import Summaries
 
 __all__ = ["LEAST_WEIGHT", "best_peaks", "standard_errors"]
 
 _SMALLEST = 1e-150
 _WORST = 1e-12
-"""Reciprocal condition at or below which an information matrix says nothing."""
+"""Reciprocal condition at or below which an information matrix counts as singular."""
 
 
-def standard_errors(solution: Solution, summaries: Summaries) -> dict[str, Floats]:
-    """Return standard errors of weights and parameters, by name, shape (row, component).
+def standard_errors(solution: Solution, summaries: Summaries) -> Floats:
+    """Return standard errors of weights and both parameters, shape (3, component, row).
 
     Inverse of the empirical information, the sum of the outer products of the scores of the samples
     (McLachlan and Peel, "Finite mixture models", 2000, doi:10.1002/0471721182, equation 2.62), here
     with the mean scores of the groups. NaN where it is singular.
     """
-    k = solution.state.shape[1]
+    family, k = solution.family, solution.state.shape[1]
     found = _covariance(solution, summaries)
     with np.errstate(invalid="ignore", over="ignore"):
-        own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1))
-        weights = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
-    first, second = own[:, k - 1 : 2 * k - 1], own[:, 2 * k - 1 :]
-    last = np.where(k > 1, weights, 0.0)[:, np.newaxis]
-    errors = {"weight": np.concatenate([own[:, : k - 1], last], axis=-1)}
-    if solution.family.name == "lognormal":
-        return errors | {"mu": first, "sigma": second * np.exp(solution.state[2]).T}
-    _, log_mean, log_shape = solution.state
-    scale = np.exp(log_mean - log_shape + solution.origin).T
-    return errors | {"shape": first, "scale": second * scale}
+        own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1)).T
+        last = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
+    parameters = family.parameters(solution.state, solution.origin)
+    errors = (
+        error * parameter if logarithmic else error
+        for error, parameter, logarithmic in zip(
+            own[k - 1 :].reshape(2, k, -1), parameters, family.logarithmic, strict=True
+        )
+    )
+    return np.stack([np.vstack([own[: k - 1], np.where(k > 1, last, 0.0)]), *errors])
 
 
 def _covariance(solution: Solution, summaries: Summaries) -> Floats:
     """Return the covariance that the information gives, shape (row, parameter, parameter).
 
-    Parameters are all weights but the last; mu of each component, then log sigma; or shape, then
-    log scale.
+    Parameters are all weights but the last; then what the family's scores are by: the first of
+    each component, then the second.
     """
     shares = em.responsibilities(summaries, solution.family, solution.state)
     share = shares / np.maximum(summaries.count, 1)
     weight = np.exp(solution.state[0])[..., np.newaxis]
-    of_weights = [share[j] / weight[j] - share[-1] / weight[-1] for j in range(len(weight) - 1)]
-    scores = np.stack([*of_weights, *_parameter_scores(solution, summaries, share)])
+    of_weights = share[:-1] / weight[:-1] - share[-1] / weight[-1]
+    first, second = solution.family.scores(summaries, solution.state[..., np.newaxis])
+    scores = np.concatenate([of_weights, share * first, share * second])
     information = np.einsum("irc,jrc,rc->rij", scores, scores, summaries.count, optimize=True)
     return _inverse(information)
-
-
-def _parameter_scores(solution: Solution, summaries: Summaries, share: Floats) -> Iterator[Floats]:
-    """Yield scores of mu of each component, then of log sigma; or of shape, then of log scale."""
-    _, location, log_scale = solution.state[..., np.newaxis]
-    if solution.family.name == "lognormal":
-        precision = np.exp(-2 * log_scale)
-        yield from share * (summaries.log - location) * precision
-        square = summaries.square - 2 * location * summaries.log + location**2
-        yield from share * (square * precision - 1)
-    else:
-        shape, log_theta = np.exp(log_scale), location - log_scale
-        yield from share * (summaries.log - log_theta - special.digamma(shape))
-        yield from share * (summaries.ratio * np.exp(-log_theta) - shape)
 
 
 def _inverse(information: Floats) -> Floats:
@@ -105,7 +92,7 @@ _STEP = 1e-4
 """Of a parameter, for a derivative."""
 
 _FEW = 70
-"""Of few samples, modes are found where they happen to look separate: errors count as
+"""Among few samples, modes are found where they happen to look separate: errors count as
 ``1 + (70/n)^2`` times as large, so that 1.96 of them hold the separation in 90 % of those that are
 found, as ``tests/benchmarks/test_modes.py`` prints."""
 
@@ -125,42 +112,31 @@ def _peaks_of(solution: Solution, summaries: Summaries) -> tuple[Counts, Floats]
         those that there are. The last separation is not used.
     """
     owner = _owners(solution)
-    several = np.flatnonzero((owner == np.arange(len(owner))[:, np.newaxis]).sum(axis=0) > 1)
+    modes = np.count_nonzero(owner == np.arange(len(owner))[:, np.newaxis], axis=0)
+    several = np.flatnonzero(modes > 1)
+    some = summaries.take(several)
     if several.size:
         # A few steps count modes, but their places and widths would still move.
-        some, state = summaries.take(several), solution.state.copy()
-        further = em.run(
-            some, solution.family, state[..., several], cycles=_CYCLES, tolerance=_TOLERANCE
-        )
+        state, family = solution.state.copy(), solution.family
+        further = em.run(some, family, state[..., several], cycles=_CYCLES, tolerance=_TOLERANCE)
         state[..., several] = further.state
         solution = replace(solution, state=state)
-    mean, variance, weight = _of_modes(owner, *_moments(solution.family, solution.state))
+    share, moments = np.exp(solution.state[0]), solution.family.moments(solution.state)
+    mean, variance, weight = _of_modes(owner, share, *moments)
+    weight = np.where(weight > 0, weight, np.nan)
     place = np.where(weight > 0, solution.state[1], np.nan)
     order = np.argsort(place, axis=0)
-    place, used, mean, variance = (
+    place, weight, mean, variance = (
         np.take_along_axis(v, order, axis=0) for v in (place, weight, mean, variance)
     )
-    fields = np.full((len(_FIELDS), *place.T.shape), np.nan)
-    fields[0] = (place + solution.origin).T
-    fields[1] = np.where(used > 0, used, np.nan).T
+    fields = np.full((_FIELDS, *place.T.shape), np.nan)
+    fields[:2] = (place + solution.origin).T, weight.T
     fields[2, :, :-1] = _ashman(mean, variance).T
-    modes = np.count_nonzero(weight > 0, axis=0)
-    several = np.flatnonzero(modes > 1)
     if several.size:
-        chosen = solution.take(several), summaries.take(several)
-        fields[3, several, :-1] = _errors(*chosen, owner[:, several], order[:, several]).T
+        chosen = solution.take(several)
+        fields[3, several, :-1] = _errors(chosen, some, owner[:, several], order[:, several]).T
     fields[3, np.isnan(fields[2])] = np.nan
     return modes, fields
-
-
-def _moments(family: ComponentFamily, state: Floats) -> Floats:
-    """Return weight, mean and standard deviation of y of each component, (3, component, row)."""
-    log_weight, place, log_scale = state
-    mean, spread = place, np.exp(log_scale)
-    if family.name == "gamma":
-        mean = place - log_scale + special.digamma(spread)
-        spread = np.sqrt(special.polygamma(1, np.exp(log_scale)))
-    return np.stack([np.exp(log_weight), mean, spread])
 
 
 def _density(solution: Solution, y: Floats) -> Floats:
@@ -189,7 +165,7 @@ def _valleys(solution: Solution, spread: Floats) -> Floats:
 
 def _owners(solution: Solution) -> Counts:
     """Return to which component's mode each component belongs, shape (component, row)."""
-    weight, _, spread = _moments(solution.family, solution.state)
+    weight, spread = np.exp(solution.state[0]), solution.family.moments(solution.state)[1]
     height, valley = _density(solution, solution.state[1]), _valleys(solution, spread)
     small = weight < np.minimum(LEAST_WEIGHT, weight.max(axis=0))
     rank = np.argsort(np.where(small, -np.inf, height), axis=0)[::-1]
@@ -228,48 +204,32 @@ def _errors(solution: Solution, summaries: Summaries, owner: Counts, order: Coun
 
     From the information of the mixture, to which samples that may be of either mode add little.
     """
+    family, k = solution.family, solution.state.shape[1]
+    state = np.stack([np.exp(solution.state[0]), *solution.state[1:]])
 
     def separation(state: Floats) -> Floats:
-        mean, variance, _ = _of_modes(owner, *_moments(solution.family, state))
+        mean, variance, _ = _of_modes(owner, state[0], *family.moments(state))
         return _ashman(*(np.take_along_axis(v, order, axis=0) for v in (mean, variance)))
 
+    # How weight, location and log scale of the components move with each parameter.
+    moves, one = np.zeros((3 * k - 1, 3, k)), np.eye(k)
+    moves[: k - 1, 0] = one[:-1] - one[-1]
+    directions = np.reshape(family.directions, (2, 1, 2, 1)) * one[:, np.newaxis]
+    moves[k - 1 :, 1:] = directions.reshape(2 * k, 2, k)
+    steps = np.full((3 * k - 1, state.shape[-1]), _STEP)
+    steps[: k - 1] *= np.minimum(state[0, :-1], state[0, -1])
     slopes = []
-    for step, above, below in _moves(solution):
-        slopes.append((separation(above) - separation(below)) / (2 * step))
+    for step, move in zip(steps, moves[..., np.newaxis], strict=True):
+        rise = separation(state + step * move) - separation(state - step * move)
+        slopes.append(rise / (2 * step))
     with np.errstate(invalid="ignore"):
         gradient, found = np.stack(slopes), _covariance(solution, summaries)
         error = np.sqrt(np.einsum("ipr,rij,jpr->pr", gradient, found, gradient))
     return np.asarray(error * (1 + (_FEW / summaries.n) ** 2))
 
 
-def _moves(solution: Solution) -> Iterator[tuple[Floats, Floats, Floats]]:
-    """Yield, for each parameter of `_covariance`, a step, and the states above and below by it."""
-    log_weight, location, log_scale = solution.state
-    weight, k = np.exp(log_weight), len(log_weight)
-    for j in range(k - 1):
-        step = _STEP * np.minimum(weight[j], weight[-1])
-        states = []
-        for sign in (1, -1):
-            share = weight.copy()
-            share[j] += sign * step
-            share[-1] -= sign * step
-            states.append(np.stack([np.log(share), location, log_scale]))
-        yield step, *states
-    gamma = solution.family.name == "gamma"
-    for second in (False, True):
-        for j in range(k):
-            # Of a gamma component, the first is the shape, and log mean = log shape + log scale.
-            size = np.exp(log_scale[j]) if gamma and not second else np.ones_like(location[j])
-            direction = np.zeros((3, k, 1))
-            direction[1, j] = _STEP if gamma or not second else 0
-            direction[2, j] = _STEP if gamma != second else 0
-            yield _STEP * size, solution.state + direction, solution.state - direction
-
-
-_FIELDS = ("place", "weight", "ashman_d", "ashman_d_se")
-"""What a mode has: its top in log radiance; its mass, that of its component and of those that
-belong to it; its separation from the next, and the standard error of that, which is NaN where the
-information of the mixture is singular."""
+_FIELDS = 4
+"""Numbers of a mode: place, weight, separation from the next mode, and its standard error."""
 
 
 @dataclass(frozen=True)
@@ -280,8 +240,13 @@ class Peaks:
     ----------
     count
         Modes, shape (...); 0 where the row is not usable.
-    place, weight, ashman_d, ashman_d_se
-        As `_FIELDS` says, shape (..., mode); the last entry of the two separations is not used.
+    place
+        Top of each mode in log radiance, shape (..., mode).
+    weight
+        Its mass, that of its component and of those that belong to it, shape (..., mode).
+    ashman_d, ashman_d_se
+        Its separation from the next mode, and the standard error of that, NaN where the information
+        of the mixture is singular; shape (..., mode), of which the last is not used.
     delta_bic
         Twice what the score of the best mixture is above that of one mode, shape (...).
     """
@@ -312,7 +277,7 @@ def best_peaks(
     shape, size = part.n.shape, part.n.size
     log_n, one_mode = log_samples(part.n).reshape(-1), unimodal.reshape(-1)
     count, delta = np.zeros(size, dtype=np.int8), np.full(size, np.nan)
-    table = np.full((len(_FIELDS), size, max_k), np.nan)
+    table = np.full((_FIELDS, size, max_k), np.nan)
     for found in search(part, usable, "lognormal", max_k, effort="fast", unimodal=unimodal):
         rows = found.rows
         count[rows], table[:, rows], gain = _of_piece(
@@ -320,7 +285,7 @@ def best_peaks(
         )
         delta[rows] = np.where(np.isfinite(gain), 2 * gain, np.nan)
         also(found)
-    place, weight, ashman_d, error = table.reshape(len(_FIELDS), *shape, max_k)
+    place, weight, ashman_d, error = table.reshape(_FIELDS, *shape, max_k)
     return Peaks(count.reshape(shape), place, weight, ashman_d, error, delta.reshape(shape))
 
 
@@ -332,7 +297,7 @@ def _of_piece(
     Log-normal components come first. Where they make more than one mode, gamma components get the
     chance to make fewer, and distributions of one mode with hard edges that to make one.
     """
-    one = np.full((len(_FIELDS), len(unimodal), max_k), np.nan)
+    one = np.full((_FIELDS, len(unimodal), max_k), np.nan)
     one[0, :, 0] = found.solutions[0].state[1, 0] + found.summaries.origin
     one[1, :, 0] = 1.0
     count, table = np.ones(len(unimodal), dtype=np.int64), one.copy()

@@ -4,12 +4,21 @@
 samples, or of bins. EM works on groups of samples; where samples are at hand, solutions are judged
 by them, and improved on them where the groups have blurred too much. Where only bins are, their
 width is taken out again.
+
+Likelihoods of mixtures have many maxima. Three kinds of start, none of them random, find the best
+one of nearly all pixels: cutting the row into k segments; inserting a component into a fit of k - 1
+(greedy EM: Verbeek, Vlassis and Kröse, "Efficient greedy learning of Gaussian mixture models",
+2003, doi:10.1162/089976603762553004), from narrow windows, for the spikes of renders, to wide ones;
+and splitting the broadest component of that fit, for bodies beside spikes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
+from itertools import combinations, pairwise
+from math import comb
 from typing import Literal
 
 import numpy as np
@@ -17,23 +26,23 @@ import numpy as np
 from chdstat._core.arrays import spans, take_rows
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat.fit import em
-from chdstat.fit.components import (
-    COMPONENTS,
-    ComponentFamily,
-    MixtureFamily,
+from chdstat.fit.em import COMPONENTS, ComponentFamily, MixtureFamily, Solution
+from chdstat.fit.weighted_samples import (
     Summaries,
+    cumulative,
     summaries_of_bins,
     summaries_of_each,
     summaries_of_samples,
+    take_part,
 )
 from chdstat.summary.dispatch import Part, PositiveHistogram
 
-__all__ = ["EFFORTS", "Effort", "Found", "Solution", "log_likelihood", "score", "search"]
+__all__ = ["EFFORTS", "Effort", "Found", "log_likelihood", "score", "search", "segmentations"]
 
 _CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
-_TOLERANCE = 1e-6
-
+_SAMPLE_CYCLES, _TOLERANCE = 40, 1e-6
+"""Of a run of EM on the samples themselves."""
 
 Effort = Literal["fast", "thorough"]
 
@@ -56,8 +65,6 @@ class Plan:
         Of the final run.
     loss
         Where groups lose more log-likelihood per sample than this, the run ends on the samples.
-    sample_cycles
-        Cycles of that.
     """
 
     rows: int
@@ -67,7 +74,6 @@ class Plan:
     cycles: int
     tolerance: float
     loss: float
-    sample_cycles: int
 
 
 EFFORTS: dict[Effort, Plan] = {
@@ -79,7 +85,6 @@ EFFORTS: dict[Effort, Plan] = {
         cycles=6,
         tolerance=2e-4,
         loss=np.inf,
-        sample_cycles=0,
     ),
     "thorough": Plan(
         rows=512,
@@ -89,45 +94,9 @@ EFFORTS: dict[Effort, Plan] = {
         cycles=60,
         tolerance=1e-6,
         loss=3e-3,
-        sample_cycles=40,
     ),
 }
 """What `effort` stands for."""
-
-
-@dataclass(frozen=True)
-class Solution:
-    """The best mixture found for a family and a number of components, for each row.
-
-    Attributes
-    ----------
-    family
-        Of the components.
-    state
-        As in `chdstat.fit.components`, shape (3, component, row).
-    origin
-        Of y = log x - origin, shape (row,).
-    log_likelihood
-        Of log x, shape (row,): without the Jacobian of the logarithm.
-    converged
-        Shape (row,).
-    """
-
-    family: ComponentFamily
-    state: Floats
-    origin: Floats
-    log_likelihood: Floats
-    converged: Mask
-
-    def take(self, rows: Counts) -> Solution:
-        """Return some of the rows."""
-        return Solution(
-            self.family,
-            self.state[..., rows],
-            self.origin[rows],
-            self.log_likelihood[rows],
-            self.converged[rows],
-        )
 
 
 @dataclass(frozen=True)
@@ -156,58 +125,56 @@ class Objective:
 
     def take(self, rows: Counts) -> Objective:
         """Return some of the rows."""
-        some = {name: value for name, value in vars(self).items() if name != "plan"}
-        return Objective(self.plan, **take_rows(some, rows, axis=0))
+        return take_rows(self, rows, axis=0)
 
     def maximise(self, family: ComponentFamily, state: Floats) -> Solution:
-        """Run EM to the end of the plan, and judge where it ends by what is closest to the samples.
-
-        Where groups lose more than the plan's `loss` per sample, EM goes on with the samples. Of
-        bins, the last maximisation takes Sheppard's corrections into account. Moving the samples to
-        the centres of bins costs all mixtures about the same, so the likelihoods are shifted by
-        what it costs one component.
-        """
-        summaries, plan, origin = self.summaries, self.plan, self.summaries.origin
-        if state.shape[1] == 1:
-            # One component is at its maximum at once.
-            there = np.ones(state.shape[-1], dtype=bool)
-            end = em.Optimum(state, em.bound_at(summaries, family, state), there)
-        else:
-            end = em.run(summaries, family, state, cycles=plan.cycles, tolerance=plan.tolerance)
+        """Run EM to the end of the plan; the likelihood is the closest to that of the samples."""
+        cycles, tolerance = self.plan.cycles, self.plan.tolerance
+        solution = em.run(self.summaries, family, state, cycles=cycles, tolerance=tolerance)
         if self.samples is None or self.n is None:
-            shares = em.responsibilities(summaries, family, end.state)
-            of_one, of_corrected = (
-                em.bound_at(c, family, em.single(c, family)) for c in (summaries, self.corrected)
-            )
-            state = em.maximise(self.corrected, family, shares)
-            shifted = end.bound + (of_corrected - of_one)
-            return Solution(family, state, origin, shifted, end.converged)
-        state, converged = end.state.copy(), end.converged.copy()
+            return self._of_bins(solution)
         if state.shape[1] == 1:
-            # Without a choice of component, sums over groups are those over samples.
-            return Solution(family, state, origin, end.bound, converged)
-        value = log_likelihood(self.samples, self.n, family, state, origin)
-        blurred = np.flatnonzero(value - end.bound > plan.loss * self.n)
-        for piece in spans(len(blurred), _rows(self.samples)):
+            # Sums over groups are those over samples.
+            return solution
+        return self._of_samples(solution, self.samples, self.n)
+
+    def _of_bins(self, solution: Solution) -> Solution:
+        """Let the last maximisation take Sheppard's corrections into account.
+
+        Moving the samples to the centres of bins costs all mixtures about the same, so the
+        likelihoods are shifted by what it costs one component.
+        """
+        family = solution.family
+        of_one, of_corrected = (
+            em.bound_at(groups, family, _single(groups, family))
+            for groups in (self.summaries, self.corrected)
+        )
+        state = em.refit(self.summaries, solution, self.corrected, family)
+        value = solution.log_likelihood + (of_corrected - of_one)
+        return replace(solution, state=state, log_likelihood=value)
+
+    def _of_samples(self, solution: Solution, samples: Floats, n: Counts) -> Solution:
+        """Go on with the samples where groups lose more than the plan's `loss` per sample."""
+        family, state = solution.family, solution.state.copy()
+        converged = solution.converged.copy()
+        value = log_likelihood(samples, n, solution)
+        blurred = np.flatnonzero(value - solution.log_likelihood > self.plan.loss * n)
+        for piece in spans(len(blurred), _rows(samples)):
             rows = blurred[piece]
-            singles = summaries_of_each(self.samples[rows], self.n[rows])
-            further = em.run(
-                singles, family, state[..., rows], cycles=plan.sample_cycles, tolerance=_TOLERANCE
-            )
+            singles, start = summaries_of_each(samples[rows], n[rows]), state[..., rows]
+            further = em.run(singles, family, start, cycles=_SAMPLE_CYCLES, tolerance=_TOLERANCE)
             state[..., rows], converged[rows] = further.state, further.converged
             value[rows] = em.bound_at(singles, family, further.state)
-        return Solution(family, state, origin, value, converged)
+        return replace(solution, state=state, log_likelihood=value, converged=converged)
 
 
-def log_likelihood(
-    log_sorted: Floats, n: Counts, family: ComponentFamily, state: Floats, origin: Floats
-) -> Floats:
+def log_likelihood(log_sorted: Floats, n: Counts, solution: Solution) -> Floats:
     """Return the log-likelihood of log x of samples in ascending order, shape (row,)."""
-    values = np.empty(len(n))
-    coefficients = family.coefficients(state)
+    values, family = np.empty(len(n)), solution.family
+    coefficients = family.coefficients(solution.state)
     for part in spans(len(n), _rows(log_sorted)):
         valid = np.arange(log_sorted.shape[-1]) < n[part, np.newaxis]
-        y = np.where(valid, log_sorted[part] - origin[part, np.newaxis], 0.0)
+        y = np.where(valid, log_sorted[part] - solution.origin[part, np.newaxis], 0.0)
         with np.errstate(over="ignore"):
             density = em.log_density(y, family.transform(y), coefficients[..., part])
         values[part] = np.vecdot(density, valid)
@@ -245,8 +212,7 @@ class Found:
         """Fit another family to some of the rows, from where the solutions of this one are."""
         kind, objective, solutions = COMPONENTS[family], self.objective.take(rows), []
         for model in (solution.take(rows) for solution in self.solutions):
-            shares = em.responsibilities(objective.summaries, model.family, model.state)
-            start = em.maximise(objective.summaries, kind, shares)
+            start = em.refit(objective.summaries, model, objective.summaries, kind)
             solution = objective.maximise(kind, start)
             value = np.where(np.isinf(model.log_likelihood), -np.inf, solution.log_likelihood)
             solutions.append(replace(solution, log_likelihood=value))
@@ -280,27 +246,19 @@ def score(solution: Solution, log_n: Floats) -> Floats:
 
 def _pieces(part: Part, usable: Mask, plan: Plan) -> Iterator[tuple[Counts, Objective]]:
     """Yield pieces of rows of about the same length: little padding, the longest row last."""
-    chosen = np.flatnonzero(usable.reshape(-1))
-    n = part.n.reshape(-1)
+    chosen, n = np.flatnonzero(usable.reshape(-1)), part.n.reshape(-1)
+    lengths = n
     if isinstance(part, PositiveHistogram):
-        counts, centers = (
-            np.broadcast_to(v, part.counts.shape).reshape(-1, part.counts.shape[-1])
-            for v in (part.counts, part.log_centers)
-        )
-        width = np.broadcast_to(part.width, part.n.shape).reshape(-1)
-        lengths = np.count_nonzero(counts[chosen], axis=-1)
-    else:
-        ascending, lengths = part.log_sorted.reshape(-1, part.x.shape[-1]), n[chosen]
-    ordered = chosen[np.argsort(lengths, kind="stable")]
+        lengths = np.count_nonzero(part.counts, axis=-1).reshape(-1)
+    ordered = chosen[np.argsort(lengths[chosen], kind="stable")]
     for piece in spans(len(ordered), plan.rows):
         rows = ordered[piece]
         if isinstance(part, PositiveHistogram):
-            yield (
-                rows,
-                Objective(plan, *summaries_of_bins(counts[rows], centers[rows], width[rows])),
-            )
+            some = take_part(part, rows)
+            bins = summaries_of_bins(some.counts, some.log_centers, some.width)
+            yield rows, Objective(plan, *bins)
         else:
-            samples = ascending[rows, : n[rows[-1]]]
+            samples = part.log_sorted.reshape(-1, part.x.shape[-1])[rows, : n[rows[-1]]]
             summaries = summaries_of_samples(samples, n[rows], plan.groups)
             yield rows, Objective(plan, summaries, summaries, samples, n[rows])
 
@@ -309,7 +267,7 @@ def _fit(
     objective: Objective, family: ComponentFamily, max_k: int, unimodal: Floats | None
 ) -> list[Solution]:
     summaries, windows = objective.summaries, objective.plan.windows
-    solutions = [objective.maximise(family, em.single(summaries, family))]
+    solutions = [objective.maximise(family, _single(summaries, family))]
     rows, log_n = np.arange(len(summaries.n)), np.log(summaries.n)
     for k in range(2, max_k + 1):
         if unimodal is not None and k > 2:
@@ -319,9 +277,9 @@ def _fit(
         here = objective if rows.size == len(summaries.n) else objective.take(rows)
         last = solutions[-1].state[..., rows]
         starts = [
-            *em.segmentations(here.summaries, family, k),
-            *em.insertions(here.summaries, family, last, windows),
-            em.split(here.summaries, family, last),
+            *segmentations(here.summaries, family, k),
+            *_insertions(here.summaries, family, last, windows),
+            _split(here.summaries, family, last),
         ]
         solution = here.maximise(family, _best_start(here, family, starts))
         solutions.append(_put_back(solution, rows, summaries.origin))
@@ -347,10 +305,143 @@ def _best_start(objective: Objective, family: ComponentFamily, states: list[Floa
         if len(states) == 1:
             break
         ends = [em.run(summaries, family, s, cycles=cycles, tolerance=tolerance) for s in states]
-        ranked = np.argsort([-end.bound for end in ends], axis=0, kind="stable")[:kept]
+        ranked = np.argsort([-end.log_likelihood for end in ends], axis=0, kind="stable")[:kept]
         reached = np.stack([end.state for end in ends])
-        states = [
-            np.take_along_axis(reached, place[np.newaxis, np.newaxis, np.newaxis], axis=0)[0]
-            for place in ranked
-        ]
+        states = [np.take_along_axis(reached, r.reshape(1, 1, 1, -1), axis=0)[0] for r in ranked]
     return states[0]
+
+
+_CHOICES = 150
+"""Most segmentations that are compared."""
+_LEAST = 1e-9
+_APART, _NARROWER = 0.8, 0.6
+"""Of the halves of a split component: their distance from it, and their spread, in spreads."""
+_LARGEST = 0.9
+"""Largest weight of an inserted component."""
+_LOG_PEAK = -0.5 * (1 + np.log(2 * np.pi))
+"""Mean log density of a Gaussian sample of variance 1, at maximum likelihood."""
+
+
+def _single(summaries: Summaries, family: ComponentFamily) -> Floats:
+    """Return the state of one component, which is its fit."""
+    below = _sums_below(summaries, family)
+    return _state(summaries, family, below[:, :, -1:].transpose(0, 2, 1))
+
+
+def segmentations(summaries: Summaries, family: ComponentFamily, k: int) -> Iterator[Floats]:
+    """Yield the best cut of each row into k segments, by two criteria.
+
+    The likelihood of a Gaussian for each segment, and the sum of squares within them (k-means):
+    the first favours narrow segments.
+    """
+    if summaries.count.shape[-1] < k:
+        return
+    below = _sums_below(summaries, family)
+    edges = _cuts(summaries.count.shape[-1], k)
+    sizes = [below[0][:, b] - below[0][:, a] for a, b in pairwise(edges)]
+    spread = [_variance(below, summaries.floor, a, b) for a, b in pairwise(edges)]
+    pairs = list(zip(sizes, spread, strict=True))
+    possible = np.where(np.min(sizes, axis=0) >= 1, 0.0, -np.inf)
+    likelihood = sum((n * (np.log(n + _LEAST) - 0.5 * np.log(v)) for n, v in pairs), possible)
+    compactness = sum((-n * v for n, v in pairs), possible)
+    rows = np.arange(len(summaries.floor))
+    for score in (likelihood, compactness):
+        chosen = edges[:, score.argmax(axis=-1)]
+        ends = below[:, rows, chosen]
+        yield _state(summaries, family, np.diff(ends, axis=1))
+
+
+def _insertions(
+    summaries: Summaries,
+    family: ComponentFamily,
+    state: Floats,
+    windows: tuple[tuple[int, ...], ...],
+) -> Iterator[Floats]:
+    """Yield, for each group of window lengths, the state with one component more.
+
+    It is that of the window, in groups, whose samples gain most from a Gaussian of their own.
+    """
+    below = _sums_below(summaries, family)
+    old = em.log_density(summaries.log, family.statistic(summaries), family.coefficients(state))
+    old_below = cumulative(summaries.count * old)
+    for lengths in windows:
+        start, stop = _best_window(below, old_below, summaries.floor, lengths)
+        ends = np.stack([start, stop])
+        sums = np.diff(below[:, np.arange(len(start)), ends], axis=1)
+        share = np.clip(sums[0] / summaries.n, _LEAST, _LARGEST)
+        new = _state(summaries, family, sums)
+        new[0] = np.log(share)
+        shrunk = state.copy()
+        shrunk[0] += np.log1p(-share)
+        yield np.concatenate([shrunk, new], axis=1)
+
+
+def _split(summaries: Summaries, family: ComponentFamily, state: Floats) -> Floats:
+    """Return the state with its broadest component, by weight times spread, split into two.
+
+    The halves lie 0.8 spreads to either side and have 0.6 of the spread, so that mean and variance
+    of both together stay about the same.
+    """
+    spread = family.spread(state)
+    rows = np.arange(state.shape[-1])
+    broadest = (np.exp(state[0]) * spread).argmax(axis=0)
+    log_weight, location, log_scale = state[:, broadest, rows]
+    half = np.stack([log_weight - np.log(2), location, family.narrowed(log_scale, _NARROWER)])
+    shift = np.zeros_like(half)
+    shift[1] = _APART * spread[broadest, rows]
+    whole = np.concatenate([state, (half + shift)[:, np.newaxis]], axis=1)
+    whole[:, broadest, rows] = half - shift
+    return family.bounded(whole, summaries.floor)
+
+
+def _best_window(
+    below: Floats, old_below: Floats, floor: Floats, lengths: tuple[int, ...]
+) -> tuple[Counts, Counts]:
+    groups = below.shape[-1] - 1
+    best = np.full(len(floor), -np.inf)
+    start, stop = np.zeros((2, len(floor)), dtype=np.int64)
+    for length in lengths:
+        if length > groups:
+            continue
+        a, b = np.arange(groups - length + 1), np.arange(length, groups + 1)
+        n = below[0][:, b] - below[0][:, a]
+        peak = _LOG_PEAK - 0.5 * np.log(_variance(below, floor, a, b))
+        share = np.maximum(n, _LEAST) / below[0][:, -1:]
+        gain = n * (np.log(share) + peak) - (old_below[:, b] - old_below[:, a])
+        gain[n == 0] = -np.inf
+        place = gain.argmax(axis=-1)
+        value = np.take_along_axis(gain, place[:, np.newaxis], axis=-1)[:, 0]
+        start, stop = (np.where(value > best, p, q) for p, q in ((place, start), (b[place], stop)))
+        best = np.maximum(best, value)
+    return start, stop
+
+
+def _state(summaries: Summaries, family: ComponentFamily, sums: Floats) -> Floats:
+    """Return the state of components whose counts, sums of y and of t(y) are given."""
+    n = np.maximum(sums[0], _LEAST)
+    return family.maximise(n / summaries.n, sums[1] / n, sums[2] / n, summaries.floor)
+
+
+def _sums_below(summaries: Summaries, family: ComponentFamily) -> Floats:
+    """Return sums of 1, y, t(y) and y^2 over the groups below each edge, shape (4, row, edge)."""
+    means = (1.0, summaries.log, family.statistic(summaries), summaries.square)
+    return np.stack([cumulative(summaries.count * mean) for mean in means])
+
+
+def _variance(below: Floats, floor: Floats, start: Counts, stop: Counts) -> Floats:
+    n, log, square = (below[i][:, stop] - below[i][:, start] for i in (0, 1, 3))
+    np.maximum(n, _LEAST, out=n)
+    square /= n
+    log /= n
+    square -= log * log
+    return np.asarray(np.maximum(square, (floor * floor)[:, np.newaxis]))
+
+
+@cache
+def _cuts(groups: int, k: int) -> Counts:
+    """Return edges of k segments, shape (k + 1, choice), on as fine a grid as there is time for."""
+    grid = next(g for g in range(groups - 1, 0, -1) if comb(g, k - 1) <= _CHOICES or g <= k)
+    places = np.unique(np.linspace(1, groups - 1, grid).round().astype(np.int64))
+    inner = np.array(list(combinations(places, k - 1))).T
+    outer = np.zeros((1, inner.shape[-1]), dtype=np.int64)
+    return np.concatenate([outer, inner, outer + groups])

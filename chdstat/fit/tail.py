@@ -3,19 +3,20 @@
 `tail_index` fits a generalised Pareto distribution to the excesses over a threshold that it chooses
 from the data. Its tail index xi orders the tails: below 0 bounded, 0 exponential (gamma, too),
 above 1/4 the error of the sample variance is itself without a variance, from 1/2 on the variance is
-infinite, and from 1 on the mean is. `effective_tail_index` says what to expect of a distribution.
+infinite, and from 1 on the mean is. `effective_tail_index` is the index to expect of a
+distribution.
 
-A rare heavy tail hides behind an automatic threshold, so that the `FAR` largest samples have an
-index of their own, and the variance of a pixel is trusted only where both looks agree.
+An automatic threshold may miss a rare heavy tail. The `FAR` largest samples therefore have an index
+of their own, and the variance of a pixel is trusted only where both indices allow it.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
+from scipy import interpolate, special
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
@@ -30,41 +31,32 @@ from chdstat.fit.tail_fits import (
     pareto_tail,
     tail_variables,
 )
-from chdstat.samples import Mapped, Samples
+from chdstat.summary.dispatch import Part, PositiveHistogram, Source, of_source, run
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = [
-    "FAR",
-    "MINIMUM_EXCESSES",
-    "Tail",
-    "effective_tail_index",
-    "finish_tail",
-    "tail_index",
-    "tail_of_part",
-    "tail_variables",
-]
+__all__ = ["FAR", "Tail", "effective_tail_index", "tail_index", "tail_of_part"]
 
 Share = float | Literal["auto"]
 
 _STEP = 1e-4
 """Of log radiance, for a derivative."""
 FAR = 28
-"""Excesses of the last look at a tail: with fewer, the index says next to nothing."""
+"""Excesses of the estimate far in the tail: fewer hardly determine an index."""
 _LIGHT_LEVEL = 0.06
 """Share of exponential samples whose variance is not trusted, for the sake of rare heavy tails."""
 _LEAST_SCORE = -3.0
 """A bounded tail at one threshold does not make up for more than so much evidence at another."""
 
 _FEW, _WIDEST = 512, 2.5
-"""Of fewer samples, both looks at the tail see nearly the same ones, and the scatter of all has a
-say: of gamma samples, whatever their shape, it is not above this many standardised units in 96 %,
-as simulated for the shapes 0.3 to 5 and 128 to 384 samples."""
+"""Of fewer samples, both estimates of the tail use nearly the same ones, so that the scatter of all
+counts, too: of gamma samples of any shape, it is at most this many standardised units in 96 %, as
+simulated for the shapes 0.3 to 5 and 128 to 384 samples."""
 
 _LOG_SHARES = np.log([0.01, 0.02, 0.05, 0.1, 0.2, 0.3])
 _LOG_VARIANCES = np.log(special.polygamma(1, [1.0, 0.7, 0.5, 0.3, 0.2, 0.15, 0.1]))
-_GAMMA_INDEX = np.array([
+_GAMMA_INDEX = interpolate.RegularGridInterpolator((_LOG_VARIANCES, _LOG_SHARES), [
     [0.000, 0.000, 0.000, 0.000, 0.000, 0.000],
     [0.000, 0.001, 0.005, 0.010, 0.019, 0.028],
     [0.006, 0.009, 0.018, 0.029, 0.050, 0.073],
@@ -77,26 +69,9 @@ _GAMMA_INDEX = np.array([
 distributions with these variances of log x, which are those of the shapes 1 to 0.1."""
 
 
-@overload
+@of_source
 def tail_index(
-    x: Samples,
-    *,
-    share: Share = ...,
-    tested: float = ...,
-    level: float = ...,
-    progress: bool | None = None,
-) -> xr.Dataset: ...
-@overload
-def tail_index(
-    x: npt.ArrayLike,
-    *,
-    share: Share = ...,
-    tested: float = ...,
-    level: float = ...,
-    null: npt.ArrayLike | None = None,
-) -> Tail: ...
-def tail_index(
-    x: Samples | npt.ArrayLike,
+    x: Source,
     *,
     share: Share = "auto",
     tested: float = 0.25,
@@ -132,7 +107,7 @@ def tail_index(
     Raises
     ------
     InputError
-        If `share`, `tested` or `level` is out of range.
+        If `share`, `tested` or `level` is out of range, or `x` is a histogram.
 
     Notes
     -----
@@ -149,23 +124,23 @@ def tail_index(
     8192, and 76 to 80 % for a heavy tail of a tenth of 512 samples, as the body biases xi towards
     0. It does **not** cover the index of a tail that is rarer than the threshold: of 1 % with index
     1 among exponential samples, the index is 0.3 to 0.4 and the interval holds 1 next to never.
-    ``xi_far``, of the 28 largest samples, sees such tails, and ``variance_trusted`` asks it, and,
-    of fewer than 512 samples, whether they scatter more than gamma ones: where 20 samples or more
-    are of a tail of index 1, at least 95 % of pixels are *not identified* or suspect, while 90 %
-    and more of exponential, uniform and gamma pixels stay trusted from 512 samples on (of gamma
-    shapes below 0.5 from 2048 on). Log-normal and Weibull samples with tails heavier than a gamma
-    distribution's often are not identified, although their variance is finite.
-    Hill's interval is one for pure power laws only: with an offset, as generalised Pareto samples
-    have, it is too high at any threshold within the samples.
+    ``xi_far``, of the 28 largest samples, detects such tails; ``variance_trusted`` depends on it,
+    and, of fewer than 512 samples, on whether they scatter more than gamma ones: where 20 samples
+    or more are of a tail of index 1, at least 95 % of pixels are *not identified* or suspect, while
+    90 % and more of exponential, uniform and gamma pixels stay trusted from 512 samples on (of
+    gamma shapes below 0.5 from 2048 on). Log-normal and Weibull samples with tails heavier than a
+    gamma distribution's often are not identified, although their variance is finite. Hill's
+    interval is one for pure power laws only: with an offset, as generalised Pareto samples have, it
+    is too high at any threshold within the samples.
 
     An index at finite radiance is that of the range of the samples. A gamma tail gives about 0 for
     shapes from 1/2 on; below, the density still curves where the tail begins: with 512, 2048 and
     8192 samples, the index is 0.15, 0.10 and 0.07 for a shape of 0.3, and 0.22, 0.14 and 0.11 for
-    0.2. ``p_exponential`` knows that: it tests against the gamma distribution with the variance of
-    log x that the samples have, if that is above an exponential's. A log-normal tail has index 0
-    too, but only far beyond the largest sample: where it was seen, at the 90 % quantile and above,
-    it is that of a power law of index 0.2 to 0.3 with sigma = 1 and about 0.5 with sigma = 1.5. See
-    `effective_tail_index`.
+    0.2. ``p_exponential`` allows for that: it tests against the gamma distribution with the
+    variance of log x that the samples have, if that is above an exponential's. A log-normal tail
+    has index 0 too, but only far beyond the largest sample: where it was seen, at the 90 % quantile
+    and above, it is that of a power law of index 0.2 to 0.3 with sigma = 1 and about 0.5 with sigma
+    = 1.5. See `effective_tail_index`.
 
     Where the largest value occurs twice, samples were clamped or rounded, or are a few atoms: they
     have no tail index (`TIED`).
@@ -188,17 +163,17 @@ def tail_index(
     (array([-0. ,  1.1]), array([False,  True]))
     """
     _check(share, tested, level)
-    if not isinstance(x, Samples):
-        part = PositivePart.given(x, null=null)
+
+    def of_part(part: Part) -> Tail:
+        if isinstance(part, PositiveHistogram):
+            message = "a tail index needs the largest samples themselves, got a histogram"
+            raise InputError(message)
         return tail_of_part(part, share=share, tested=tested, level=level)
 
-    def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        part = PositivePart.of_pixels(block)
-        return tail_variables(tail_of_part(part, share=share, tested=tested, level=level))
-
-    return finish_tail(
-        x.map(of_block, logarithms=True, description="measuring tails", progress=progress)
+    found = run(
+        x, of_part, tail_variables, null=null, description="measuring tails", progress=progress
     )
+    return found if isinstance(found, Tail) else finish_tail(found)
 
 
 def tail_of_part(
@@ -300,24 +275,14 @@ def _gamma_index(part: PositivePart, excesses: Counts) -> Floats:
     """
     with np.errstate(divide="ignore"):
         log_variance = np.log(np.nan_to_num(part.log_statistics.log_variance))
-    row, across = _between(log_variance, _LOG_VARIANCES)
-    column, along = _between(np.log(np.maximum(excesses, 1) / np.maximum(part.n, 1)), _LOG_SHARES)
-    low, high = (
-        (1 - along) * _GAMMA_INDEX[i, column] + along * _GAMMA_INDEX[i, column + 1]
-        for i in (row, row + 1)
-    )
-    return np.asarray((1 - across) * low + across * high)
+    log_share = np.log(np.maximum(excesses, 1) / np.maximum(part.n, 1))
+    low, high = np.transpose([ends[[0, -1]] for ends in _GAMMA_INDEX.grid])
+    at = np.clip(np.stack([log_variance, log_share], axis=-1), low, high)
+    return np.asarray(_GAMMA_INDEX(at).reshape(part.n.shape))
 
 
-def _between(x: Floats, ends: Floats) -> tuple[Counts, Floats]:
-    """Return the interval of ascending `ends` that each number lies in, and how far within."""
-    x = np.clip(x, ends[0], ends[-1])
-    i = np.clip(np.searchsorted(ends, x, side="right") - 1, 0, len(ends) - 2)
-    return i, np.asarray((x - ends[i]) / (ends[i + 1] - ends[i]))
-
-
-def _is_light(part: PositivePart, *looks: tuple[Floats, Counts]) -> Mask:
-    """Say where several looks at the tail, of k excesses each, do not see a heavier one than gamma.
+def _is_light(part: PositivePart, *estimates: tuple[Floats, Counts]) -> Mask:
+    """Return where tail indices, of k excesses each, are together no higher than gamma ones.
 
     A rare heavy tail raises the index of many excesses a little, but significantly, and that of few
     much. Their standardised differences are added with weights k^(1/4), between equal ones and
@@ -325,18 +290,18 @@ def _is_light(part: PositivePart, *looks: tuple[Floats, Counts]) -> Mask:
     errors with all.
     """
     total, variance = np.zeros(part.n.shape), np.zeros(part.n.shape)
-    for xi, k in looks:
+    for xi, k in estimates:
         with np.errstate(invalid="ignore"):
             difference = np.log1p(np.maximum(xi, -0.99)) - np.log1p(_gamma_index(part, k))
         total += k**0.25 * np.maximum(difference * np.sqrt(k), _LEAST_SCORE)
-        for _, other in looks:
+        for _, other in estimates:
             shared = np.sqrt(np.minimum(k, other) / np.maximum(np.maximum(k, other), 1))
             variance += (k * other) ** 0.25 * shared
     return np.asarray(total <= -special.ndtri(_LIGHT_LEVEL) * np.sqrt(variance))
 
 
 def _scatters(part: PositivePart, rows: Mask) -> Mask:
-    """Say which of the rows have few samples, which vary more than gamma ones, shape (row,).
+    """Return which of the rows have few samples that vary more than gamma ones, shape (row,).
 
     The logarithm of their squared coefficient of variation, over that of the likeliest gamma
     distribution, has nearly the same error for all shapes if it is multiplied by the root of n

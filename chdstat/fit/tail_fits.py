@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import spans
+from chdstat._core.display import Card, Shown, each, reasons, with_interval
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values
@@ -54,28 +55,28 @@ _LABELS = {
     "tail_hill_interval": "interval of the Hill estimate",
     "tail_hill_n": "samples of the Hill estimate",
     "tail_variance_suspect": "xi >= 1/2: do not trust the sample variance",
-    "tail_variance_trusted": "no look at the tail speaks against a finite variance",
-    "tail_variance_unidentified": "the samples cannot tell whether the variance is finite",
+    "tail_variance_trusted": "no estimate of the tail contradicts a finite variance",
+    "tail_variance_unidentified": "the samples do not determine whether the variance is finite",
     "tail_reason": "why there is no tail index",
 }
 _FIELDS = {"tail_index": "xi", "tail_index_se": "standard_error", "tail_index_far": "xi_far"}
 """Fields of `Tail` that have other names in an image than with the prefix ``tail_``."""
 
 
-@dataclass(frozen=True)
-class Tail:
+@dataclass(frozen=True, repr=False)
+class Tail(Shown):
     """Tail of the positive part; arrays of the batch's shape, (...), NaN where `reason` says why.
 
     Attributes
     ----------
     xi, standard_error
         Tail index and its asymptotic standard error, ``(1 + xi) / sqrt(n)``, but at least
-        ``0.9 / sqrt(n)``, as simulations say of bounded tails.
+        ``0.9 / sqrt(n)``, as simulations of bounded tails show.
     interval
         Low and high end for xi, shape (..., 2).
     xi_far, interval_far
-        Tail index of the `FAR` largest samples alone, and its interval: if a few samples are of a
-        heavier tail than the rest, these tell. `interval` does not know of them.
+        Tail index of the `FAR` largest samples alone, and its interval: it detects a few samples of
+        a heavier tail than the rest, which `interval` does not account for.
     p_value
         One-sided, of the hypothesis that the tail index is at most `tested`.
     p_exponential
@@ -98,7 +99,7 @@ class Tail:
         `FAR` largest samples are heavier than those of a gamma distribution; nor do fewer than 512
         samples vary more than those of one.
     variance_unidentified
-        Where neither holds: the samples cannot tell whether their variance is finite.
+        Where neither holds: the samples do not determine whether their variance is finite.
     reason
         `Reason` codes; where it is not `OK`, none of the three holds.
     """
@@ -123,6 +124,22 @@ class Tail:
     variance_trusted: Mask
     variance_unidentified: Mask
     reason: npt.NDArray[np.int8]
+
+    def _card(self) -> Card:
+        cases = {
+            "trusted": self.variance_trusted,
+            "suspect": self.variance_suspect,
+            "not determined": self.variance_unidentified,
+        }
+        low, high = self.interval[..., 0], self.interval[..., 1]
+        facts = {
+            "tail index": each(with_interval, self.xi, low, high),
+            "excesses": self.n,
+            "above": self.threshold,
+            "variance": np.select([*cases.values()], [*cases], "not known"),
+            "not fitted": reasons(self.reason),
+        }
+        return Card("Tail", facts)
 
 
 def tail_variables(tail: Tail) -> Mapped:
@@ -159,7 +176,7 @@ _CELLS, _SINGLES = 32, 8
 _PRIOR_QUARTILE = 3.0
 """Zhang and Stephens' constant: how far their grid reaches beyond the largest excess."""
 _LEAST = 1e-12
-"""Least distribution function that the test tells from 0: that of ties with the threshold."""
+"""Least distribution function in the test: that of ties with the threshold."""
 
 
 @dataclass(frozen=True)
@@ -248,41 +265,36 @@ def hill_tail(ascending: npt.NDArray[Any], n: Counts, k: Counts, usable: Mask) -
 def _fit_tails(
     ascending: npt.NDArray[Any], n: Counts, k: Counts, usable: Mask, model: _Model, *, log: bool
 ) -> TailFits:
-    values, used = np.full((4, len(n)), np.nan), np.zeros(len(n), dtype=np.int64)
-    order = np.argsort(k[:, 0], kind="stable")
+    values = np.full((5, usable.size), np.nan)
+    place, order = np.flatnonzero(usable), np.argsort(k[:, 0], kind="stable")
     for part in spans(len(n), max(1, _CHUNK // int(k.max(initial=1)))):
         rows = order[part]
-        values[:, rows], used[rows] = _choose(ascending, n, k, rows, model, log)
-    unknown = np.isnan(values[0])
-    values[:, unknown], used[unknown] = np.nan, 0
-    everywhere, count = np.full((4, *usable.shape), np.nan), np.zeros(usable.shape, dtype=np.int64)
-    everywhere[:, usable], count[usable] = values, used
-    xi, scale, threshold, first_xi = everywhere
-    return TailFits(xi=xi, scale=scale, threshold=threshold, n=count, first_xi=first_xi)
+        values[:, place[rows]] = _choose(ascending, n, k, rows, model, log)
+    xi, scale, threshold, count, first_xi = values.reshape(5, *usable.shape)
+    return TailFits(xi, scale, threshold, np.nan_to_num(count).astype(np.int64), first_xi)
 
 
 def _choose(
     ascending: npt.NDArray[Any], n: Counts, k: Counts, rows: Counts, model: _Model, log: bool
-) -> tuple[Floats, Counts]:
-    """Take the first candidate whose fit is not rejected, or the last one that can be fitted."""
-    found, used = np.full((4, len(rows)), np.nan), k[rows, 0].copy()
-    open_ = np.arange(len(rows))
+) -> Floats:
+    """Take the first candidate whose fit is not rejected, or the last one that can be fitted.
+
+    Returns xi, scale, threshold, excesses, and xi of the first candidate, shape (5, row).
+    """
+    found, open_ = np.full((5, len(rows)), np.nan), np.arange(len(rows))
     for tried in range(k.shape[1]):
         here = rows[open_]
         excesses = _excesses(ascending, n[here], k[here, tried], here, log)
         xi, scale, accepted = model(excesses)
-        known = np.isfinite(xi)
-        better = open_[known]
-        found[0, better] = xi[known]
-        found[1, better] = scale[known] * excesses.largest[known]
-        found[2, better] = excesses.threshold[known]
         if tried == 0:
-            found[3] = xi
-        used[better] = excesses.n[known]
+            found[4] = xi
+        known = np.isfinite(xi)
+        chosen = xi, scale * excesses.largest, excesses.threshold, excesses.n
+        found[:4, open_[known]] = np.stack(chosen)[:, known]
         open_ = open_[~accepted]
         if not len(open_):
             break
-    return found, used
+    return found
 
 
 def _excesses(
@@ -293,12 +305,9 @@ def _excesses(
     top = ascending[rows[:, np.newaxis], np.maximum(columns, 0)].astype(np.float64)
     threshold = ascending[rows, n - 1 - k].astype(np.float64)
     rank = np.arange(width) - (width - k)[:, np.newaxis] + 1
-    if log:
-        excess = np.log(np.maximum(top, threshold[:, np.newaxis])) - np.log(
-            threshold[:, np.newaxis]
-        )
-    else:
-        excess = np.maximum(top - threshold[:, np.newaxis], 0)
+    low = threshold[:, np.newaxis]
+    top = np.maximum(top, low)
+    excess = np.log(top) - np.log(low) if log else top - low
     largest = excess[:, -1].copy()
     with np.errstate(invalid="ignore", divide="ignore"):
         excess /= largest[:, np.newaxis]

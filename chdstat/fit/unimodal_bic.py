@@ -31,10 +31,9 @@ from scipy import special
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat.fit.components import COMPONENTS, SPREAD_FLOOR
-from chdstat.fit.families import FAMILIES, SELECTED
-from chdstat.fit.mle import fit_part, zero_log_likelihood
-from chdstat.fit.results import Fit
+from chdstat.fit.em import COMPONENTS
+from chdstat.fit.families import FAMILIES, SELECTED, Fit, fit_part, zero_log_likelihood
+from chdstat.fit.weighted_samples import SPREAD_FLOOR, cumulative
 
 __all__ = ["edge_scores", "log_concave_likelihood", "log_samples", "unimodal_scores"]
 
@@ -143,8 +142,7 @@ def _problem(place: Floats, n: Counts) -> _Problem:
     index = np.maximum(index, rank)
     index = np.clip(np.minimum(index, n[:, np.newaxis] - _KNOTS + rank), 0, n[:, np.newaxis] - 1)
     knots = np.take_along_axis(place, index, axis=-1)
-    below = np.zeros((len(n), place.shape[-1] + 1))
-    np.cumsum(place, axis=-1, out=below[:, 1:])
+    below = cumulative(place)
     count = np.diff(index, axis=-1)
     beyond = np.diff(np.take_along_axis(below, index, axis=-1), axis=-1) - count * knots[:, :-1]
     step = np.diff(knots, axis=-1)
@@ -172,8 +170,9 @@ def _normal(problem: _Problem) -> Floats:
 
 def _normalized(problem: _Problem, p: Floats) -> Floats:
     top = p.max(axis=0)
-    zeroth, _, _ = _moments(np.diff(p, axis=0))
-    mass = _sum(problem.step * np.exp(p[:-1] - top) * zeroth)
+    # From the upper end of each step, as the steepest would overflow from the lower.
+    zeroth, _, _ = _moments(-np.abs(np.diff(p, axis=0)))
+    mass = _sum(problem.step * np.exp(np.maximum(p[:-1], p[1:]) - top) * zeroth)
     return np.asarray(p - top - np.log(mass))
 
 
@@ -274,7 +273,7 @@ _FEW = 128
 _FLOORS = (0.03, 0.12, 0.4, 1.5)
 """Distances of a floor from the smallest sample, in ranges of the samples."""
 _NEXT = 3
-"""Samples that say how dense a distribution is at its end."""
+"""Samples from which the density at an end is estimated."""
 _LEAST_ABOVE = 1e-12
 
 
@@ -378,7 +377,7 @@ def _gamma_above_a_floor(ascending: Floats, n: Counts) -> Floats:
 def _log_concave_above_a_floor(ascending: Floats, n: Counts) -> Floats:
     """Return the log-likelihood of log x where log(x - a) is log-concave, a the smallest sample.
 
-    That one is as likely as the distance to its neighbours says.
+    The density at that one follows from the distance to its neighbours.
     """
     valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
     above = np.where(valid, np.maximum(ascending - ascending[:, :1], _LEAST_ABOVE), 1.0)

@@ -23,6 +23,8 @@ from chdstat._core.arrays import (
     warn_left_out,
     whole,
 )
+from chdstat._core.display import Shown
+from chdstat._core.positive import Counts, Floats, Mask
 from chdstat.errors import InputError
 from chdstat.samples import Image, Samples, opened
 
@@ -33,12 +35,9 @@ _REPLICATES = 199
 _AT_ONCE = 2**19
 """Samples of a block of pixels, which are shuffled together."""
 
-Floats = npt.NDArray[np.float64]
-Bools = npt.NDArray[np.bool_]
 
-
-@dataclass(frozen=True)
-class Difference:
+@dataclass(frozen=True, repr=False)
+class Difference(Shown):
     """How two sets of samples of the same channels differ; nulls belong to both.
 
     Of two pixels, shapes are (channel,) and (); of two images, (y, x, channel) and (y, x).
@@ -72,7 +71,7 @@ class Difference:
     mean_difference: Floats
     mean_t: Floats
     mean_p_value: Floats
-    n: tuple[npt.NDArray[np.int64] | int, npt.NDArray[np.int64] | int]
+    n: tuple[Counts | int, Counts | int]
     paired: bool = False
 
 
@@ -232,19 +231,12 @@ def _of_pixels(a: Floats, b: Floats, paired: bool, replicates: int, seed: int) -
     )
 
 
-def _good(x: Floats) -> Bools:
+def _good(x: Floats) -> Mask:
     return np.asarray(~np.asarray(is_bad(x)).any(axis=1))
 
 
 def _distances(
-    a: Floats,
-    b: Floats,
-    good_a: Bools,
-    good_b: Bools,
-    *,
-    paired: bool,
-    replicates: int,
-    seed: int,
+    a: Floats, b: Floats, good_a: Mask, good_b: Mask, *, paired: bool, replicates: int, seed: int
 ) -> tuple[Floats, Floats, Floats]:
     """Return distances (pixel, channel), twice, and p-values (pixel,) of samples."""
     pool, good = np.concatenate([a, b], axis=-1), np.concatenate([good_a, good_b], axis=-1)
@@ -282,14 +274,10 @@ def _distances(
             shuffled = np.where(first, one, -two) * good
         farther += np.where(last, gaps(shuffled), 0).max(axis=(-2, -1)) >= largest
     p_value = np.where(known[:, 0], (farther + 1) / (replicates + 1), np.nan)
-    return (
-        np.where(known, distance, np.nan),
-        np.where(known, wasserstein, np.nan),
-        p_value,
-    )
+    return (np.where(known, distance, np.nan), np.where(known, wasserstein, np.nan), p_value)
 
 
-def _drawn(keys: Floats, good: Bools, count: npt.NDArray[np.int64]) -> Bools:
+def _drawn(keys: Floats, good: Mask, count: Counts) -> Mask:
     """Return which good samples (pixel, sample) have the `count` (pixel, 1) smallest keys."""
     if good.all():
         good, count = good[:1], count[:1]
@@ -299,7 +287,7 @@ def _drawn(keys: Floats, good: Bools, count: npt.NDArray[np.int64]) -> Bools:
 
 
 def _mean_differences(
-    a: Floats, b: Floats, good_a: Bools, good_b: Bools, *, paired: bool
+    a: Floats, b: Floats, good_a: Mask, good_b: Mask, *, paired: bool
 ) -> tuple[Floats, Floats, Floats]:
     """Return differences of means with t and p, Welch's or Student's of pairs, (pixel, channel)."""
     scale = np.maximum(_largest(a, good_a), _largest(b, good_b))
@@ -321,13 +309,13 @@ def _mean_differences(
         return np.where(known, delta * scale, np.nan), *np.where(tested, [t, p], np.nan)
 
 
-def _largest(x: Floats, good: Bools) -> Floats:
+def _largest(x: Floats, good: Mask) -> Floats:
     """Return the largest size of good samples, so that 1e30 to the fourth is a number."""
     size = np.where(good[:, np.newaxis], np.abs(x), 0).max(axis=-1, initial=0)
     return np.where(size > 0, size, 1.0)
 
 
-def _moments(x: Floats, good: Bools, scale: Floats) -> tuple[Floats, Floats, Floats, Bools]:
+def _moments(x: Floats, good: Mask, scale: Floats) -> tuple[Floats, Floats, Floats, Mask]:
     """Return number, mean, squared standard error and constancy of good samples over `scale`."""
     used = good[:, np.newaxis]
     n = used.sum(axis=-1, dtype=np.float64)

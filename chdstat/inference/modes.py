@@ -25,17 +25,18 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import spans
+from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values
 from chdstat.errors import Reason
-from chdstat.fit.mixtures import ChosenMixtures
+from chdstat.fit.families import Fit
+from chdstat.fit.mixtures import ChosenMixtures, Mixture
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
-from chdstat.fit.results import Fit, Mixture
 from chdstat.fit.search import Found
 from chdstat.fit.unimodal_bic import unimodal_scores
 from chdstat.inference.dip import dips
-from chdstat.inference.null_tables import DIP_QUANTILES, LEVELS, interpolated_p
+from chdstat.inference.statistics import DIP_QUANTILES, interpolated_p
 from chdstat.samples import Image, Mapped, Samples, opened
 
 if TYPE_CHECKING:
@@ -70,8 +71,8 @@ _LABELS = {
 _DIMS = {"places": "mode", "weights": "mode", "ashman_d": "pair", "ashman_d_se": "pair"}
 
 
-@dataclass(frozen=True)
-class Modality:
+@dataclass(frozen=True, repr=False)
+class Modality(Shown):
     """Modes of the positive part; arrays of the batch's shape, NaN where `reason` says why.
 
     Attributes
@@ -154,21 +155,12 @@ _CERTAIN = 0.01
 
 @overload
 def modality(  # type: ignore[overload-overlap]  # a string is a path
-    x: Image,
-    *,
-    progress: bool | None = None,
+    x: Image, *, progress: bool | None = None
 ) -> xr.Dataset: ...
 @overload
+def modality(x: npt.ArrayLike, *, null: npt.ArrayLike | None = None) -> Modality: ...
 def modality(
-    x: npt.ArrayLike,
-    *,
-    null: npt.ArrayLike | None = None,
-) -> Modality: ...
-def modality(
-    x: Image | npt.ArrayLike,
-    *,
-    null: npt.ArrayLike | None = None,
-    progress: bool | None = None,
+    x: Image | npt.ArrayLike, *, null: npt.ArrayLike | None = None, progress: bool | None = None
 ) -> Modality | xr.Dataset:
     """Count the modes of the positive samples in the log domain, and test whether there is one.
 
@@ -355,7 +347,7 @@ def _tied(ascending: npt.NDArray[Any], n: Counts) -> Mask:
     return tied
 
 
-_DIPS_AT_ONCE = 2**18
+_DIPS_AT_ONCE = 2**19
 _FLOOR = 1e-5
 """Smallest p-value: the table ends at 1e-4, where up to a million dips were simulated."""
 
@@ -392,4 +384,4 @@ def _dip_p(dip: Floats, n: Counts) -> Floats:
     >>> _dip_p(np.array([0.02, 0.05]), np.array([200, 200])).round(2)
     array([0.89, 0.  ])
     """
-    return interpolated_p(np.sqrt(n) * dip, n, LEVELS, DIP_QUANTILES, _FLOOR)
+    return interpolated_p(np.sqrt(n) * dip, n, DIP_QUANTILES, _FLOOR)

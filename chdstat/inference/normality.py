@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import spans
+from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
@@ -158,8 +159,8 @@ def _copied(
     return x, left_out, largest
 
 
-@dataclass(frozen=True)
-class Gaussianity:
+@dataclass(frozen=True, repr=False)
+class Gaussianity(Shown):
     """Tests of normality with their effect sizes; arrays of the batch's shape, (...).
 
     Where several transforms or tests were asked for, they are further axes, in this order.

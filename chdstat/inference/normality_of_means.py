@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import as_samples, is_bad, warn_left_out
+from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.errors import InputError
 from chdstat.fit.tail import Tail, tail_of_part
@@ -54,8 +55,8 @@ Twice as many detect smaller departures, but halve the largest N. Of averages of
 """
 
 
-@dataclass(frozen=True)
-class GaussianityOfMeans:
+@dataclass(frozen=True, repr=False)
+class GaussianityOfMeans(Shown):
     """Normality of averages of N samples, for several N; arrays of shape (..., size) or (...).
 
     Attributes

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import ChdstatError, InputError
@@ -174,14 +175,7 @@ def _without_holes(image: Floats, known: npt.NDArray[np.bool_]) -> Floats:
     """Fill what is not known by the average of the known pixels next to it, 0 where none is."""
     if known.all():
         return image
-    padded = np.pad(np.where(known[..., np.newaxis], image, 0), ((1, 1), (1, 1), (0, 0)))
-    counted = np.pad(known.astype(np.float64), 1)[..., np.newaxis]
-    total, count = (_sum_around(values) for values in (padded, counted))
+    lit, weights = np.where(known[..., np.newaxis], image, 0), np.ones((3, 3, 1))
+    total = ndimage.convolve(lit, weights, mode="constant")
+    count = ndimage.convolve(known[..., np.newaxis].astype(np.float64), weights, mode="constant")
     return np.where(known[..., np.newaxis], image, total / np.maximum(count, 1))
-
-
-def _sum_around(padded: Floats) -> Floats:
-    """Return the sums over 3 x 3 pixels of a padded image."""
-    height, width = padded.shape[0] - 2, padded.shape[1] - 2
-    parts = [padded[i : i + height, j : j + width] for i in range(3) for j in range(3)]
-    return np.asarray(sum(parts[1:], parts[0]))

@@ -7,14 +7,16 @@ reads such files, and those of other programs.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.display import Card, Shown, png
 from chdstat._core.files import replacing
+from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError
 
 __all__ = ["ExrImage", "read_exr", "write_exr"]
@@ -92,8 +94,8 @@ _CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """x and y of red, green, blue and white of linear sRGB (ITU-R BT.709)."""
 
 
-@dataclass(frozen=True)
-class ExrImage:
+@dataclass(frozen=True, repr=False)
+class ExrImage(Shown):
     """An image as an EXR file holds it.
 
     Attributes
@@ -113,6 +115,11 @@ class ExrImage:
     channels: tuple[str, ...]
     extra: Mapping[str, Array]
     attributes: Mapping[str, str]
+
+    def _card(self) -> Card:
+        known = self.image.shape[-1] in (1, 3)
+        shown = {"image": png(tonemap(self.image))} if known else {}
+        return replace(super()._card(), images=shown)
 
 
 def write_exr(

@@ -14,13 +14,14 @@ around the threshold that decides it: `truth` lists the zones and gives None ins
 
 from __future__ import annotations
 
-from chdstat.patterns.agreement import Agreement, agreement
 from chdstat.patterns.atlases import Atlas, atlas
-from chdstat.patterns.classification import Label, Patterns, classify
-from chdstat.patterns.known_chds import CHD, Component
-from chdstat.patterns.population import (
-    ALIKE,
+from chdstat.patterns.classification import Agreement, Label, Patterns, agreement, classify
+from chdstat.patterns.known_chds import CHD, CHDS, Component
+from chdstat.patterns.pixel import Pixel
+from chdstat.patterns.pixel_statistics import Thresholds
+from chdstat.patterns.simulation import (
     FIREFLY_ZONE,
+    INDISTINCT_SPREAD,
     NULL_ZONE,
     SEPARATION_ZONE,
     TAIL_ZONE,
@@ -28,16 +29,17 @@ from chdstat.patterns.population import (
     Truth,
     flag_scores,
     random_chds,
+    simulate,
     truth,
+    truth_of,
 )
-from chdstat.patterns.simulation import CHDS, simulate, truth_of
-from chdstat.patterns.table import PATTERNS, Pattern, Thresholds
+from chdstat.patterns.table import PATTERNS, Pattern
 
 __all__ = [
-    "ALIKE",
     "CHD",
     "CHDS",
     "FIREFLY_ZONE",
+    "INDISTINCT_SPREAD",
     "NULL_ZONE",
     "PATTERNS",
     "SEPARATION_ZONE",
@@ -49,6 +51,7 @@ __all__ = [
     "Label",
     "Pattern",
     "Patterns",
+    "Pixel",
     "Thresholds",
     "Truth",
     "agreement",

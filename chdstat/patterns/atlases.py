@@ -16,12 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, generator, is_bad, luminance, spans, whole
+from chdstat._core.display import Card, Shown, each, number, percent, with_interval
 from chdstat._core.moments import Moments
 from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
 from chdstat._core.reasons import first_of, flag_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason
-from chdstat.patterns.clusters import Groups, find_groups
+from chdstat.patterns.clusters import Groups, find_groups, ratio
 from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of
 from chdstat.summary.bins import Support
 from chdstat.summary.dispatch import PositiveHistogram
@@ -60,8 +61,8 @@ _LABELS = {
 }
 
 
-@dataclass(frozen=True)
-class Atlas:
+@dataclass(frozen=True, repr=False)
+class Atlas(Shown):
     """Shapes that recur over an image, the most frequent first.
 
     Attributes
@@ -119,6 +120,14 @@ class Atlas:
     silhouettes: Floats
     repeatable: float
     stability: float
+
+    def _card(self) -> Card:
+        return Card(f"Atlas of {len(self.share)} shapes", {
+            "share of the pixels": each(with_interval, self.share, *self.share_interval.T),
+            "share of nulls": self.null_share,
+            "typical pixels": self.medoids,
+            "repeatable, stability": f"{percent(self.repeatable)}, {number(self.stability)}",
+        })  # fmt: skip
 
     def to_dataset(self) -> xr.Dataset:
         """Return the fields with names, units and dims, each variable prefixed ``atlas_``."""
@@ -352,7 +361,7 @@ class _Grid:
     def mean(self, counts: npt.NDArray[Any]) -> Floats:
         """Return the mean of what was counted, shape (...); NaN of nothing."""
         places = np.vecdot(counts, np.arange(counts.shape[-1]) + 0.5)
-        return np.asarray(self.low + self.width * _ratio(places, counts.sum(axis=-1)))
+        return np.asarray(self.low + self.width * ratio(places, counts.sum(axis=-1)))
 
     def below(self, counts: npt.NDArray[Any], center: Floats) -> npt.NDArray[np.float32]:
         """Return the share below each edge of a shape around `center`, shape (..., edge)."""
@@ -412,10 +421,7 @@ def _moved(
     ok: Mask,
     rng: np.random.Generator,
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return shares below edges and of nulls, of all samples around `center`, and of two halves.
-
-    The halves are random ones, around their own means.
-    """
+    """Return shares below edges and of nulls: around `center`, and of halves around their means."""
     # Samples are exchangeable: halving the counts at random is halving the samples at random.
     half, null = rng.binomial(counts.astype(np.int64), 0.5), rng.binomial(n_null, 0.5)
     rest = counts - half
@@ -425,7 +431,7 @@ def _moved(
         (rest, n_null - null, grid.mean(rest)),
     )
     below = np.stack([grid.below(some, place) for some, _, place in parts], axis=-2)
-    null_share = [_ratio(nulls, nulls + some.sum(axis=-1)) for some, nulls, _ in parts]
+    null_share = [ratio(nulls, nulls + some.sum(axis=-1)) for some, nulls, _ in parts]
     cumulative = np.where(ok[..., np.newaxis, np.newaxis], below, np.float32(np.nan))
     return cumulative, np.stack(null_share, axis=-1).astype(np.float32)
 
@@ -442,8 +448,3 @@ def _reason(
             Reason.CONSTANT: log_variance <= CONSTANT_SPREAD**2,
         }
     )
-
-
-def _ratio(part: npt.NDArray[Any], whole: npt.NDArray[Any]) -> Floats:
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(part / whole, dtype=np.float64)

@@ -2,47 +2,45 @@
 
 `PATTERNS` is the table: what a pattern means, its statistic, and the rule that turns it into a flag
 at a threshold. `classify` applies them all to the luminance of each pixel. Flags do not exclude
-each other, but for those that describe a plain body; `Label` says which comes first. `PixelFits`
-finds fits, tails and modes once each for several analyses of the same samples.
+each other, but for those that describe a plain body; `Label` says which comes first. `agreement`
+compares labels with those of the neighbours: labels that mean something form regions; labels that
+are noise look like the same labels shuffled.
 """
 
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Result, as_pixels, take_rows, warn_left_out
+from chdstat._core.arrays import as_pixels, warn_left_out
+from chdstat._core.display import Shown
 from chdstat._core.positive import Floats, Mask, PositivePart
 from chdstat._core.reasons import first_of, flag_attributes
 from chdstat._core.resampling import q_values
-from chdstat.errors import Reason
-from chdstat.fit.families import FAMILIES, SELECTED
-from chdstat.fit.results import Mixture
-from chdstat.fit.selection import Selection, select_part
-from chdstat.fit.tail import Tail, tail_of_part
-from chdstat.inference.modes import Modality, mixture_and_modes_of_part
-from chdstat.patterns.agreement import agreement
-from chdstat.patterns.pixel_statistics import gather
-from chdstat.patterns.table import PATTERNS, Thresholds
+from chdstat.errors import InputError, Reason
+from chdstat.fit.families import SELECTED
+from chdstat.patterns.pixel_statistics import PixelFits, Thresholds, gather
+from chdstat.patterns.table import PATTERNS
 from chdstat.samples import Image, Mapped, Samples, opened
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "Agreement",
     "Label",
     "Patterns",
-    "PixelFits",
+    "agreement",
     "classify",
     "finish_patterns",
     "luminance_part",
-    "patterns_of_part",
+    "patterns_of",
     "patterns_variables",
 ]
 
@@ -69,8 +67,8 @@ class Label(enum.IntEnum):
 _FLAGGED = {label: label.name.lower() for label in Label if label not in (0, 1, 10)}
 
 
-@dataclass(frozen=True)
-class Patterns:
+@dataclass(frozen=True, repr=False)
+class Patterns(Shown):
     """Patterns of pixels; arrays of the batch's shape, dimensionless.
 
     Attributes
@@ -123,22 +121,12 @@ class Patterns:
 
 @overload
 def classify(  # type: ignore[overload-overlap]  # a string is a path
-    x: Image,
-    *,
-    thresholds: Thresholds | None = None,
-    progress: bool | None = None,
+    x: Image, *, thresholds: Thresholds | None = None, progress: bool | None = None
 ) -> xr.Dataset: ...
 @overload
+def classify(x: npt.ArrayLike, *, thresholds: Thresholds | None = None) -> Patterns: ...
 def classify(
-    x: npt.ArrayLike,
-    *,
-    thresholds: Thresholds | None = None,
-) -> Patterns: ...
-def classify(
-    x: Image | npt.ArrayLike,
-    *,
-    thresholds: Thresholds | None = None,
-    progress: bool | None = None,
+    x: Image | npt.ArrayLike, *, thresholds: Thresholds | None = None, progress: bool | None = None
 ) -> Patterns | xr.Dataset:
     """Say which patterns the sample distribution of each pixel shows.
 
@@ -185,10 +173,10 @@ def classify(
     if not isinstance(given, Samples):
         pixels = as_pixels(given)
         warn_left_out(pixels, channel_axis=-2, logarithms=True)
-        return patterns_of_part(luminance_part(pixels), thresholds)
+        return patterns_of(PixelFits(luminance_part(pixels)), thresholds)
 
     def of_block(block: npt.NDArray[np.float32]) -> Mapped:
-        return patterns_variables(patterns_of_part(luminance_part(block), thresholds))
+        return patterns_variables(patterns_of(PixelFits(luminance_part(block)), thresholds))
 
     dataset = given.map(of_block, logarithms=True, description="classifying", progress=progress)
     return finish_patterns(dataset, thresholds)
@@ -205,126 +193,30 @@ def luminance_part(x: npt.ArrayLike) -> PositivePart:
     return PositivePart.of_pixels(as_pixels(x), rows="luminance")
 
 
-def patterns_of_part(
-    part: PositivePart,
-    thresholds: Thresholds | None = None,
-    *,
-    tail: Tail | None = None,
-    modes: Modality | None = None,
-    families: Selection | None = None,
-) -> Patterns:
-    """Classify samples that are already split; each pixel is tested for itself.
-
-    Parameters
-    ----------
-    part
-        Positive part of the luminance of each pixel.
-    thresholds
-        When a pattern counts; None for the defaults.
-    tail, modes, families
-        Results for the same part, if they are there; the families must be those of
-        `chdstat.fit.families.SELECTED`.
-    """
+def patterns_of(fits: PixelFits, thresholds: Thresholds | None = None) -> Patterns:
+    """Classify pixels by the fits of their luminance; each pixel is tested for itself."""
     thresholds = thresholds or Thresholds()
-    statistics = gather(
-        part,
-        firefly_share=thresholds.firefly_share,
-        firefly_samples=thresholds.firefly_samples,
-        tail=tail,
-        modes=modes,
-        families=families,
-    )
+    statistics = gather(fits, thresholds)
     # Of a single pixel, arithmetic returns numbers: results are arrays of shape ().
     p_values = {p.name: np.asarray(p.test(statistics, thresholds)) for p in PATTERNS if p.test}
     large_enough = {p.name: np.asarray(p.large_enough(statistics, thresholds)) for p in PATTERNS}
     flags = _decide(large_enough, p_values, thresholds)
-    reason = part.reason()
+    reason = fits.part.reason()
     return Patterns(
         flags=flags,
         large_enough=large_enough,
         statistics={p.name: np.asarray(p.measure(statistics)) for p in PATTERNS},
         p_values=p_values,
         intervals={p.name: p.interval(statistics) for p in PATTERNS if p.interval},
-        dip=statistics.dip,
+        dip=statistics.modes.dip,
         luminance_family=statistics.family,
         misfit=statistics.misfit,
-        long_tail_se=statistics.tail_index_se,
-        variance_unidentified=statistics.variance_unidentified,
+        long_tail_se=np.asarray(statistics.tail.standard_error),
+        variance_unidentified=statistics.tail.variance_unidentified,
         body_tail_index=statistics.body_index,
-        label=_label(flags, reason, statistics.modes > 0),
+        label=_label(flags, reason, statistics.modes.modes > 0),
         reason=reason,
     )
-
-
-class PixelFits:
-    """Fits, tails and modes of the channels of some pixels, and of their luminance as the last row.
-
-    Each is found once, when it is first used, and handed to what needs it.
-
-    Parameters
-    ----------
-    part
-        Positive part of the rows, shape (..., row, sample), as `PositivePart.of_pixels` makes it
-        with ``rows="both"``.
-    held_out
-        Compare the families by held-out likelihood, too.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> x = np.random.default_rng(0).gamma(2.0, size=(3, 512))
-    >>> found = PixelFits(PositivePart.of_pixels(x, rows="both"))
-    >>> found.selection.best.shape, found.of_luminance(found.tail).xi.shape
-    ((4,), ())
-    """
-
-    def __init__(self, part: PositivePart, *, held_out: bool = False) -> None:
-        self.part = part
-        self._held_out = held_out
-        self._axis = part.n.ndim - 1
-
-    @cached_property
-    def selection(self) -> Selection:
-        """The families and which of them is best, of each row."""
-        families = [FAMILIES[name] for name in SELECTED]
-        return select_part(self.part, families, held_out=self._held_out)
-
-    @cached_property
-    def tail(self) -> Tail:
-        """Tail of each row."""
-        return tail_of_part(self.part)
-
-    @cached_property
-    def _mixture_and_modes(self) -> tuple[Mixture, Modality]:
-        return mixture_and_modes_of_part(self.part, fits=self.selection.fits.values())
-
-    @property
-    def mixture(self) -> Mixture:
-        """The log-normal mixture behind the modes, of each row."""
-        return self._mixture_and_modes[0]
-
-    @property
-    def modes(self) -> Modality:
-        """Modes of each row."""
-        return self._mixture_and_modes[1]
-
-    def patterns(self, thresholds: Thresholds | None = None) -> Patterns:
-        """Return the patterns of luminance, each pixel tested for itself."""
-        return patterns_of_part(
-            self.of_luminance(self.part),
-            thresholds,
-            tail=self.of_luminance(self.tail),
-            modes=self.of_luminance(self.modes),
-            families=self.of_luminance(self.selection),
-        )
-
-    def of_luminance(self, result: Result) -> Result:
-        """Return the part of a result that is of luminance."""
-        return take_rows(result, -1, axis=self._axis)
-
-    def of_first(self, result: Result, rows: int) -> Result:
-        """Return the part of a result that is of the first rows, the channels."""
-        return take_rows(result, slice(0, rows), axis=self._axis)
 
 
 def patterns_variables(patterns: Patterns) -> Mapped:
@@ -415,3 +307,120 @@ def _describe(dataset: xr.Dataset) -> None:
     dataset["label"].attrs.update(flag_attributes(Label))
     dataset["reason"].attrs.update(flag_attributes())
     dataset.coords["bound"] = np.array(["low", "high"], dtype=object)
+
+
+_OFFSETS = tuple((i, j) for i in (0, 1, 2) for j in (0, 1, 2) if (i, j) != (1, 1))
+
+
+@dataclass(frozen=True, repr=False)
+class Agreement(Shown):
+    """Agreement of labels with their neighbours.
+
+    Attributes
+    ----------
+    share
+        Share of the up to 8 neighbours that have the label of the pixel, shape (y, x); NaN where
+        the pixel or all of its neighbours have no label.
+    by_chance
+        What that share would be on average, were the labels shuffled over the image, shape (y, x).
+    observed, expected
+        Shares of all pairs of neighbours that have equal labels: there are, and shuffled.
+    kappa
+        ``(observed - expected) / (1 - expected)``: 0 for shuffled labels, 1 for complete agreement;
+        NaN where all labels are equal.
+    z
+        Observed minus expected, in standard deviations over all ways to shuffle the labels.
+    """
+
+    share: Floats
+    by_chance: Floats
+    observed: float
+    expected: float
+    kappa: float
+    z: float
+
+
+def agreement(labels: npt.NDArray[np.integer], known: Mask | None = None) -> Agreement:
+    """Compare the labels of an image with those of their neighbours, and with shuffled labels.
+
+    The pairs of equal neighbours are Moran's join count, for all labels at once; its mean and
+    variance over all permutations are those of Mantel, exact and without a permutation. `kappa`
+    corrects for agreement by chance as Cohen's does.
+
+    Parameters
+    ----------
+    labels
+        Shape (y, x).
+    known
+        Which pixels have a label, same shape; None for all. Pixels without a label are ignored.
+
+    Raises
+    ------
+    InputError
+        If the shapes are not those of one image.
+
+    References
+    ----------
+    Moran, "The interpretation of statistical maps", 1948, doi:10.1111/j.2517-6161.1948.tb00012.x.
+    Mantel, "The detection of disease clustering and a generalized regression approach", Cancer
+    Research 27, 1967. Cohen, "A coefficient of agreement for nominal scales", 1960,
+    doi:10.1177/001316446002000104.
+
+    Examples
+    --------
+    >>> halves = np.repeat([[0, 1]], 8, axis=0).repeat(4, axis=1)
+    >>> found = agreement(halves)
+    >>> round(found.kappa, 2), found.z > 5, float(found.share[0, 0])
+    (0.79, True, 1.0)
+    """
+    known = np.ones(labels.shape, dtype=bool) if known is None else known
+    if labels.ndim != 2 or known.shape != labels.shape:
+        message = f"labels and known must have one shape (y, x), got {labels.shape}, {known.shape}"
+        raise InputError(message)
+    height, width = labels.shape
+    around, there = np.pad(labels, 1), np.pad(known, 1)
+    # Known neighbours of each pixel, and those with an equal label.
+    neighbours, equal = np.zeros((2, height, width), dtype=np.int64)
+    for i, j in _OFFSETS:
+        here = np.s_[i : i + height, j : j + width]
+        both = there[here] & known
+        neighbours += both
+        equal += both & (around[here] == labels)
+    _, group, counts = np.unique(labels[known], return_inverse=True, return_counts=True)
+    sizes = np.zeros(labels.shape, dtype=np.int64)
+    sizes[known] = counts[group]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(known, equal / neighbours, np.nan)
+    n = int(np.count_nonzero(known))
+    by_chance = np.where(known & (neighbours > 0), (sizes - 1) / max(n - 1, 1), np.nan)
+    observed, expected, deviation = _joins(neighbours[known], equal[known], sizes[known])
+    return Agreement(
+        share=share,
+        by_chance=by_chance,
+        observed=observed,
+        expected=expected,
+        kappa=(observed - expected) / (1 - expected) if expected < 1 else math.nan,
+        z=(observed - expected) / deviation if deviation > 0 else math.nan,
+    )
+
+
+def _joins(
+    neighbours: npt.NDArray[np.int64], equal: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64]
+) -> tuple[float, float, float]:
+    """Return the share of equal pairs, its mean and its standard deviation over permutations."""
+    n = float(len(sizes))
+    pairs = float(neighbours.sum())
+    if n < 4 or pairs == 0:
+        return math.nan, math.nan, math.nan
+    # Mantel's sums of two symmetric 0/1 matrices: of being neighbours, and of having equal labels.
+    s0, s1, s2 = pairs, 2 * pairs, 4 * float(np.sum(neighbours**2))
+    others = (sizes - 1).astype(np.float64)
+    t0, t1, t2 = others.sum(), 2 * others.sum(), 4 * np.sum(others**2)
+    mean = s0 * t0 / (n * (n - 1))
+    square = (
+        s1 * t1 / (2 * n * (n - 1))
+        + (s2 - 2 * s1) * (t2 - 2 * t1) / (4 * n * (n - 1) * (n - 2))
+        + (s0**2 + s1 - s2) * (t0**2 + t1 - t2) / (n * (n - 1) * (n - 2) * (n - 3))
+    )
+    deviation = np.sqrt(max(square - mean**2, 0.0))
+    return float(equal.sum()) / pairs, float(mean / pairs), float(deviation / pairs)

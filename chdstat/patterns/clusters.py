@@ -15,17 +15,13 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.cluster import KMeans
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.metrics import (
-    adjusted_rand_score,
-    pairwise_distances_argmin_min,
-    silhouette_score,
-)
+from sklearn.metrics import adjusted_rand_score, pairwise_distances_argmin_min, silhouette_score
 from threadpoolctl import threadpool_limits
 
 from chdstat._core.positive import Counts, Floats
 from chdstat.errors import InputError
 
-__all__ = ["Groups", "find_groups"]
+__all__ = ["Groups", "find_groups", "ratio"]
 
 _LEARNT = 4096
 """Points that k-means learns from: the error of a mean of so many is far below that of a point."""
@@ -134,9 +130,9 @@ def find_groups(
     return Groups(
         **_assign(whole, whole[:0] if chosen is None else _means(whole[learnt], chosen.labels)),
         candidates=np.array([c.number for c in tried], dtype=np.int64),
-        explained=np.array([_ratio((alone - c.errors).sum(), variation) for c in tried]),
+        explained=np.array([ratio((alone - c.errors).sum(), variation) for c in tried]),
         silhouettes=np.array([c.silhouette for c in tried]),
-        repeatable=_ratio(variation, float(alone.sum())),
+        repeatable=float(ratio(variation, alone.sum())),
         stability=chosen.stability if chosen else np.nan,
     )
 
@@ -248,5 +244,7 @@ def _assign(whole: Points, centers: Points) -> dict[str, Any]:
     }
 
 
-def _ratio(part: float, whole: float) -> float:
-    return float(part / whole) if whole > 0 else np.nan
+def ratio(part: npt.ArrayLike, whole: npt.ArrayLike) -> Floats:
+    """Return a part over the whole; NaN where there is nothing."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(np.asarray(whole) > 0, np.divide(part, whole), np.nan)

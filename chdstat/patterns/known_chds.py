@@ -1,12 +1,14 @@
 """CHDs that are known exactly, to draw samples from and to compare with.
 
 A `CHD` is a mixture of `Component` distributions of radiance, one for each kind of light path, with
-nulls, a tail and fireflies. `chdstat.patterns` makes images and populations of them.
+nulls, a tail and fireflies; `CHDS` are clear cases, and `random_chd` draws one. `chdstat.patterns`
+makes images and populations of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, get_args
@@ -19,7 +21,7 @@ from chdstat._core.arrays import Seed, generator
 from chdstat._core.positive import Floats
 from chdstat.errors import InputError
 
-__all__ = ["CHD", "Component", "Kind"]
+__all__ = ["CHD", "CHDS", "Component", "random_chd"]
 
 Kind = Literal["gamma", "lognormal", "constant"]
 
@@ -206,6 +208,11 @@ class CHD:
         return self.body[0].family == "constant"
 
     @cached_property
+    def _weights(self) -> Floats:
+        weights = np.array([component.weight for component in self.body])
+        return np.asarray(weights / weights.sum())
+
+    @cached_property
     def threshold(self) -> float:
         """Radiance above which the tail is grafted, infinite without one."""
         if self.tail_index is None:
@@ -244,22 +251,14 @@ class CHD:
 
     def mean(self) -> float:
         """Return the expectation, nulls included and a planted firefly left out."""
-        weights = _weights(self.body)
-        mean = sum(
-            w * c.mean_below(self.threshold) for w, c in zip(weights, self.body, strict=True)
-        )
+        parts = [component.mean_below(self.threshold) for component in self.body]
+        mean = float(np.dot(self._weights, parts))
         if self.tail_index is not None:
             above = self.tail_scale / (1 - self.tail_index) if self.tail_index < 1 else np.inf
             mean += self.tail_share * (self.threshold + above)
         return float((1 - self.null_share) * mean)
 
-    def draw(
-        self,
-        shape: int | tuple[int, ...] = (),
-        *,
-        samples: int,
-        seed: Seed = None,
-    ) -> Floats:
+    def draw(self, shape: int | tuple[int, ...] = (), *, samples: int, seed: Seed = None) -> Floats:
         """Draw radiance, shape ``(*shape, samples)``, nulls among them."""
         rng = generator(seed)
         whole = (*(shape if isinstance(shape, tuple) else (shape,)), samples)
@@ -267,7 +266,9 @@ class CHD:
         if self.tail_index is not None:
             above = x > self.threshold
             # The quantile function of the generalised Pareto, at an exponential variate -log U.
-            rise = _box_cox(rng.standard_exponential(np.count_nonzero(above)), self.tail_index)
+            rise = rng.standard_exponential(np.count_nonzero(above))
+            if self.tail_index > 0:
+                rise = np.expm1(self.tail_index * rise) / self.tail_index
             x[above] = self.threshold + self.tail_scale * rise
         x[rng.random(whole) < self.null_share] = 0
         return _plant(x, self.firefly_share, rng) if self.firefly_share else x
@@ -308,9 +309,8 @@ class CHD:
         return float(-1 - share * self._of_body("slope", u) / self._of_body("pdf", u) ** 2)
 
     def _of_body(self, what: Literal["pdf", "cdf", "slope"], x: Floats) -> Floats:
-        weights = _weights(self.body)
-        parts = [w * getattr(c, what)(x) for w, c in zip(weights, self.body, strict=True)]
-        return np.asarray(np.sum(parts, axis=0))
+        parts = [getattr(component, what)(x) for component in self.body]
+        return np.tensordot(self._weights, parts, axes=1)
 
     def _body_cdf(self, x: Floats) -> Floats:
         return self._of_body("cdf", x)
@@ -329,21 +329,12 @@ class CHD:
         return np.asarray(np.log1p(xi * z) / xi if xi > 0 else z)
 
     def _draw_body(self, shape: tuple[int, ...], rng: np.random.Generator) -> Floats:
-        which = np.searchsorted(np.cumsum(_weights(self.body))[:-1], rng.random(shape))
+        which = np.searchsorted(np.cumsum(self._weights)[:-1], rng.random(shape))
         x = np.empty(shape)
         for index, component in enumerate(self.body):
             here = which == index
             x[here] = component.draw(int(np.count_nonzero(here)), rng)
         return x
-
-
-def _weights(body: Sequence[Component]) -> Floats:
-    weights = np.array([component.weight for component in body])
-    return np.asarray(weights / weights.sum())
-
-
-def _box_cox(exponential: Floats, xi: float) -> Floats:
-    return np.asarray(np.expm1(xi * exponential) / xi if xi > 0 else exponential)
 
 
 def _plant(x: Floats, share: float, rng: np.random.Generator) -> Floats:
@@ -363,3 +354,62 @@ def _quantile(cdf: Callable[[Floats], Floats], q: Floats) -> Floats:
         below = cdf(np.exp(middle)) < q
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     return np.asarray(np.exp(high))
+
+
+_TWO = (Component("lognormal", 0.5, 0.02, 0.4), Component("lognormal", 0.4, 1.0, 0.6))
+CHDS: Mapping[str, CHD] = {
+    "gamma": CHD((Component("gamma", 2.0),)),
+    "lognormal": CHD((Component("lognormal", 0.5),)),
+    "null-heavy": CHD((Component("gamma", 2.0),), null_share=0.8),
+    "bimodal": CHD(_TWO),
+    "multimodal": CHD((*_TWO, Component("lognormal", 0.3, 20.0, 0.5))),
+    "long-tail": CHD((Component("gamma", 2.0),), tail_index=0.6, tail_share=0.2),
+    "firefly": CHD((Component("gamma", 2.0),), firefly_share=0.5),
+    "constant": CHD((Component("constant"),)),
+    "black": CHD((Component("constant"),), null_share=1.0),
+}
+"""A clear case of each pattern, by name."""
+
+
+def random_chd(rng: np.random.Generator) -> CHD:
+    """Draw a CHD; `chdstat.patterns.random_chds` has the table, and tells what is undecided."""
+    number = rng.choice(4, p=[0.1, 0.56, 0.17, 0.17])
+    null_share = rng.choice([0.0, rng.uniform(0, 0.5), rng.uniform(0.5, 0.95)], p=[0.4, 0.3, 0.3])
+    brightness = 10 ** rng.uniform(-3, 1)
+    if number == 0:
+        return CHD((Component("constant", median=brightness),), null_share=null_share)
+    body = _random_body(int(number), brightness, rng)
+    has_tail = rng.random() < (0.5 if number == 1 else 0.25)
+    most = min(0.25, 0.5 * body[-1].weight)
+    return CHD(
+        body,
+        tail_index=rng.uniform(0, 0.75) if has_tail else None,
+        tail_share=rng.uniform(0.1, most),
+        null_share=null_share,
+        firefly_share=rng.uniform(0.25, 0.75) if rng.random() < 0.15 else 0.0,
+    )
+
+
+def _random_body(number: int, brightness: float, rng: np.random.Generator) -> tuple[Component, ...]:
+    """Draw components, the darkest first, whose neighbours have a drawn separation."""
+    family: Kind = "gamma" if rng.random() < 0.5 else "lognormal"
+    body: list[Component] = []
+    for weight in _random_weights(number, rng):
+        if family == "gamma":
+            shape = math.exp(rng.uniform(math.log(0.5 if number == 1 else 1.0), math.log(6)))
+        else:
+            shape = rng.uniform(0.3, 1.2 if number == 1 else 0.8)
+        new = Component(family, shape, brightness, weight)
+        if body:
+            spread = math.hypot(body[-1].log_deviation, new.log_deviation) / math.sqrt(2)
+            place = body[-1].log_mean + rng.uniform(2.5, 6) * spread
+            new = Component(family, shape, brightness * math.exp(place - new.log_mean), weight)
+        body.append(new)
+    return tuple(body)
+
+
+def _random_weights(number: int, rng: np.random.Generator) -> npt.NDArray[np.float64]:
+    if number == 1:
+        return np.ones(1)
+    least = 0.25 if number == 2 else 0.2
+    return np.asarray(least + (1 - number * least) * rng.dirichlet(np.ones(number)))

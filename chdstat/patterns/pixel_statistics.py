@@ -1,25 +1,30 @@
 """Pixel statistics: the scores that the rules of the patterns compare with thresholds.
 
 A firefly must not decide what the rest of a pixel looks like: where one sample carries too much of
-the mean, tail, modes and families are measured without it.
+the mean, tail, modes and families are measured without it. `PixelFits` finds fits, tails and modes
+once each for several analyses of the same samples.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from functools import cache
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special
 
+from chdstat._core.arrays import take_rows
 from chdstat._core.positive import Floats, Mask, PositivePart
+from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED
+from chdstat.fit.mixtures import Mixture
 from chdstat.fit.selection import Selection, select_part
 from chdstat.fit.tail import Tail, tail_of_part
-from chdstat.inference.modes import Modality, modality_of_part
+from chdstat.inference.modes import Modality, mixture_and_modes_of_part
 
-__all__ = ["PixelStatistics", "firefly_limit", "gather", "without_largest"]
+__all__ = ["PixelFits", "PixelStatistics", "Thresholds", "firefly_limit", "gather"]
 
 _POINTS = 32
 """Quantiles at which a family is compared with the samples: at 512, the distance is 1/64 off."""
@@ -29,30 +34,122 @@ _TOP = 0.1
 
 
 @dataclass(frozen=True)
+class Thresholds:
+    """When a pattern counts as one.
+
+    Attributes
+    ----------
+    alpha
+        False discovery rate of every tested flag over an image; level of the test of one pixel.
+    null_share
+        A pixel is null-heavy where more than this share of its samples is null.
+    tail_index
+        A tail is long where its index is at least this, and significantly above 0.
+    ashman_d
+        Neighbouring modes count as two from this separation on.
+    firefly_share, firefly_samples
+        A sample is a firefly where it carries more than this share of the sum of all, and more than
+        this many average samples do.
+    misfit
+        A family describes a pixel where Kolmogorov's distance to the samples is at most this, or no
+        larger than chance makes it in 95 % of all cases.
+    constant
+        A pixel is constant where the standard deviation of the natural logarithm of its luminance
+        is at most this: float32 leaves 1e-7 for each of the products along a path.
+
+    Raises
+    ------
+    InputError
+        If a value is out of range.
+    """
+
+    alpha: float = 0.05
+    null_share: float = 0.5
+    tail_index: float = 0.2
+    ashman_d: float = 2.0
+    firefly_share: float = 0.1
+    firefly_samples: float = 8.0
+    misfit: float = 0.05
+    constant: float = 1e-4
+
+    def __post_init__(self) -> None:
+        shares = (self.alpha, self.null_share, self.firefly_share)
+        others = self.tail_index, self.ashman_d, self.firefly_samples, self.misfit, self.constant
+        if not all(0 < share < 1 for share in shares) or not all(v >= 0 for v in others):
+            message = (
+                "thresholds need alpha, null_share and firefly_share in (0, 1), and tail_index, "
+                f"ashman_d, firefly_samples, misfit and constant >= 0; got {self}"
+            )
+            raise InputError(message)
+
+
+@dataclass(frozen=True)
+class PixelFits:
+    """Fits, tails and modes of rows of samples, each found once, when it is first used.
+
+    Attributes
+    ----------
+    part
+        Positive part of the rows, shape (..., row, sample), such as the channels of pixels, and
+        their luminance as the last one (`PositivePart.of_pixels` with ``rows="both"``).
+    held_out
+        Compare the families by held-out likelihood, too.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> x = np.random.default_rng(0).gamma(2.0, size=(3, 512))
+    >>> found = PixelFits(PositivePart.of_pixels(x, rows="both"))
+    >>> found.selection.best.shape, found.rows(-1).tail.xi.shape
+    ((4,), ())
+    """
+
+    part: PositivePart
+    held_out: bool = False
+
+    @cached_property
+    def selection(self) -> Selection:
+        """The families and which of them is best, of each row."""
+        families = [FAMILIES[name] for name in SELECTED]
+        return select_part(self.part, families, held_out=self.held_out)
+
+    @cached_property
+    def tail(self) -> Tail:
+        """Tail of each row."""
+        return tail_of_part(self.part)
+
+    @cached_property
+    def _mixture_and_modes(self) -> tuple[Mixture, Modality]:
+        return mixture_and_modes_of_part(self.part, fits=self.selection.fits.values())
+
+    @property
+    def mixture(self) -> Mixture:
+        """The log-normal mixture behind the modes, of each row."""
+        return self._mixture_and_modes[0]
+
+    @property
+    def modes(self) -> Modality:
+        """Modes of each row."""
+        return self._mixture_and_modes[1]
+
+    def rows(self, rows: int | slice) -> PixelFits:
+        """Return the same of some rows, -1 for luminance; it is found for all rows together."""
+        _ = self.tail, self.modes
+        return take_rows(self, rows, axis=self.part.n.ndim - 1)
+
+
+@dataclass(frozen=True)
 class PixelStatistics:
     """Scores per pixel; arrays of the batch's shape, NaN where there is nothing to measure.
 
     Attributes
     ----------
-    n, n_good, n_null
-        Positive, good and null samples.
-    constant
-        Whether the positive samples are equal.
-    spread
-        Standard deviation of the natural logarithm of the positive samples.
+    part
+        All positive samples.
     largest_share
         Share of the sum that the largest sample carries.
-    tail_index, tail_index_se, tail_interval, tail_p_value
-        Generalised Pareto tail index, its standard error, its interval, shape (..., 2), and the
-        one-sided p-value of a tail no heavier than that of a gamma distribution.
-    variance_unidentified
-        Where the samples do not identify whether their variance is finite.
-    modes
-        Modes of the log density; 0 where they could not be counted.
-    ashman_d, ashman_d_se
-        Separation of neighbouring modes, shape (..., 2), the widest first; and its standard error.
-    dip, dip_p_value
-        Of unimodality.
+    tail, modes
+        Without a sample that dominates, as all that follows.
     vuong_z
         Gamma against log-normal, positive for gamma.
     family
@@ -64,54 +161,55 @@ class PixelStatistics:
         penultimate one: Smith 1987, doi:10.1214/aos/1176350499), and its standard error.
     """
 
-    n: npt.NDArray[np.int64]
-    n_good: npt.NDArray[np.int64]
-    n_null: npt.NDArray[np.int64]
-    constant: Mask
-    spread: Floats
+    part: PositivePart
     largest_share: Floats
-    tail_index: Floats
-    tail_index_se: Floats
-    tail_interval: Floats
-    tail_p_value: Floats
-    variance_unidentified: Mask
-    modes: npt.NDArray[np.int8]
-    ashman_d: Floats
-    ashman_d_se: Floats
-    dip: Floats
-    dip_p_value: Floats
+    tail: Tail
+    modes: Modality
     vuong_z: Floats
     family: npt.NDArray[np.int8]
     misfit: Floats
     body_index: Floats
     body_index_se: Floats
 
+    @cached_property
+    def widest(self) -> tuple[Floats, Floats]:
+        """Separations of neighbouring modes, shape (..., 2), widest first, and standard errors."""
+        d, error = self.modes.ashman_d, self.modes.ashman_d_se
+        order = np.argsort(-np.nan_to_num(d), axis=-1)
+        return np.take_along_axis(d, order, axis=-1), np.take_along_axis(error, order, axis=-1)
 
-def gather(
-    part: PositivePart,
-    *,
-    firefly_share: float,
-    firefly_samples: float,
-    tail: Tail | None = None,
-    modes: Modality | None = None,
-    families: Selection | None = None,
-) -> PixelStatistics:
-    """Measure every pixel; results for the same part that are already there are not repeated."""
-    found = _measure(part, tail, modes, families)
-    limit = firefly_limit(part.n, firefly_share, firefly_samples)
-    rows = np.asarray(found.largest_share > limit)
+
+def gather(fits: PixelFits, thresholds: Thresholds) -> PixelStatistics:
+    """Measure every pixel."""
+    found = _measure(fits)
+    rows = np.asarray(found.largest_share > firefly_limit(fits.part.n, thresholds))
     if not rows.any():
         return found
-    rest = without_largest(part, rows)
-    return _replace_shape(found, _measure(rest, None, None, None), rows)
+    rest = _measure(PixelFits(_without_largest(fits.part, rows)))
+    shape = {f.name for f in fields(found)} - {"part", "largest_share"}
+    return replace(
+        found, **{name: _put(getattr(found, name), getattr(rest, name), rows) for name in shape}
+    )
 
 
-def firefly_limit(n: npt.NDArray[np.int64], share: float, samples: float) -> Floats:
-    """Return the share of the sum above which a sample is a firefly: that of `samples` at least."""
-    return np.maximum(share, samples / np.maximum(n, 1))
+def _put(found: Any, rest: Any, rows: Mask) -> Any:
+    """Return a result, an array or a dataclass of them, with that of the `rest` in some rows."""
+    if is_dataclass(found) and not isinstance(found, type):
+        names = [f.name for f in fields(found)]
+        return replace(found, **{n: _put(getattr(found, n), getattr(rest, n), rows) for n in names})
+    if not isinstance(found, np.ndarray | np.generic):
+        return found
+    values = np.array(found)
+    values[rows] = rest
+    return values
 
 
-def without_largest(part: PositivePart, rows: Mask) -> PositivePart:
+def firefly_limit(n: npt.NDArray[np.int64], thresholds: Thresholds) -> Floats:
+    """Return the share of the sum above which a sample is a firefly."""
+    return np.maximum(thresholds.firefly_share, thresholds.firefly_samples / np.maximum(n, 1))
+
+
+def _without_largest(part: PositivePart, rows: Mask) -> PositivePart:
     """Return some rows of a part, shape (row, sample), each without its largest sample."""
     x, positive = part.x[rows], part.positive[rows].copy()
     largest = np.where(positive, x, -np.inf).argmax(axis=-1)
@@ -120,52 +218,19 @@ def without_largest(part: PositivePart, rows: Mask) -> PositivePart:
     return PositivePart(x, positive, part.n[rows] - 1, *(count[rows] for count in others))
 
 
-def _measure(
-    part: PositivePart,
-    tail: Tail | None,
-    modes: Modality | None,
-    families: Selection | None,
-) -> PixelStatistics:
-    tail = tail or tail_of_part(part)
-    families = families or select_part(part, [FAMILIES[name] for name in SELECTED])
-    if modes is None:
-        modes = modality_of_part(part, fits=families.fits.values())
-    widest = np.argsort(-np.nan_to_num(modes.ashman_d), axis=-1)
-    statistics = part.log_statistics
-    body_index, body_index_se = _body_index(families)
+def _measure(fits: PixelFits) -> PixelStatistics:
+    body_index, body_index_se = _body_index(fits.selection)
     return PixelStatistics(
-        n=part.n,
-        n_good=part.n_good,
-        n_null=part.n_null,
-        constant=statistics.constant,
-        spread=np.asarray(np.sqrt(statistics.log_variance)),
-        largest_share=_largest_share(part),
-        tail_index=tail.xi,
-        tail_index_se=np.asarray(tail.standard_error),
-        tail_interval=tail.interval,
-        tail_p_value=tail.p_exponential,
-        variance_unidentified=tail.variance_unidentified,
-        modes=modes.modes,
-        ashman_d=np.take_along_axis(modes.ashman_d, widest, axis=-1),
-        ashman_d_se=np.take_along_axis(modes.ashman_d_se, widest, axis=-1),
-        dip=modes.dip,
-        dip_p_value=modes.dip_p_value,
-        vuong_z=families.vuong_z,
-        family=families.best,
-        misfit=_misfit(part, families),
+        part=fits.part,
+        largest_share=_largest_share(fits.part),
+        tail=fits.tail,
+        modes=fits.modes,
+        vuong_z=fits.selection.vuong_z,
+        family=fits.selection.best,
+        misfit=_misfit(fits.part, fits.selection),
         body_index=body_index,
         body_index_se=body_index_se,
     )
-
-
-def _replace_shape(found: PixelStatistics, rest: PixelStatistics, rows: Mask) -> PixelStatistics:
-    """Take what describes the shape from `rest`, in its rows; counts and the firefly stay."""
-    kept = {"n", "n_good", "n_null", "constant", "spread", "largest_share"}
-    values = {field.name: getattr(found, field.name) for field in fields(PixelStatistics)}
-    for name in values.keys() - kept:
-        values[name] = np.array(values[name])
-        values[name][rows] = getattr(rest, name)
-    return PixelStatistics(**values)
 
 
 def _largest_share(part: PositivePart) -> Floats:

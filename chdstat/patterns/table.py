@@ -13,59 +13,12 @@ from scipy import special
 
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.resampling import Z_95, wilson
-from chdstat.errors import InputError
-from chdstat.patterns.pixel_statistics import PixelStatistics, firefly_limit
+from chdstat.patterns.pixel_statistics import PixelStatistics, Thresholds, firefly_limit
 
-__all__ = ["PATTERNS", "Pattern", "Thresholds"]
+__all__ = ["PATTERNS", "Pattern"]
 
 _CHANCE = 0.895
 """Kolmogorov's distance times sqrt(n) that 5 % of Gaussian samples exceed (Stephens 1974)."""
-
-
-@dataclass(frozen=True)
-class Thresholds:
-    """When a pattern counts as one.
-
-    Attributes
-    ----------
-    alpha
-        False discovery rate of every tested flag over an image; level of the test of one pixel.
-    null_share
-        A pixel is null-heavy where more than this share of its samples is null.
-    tail_index
-        A tail is long where its index is at least this, and significantly above 0.
-    ashman_d
-        Neighbouring modes count as two from this separation on.
-    firefly_share, firefly_samples
-        A sample is a firefly where it carries more than this share of the sum of all, and more than
-        this many average samples do.
-    misfit
-        A family describes a pixel where Kolmogorov's distance to the samples is at most this, or no
-        larger than chance makes it in 95 % of all cases.
-
-    Raises
-    ------
-    InputError
-        If a value is out of range.
-    """
-
-    alpha: float = 0.05
-    null_share: float = 0.5
-    tail_index: float = 0.2
-    ashman_d: float = 2.0
-    firefly_share: float = 0.1
-    firefly_samples: float = 8.0
-    misfit: float = 0.05
-
-    def __post_init__(self) -> None:
-        shares = (self.alpha, self.null_share, self.firefly_share)
-        others = (self.tail_index, self.ashman_d, self.firefly_samples, self.misfit)
-        if not all(0 < share < 1 for share in shares) or not all(v >= 0 for v in others):
-            message = (
-                "thresholds need alpha, null_share and firefly_share in (0, 1), and tail_index, "
-                f"ashman_d, firefly_samples and misfit >= 0; got {self}"
-            )
-            raise InputError(message)
 
 
 @dataclass(frozen=True)
@@ -82,6 +35,8 @@ class Pattern:
         What is measured, and on which scale; computed by `measure`.
     rule
         When the flag is set, in words.
+    limit
+        The threshold in short, to be formatted with the fields of `Thresholds`.
     source
         Where the pattern or its threshold comes from.
     measure
@@ -102,6 +57,7 @@ class Pattern:
     meaning: str
     statistic: str
     rule: str
+    limit: str
     source: str
     measure: Callable[[PixelStatistics], Floats]
     large_enough: Callable[[PixelStatistics, Thresholds], Mask]
@@ -113,31 +69,31 @@ class Pattern:
 
 def _null_share(e: PixelStatistics) -> Floats:
     with np.errstate(invalid="ignore"):
-        return np.asarray(e.n_null / e.n_good)
+        return np.asarray(e.part.n_null / e.part.n_good)
 
 
 def _null_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
     """Return P(as many nulls or more) were their share the threshold: the exact binomial test."""
-    n, nulls = e.n_good, e.n_null
+    n, nulls = e.part.n_good, e.part.n_null
     p = special.betainc(np.maximum(nulls, 1), n - nulls + 1, t.null_share)
     return np.where(n == 0, np.nan, np.where(nulls == 0, 1.0, p))
 
 
 def _clear_modes(e: PixelStatistics, t: Thresholds) -> Counts:
     """Count modes that are far enough from their neighbour; 0 where modes are not known."""
-    clear = 1 + np.count_nonzero(e.ashman_d >= t.ashman_d, axis=-1)
-    return np.where(e.modes > 0, clear, 0)
+    clear = 1 + np.count_nonzero(e.widest[0] >= t.ashman_d, axis=-1)
+    return np.where(e.modes.modes > 0, clear, 0)
 
 
 def _separation_interval(e: PixelStatistics, widest: int) -> Floats:
-    error = Z_95 * e.ashman_d_se[..., widest]
-    ends = e.ashman_d[..., widest] - error, e.ashman_d[..., widest] + error
+    separation, error = (values[..., widest] for values in e.widest)
+    ends = separation - Z_95 * error, separation + Z_95 * error
     return np.maximum(np.stack(ends, axis=-1), 0)
 
 
 def _is_described(e: PixelStatistics, t: Thresholds) -> Mask:
     """Say where there is one mode that gamma or log-normal describes."""
-    by_chance = _CHANCE / np.sqrt(np.maximum(e.n, 1))
+    by_chance = _CHANCE / np.sqrt(np.maximum(e.part.n, 1))
     return np.asarray((e.misfit <= np.maximum(t.misfit, by_chance)) & (_clear_modes(e, t) == 1))
 
 
@@ -147,7 +103,7 @@ def _body_is_long(e: PixelStatistics, t: Thresholds) -> Mask:
     The tail of a gamma distribution is exponential, however heavy it seems above its quantile 0.9.
     """
     is_lognormal = e.vuong_z <= 0
-    objects = e.tail_interval[..., 1] < t.tail_index
+    objects = e.tail.interval[..., 1] < t.tail_index
     is_long = is_lognormal & (e.body_index >= t.tail_index)
     return np.asarray(_is_described(e, t) & is_long & ~objects)
 
@@ -161,8 +117,8 @@ def _tail_p_value(e: PixelStatistics, t: Thresholds) -> Floats:
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         of_body = np.fmax(special.ndtr(-e.body_index / e.body_index_se), special.ndtr(e.vuong_z))
-    both = np.minimum(2 * np.fmin(of_body, e.tail_p_value), 1.0)
-    return np.where(_body_is_long(e, t), both, e.tail_p_value)
+    both = np.minimum(2 * np.fmin(of_body, e.tail.p_exponential), 1.0)
+    return np.where(_body_is_long(e, t), both, e.tail.p_exponential)
 
 
 def _is_like(sign: int) -> Callable[[PixelStatistics, Thresholds], Mask]:
@@ -173,6 +129,10 @@ def _is_like(sign: int) -> Callable[[PixelStatistics, Thresholds], Mask]:
         return np.asarray((sign * e.vuong_z > 0) & _is_described(e, t) & short)
 
     return large_enough
+
+
+def _log_spread(e: PixelStatistics) -> Floats:
+    return np.asarray(np.sqrt(e.part.log_statistics.log_variance))
 
 
 _TAIL_SOURCE = (
@@ -194,12 +154,13 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="most paths find no light: small or hidden emitters, occlusion",
         statistic="share of null samples",
         rule="the share is above the threshold (exact binomial test)",
+        limit="> {null_share:.0%}",
         source="Elek, Thomas and Forbes 2019: often more than 50 % in enclosed scenes",
         measure=_null_share,
         large_enough=lambda e, t: _null_share(e) > t.null_share,
         test=_null_p_value,
         decisive=True,
-        interval=lambda e: wilson(e.n_null, e.n_good),
+        interval=lambda e: wilson(e.part.n_null, e.part.n_good),
     ),
     Pattern(
         name="long_tail",
@@ -207,22 +168,24 @@ PATTERNS: tuple[Pattern, ...] = (
         statistic="generalised Pareto tail index, without a sample that dominates",
         rule="the index is at least the threshold and significantly above that of a gamma tail; or "
         "that of log-normal is, which describes the samples, and the former's interval reaches it",
+        limit="≥ {tail_index:g}",
         source=_TAIL_SOURCE,
-        measure=lambda e: e.tail_index,
-        large_enough=lambda e, t: (e.tail_index >= t.tail_index) | _body_is_long(e, t),
+        measure=lambda e: e.tail.xi,
+        large_enough=lambda e, t: (e.tail.xi >= t.tail_index) | _body_is_long(e, t),
         test=_tail_p_value,
         decisive=True,
-        interval=lambda e: e.tail_interval,
+        interval=lambda e: e.tail.interval,
     ),
     Pattern(
         name="bimodal",
         meaning="two kinds of paths at once: direct and indirect, lit and shadowed",
         statistic="Ashman's D of the two modes with the largest separation, in log radiance",
         rule="two modes of the mixture are separated by the threshold (dip test beside it)",
+        limit="D ≥ {ashman_d:g}",
         source=_MODE_SOURCE,
-        measure=lambda e: e.ashman_d[..., 0],
+        measure=lambda e: e.widest[0][..., 0],
         large_enough=lambda e, t: _clear_modes(e, t) == 2,
-        test=lambda e, _: e.dip_p_value,
+        test=lambda e, _: e.modes.dip_p_value,
         interval=lambda e: _separation_interval(e, 0),
     ),
     Pattern(
@@ -230,10 +193,11 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="three or more kinds of paths: several emitters, lobes or depths of reflection",
         statistic="Ashman's D of the next pair of neighbouring modes, in log radiance",
         rule="three modes of the mixture are separated by the threshold (dip test beside it)",
+        limit="D ≥ {ashman_d:g}",
         source=_MODE_SOURCE,
-        measure=lambda e: e.ashman_d[..., 1],
+        measure=lambda e: e.widest[0][..., 1],
         large_enough=lambda e, t: _clear_modes(e, t) >= 3,
-        test=lambda e, _: e.dip_p_value,
+        test=lambda e, _: e.modes.dip_p_value,
         interval=lambda e: _separation_interval(e, 1),
     ),
     Pattern(
@@ -241,6 +205,7 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="many small contributions add up: one kind of paths with an exponential tail",
         statistic="Vuong's z of gamma against log-normal",
         rule="one mode, no long tail, gamma is likelier than log-normal and no misfit",
+        limit="z > 0, misfit ≤ {misfit:g}",
         source=_FAMILY_SOURCE,
         measure=lambda e: e.vuong_z,
         large_enough=_is_like(1),
@@ -252,6 +217,7 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="many factors multiply: one kind of paths of several reflections",
         statistic="Vuong's z of log-normal against gamma",
         rule="one mode, no long tail, log-normal is likelier than gamma and no misfit",
+        limit="z > 0, misfit ≤ {misfit:g}",
         source=_FAMILY_SOURCE,
         measure=lambda e: -e.vuong_z,
         large_enough=_is_like(-1),
@@ -263,20 +229,20 @@ PATTERNS: tuple[Pattern, ...] = (
         meaning="one sample decides the pixel: a firefly",
         statistic="share of the sum of all samples that the largest one carries",
         rule="the share is above the threshold, and above that of some average samples",
+        limit="> {firefly_share:.0%} and > {firefly_samples:g} mean samples",
         source="a definition, not a test",
         measure=lambda e: e.largest_share,
-        large_enough=lambda e, t: (
-            e.largest_share > firefly_limit(e.n, t.firefly_share, t.firefly_samples)
-        ),
+        large_enough=lambda e, t: e.largest_share > firefly_limit(e.part.n, t),
     ),
     Pattern(
         name="constant",
         meaning="every path that finds light brings the same: emitters and backgrounds seen",
         statistic="standard deviation of the natural logarithm of luminance",
-        rule="no larger than rounding leaves",
+        rule="no larger than the threshold, about what rounding leaves",
+        limit="≤ {constant:g}",
         source="a definition, not a test",
-        measure=lambda e: e.spread,
-        large_enough=lambda e, _: e.constant & (e.n > 1),
+        measure=_log_spread,
+        large_enough=lambda e, t: (_log_spread(e) <= t.constant) & (e.part.n > 1),
     ),
 )
 """The patterns, in no order; `Label` has the order."""

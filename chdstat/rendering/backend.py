@@ -2,28 +2,25 @@
 
 `scalar` needs nothing but the Mitsuba wheel. `llvm` and `cuda` depend on libraries outside it, and
 some versions of LLVM abort the process instead of raising. So each candidate is tried in a child
-process that renders one small image; its answer is cached per library and Mitsuba version.
+process that renders one small image; its answer is cached per library and version of Mitsuba.
 """
 
 from __future__ import annotations
 
 import contextlib
-import functools
 import importlib.metadata
-import json
 import os
 import platform
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from chdstat._core.cache import user_cache
+from chdstat._core.cache import Cache, installed, user_cache
 from chdstat._core.executor import cores, memory
-from chdstat._core.files import replacing
 from chdstat.errors import InputError, RenderError
 
 __all__ = ["BACKENDS", "Backend", "Verdict", "activate", "examine", "probe", "resolve"]
@@ -153,17 +150,13 @@ def llvm_libraries() -> list[str]:
 
 
 def _trial(backend: str, library: str | None, *, fresh: bool) -> Verdict:
-    """Return the cached answer for a library, or render with it in a child process."""
+    """Return the cached verdict on a library, or render with it in a child process."""
     changed = Path(library).stat().st_mtime_ns if library and Path(library).exists() else 0
-    key = f"{backend}|{library}|{changed}|mitsuba {importlib.metadata.version('mitsuba')}"
-    cache = _read_cache()
-    if not fresh:
-        # Not tried yet, or written by a version whose verdicts had other fields.
-        with contextlib.suppress(KeyError, TypeError):
-            return Verdict(**cache[key])
-    verdict = _try_in_child(backend, library)
-    _write_cache({**cache, key: asdict(verdict)})
-    return verdict
+    inputs = (library, changed, importlib.metadata.version("mitsuba"))
+    cache = Cache(user_cache(), "backend")
+    return cache.record(
+        backend, Verdict, lambda: _try_in_child(backend, library), inputs=inputs, again=fresh
+    )
 
 
 _CHILD = """
@@ -194,28 +187,6 @@ def _try_in_child(backend: str, library: str | None) -> Verdict:
     return Verdict(backend, False, f"{ended} ({[*errors, *lines, 'no output'][0][:120]})", library)
 
 
-def _cache_file() -> Path:
-    return user_cache() / "backends.json"
-
-
-@functools.cache
-def _read_cache() -> dict[str, Any]:
-    try:
-        cache = json.loads(_cache_file().read_text())
-    except (OSError, ValueError):
-        return {}
-    return cache if isinstance(cache, dict) else {}
-
-
-def _write_cache(cache: dict[str, Any]) -> None:
-    """Keep the answers; a home that cannot be written to only costs the next trial."""
-    with contextlib.suppress(OSError):
-        _cache_file().parent.mkdir(parents=True, exist_ok=True)
-        with replacing(_cache_file()) as partial:
-            partial.write_text(json.dumps(cache, indent=1))
-    _read_cache.cache_clear()
-
-
 _PACKAGES = ("chdstat", "mitsuba", "drjit", "numpy", "scipy", "torch", "xarray", "zarr", "typst")
 
 
@@ -241,7 +212,7 @@ def examine(*, fresh: bool = False) -> dict[str, Any]:
         "memory_gib": None if (size := memory()) is None else round(size / 2**30, 1),
         "platform": platform.platform(),
         "python": platform.python_version(),
-        "versions": {name: _installed(name) for name in _PACKAGES},
+        "versions": {name: installed(name) or "not installed" for name in _PACKAGES},
     }
 
 
@@ -251,10 +222,3 @@ def _torch_device() -> str:
     if torch.cuda.is_available():
         return f"cuda: {torch.cuda.get_device_name(0)}"
     return f"cpu, {torch.get_num_threads()} threads"
-
-
-def _installed(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return "not installed"

@@ -20,15 +20,16 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, spans, whole
+from chdstat._core.display import Card
 from chdstat._core.executor import track
 from chdstat.errors import InputError, RenderError
 from chdstat.rendering.backend import Backend, activate
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import check_spp
 from chdstat.rendering.workers import rendered
-from chdstat.rendering.writers import MemoryWriter, StoreWriter, Writer, check_room, provenance
-from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import BATCH, DIRECT, Chunk, chunk_grid
+from chdstat.rendering.writers import MemoryWriter, Writer, check_room, opened_store, provenance
+from chdstat.samples import Samples, description, is_store
+from chdstat.samples.layout import BATCH, DIRECT, Chunk, Image, chunk_grid
 from chdstat.samples.store import Store
 from chdstat.scenes import Scene, load_scene
 
@@ -43,8 +44,6 @@ _DIRECT_DEPTH = 2
 """Segments of a path from the camera to a light that shines on what it sees."""
 _AT_ONCE = 4
 """Samples that a scalar thread draws of a tile: few tiles shall keep all threads busy."""
-
-Image = npt.NDArray[np.float32]
 
 
 def render(
@@ -292,6 +291,9 @@ class Rendering:
         with activate(self._job.verdict):
             return self._renderer.features()
 
+    def _repr_html_(self) -> str:
+        return Card("Rendering", description.provenance(self.attrs, self.shape)).html()
+
     def __repr__(self) -> str:
         height, width, _, spp = self.shape
         return (
@@ -404,17 +406,12 @@ def _writer(
     if out is None:
         yield MemoryWriter(attrs, renderer, spp, features=features)
         return
-    writer = StoreWriter.open(Path(out), attrs, renderer, spp, features=features)
-    with contextlib.closing(writer):
-        yield writer
+    with opened_store(Path(out), attrs, renderer, spp, features=features) as store:
+        yield store
 
 
 def _fill(
-    job: Job,
-    renderer: Renderer,
-    writer: Writer,
-    client: Client | None,
-    progress: bool | None,
+    job: Job, renderer: Renderer, writer: Writer, client: Client | None, progress: bool | None
 ) -> None:
     """Render what is missing, writing each chunk as it arrives."""
     chunks = writer.pending()

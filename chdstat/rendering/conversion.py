@@ -112,20 +112,12 @@ def _proved(
 
 def _converted(old: Store, path: Path, told: Mapping[str, Any]) -> Store:
     """Return a new, open store with the samples of another that every pixel has."""
-    height, width, channels, _ = old.shape
     spp = old.complete_spp()
     if spp == 0:
         message = f"{old.path} holds no sample that every pixel has: there is nothing to convert"
         raise StoreError(message)
-    new = Store.create(
-        path,
-        height=height,
-        width=width,
-        channels=channels,
-        spp=spp,
-        attrs={**old.attrs, **told, "spp": spp},
-        features=old.read_features(),
-    )
+    attrs, features = {**old.attrs, **told, "spp": spp}, old.read_features()
+    new = Store.create(path, shape=(*old.shape[:3], spp), attrs=attrs, features=features)
     for chunk in new.pending():
         new.write(chunk, old.read(chunk.ys, chunk.xs, chunk.ss))
     return new

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 import chdstat
+from chdstat._core.display import percent
 from chdstat.errors import InputError
 from chdstat.rendering.renderer import scene_integrator, scene_size
 from chdstat.samples import Samples
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "PHENOMENA",
     "Recipe",
     "Region",
     "check_integrator",
@@ -375,9 +375,14 @@ def choose_regions(patterns: xr.Dataset, *, edge: int = 5, most: int = 8) -> tup
     masks = {n: codes == c for c, n in zip(label.attrs["flag_values"], names, strict=True)}
     edge = min(edge, *codes.shape)
     found = sorted(filter(lambda n: masks[n].any(), masks), key=lambda n: -masks[n].sum())
-    note = "{:.0%} of the pixels have this label"
     return tuple(
-        Region(n, n, _purest(masks[n], edge), note.format(masks[n].mean())) for n in found[:most]
+        Region(
+            n,
+            n,
+            _purest(masks[n], edge),
+            f"{percent(float(masks[n].mean()))} of the pixels have this label",
+        )
+        for n in found[:most]
     )
 
 

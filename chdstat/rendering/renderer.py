@@ -21,7 +21,7 @@ from chdstat._core.executor import Interrupted
 from chdstat.errors import InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import BACKENDS, Backend, Verdict, activate, resolve
 from chdstat.rendering.seeds import SEEDS, Streams
-from chdstat.samples.layout import Chunk
+from chdstat.samples.layout import Chunk, Image
 from chdstat.scenes import Scene, load_scene
 from chdstat.scenes.files import code_of, plugins_made
 from chdstat.scenes.settings import LONGEST, Asked, asked_for
@@ -33,8 +33,6 @@ _RUN = 16
 """Samples of a pixel in neighbouring lanes: their paths begin alike, which saves a tenth."""
 _FEATURE_SPP = 16
 _FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
-
-Image = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -197,6 +195,14 @@ class Renderer:
             number = self._streams.of_chunk(chunk)
             return self._wavefront(number, corner, (width, height), samples)
 
+    def preview(self, longest: int, spp: int) -> Image:
+        """Render the image with at most `longest` pixels a side, shape (y, x, channel)."""
+        scale = min(1.0, longest / max(self.size))
+        size = max(1, round(scale * self.size[0])), max(1, round(scale * self.size[1]))
+        with self._telling():
+            sensor = self._sensor((0, 0), size, scale)
+            return np.array(self._integrator.render(self._scene, sensor, seed=0, spp=spp))
+
     def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, seed: int | None = None) -> Image:
         """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample).
 
@@ -241,8 +247,8 @@ class Renderer:
 
     # --- Mitsuba objects ------------------------------------------------------------------------
 
-    def _sensor(self, offset: tuple[int, int], extent: tuple[int, int]) -> Any:
-        """Return the scene's sensor with a film that covers a part of the image."""
+    def _sensor(self, offset: tuple[int, int], extent: tuple[int, int], scale: float = 1.0) -> Any:
+        """Return the scene's sensor with a film that covers a part of the image, maybe coarser."""
         mi = self._mi
         properties = mi.Properties(self._sensor_properties)
         kinds = mi.Properties.Type
@@ -251,10 +257,10 @@ class Renderer:
                 del properties[name]
         film = {
             "type": "hdrfilm",
-            "width": self.film.size[0],
-            "height": self.film.size[1],
-            "crop_offset_x": self.film.corner[0] + offset[0],
-            "crop_offset_y": self.film.corner[1] + offset[1],
+            "width": max(round(scale * self.film.size[0]), extent[0]),
+            "height": max(round(scale * self.film.size[1]), extent[1]),
+            "crop_offset_x": int(scale * self.film.corner[0]) + offset[0],
+            "crop_offset_y": int(scale * self.film.corner[1]) + offset[1],
             "crop_width": extent[0],
             "crop_height": extent[1],
             "pixel_format": "rgb",

@@ -29,19 +29,7 @@ from dataclasses import dataclass
 from chdstat.errors import InputError
 from chdstat.samples.layout import BATCH, TILE, Chunk
 
-__all__ = [
-    "CHUNKS",
-    "PASSES",
-    "PIXELS",
-    "SEEDS",
-    "STREAMS",
-    "Streams",
-    "check_spp",
-    "max_spp",
-    "number_of",
-    "pass_seed",
-    "shuffled",
-]
+__all__ = ["SEEDS", "STREAMS", "Streams", "check_spp"]
 
 STREAMS = 2
 """Which numbering this is, the second: samples of two numberings are never mixed in a store."""

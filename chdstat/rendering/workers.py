@@ -11,14 +11,11 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-
 from chdstat._core.executor import Interrupts, cores
 from chdstat.errors import RenderError
 from chdstat.rendering.backend import activate
 from chdstat.rendering.renderer import Job, Renderer
-from chdstat.samples.layout import Chunk
+from chdstat.samples.layout import Chunk, Image, differing
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -29,8 +26,6 @@ _PATIENCE = 8
 """Seconds to wait for the first worker of a cluster."""
 _VERSIONED = ("chdstat", "mitsuba")
 """Packages on whose version samples depend."""
-
-Image = npt.NDArray[np.float32]
 
 
 def rendered(
@@ -43,11 +38,7 @@ def rendered(
     if client is not None:
         yield from _remotely(job, renderer.identity, chunks, client)
         return
-    with (
-        Interrupts() as interrupts,
-        _workers(job) as workers,
-        ThreadPoolExecutor(workers) as pool,
-    ):
+    with Interrupts() as interrupts, _workers(job) as workers, ThreadPoolExecutor(workers) as pool:
         draw = functools.partial(renderer.chunk, before_pass=interrupts.before_pass)
         try:
             yield from _collect(lambda c: pool.submit(draw, c), chunks, workers + 1)
@@ -76,9 +67,7 @@ def _workers(job: Job) -> Iterator[int]:
 
 
 def _collect(
-    submit: Callable[[Chunk], Future[Image]],
-    chunks: Sequence[Chunk],
-    window: int,
+    submit: Callable[[Chunk], Future[Image]], chunks: Sequence[Chunk], window: int
 ) -> Iterator[tuple[Chunk, Image]]:
     """Keep at most `window` chunks in flight, so that memory stays bounded."""
     waiting = iter(chunks)
@@ -172,12 +161,8 @@ def _render_remote(job: Job, identity: dict[str, Any], chunk: Chunk) -> Image:
 
 def _check_same(here: dict[str, Any], there: dict[str, Any]) -> None:
     """Refuse a worker whose files or plugins are others than those of the client."""
-    names = [
-        name
-        for part in ("scene_files", "scene_code")
-        for name in sorted(here[part].keys() | there[part].keys())
-        if here[part].get(name) != there[part].get(name)
-    ]
+    parts = ("scene_files", "scene_code")
+    names = [name for part in parts for name in sorted(differing(here[part], there[part]))]
     if here["scene_hash"] != there["scene_hash"] or names:
         message = (
             f"a Dask worker reads another scene than is read here ({', '.join(names[:5])} "

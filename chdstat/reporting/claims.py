@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from chdstat import viz
+from chdstat._core.display import number
 from chdstat.rendering.recipes import remake_of
-from chdstat.reporting.typst import NAMES, number
 from chdstat.samples import Samples
 from chdstat.studies.claims import FINDINGS, Claim, ClaimTest, Finding
+from chdstat.viz.estimators import NAMES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

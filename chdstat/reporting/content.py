@@ -3,254 +3,330 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from chdstat.analysis import Overview, pooled_shares
+from chdstat._core.display import number, percent
+from chdstat._core.resampling import Interval, mean_of, median_of
+from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
-from chdstat.comparison.self_training import LEVELS, SelfTraining
+from chdstat.comparison.presentation import shown_ratio
 from chdstat.estimators import MLP
-from chdstat.patterns import PATTERNS, Atlas
-from chdstat.reporting.claims import remake_note
-from chdstat.reporting.figures import names_of
-from chdstat.reporting.typst import NAMES, between, number, percent
+from chdstat.patterns import PATTERNS
+from chdstat.reporting.claims import finding_content, remake_note
+from chdstat.reporting.figures import Results
+from chdstat.reporting.result_tables import (
+    atlas_content,
+    estimator_table,
+    family_table,
+    fit_content,
+    label_of,
+    pattern_table,
+    region_table,
+    self_training_content,
+)
 from chdstat.samples import Samples
+from chdstat.samples.description import provenance
 from chdstat.studies.claims import SceneData
-from chdstat.viz.styling import qualitative
+from chdstat.viz.estimators import NAMES
+from chdstat.viz.maps import names_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "FindingRow",
-    "atlas_content",
-    "estimator_table",
-    "findings",
+    "PUBLISHED_SIZE",
+    "PUBLISHED_SPP",
+    "abstract",
+    "analysis_content",
+    "headlines",
+    "key_figures",
     "scene_content",
-    "self_training_content",
 ]
 
 
-# --- findings -----------------------------------------------------------------------------------
+PUBLISHED_SPP, PUBLISHED_SIZE = 2000, 800
+"""Samples per pixel, and pixels along each edge, of the images of Elek et al. 2019."""
 
 
-class FindingRow(NamedTuple):
-    """One row of the table of findings.
+# --- the first page -----------------------------------------------------------------------------
+
+_NOISIEST = 0.1
+"""Share of the pixels that are called the noisiest."""
+_LIT = 0.01
+"""Part of the squared mean radiance of the image that keeps relative variances finite, as in the
+relative squared error of `chdstat.compare`."""
+
+
+class KeyFigure(NamedTuple):
+    """A number of the first page, with its interval."""
+
+    value: str
+    label: str
+    interval: str
+
+
+class Headline(NamedTuple):
+    """A finding of the first page: one sentence, and what stands behind it."""
+
+    finding: str
+    because: str
+
+
+@dataclass(frozen=True)
+class _Noise:
+    """Where the noise of an image is.
 
     Attributes
     ----------
-    question, answer
-        In words.
-    figure
-        The number behind the answer.
+    noisiest
+        Share of the relative variance that the noisiest tenth of the pixels holds.
+    label
+        The primary pattern whose pixels hold most of it.
+    share, pixels
+        How much these hold, and what share of the image they are.
     """
 
-    question: str
-    answer: str
-    figure: str
+    noisiest: float
+    label: str
+    share: float
+    pixels: float
+
+    @classmethod
+    def of(cls, dataset: xr.Dataset) -> Self:
+        """Return where the relative variance of luminance is, as relMSE weighs it."""
+        mean = dataset["luminance_mean"].values
+        spread = dataset["coefficient_of_variation"].values * mean
+        typical = float(mean[np.isfinite(mean)].mean()) if np.isfinite(mean).any() else math.nan
+        with np.errstate(divide="ignore", invalid="ignore"):
+            variance = spread**2 / (mean**2 + _LIT * typical**2)
+        variance = np.where(np.isfinite(variance), variance, 0.0)
+        total = float(variance.sum()) or math.nan
+        ordered = np.sort(variance, axis=None)[::-1]
+        count = max(1, round(_NOISIEST * ordered.size))
+        labels, words = dataset["label"].values, names_of(dataset["label"])
+        held = {code: float(variance[labels == code].sum()) for code in words}
+        most = max(held, key=lambda code: held[code])
+        return cls(
+            noisiest=float(ordered[:count].sum()) / total,
+            label=words[most],
+            share=held[most] / total,
+            pixels=float((labels == most).mean()),
+        )
 
 
-def findings(
-    scene: Overview,
-    atlas: Atlas | None,
-    comparison: Comparison | None,
-    self_training: SelfTraining | None = None,
-) -> list[FindingRow]:
-    """Return the findings on a scene, in the order of the report."""
-    rows = [*_samples(scene), *_fits(scene), *_patterns(scene, atlas), *_averages(scene)]
-    if comparison is not None:
-        rows += _estimators(comparison)
-    if self_training is not None:
-        rows.append(_without_reference(self_training))
-    return rows
+def abstract(found: Results) -> list[str]:
+    """Return the report in four sentences."""
+    height, width, _, spp = found.data.samples.shape
+    sentences = [
+        f"This report looks at the {spp} samples of radiance that each of the {width} × {height} "
+        f"pixels of {found.data.samples.name} received before they are averaged.",
+        *_on_noise(found),
+    ]
+    best = _best(found.comparison)
+    if best is not None and found.comparison is not None:
+        sentences.append(
+            f"From {found.comparison.n} samples, {label_of(best['estimator'])} estimates best, "
+            f"with {number(best['relmse_ratio'])} times the relative and "
+            f"{number(best['mse_ratio'])} times the squared error of the sample mean."
+        )
+    else:
+        sentences.append("There are too few samples to compare estimators.")
+    return sentences
 
 
-def _row(known: float, question: str, answer: str, figure: str, *, otherwise: str) -> FindingRow:
-    """Return a row; where `known` is not finite, one with the reason in place of a number."""
-    if math.isfinite(known):
-        return FindingRow(question, answer, figure)
-    return FindingRow(question, otherwise, "—")
+def _on_noise(found: Results) -> list[str]:
+    """Return two sentences on how much the samples vary, and where."""
+    scene, noise = found.scene, _Noise.of(found.data.analysis)
+    where = (
+        f"The noisiest tenth of the pixels holds {percent(noise.noisiest)} of the relative "
+        f"variance; {_pixels(noise.label)} hold {percent(noise.share)} of it."
+    )
+    return [
+        f"In the median pixel their standard deviation is {number(scene.variation[1])} times their "
+        f"mean, and {percent(scene.null_share)} of all samples carry no light.",
+        where if math.isfinite(noise.share) else "The samples of no pixel vary.",
+    ]
 
 
-def _samples(scene: Overview) -> Iterator[FindingRow]:
-    yield FindingRow(
-        "How often does a path find no light?",
-        f"{percent(scene.null_share)} of all samples are null; in {percent(scene.null_pixels)} of "
-        "the pixels they are the majority.",
-        percent(scene.null_share),
-    )
-    total = scene.pixels * scene.spp
-    yield FindingRow(
-        "Did the renderer return impossible values?",
-        f"{scene.bad_samples} of {total} samples are NaN or infinite; they are counted "
-        "and left out."
-        if scene.bad_samples
-        else f"None of {total} samples is NaN or infinite.",
-        f"{scene.bad_samples}",
-    )
-    low, middle, high = (number(v) for v in scene.variation)
-    yield _row(
-        scene.variation[1],
-        "How far do samples scatter?",
-        f"The standard deviation of a pixel's samples is {middle} times their mean "
-        f"(quartiles {low} and {high}).",
-        f"{middle} ×",
-        otherwise="No pixel has two samples and a mean above 0.",
-    )
+def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
+    """Return what a report says of an analysis: sentences, findings, families and patterns.
+
+    `dataset` is what `chdstat.analyze` returned for the samples.
+    """
+    scene = overview(dataset)
+    data = SceneData(samples.name, samples, given=dataset)
+    found = Results(data, scene, None, (), None, None)
+    return {
+        "sentences": [
+            f"{samples.name}: {samples.shape[1]} × {samples.shape[0]} pixels with {samples.spp} "
+            "samples each.",
+            *_on_noise(found),
+            _bad_samples(scene),
+        ],
+        "findings": [f"{h.finding} {h.because}" for h in headlines(found)],
+        "families": family_table(dataset),
+        "patterns": pattern_table(scene),
+    }
 
 
-def _fits(scene: Overview) -> Iterator[FindingRow]:
-    best, *others = sorted(scene.families.items(), key=lambda item: -item[1])
-    rest = ", ".join(f"{_name(name)} {percent(share)}" for name, share in others)
-    held_out = max(scene.families_held_out.items(), key=lambda item: item[1], default=None)
-    agreed = (
-        f"By held-out likelihood it is {_name(held_out[0])}, {percent(held_out[1])}."
-        if held_out
-        else ""
-    )
-    unfitted = "No pixel could be fitted."
-    yield _row(
-        best[1] or math.nan,
-        "Which family describes the samples?",
-        f"By BIC, {_name(best[0])} describes {percent(best[1])} of the pixel channels best "
-        f"({rest}); the data is very strong for {percent(scene.decided)}. {agreed}".rstrip(),
-        f"{_name(best[0])} {percent(best[1])}",
-        otherwise=unfitted,
-    )
-    low, middle, high = (percent(v) for v in scene.misfit)
-    yield _row(
-        scene.misfit[1],
-        "Is the best family a good one?",
-        f"The distribution function of the samples is at most {middle} away from that of the best "
-        f"family in the median pixel channel (quartiles {low} and {high}).",
-        middle,
-        otherwise=unfitted,
-    )
-    low, middle, high = (number(v) for v in scene.log_skewness)
-    yield _row(
-        scene.log_rejected,
-        "Are logarithms of samples Gaussian?",
-        f"In {percent(scene.log_rejected)} of the pixel channels normality is rejected; their "
-        f"skewness has median {middle} (quartiles {low} and {high}).",
-        f"{percent(scene.log_rejected)} rejected",
-        otherwise="No pixel has enough positive samples to test.",
-    )
-    long = percent(scene.patterns["long_tail"])
-    yield _row(
-        scene.doubtful_variance,
-        "Are tails long?",
-        f"{long} of the pixels have a long tail. In {percent(scene.doubtful_variance)} of the "
-        "pixel channels the estimated tail index is 1/2 or more, where neither the variance nor an "
-        f"error bar can be trusted; in {percent(scene.unidentified_variance)} the samples do not "
-        "show whether the variance is finite.",
-        long,
-        otherwise="No pixel has enough positive samples to look at its tail.",
-    )
-
-
-def _patterns(scene: Overview, atlas: Atlas | None) -> Iterator[FindingRow]:
-    share = scene.patterns["firefly_dominated"]
-    yield FindingRow(
-        "Does one sample dominate a pixel?",
-        f"In {percent(share)} of the pixels, a single one of {scene.spp} samples carries a large "
-        "share of the mean."
-        if share
-        else f"In no pixel does a single one of {scene.spp} samples carry a large share of the "
-        "mean.",
-        percent(share),
-    )
-    two, more = scene.patterns["bimodal"], scene.patterns["multimodal"]
-    yield FindingRow(
-        "Do several kinds of paths mix?",
-        f"{percent(two)} of the pixels have two clearly separated modes of log luminance, "
-        f"{percent(more)} three or more.",
-        percent(two + more),
-    )
-    kappa = number(scene.label_agreement)
-    yield _row(
-        scene.label_agreement,
-        "Do patterns form regions?",
-        f"Neighbouring pixels share their primary pattern with a kappa of {kappa}: 0 would be "
-        "chance, 1 complete agreement.",
-        f"κ = {kappa}",
-        otherwise="All pixels have the same label, or none.",
-    )
-    if atlas is not None:
-        count = len(atlas.share)
-        answer = "All pixels have one shape, but for scale and noise."
-        if count > 1:
-            answer = (
-                f"{count} typical shapes recur; the most frequent is that of "
-                f"{percent(float(atlas.share[0]))} of the pixels. Pixels form a continuum, in "
-                "which these are landmarks."
+def key_figures(found: Results) -> list[KeyFigure]:
+    """Return four numbers with 95 % intervals, three of the samples and one of the estimators."""
+    dataset = found.data.analysis
+    blocks = found.data.whole().blocks
+    null = mean_of(dataset["null_share"].values.reshape(-1), blocks)
+    variation = median_of(dataset["coefficient_of_variation"].values.reshape(-1), blocks)
+    tails = mean_of(dataset["long_tail"].values.reshape(-1).astype(float), blocks)
+    shown = [
+        KeyFigure(percent(null.value), "of the samples are null", _between(null, percent)),
+        KeyFigure(
+            number(variation.value),
+            "standard deviation over mean, median pixel",
+            _between(variation, number),
+        ),
+        KeyFigure(percent(tails.value), "of the pixels have a long tail", _between(tails, percent)),
+    ]
+    best = _best(found.comparison)
+    if best is not None and found.comparison is not None:
+        name, n = label_of(best["estimator"]), found.comparison.n
+        low, high = number(best["relmse_ratio_low"]), number(best["relmse_ratio_high"])
+        shown.append(
+            KeyFigure(
+                f"{number(best['relmse_ratio'])}×",
+                f"relative squared error of {name} over that of the mean of {n} samples",
+                f"{low} to {high}",
             )
-        yield FindingRow("Which shapes recur?", answer, f"{count}")
+        )
+    return shown
 
 
-def _averages(scene: Overview) -> Iterator[FindingRow]:
-    if any(math.isfinite(share) for share in scene.averages.values()):
-        fewest, most = min(scene.averages), max(scene.averages)
-        single, averaged = percent(scene.averages[fewest]), percent(scene.averages[most])
-        yield FindingRow(
-            "Are pixel estimates Gaussian?",
-            f"Normality is rejected in {averaged} of the pixel channels for averages of {most} "
-            f"samples, in {single} for single samples. A test of few averages is weak: with more "
-            "samples it would reject more often.",
-            f"N = {most}: {averaged}",
+def headlines(found: Results) -> list[Headline]:
+    """Return at most six findings in plain words: what is noisy, why, what helps, by how much."""
+    scene, noise = found.scene, _Noise.of(found.data.analysis)
+    rows = [
+        *_where_noise_is(noise),
+        Headline(
+            f"{percent(scene.null_share)} of all samples find no light.",
+            f"In {percent(scene.patterns['null_heavy'])} of the pixels null samples are "
+            "significantly more than half: better light sampling would help there.",
+        ),
+        *_trust(scene),
+    ]
+    if scene.patterns["firefly_dominated"] > 0 and noise.label != label_of("firefly_dominated"):
+        rows.append(
+            Headline(
+                f"One sample decides {percent(scene.patterns['firefly_dominated'])} of the pixels.",
+                f"There a single one of {scene.spp} samples carries so much of the mean that the "
+                "pixel is a firefly, or would be one without it.",
+            )
+        )
+    if found.comparison is not None:
+        rows += _what_helps(found.comparison)
+    if found.self_training is not None:
+        trial = self_training_content(found.self_training)
+        rows.append(
+            Headline(
+                "It can be done without a reference.",
+                f"Trained on the first {trial['n']} samples alone, the progressive estimator has "
+                f"{trial['relmse_ratio']} times the relative squared error of their mean and "
+                f"improves {trial['improved']} of the pixels.",
+            )
+        )
+    return rows[:6]
+
+
+def _where_noise_is(noise: _Noise) -> Iterator[Headline]:
+    """Yield which pattern holds most of the noise; nothing where there is none."""
+    if math.isfinite(noise.share):
+        yield Headline(
+            f"The largest part of the noise is in {_pixels(noise.label)}.",
+            f"They are {percent(noise.pixels)} of the image and hold {percent(noise.share)} of its "
+            f"relative variance: {_MEANING.get(noise.label, 'no pattern of the table applies')}.",
         )
 
 
-def _estimators(comparison: Comparison) -> Iterator[FindingRow]:
-    for row in comparison.table():
-        if row["estimator"] == "mean":
-            continue
-        claim = "The paper's claim: does" if row["estimator"] == "elek2019" else "Does"
-        low, high = row["improved_low"], row["improved_high"]
-        majority = (
-            "more than half" if low > 0.5 else "fewer than half" if high < 0.5 else "about half"
-        )
-        yield FindingRow(
-            f"{claim} {_name(row['estimator'])} beat the mean of {comparison.n} samples?",
-            f"It improves {majority} of the estimates ({percent(row['improved'])}), at "
-            f"{number(row['mse_ratio'])} times the squared and {number(row['relmse_ratio'])} times "
-            f"the relative squared error, with a bias of {percent(row['bias'], sign=True)}.",
-            f"improved {percent(row['improved'])}",
-        )
+def _pixels(label: str) -> str:
+    """Return what to call the pixels of a primary label."""
+    return f"{label} pixels" if label in _MEANING else f"pixels labelled '{label}'"
 
 
-def _without_reference(trained: SelfTraining) -> FindingRow:
-    found = self_training_content(trained)
-    return FindingRow(
-        f"How good is an estimate from {found['n']} samples without a reference?",
-        f"Trained on them alone, ours has {found['mse_ratio']} times the squared and "
-        f"{found['relmse_ratio']} times the relative squared error of their mean, and improves "
-        f"{found['improved']} of the pixels, with a bias of {found['bias']}; {found['at_90']} of "
-        "its intervals of 90\N{NO-BREAK SPACE}% contain the reference.",
-        f"MSE × {found['mse_ratio']}",
+def _trust(scene: Overview) -> Iterator[Headline]:
+    """Yield how far error bars can be trusted."""
+    if not any(math.isfinite(share) for share in scene.averages.values()):
+        return
+    most = max(scene.averages)
+    rejected = scene.averages[most]
+    yield Headline(
+        f"Averages of {most} samples are not Gaussian in {percent(rejected)} of the channels.",
+        "There, error bars that presume it mislead. In "
+        f"{percent(scene.doubtful_variance)} the estimated tail index is at least 1/2: the "
+        "variance may be infinite, and no error bar holds.",
     )
 
 
-def _name(name: str) -> str:
-    return NAMES.get(name, name)
+def _what_helps(comparison: Comparison) -> Iterator[Headline]:
+    best = _best(comparison)
+    if best is None:
+        return
+    name = label_of(best["estimator"])
+    if not best["relmse_ratio_high"] < 1:
+        yield Headline(
+            "No estimator is clearly better than the mean.",
+            f"The best, {name}, has {shown_ratio(best, 'relmse_ratio')} times its relative "
+            "squared error.",
+        )
+        return
+    yield Headline(
+        f"{name[0].upper()}{name[1:]} helps most.",
+        f"From {comparison.n} samples it has {shown_ratio(best, 'relmse_ratio')} times the "
+        f"relative and {shown_ratio(best, 'mse_ratio')} times the squared error of the mean, "
+        f"and improves {percent(best['improved'])} of the estimates, with a bias of "
+        f"{percent(best['bias'], sign=True)}.",
+    )
+
+
+def _between(interval: Interval[float], write: Callable[[float], str]) -> str:
+    known = math.isfinite(interval.low) and math.isfinite(interval.high)
+    return f"{write(interval.low)} to {write(interval.high)}" if known else ""
+
+
+def _best(comparison: Comparison | None) -> dict[str, Any] | None:
+    """Return the row of the estimator with the least relative squared error; None without any.
+
+    Those that raise the squared error stand back, as they buy the one error with the other.
+    """
+    rows = [] if comparison is None else comparison.table()
+    rows = [row for row in rows if row["estimator"] != "mean"]
+    rows = [row for row in rows if not row["mse_ratio_low"] > 1] or rows
+    return min(rows, key=lambda row: row["relmse_ratio"], default=None)
+
+
+_MEANING = {NAMES.get(p.name, p.name.replace("_", " ")): p.meaning for p in PATTERNS}
 
 
 # --- tables -------------------------------------------------------------------------------------
 
 
-def scene_content(data: SceneData, scene: Overview) -> dict[str, Any]:
-    """Return the entries of the report on the samples and their analysis, by their names."""
-    dataset = data.analysis
+def scene_content(found: Results) -> dict[str, Any]:
+    """Return the entries of the report, by their names, ready for JSON."""
+    data, scene, dataset = found.data, found.scene, found.data.analysis
     prefix = "threshold_"
-    return {
+    entries = {
         "title": data.samples.name,
         "remake": remake_note([data.samples]),
         "spp": data.samples.spp,
-        "provenance": _provenance_table(data.samples),
-        "regions": _region_table(data),
-        "families": _family_table(dataset),
-        "patterns": _pattern_table(scene),
+        "abstract": abstract(found),
+        "key_figures": [figure._asdict() for figure in key_figures(found)],
+        "findings": [headline._asdict() for headline in headlines(found)],
+        "claims": [finding_content(finding) for finding in found.claims],
+        "provenance": list(provenance(data.samples.attrs, data.samples.shape).items()),
+        "regions": region_table(data),
+        "families": family_table(dataset),
+        "fit": fit_content(scene),
+        "patterns": pattern_table(scene),
         "alpha": percent(float(dataset.attrs["false_discovery_rate"])),
         "thresholds": {
             str(name).removeprefix(prefix): number(float(value))
@@ -258,142 +334,40 @@ def scene_content(data: SceneData, scene: Overview) -> dict[str, Any]:
             if str(name).startswith(prefix)
         },
         "n_means": int(dataset.attrs.get("n_means", 0)),
+        "agreement": number(scene.label_agreement),
+        "bad_samples": _bad_samples(scene),
+        "deviations": _deviations(found),
     }
+    if found.atlas is not None:
+        entries["atlas"] = atlas_content(found.atlas)
+    if found.comparison is not None:
+        entries["estimators"] = estimator_table(found.comparison)
+    if found.self_training is not None:
+        entries["self_training"] = self_training_content(found.self_training)
+    return entries
 
 
-def _provenance_table(samples: Samples) -> list[tuple[str, str]]:
-    """Return the settings that render the same samples again, by name."""
-    attrs = samples.attrs
-    height, width, channels, spp = samples.shape
-    integrator = dict(attrs.get("integrator") or {})
-    kind = integrator.pop("type", "")
-    settings = ", ".join(f"{name} {value}" for name, value in integrator.items())
-    seconds = float(attrs.get("render_seconds") or 0)
-    rows = {
-        "Scene": f"{samples.name} ({attrs.get('scene_source', 'samples given')})",
-        "Scene hash": str(attrs.get("scene_hash", ""))[:16],
-        "Integrator": f"{kind} ({settings})" if settings else kind,
-        "Image": f"{width} × {height} pixels, {channels} channels, {spp} samples per pixel",
-        "Random numbers": f"{attrs['sampler']} sampler, seed {attrs['seed']}"
-        if "seed" in attrs
-        else "",
-        "Filter": str(attrs.get("filter", "")),
-        "Renderer": f"Mitsuba {attrs['mitsuba_version']}, {attrs['backend']}"
-        if "mitsuba_version" in attrs
-        else "",
-        "Rendering time": f"{seconds:.0f} s" if seconds else "",
-        "Note": "; ".join(attrs.get("notes") or []),
-    }
-    return [(name, value) for name, value in rows.items() if value]
+def _bad_samples(scene: Overview) -> str:
+    total = scene.pixels * scene.spp
+    if scene.bad_samples:
+        return f"{scene.bad_samples} of {total} samples are NaN or infinite."
+    return f"None of {total} samples is NaN or infinite."
 
 
-def _region_table(data: SceneData) -> list[dict[str, Any]]:
-    """Return a row for each region, with the numbers of the pixel in its middle."""
-    rows = []
-    colors = qualitative(len(data.regions))
-    for region, color in zip(data.regions, colors, strict=True):
-        y, x = region.center(*data.samples.shape[:2])
-        found = data.analysis.isel(y=y, x=x)
-        family = names_of(found["luminance_family"])[int(found["luminance_family"])]
-        rows.append(
-            {
-                "name": region.name,
-                "pixel": f"({x}, {y})",
-                "note": region.note,
-                "color": color,
-                "radiance": [number(v) for v in np.atleast_1d(found["mean"].values)],
-                "nulls": percent(float(found["null_share"])),
-                "variation": number(float(found["coefficient_of_variation"])),
-                "tail": between(
-                    float(found["long_tail_statistic"]), 2 * float(found["long_tail_se"])
-                ),
-                "family": family,
-            }
-        )
-    return rows
-
-
-def _family_table(found: xr.Dataset) -> list[dict[str, str]]:
-    """Return the share of each family by both criteria, over all channels."""
-    criteria = {"bic": "best_family", "held_out": "held_out_best_family"}
-    columns = {key: pooled_shares(found, name) for key, name in criteria.items() if name in found}
-    return [
-        {"name": _name(name)}
-        | {
-            key: f"{percent(shares[name].share)} [{percent(shares[name].low)}, "
-            f"{percent(shares[name].high)}]"
-            for key, shares in columns.items()
-        }
-        for name in columns["bic"]
-    ]
-
-
-def _pattern_table(scene: Overview) -> list[dict[str, str]]:
-    """Return the rows of the table of patterns, the most frequent first."""
-    return [
-        {
-            "name": _name(p.name),
-            "share": percent(scene.patterns[p.name]),
-            "meaning": p.meaning,
-            "statistic": p.statistic,
-            "rule": p.rule,
-        }
-        for p in sorted(PATTERNS, key=lambda p: -scene.patterns[p.name])
-    ]
-
-
-def atlas_content(found: Atlas) -> dict[str, str]:
-    """Return how many shapes recur, and how far these can be trusted."""
-    return {
-        "count": str(len(found.share)),
-        "repeatable": percent(found.repeatable),
-        "stability": number(found.stability),
-    }
-
-
-def estimator_table(comparison: Comparison) -> dict[str, Any]:
-    """Return the measures of each estimator, and the settings of the comparison."""
-    rows = [
-        {
-            "name": _name(row["estimator"]),
-            "mse": number(row["mse"]),
-            "mse_ratio": _with_interval(row, "mse_ratio"),
-            "relmse_ratio": _with_interval(row, "relmse_ratio"),
-            "improved": "" if row["estimator"] == "mean" else percent(row["improved"]),
-            "bias": percent(row["bias"], sign=True),
-            "fireflies": number(row["fireflies_left"]),
-        }
-        for row in comparison.table()
-    ]
-    trained = [m for m in comparison.models.values() if isinstance(m, MLP)]
-    return {
-        "rows": rows,
-        "n": comparison.n,
-        "batches": comparison.batches,
-        "excluded": comparison.excluded,
-        "test_pixels": int(comparison.test_pixels.sum()),
-        "iterations": int(trained[0].history.iteration[-1]) if trained else 0,
-        "train_pixels": len(trained[0].train_pixels) if trained else 0,
-        "fewer_pixels": bool(trained) and len(trained[0].train_pixels) < trained[0].config.pixels,
-    }
-
-
-def _with_interval(row: Mapping[str, Any], name: str) -> str:
-    low, high = number(row[f"{name}_low"]), number(row[f"{name}_high"])
-    return f"{number(row[name])} [{low}, {high}]"
-
-
-def self_training_content(trained: SelfTraining) -> dict[str, Any]:
-    """Return the errors of an estimate without a reference, and the coverage of its intervals."""
-    _, row = trained.comparison.table()
-    shares = [percent(measured[LEVELS.index(0.9)]) for measured in trained.coverage.values()]
-    return {
-        "n": trained.comparison.n,
-        "iterations": trained.iterations,
-        "mse_ratio": number(row["mse_ratio"]),
-        "relmse_ratio": number(row["relmse_ratio"]),
-        "improved": percent(row["improved"]),
-        "bias": percent(row["bias"], sign=True),
-        "at_90": shares[0],
-        "at_90_supervised": shares[1],
-    }
+def _deviations(found: Results) -> list[str]:
+    """Return what was not done as Elek et al. 2019 did it, in words."""
+    height, width, _, spp = found.data.samples.shape
+    there = []
+    if spp < PUBLISHED_SPP:
+        there.append(f"{spp} samples per pixel in place of {PUBLISHED_SPP}")
+    if max(height, width) < PUBLISHED_SIZE:
+        there.append(f"{width} × {height} pixels in place of {PUBLISHED_SIZE} × {PUBLISHED_SIZE}")
+    for model in [] if found.comparison is None else found.comparison.models.values():
+        if isinstance(model, MLP):
+            done, published = int(model.history.iteration[-1]), model.config.iterations
+            if done < published:
+                there.append(f"{done} minibatches train its network in place of {published}")
+            used = len(model.train_pixels)
+            if used < model.config.pixels:
+                there.append(f"{used} pixels train it in place of {model.config.pixels}")
+    return there

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,22 +17,22 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat import viz
-from chdstat._core.arrays import is_bad, is_null, luminance, take_rows
+from chdstat._core.arrays import is_bad, luminance
+from chdstat._core.display import number, percent
 from chdstat._core.files import replacing, unused
 from chdstat._core.image_scales import display_stops
 from chdstat.analysis import Overview, save
 from chdstat.comparison import Comparison, ErrorCurve
-from chdstat.comparison.self_training import LEVELS, SelfTraining
+from chdstat.comparison.side_by_side import LEVELS, SelfTraining
 from chdstat.errors import StoreError
 from chdstat.estimators import MLP, Progressive
-from chdstat.fit import select
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.patterns import Atlas
 from chdstat.rendering.recipes import Region
-from chdstat.reporting.typst import NAMES, number, percent
+from chdstat.reporting.claims import plot_findings
 from chdstat.samples import Samples
-from chdstat.studies.claims import SceneData
-from chdstat.studies.claims.fireflies import brightest_firefly
+from chdstat.studies.claims import Finding, SceneData
+from chdstat.studies.claims.neighbours import brightest_firefly
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.viz.styling import spelt
 
@@ -40,64 +41,78 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
+    "Results",
     "analysis_figures",
-    "names_of",
     "of_comparison",
     "panels_of",
+    "report_figures",
     "save_comparison",
     "scene_figures",
     "self_training",
 ]
 
-_LABEL_COLORS = {
-    "none": "#DDDDDD",
-    "undetermined": "#DDDDDD",
-    "black": "#222222",
-    "constant": "#999999",
-    "bimodal": "#CC79A7",
-    "long tail": "#D55E00",
-    "null-heavy": "#0072B2",
-    "gamma-like": "#56B4E9",
-    "log-normal-like": "#009E73",
-    "multimodal": "#882255",
-    "firefly-dominated": "#F0E442",
-    "other": "#BBBBBB",
-}
 _BATCH, _BATCHES = 32, 64
 """Samples of a batch, and batches of a pixel, as in the first figure of Elek et al. 2019."""
+_SHOWN = {14, 15}
+"""Claims whose plots would repeat the table of families and the figure of the training."""
 _PIXELS = 5
 """Pixels whose batches are shown."""
+
+
+@dataclass(frozen=True)
+class Results:
+    """Everything that a report shows of a scene.
+
+    Attributes
+    ----------
+    data
+        The scene, its regions and its analysis.
+    scene
+        Overview of the analysis.
+    atlas
+        Shapes that recur; None where there are none.
+    claims
+        Findings on those claims of the paper that one scene can support.
+    comparison, self_training
+        Estimators side by side, and the estimate without a reference; None where the samples are
+        too few.
+    """
+
+    data: SceneData
+    scene: Overview
+    atlas: Atlas | None
+    claims: Sequence[Finding]
+    comparison: Comparison | None
+    self_training: SelfTraining | None
 
 
 # --- one scene ----------------------------------------------------------------------------------
 
 
+def report_figures(found: Results, curve: ErrorCurve | None) -> dict[str, Figure]:
+    """Draw the figures of a report, by name, as far as the scene has what they show."""
+    data = found.data
+    panels = panels_of(data)
+    drawn = scene_figures(data, panels, atlas=found.atlas)
+    drawn.pop("regions", None)
+    drawn["image"] = viz.with_marks(data.summary["mean"].values, _marks(data))
+    if panels:
+        drawn["chds"] = viz.chd_grid(panels)
+    drawn |= analysis_figures(data.analysis, found.scene)
+    shown = {f"{f.number} {f.name}": f for f in found.claims if f.number not in _SHOWN}
+    plots = plot_findings(shown)
+    if plots is not None:
+        drawn["plots"] = plots
+    if found.comparison is not None:
+        drawn |= of_comparison(found.comparison, curve)
+    if found.self_training is not None:
+        drawn["self_training"] = self_training(found.self_training)
+    return drawn
+
+
 def panels_of(data: SceneData) -> list[viz.Panel]:
     """Return the CHD of the pixel in the middle of each region: histograms and best fits."""
-    return [_panel(data, mark) for mark in _marks(data)]
-
-
-def _panel(data: SceneData, mark: viz.Mark) -> viz.Panel:
-    x = data.samples[mark.pixel]
-    null = np.broadcast_to(is_null(x), x.shape)
-    bad = np.broadcast_to(is_bad(x).any(axis=0), x.shape)
-    selection = select(x, null=null)
-    best = [str(name) for name in np.atleast_1d(selection.names)]
-    fits = [
-        take_rows(selection.fits[name], i, axis=0).pdf if name else None
-        for i, name in enumerate(best)
-    ]
-    named = dict.fromkeys(NAMES.get(name, name) for name in best if name)
-    mean, null_share = (data.summary[name].values[mark.pixel] for name in ("mean", "null_share"))
-    return viz.Panel(
-        mark.name,
-        linear=histogram(x, scale="linear", null=null, bad=bad),
-        log=histogram(x, scale="log", null=null, bad=bad),
-        channels=data.samples.channels,
-        fits=fits,
-        mean=mean.tolist(),
-        note=f"{percent(float(null_share))} null, {' / '.join(named) or 'no fit'}",
-    )
+    return [data.samples.pixel(*mark.pixel).panel(mark.name) for mark in _marks(data)]
 
 
 def _marks(data: SceneData) -> list[viz.Mark]:
@@ -203,13 +218,6 @@ def _depth(samples: Samples) -> str:
 # --- the analysis of an image -------------------------------------------------------------------
 
 
-def names_of(variable: xr.DataArray) -> dict[int, str]:
-    """Return what text calls the values of an integer-coded variable."""
-    codes, names = variable.attrs["flag_values"], str(variable.attrs["flag_meanings"]).split()
-    words = (NAMES.get(name, name.replace("_", " ")) for name in names)
-    return {int(code): word for code, word in zip(codes, words, strict=True)}
-
-
 def analysis_figures(found: xr.Dataset, scene: Overview) -> dict[str, Figure]:
     """Draw the maps of the image, and how averages become Gaussian where there are enough."""
     drawn = {"maps": _maps(found)}
@@ -245,13 +253,11 @@ def _maps(found: xr.Dataset) -> Figure:
     axes = figure.axes
     for ax, (title, (values, limits)) in zip(axes, shown.items(), strict=False):
         if "flag_meanings" in values.attrs:
-            names = names_of(values)
-            colors = [
-                _LABEL_COLORS.get(name, viz.PALETTE[i % 8]) for i, name in enumerate(names.values())
-            ]
-            viz.categorical_map(values.values, names, title=title, colors=colors, ax=ax)
+            # Tables have the shares, of channels and of all patterns that a pixel shows.
+            viz.categorical_map(values, title=title, shares=False, ax=ax)
         else:
-            viz.value_map(values.values, title=title, limits=limits, ax=ax)
+            signed = title.startswith("Skewness")
+            viz.value_map(values.values, title=title, limits=limits, diverging=signed, ax=ax)
     if averaged:
         # Of the channel that needs most: -1 where that is more than was tested.
         n = found["averages_n_needed"].transpose("y", "x", "channel").values
@@ -266,7 +272,7 @@ def _maps(found: xr.Dataset) -> Figure:
 
 def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[str, Figure]:
     """Draw everything that a comparison found, by name, as far as it has been measured."""
-    names = [NAMES.get(name, name) for name in found.estimators]
+    names = found.estimators
     images: dict[str, npt.ArrayLike] = dict(zip(names, found.estimates, strict=True))
     squares = [error.mean(axis=-1) for error in found.squared_error]
     drawn: dict[str, Any] = {
@@ -299,7 +305,8 @@ def self_training(found: SelfTraining) -> Figure:
         width = width / estimates.radiance.mean(axis=-1)
     width[~np.isfinite(width)] = np.nan
     height, size = estimates.certainty.shape
-    figure = viz.map_grid(6, aspect=height / size)
+    # A plot is among the maps, and wants some height.
+    figure = viz.map_grid(6, aspect=max(height / size, 0.8))
     axes = figure.axes
     titles = f"Mean of {found.comparison.n} samples", "Self-trained", "Reference"
     for ax, title, image in zip(axes, titles, (mean, ours, reference), strict=False):

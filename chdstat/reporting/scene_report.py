@@ -1,26 +1,36 @@
-"""Report on a scene: render, analyse, train, compare and typeset, with no other input."""
+"""Report on a scene: render, analyse, train, compare and typeset, with no other input.
+
+Estimators are trained in processes of their own while the samples are analysed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from chdstat import viz
+from joblib import Parallel, delayed
+
+from chdstat._core.executor import cores, track
 from chdstat._core.files import checked_target, scratch
 from chdstat.analysis import analyze, overview
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.candidates import DEFAULT
-from chdstat.comparison.self_training import SelfTraining
+from chdstat.comparison.side_by_side import SelfTraining, train_alone
 from chdstat.errors import InputError
 from chdstat.estimators import LearnedEstimator, Progressive, lookup
 from chdstat.estimators.models import first_samples
+from chdstat.estimators.registry import Model
+from chdstat.estimators.training import check_iterations
 from chdstat.estimators.validation import draw_pixels
 from chdstat.patterns import atlas
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
 from chdstat.rendering.recipes import (
+    Recipe,
     Region,
     check_integrator,
     choose_regions,
@@ -29,7 +39,6 @@ from chdstat.rendering.recipes import (
     regions_of,
 )
 from chdstat.reporting import content, figures
-from chdstat.reporting.claims import finding_content, plot_findings
 from chdstat.reporting.typst import Document, typeset
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
@@ -37,18 +46,17 @@ from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import FINDINGS, SceneData
 from chdstat.viz import VERDICTS
 
-if TYPE_CHECKING:
-    import xarray as xr
-
-__all__ = ["report"]
+__all__ = ["published_seconds", "report"]
 
 _SPP = 512
 _IN_MEMORY = 2**29
 """Samples up to this many bytes are read once and held; larger ones are walked on disk."""
+_PILOT = 32
+"""Samples per pixel from which the time of many is told."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
-_SHOWN = {14, 15}
-"""Claims whose plots would repeat the table of families and the figure of the training."""
+_ITERATIONS = {"elek2019": 10_000, "progressive": 1200, "self_trained": 800}
+"""Minibatches of each training unless all is as published; more take longer and gain little."""
 _CURVE_SPP, _CURVE_BATCHES = 256, 2
 """Samples from which errors are shown against N, and batches per pixel for each N."""
 
@@ -64,7 +72,8 @@ def report(
     recipe: str | Path | None = None,
     store: str | Path | None = None,
     estimators: Sequence[str] = DEFAULT,
-    iterations: int | None = 1200,
+    iterations: int | None = None,
+    as_published: bool = False,
     backend: Backend = "auto",
     progress: bool | None = None,
 ) -> Path:
@@ -91,8 +100,11 @@ def report(
         "progressive" among them, what it learns without a reference is shown, too, with its
         certainty and its intervals.
     iterations
-        Minibatches that "progressive" learns from; None takes its own number, which takes longer
-        and ends a few per cent lower.
+        Minibatches of each training; None takes as many as pay in a report.
+    as_published
+        Render and train as Elek et al. 2019 did: 2000 spp, 800 pixels along the longer edge, 30,000
+        minibatches, unless told otherwise. It takes hours; the samples are kept beside the PDF, so
+        that the work resumes.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -111,9 +123,7 @@ def report(
     target = checked_target(path, ".pdf")
     for name in estimators:
         lookup(name)  # an unknown one is refused before the work
-    if iterations is not None and iterations < 1:
-        message = f"iterations must be at least 1, got {iterations}"
-        raise InputError(message)
+    check_iterations(iterations)
     asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     given = {name: value for name, value in asked.items() if value is not None}
     named = load_recipe(recipe) if recipe else None
@@ -125,89 +135,148 @@ def report(
         scene = load_scene(finished)
         if named is not None:
             check_integrator(named, scene)
-        settings = (named or recipe_of(scene, spp=_SPP, seed=0)).settings() | given
+        settings = _settings_of(scene, named, as_published=as_published) | given
+        if as_published:
+            store = store or target.with_suffix(".zarr")
         samples = render(scene, **settings, out=store, backend=backend, progress=progress)
     if samples.nbytes <= _IN_MEMORY:
         samples = samples.load()
     regions = named.regions if named else regions_of(samples)
-    document = _document(samples, regions, estimators, iterations, progress)
+    trained = _trainings(samples, estimators, iterations, as_published=as_published)
+    document = _document(samples, regions, estimators, trained, progress)
     with scratch() as folder:
         return typeset(document, folder, target)
+
+
+def _settings_of(scene: Scene, recipe: Recipe | None, *, as_published: bool) -> dict[str, Any]:
+    """Return what a scene is rendered with; as published, with the size and spp of the paper."""
+    settings = (recipe or recipe_of(scene, spp=_SPP, seed=0)).settings()
+    if as_published:
+        scale = content.PUBLISHED_SIZE / max(settings["size"])
+        width, height = (round(length * scale) for length in settings["size"])
+        settings |= {"spp": content.PUBLISHED_SPP, "size": (width, height)}
+    return settings
+
+
+def published_seconds(
+    scene: Scene, recipe: str | Path | None = None, *, backend: Backend = "auto"
+) -> float:
+    """Return about how long it takes to render a scene as published, from a small render of it."""
+    named = load_recipe(recipe) if recipe else None
+    whole = _settings_of(scene, named, as_published=True)
+    size = tuple(max(1, length // 8) for length in whole["size"])
+    small = render(scene, **whole | {"size": size, "spp": _PILOT}, backend=backend, progress=False)
+    height, width, _, spp = small.shape
+    part = (width * height * spp) / (math.prod(whole["size"]) * whole["spp"])
+    return float(small.attrs["render_seconds"] / part)
+
+
+def _trainings(
+    samples: Samples, estimators: Sequence[str], iterations: int | None, *, as_published: bool
+) -> dict[str, Any]:
+    """Return what has to be trained, by name, to be called in a process of its own."""
+
+    def number_of(name: str) -> int | None:
+        return iterations or (None if as_published else _ITERATIONS.get(name))
+
+    calls = {}
+    for name in estimators:
+        entry = lookup(name)
+        if name in _ITERATIONS and isinstance(entry, LearnedEstimator):
+            calls[name] = delayed(_train)(samples, entry, number_of(name))
+    if "progressive" in estimators:
+        calls["self_trained"] = delayed(train_alone)(
+            samples, iterations=number_of("self_trained"), progress=False
+        )
+    return calls
+
+
+def _train(samples: Samples, entry: LearnedEstimator, iterations: int | None) -> Model:
+    """Train an estimator with a reference, on the pixels that a comparison draws."""
+    pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=0)
+    return entry.train(samples, seed=0, pixels=pixels, iterations=iterations, progress=False)
 
 
 def _document(
     samples: Samples,
     regions: tuple[Region, ...],
     estimators: Sequence[str],
-    iterations: int | None,
+    trainings: Mapping[str, Any],
     progress: bool | None,
 ) -> Document:
     """Compute everything that the report shows, and return it ready to typeset."""
-    dataset = analyze(samples, progress=progress)
-    comparison, why_not = _compare(samples, estimators, dataset["label"], iterations, progress)
-    chosen = regions or choose_regions(dataset)
-    data = SceneData(samples.name, samples, chosen, given=dataset, comparison=comparison)
-    scene, found = overview(dataset), atlas(samples, progress=progress)
-    shapes = found if len(found.share) else None
-    panels = figures.panels_of(data)
+    with _in_background(trainings.values()) as results:
+        dataset = analyze(samples, progress=progress)
+        shapes = atlas(samples, progress=progress)
+        models, why_not = _trained(trainings, results, progress)
+    alone = models.pop("self_trained", None)
+    comparison, trial, curve = None, None, None
+    if not why_not:
+        try:
+            comparison = compare(
+                samples,
+                estimators,
+                n=_BATCH,
+                labels=dataset["label"],
+                model=models,
+                progress=progress,
+            )
+        except InputError as error:
+            why_not = str(error)
+    if comparison is not None:
+        curve = _curve(samples, comparison, progress)
+        if isinstance(alone, Progressive):
+            trial = SelfTraining.of(samples, comparison, alone, progress=progress)
+    data = SceneData(
+        samples.name,
+        samples,
+        regions or choose_regions(dataset),
+        given=dataset,
+        comparison=comparison,
+    )
     claims = [claim.find(data) for claim in FINDINGS if claim.alone]
-    entries = content.scene_content(data, scene) | {
+    found = figures.Results(
+        data,
+        overview(dataset),
+        atlas=shapes if len(shapes.share) else None,
+        claims=claims,
+        comparison=comparison,
+        self_training=trial,
+    )
+    entries = content.scene_content(found) | {
         "regions_chosen": not regions,
         "no_estimators": why_not,
         "verdicts": VERDICTS,
-        "claims": [finding_content(finding) for finding in claims],
         "untested": [f"{claim.number} ({claim.name})" for claim in FINDINGS if not claim.alone],
     }
-    drawn = figures.scene_figures(data, panels, atlas=shapes)
-    drawn |= figures.analysis_figures(dataset, scene)
-    if panels:
-        drawn["chds"] = viz.chd_grid(panels)
-    else:
-        drawn["image"] = viz.with_marks(dataset["mean"].values)
-    shown = plot_findings({f"{f.number} {f.name}": f for f in claims if f.number not in _SHOWN})
-    if shown is not None:
-        drawn["plots"] = shown
-    if shapes is not None:
-        entries["atlas"] = content.atlas_content(shapes)
-    trained = None
-    if comparison is not None:
-        trained = SelfTraining.of(samples, comparison, iterations=iterations, progress=progress)
-        entries["estimators"] = content.estimator_table(comparison)
-        drawn |= figures.of_comparison(comparison, _curve(samples, comparison, progress))
-    if trained is not None:
-        entries["self_training"] = content.self_training_content(trained)
-        drawn["self_training"] = figures.self_training(trained)
-    rows = content.findings(scene, shapes, comparison, trained)
-    entries["findings"] = [row._asdict() for row in rows]
-    return Document("report.typ", entries, drawn)
+    return Document("report.typ", entries, figures.report_figures(found, curve))
 
 
-def _compare(
-    samples: Samples,
-    estimators: Sequence[str],
-    labels: xr.DataArray,
-    iterations: int | None,
-    progress: bool | None,
-) -> tuple[Comparison | None, str]:
-    """Compare the estimators; where these samples are too few, return the reason instead.
-
-    Ours is trained for many numbers of samples, on the pixels that a comparison draws.
-    """
-    model = None
+@contextlib.contextmanager
+def _in_background(calls: Iterable[Any]) -> Iterator[Iterator[Any]]:
+    """Yield the results of calls, which run in processes of their own while the context lasts."""
+    calls = list(calls)
+    results = Parallel(n_jobs=max(1, min(len(calls), cores())), return_as="generator")(calls)
     try:
-        if "progressive" in estimators:
-            entry = lookup("progressive")
-            wanted = entry.pixels if isinstance(entry, LearnedEstimator) else None
-            pixels = None if wanted is None else draw_pixels(samples.shape[:2], wanted, seed=0)
-            model = Progressive().train(
-                samples, iterations=iterations, pixels=pixels, progress=progress
-            )
-        found = compare(
-            samples, estimators, n=_BATCH, labels=labels, model=model, progress=progress
-        )
-    except InputError as error:
-        return None, str(error)
-    return found, ""
+        yield results
+    finally:
+        results.close()
+
+
+def _trained(
+    names: Iterable[str], results: Iterator[Any], progress: bool | None
+) -> tuple[dict[str, Any], str]:
+    """Return the trained models by name; where the samples are too few for one, the reason."""
+    models = {}
+    names = list(names)
+    with track("training", len(names), unit="models", show=progress) as advance:
+        for name in names:
+            try:
+                models[name] = next(results)
+            except InputError as error:
+                return {}, str(error)
+            advance(1)
+    return models, ""
 
 
 def _curve(samples: Samples, comparison: Comparison, progress: bool | None) -> ErrorCurve | None:

@@ -7,17 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from chdstat import viz
+from chdstat._core.display import number, percent
 from chdstat._core.files import scratch
 from chdstat.rendering.recipes import remake_of
 from chdstat.reporting.claims import claim_content, claim_figures, remake_note
-from chdstat.reporting.content import atlas_content
 from chdstat.reporting.figures import panels_of, scene_figures
-from chdstat.reporting.typst import NAMES, Document, number, percent, typeset
+from chdstat.reporting.result_tables import atlas_content
+from chdstat.reporting.typst import Document, typeset
 from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import FINDINGS
 from chdstat.studies.run import ACROSS, SceneStudy, Study
 from chdstat.studies.stores import ROULETTE
 from chdstat.viz import VERDICTS
+from chdstat.viz.estimators import NAMES
 from chdstat.viz.styling import qualitative, verbatim
 
 if TYPE_CHECKING:

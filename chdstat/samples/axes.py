@@ -1,9 +1,12 @@
-"""Arrays that are given as samples: axes brought to (y, x, channel, sample), others refused."""
+"""Axes of samples: arrays brought to (y, x, channel, sample), others refused; parts of an axis."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import importlib
+import operator
+import uuid
+from collections.abc import Callable, Mapping
+from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +14,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_samples
 from chdstat.errors import InputError
 
-__all__ = ["as_image", "check_features"]
+__all__ = ["as_image", "as_slice", "check_features", "cut", "lazily"]
 
 _MOST_CHANNELS = 4
 """More than these are probably samples, unless the caller says that they are channels."""
@@ -54,6 +57,41 @@ def check_features(features: Mapping[str, npt.ArrayLike], shape: tuple[int, ...]
                 f"as the samples, got {np.shape(image)}"
             )
             raise InputError(message)
+
+
+def lazily(
+    read: Callable[[slice, slice, slice], npt.NDArray[np.float32]],
+    shape: tuple[int, ...],
+    chunks: tuple[int, ...],
+) -> Any:
+    """Return samples (y, x, channel, sample) as a dask array that reads its chunks when needed."""
+    da: Any = importlib.import_module("dask.array")
+
+    def block(block_info: Any) -> npt.NDArray[np.float32]:
+        ys, xs, _, ss = (slice(*ends) for ends in block_info[None]["array-location"])
+        return read(ys, xs, ss)
+
+    named = {"name": f"radiance-{uuid.uuid4()}", "meta": np.empty((0, 0, 0, 0), np.float32)}
+    return da.map_blocks(block, chunks=da.core.normalize_chunks(chunks, shape), **named)
+
+
+def cut(dim: str, places: range, index: slice | SupportsIndex) -> slice:
+    """Return an index of places along a dim as a slice that goes forward, an integer as one."""
+    length = len(places)
+    if isinstance(index, slice):
+        kept = range(length)[index]
+    else:
+        place = operator.index(index)
+        kept = range(place % length, place % length + 1) if -length <= place < length else range(0)
+    if not kept or kept.step < 0:
+        message = f"{dim} must lie within {-length} to {length - 1} and go forward, got {index!r}"
+        raise InputError(message)
+    return as_slice(kept)
+
+
+def as_slice(places: range) -> slice:
+    """Return places along an axis as a slice."""
+    return slice(places.start, places.stop, places.step)
 
 
 def _ordered(data: npt.NDArray[Any], name: str, axes: str) -> npt.NDArray[Any]:

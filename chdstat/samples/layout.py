@@ -53,41 +53,18 @@ from chdstat.errors import StoreError
 from chdstat.samples.access import is_store
 
 __all__ = [
-    "ALL",
     "BATCH",
     "BLOCK",
     "DIRECT",
     "FIRST_SCHEMA",
-    "FOREIGN",
-    "LOCK",
     "SCHEMA_VERSION",
     "TILE",
     "Chunk",
-    "DamageError",
     "Image",
-    "Shape",
     "WriteError",
-    "array",
-    "attributes_of",
-    "brief",
-    "canonical",
     "check_appendable",
-    "check_free",
     "chunk_grid",
-    "feature_file",
-    "feature_metadata",
-    "grid",
-    "group_metadata",
-    "identity",
-    "incomplete",
-    "labelled",
-    "loaded",
-    "occupied",
-    "put",
-    "radiance_metadata",
-    "read_label",
-    "signed",
-    "writing",
+    "differing",
 ]
 
 TILE = 64
@@ -181,6 +158,17 @@ def chunk_grid(
         yield Chunk(b, ty, tx, rows, columns, samples)
 
 
+def differing(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[str]:
+    """Return the names whose values differ.
+
+    Examples
+    --------
+    >>> differing({"seed": 1, "size": 8}, {"seed": 2, "size": 8})
+    ['seed']
+    """
+    return [name for name in {**one, **two} if one.get(name) != two.get(name)]
+
+
 def feature_file(name: str, shape: Sequence[int]) -> str:
     """Return the file that holds a first-hit feature, within the store."""
     return f"features/{name}/c" + "/0" * len(shape)
@@ -197,15 +185,8 @@ def grid(shape: Sequence[int]) -> tuple[int, int, int]:
 
 def labelled(content: bytes, identity: str, chunk: Chunk) -> bytes:
     """Return the content of a chunk's file: encoded samples, and their label behind them."""
-    label = _LABEL.pack(
-        _MARK,
-        bytes.fromhex(identity),
-        *chunk.index,
-        chunk.shape[2],
-        len(content),
-        checksum(content),
-        0,
-    )[:-4]
+    about = *chunk.index, chunk.shape[2], len(content), checksum(content)
+    label = _LABEL.pack(_MARK, bytes.fromhex(identity), *about, 0)[:-4]
     return content + label + checksum(label).to_bytes(4, "little")
 
 
@@ -315,6 +296,9 @@ def canonical(value: Any) -> bytes:
 
 def attributes_of(path: Path) -> dict[str, Any]:
     """Return the attributes of a store, from the first of its two manifests that is sound."""
+    if path.is_file():
+        message = f"{path} is a file; a store is a folder, as 'chdstat render' writes it"
+        raise StoreError(message)
     found = []
     for name in ("zarr.json", "radiance/zarr.json"):
         attributes: Any = (loaded(path / name) or {}).get("attributes")

@@ -7,11 +7,8 @@ whole.
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import math
-import operator
-import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
@@ -23,11 +20,13 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut, spans
 from chdstat._core.executor import check_memory, in_order, track
 from chdstat.errors import InputError
-from chdstat.samples.axes import as_image, check_features
+from chdstat.samples.axes import as_image, as_slice, check_features, cut, lazily
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.figure import Figure
 
+    from chdstat.patterns.pixel import Pixel
     from chdstat.samples.store import Store
 
 __all__ = ["Mapped", "Samples"]
@@ -167,7 +166,7 @@ class Samples:
         """First-hit features by name: albedo, normal, position (y, x, component), depth (y, x)."""
         if self._features is not None or isinstance(self._held, np.ndarray):
             return dict(self._features or {})
-        ys, xs, _ = map(_as_slice, self._part)
+        ys, xs, _ = map(as_slice, self._part)
         return {name: image[ys, xs] for name, image in self._held.read_features().items()}
 
     @property
@@ -200,6 +199,28 @@ class Samples:
         kinds = {s.attrs.get("backend") == "scalar" for s in (self, other)}
         named = ("seed", "streams")
         return len(kinds) == 1 and all(self._attrs.get(n) == other.attrs.get(n) for n in named)
+
+    def pixel(self, y: int, x: int) -> Pixel:
+        """Return one pixel as an object that knows its nulls, statistics, fits and patterns.
+
+        Examples
+        --------
+        >>> samples = Samples.from_array(np.random.default_rng(0).gamma(2.0, size=(4, 6, 3, 256)))
+        >>> samples.pixel(2, 3).families["R"], samples.pixel(2, 3).null_share
+        ('gamma', 0.0)
+        """
+        from chdstat.patterns.pixel import Pixel
+
+        return Pixel.of(self, y, x)
+
+    def plot(self, y: int, x: int, *, fig: Figure | None = None) -> Figure:
+        """Draw linear and log10 histograms of one pixel with their best fits, as `Pixel.plot`."""
+        return self.pixel(y, x).plot(fig=fig)
+
+    def _repr_html_(self) -> str:
+        from chdstat.samples.description import card
+
+        return card(self).html()
 
     def __repr__(self) -> str:
         height, width, channels, spp = self.shape
@@ -253,7 +274,7 @@ class Samples:
         <Samples 'samples' 6 x 2 pixels, 3 channels, 16 spp, in memory>
         """
         rows, columns, samples = self._part
-        ys, xs, ss = _cut("y", rows, y), _cut("x", columns, x), _cut("sample", samples, sample)
+        ys, xs, ss = cut("y", rows, y), cut("x", columns, x), cut("sample", samples, sample)
         features, direct = self._features, self._direct
         if features is not None:
             features = {name: image[ys, xs] for name, image in features.items()}
@@ -284,7 +305,7 @@ class Samples:
         if size > _ALWAYS_READ:
             advice = "read them in parts, such as read(ys, xs), or walk through blocks()"
             check_memory(size, "these samples", advice)
-        return self._held.read(*map(_as_slice, (rows, columns, samples)))
+        return self._held.read(*map(as_slice, (rows, columns, samples)))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
         """Return all samples as an array (y, x, channel, sample), for ``np.asarray(samples)``."""
@@ -406,15 +427,7 @@ class Samples:
         """Return samples and features as a labelled dataset, lazily (dask) where on disk."""
         radiance: Any = self._held
         if not isinstance(self._held, np.ndarray):
-            da: Any = importlib.import_module("dask.array")
-            chunks = da.core.normalize_chunks((_TILE, _TILE, -1, _BATCH), self.shape)
-
-            def block(block_info: Any) -> Image:
-                ys, xs, _, ss = (slice(*ends) for ends in block_info[None]["array-location"])
-                return self.read(ys, xs, ss)
-
-            named = {"name": f"radiance-{uuid.uuid4()}", "meta": np.empty((0, 0, 0, 0), np.float32)}
-            radiance = da.map_blocks(block, chunks=chunks, **named)
+            radiance = lazily(self.read, self.shape, (_TILE, _TILE, -1, _BATCH))
         about = {"long_name": "linear radiance", "units": "W sr-1 m-2"}
         dims = ("y", "x", "component")
         features = {name: (dims[: i.ndim], i) for name, i in self.features.items()}
@@ -430,21 +443,3 @@ class Samples:
             # Strings of variable length: zarr v3 has no stable type for those of fixed length.
             dataset = dataset.assign_coords(channel=np.array(self.channels, dtype=object))
         return dataset
-
-
-def _cut(dim: str, places: range, index: slice | SupportsIndex) -> slice:
-    """Return an index of places along a dim as a slice that goes forward, an integer as one."""
-    length = len(places)
-    if isinstance(index, slice):
-        kept = range(length)[index]
-    else:
-        place = operator.index(index)
-        kept = range(place % length, place % length + 1) if -length <= place < length else range(0)
-    if not kept or kept.step < 0:
-        message = f"{dim} must lie within {-length} to {length - 1} and go forward, got {index!r}"
-        raise InputError(message)
-    return _as_slice(kept)
-
-
-def _as_slice(places: range) -> slice:
-    return slice(places.start, places.stop, places.step)

@@ -22,8 +22,9 @@ from zarr.storage import LocalStore, MemoryStore
 from chdstat._core.files import Lock, checksum, sweep
 from chdstat.errors import StoreError
 from chdstat.samples import layout
-from chdstat.samples.access import is_store
+from chdstat.samples.access import is_store, of_store
 from chdstat.samples.layout import ALL, BATCH, FOREIGN, Chunk, DamageError, Image, Shape, brief
+from chdstat.samples.samples import Samples
 
 __all__ = ["Store"]
 
@@ -58,14 +59,11 @@ class Store:
         cls,
         path: Path,
         *,
-        height: int,
-        width: int,
-        channels: int,
-        spp: int,
+        shape: Shape,
         attrs: Mapping[str, Any],
         features: Mapping[str, Image] | None = None,
     ) -> Store:
-        """Create a store without samples, to be written to until `close`.
+        """Create a store with room for a shape (y, x, channel, sample), open until `close`.
 
         The folder must not exist or be empty. The store is there once its manifest is; if its maker
         is killed before that, the next one makes it, and after that, `restore` completes it.
@@ -76,22 +74,14 @@ class Store:
             If something else is there, another process makes a store there, or it cannot be
             written.
         """
-        shape = (height, width, channels, spp)
-        kept = {k: v for k, v in attrs.items() if k != "manifest"} | {
-            "schema_version": layout.SCHEMA_VERSION
-        }
-        manifest = {
-            "shape": list(shape),
-            "identity": layout.identity(kept, shape),
-            "complete": 0,
-            "features": {},
-            "direct": False,
-        }
+        kept = {**attrs, "schema_version": layout.SCHEMA_VERSION}
+        kept.pop("manifest", None)
+        manifest = {"shape": list(shape), "complete": 0, "features": {}, "direct": False}
+        manifest["identity"] = layout.identity(kept, shape)
         with layout.writing(path):
-            if not path.is_dir():
-                if path.exists():
-                    raise layout.occupied(path)
-                path.mkdir(parents=True, exist_ok=True)
+            if path.exists() and not path.is_dir():
+                raise layout.occupied(path)
+            path.mkdir(parents=True, exist_ok=True)
             layout.check_free(path)
             lock = Lock(path / layout.LOCK, path)
             layout.check_free(path)
@@ -213,9 +203,8 @@ class Store:
             return None
         part = Store.open(path)
         ours, theirs = self._same, part._same
-        differing = [name for name in ours if ours[name] != theirs[name]]
-        if differing:
-            detail = "; ".join(f"{n}: {theirs[n]}, not {ours[n]}" for n in differing)
+        if names := layout.differing(ours, theirs):
+            detail = "; ".join(f"{n}: {theirs[n]}, not {ours[n]}" for n in names)
             message = (
                 f"{path} is not the direct part of {self.path} ({detail}); move it away, and "
                 "render it with: chdstat render --direct"
@@ -394,6 +383,17 @@ class Store:
             self._attributes = changed
             with layout.writing(self.path):
                 self._save()
+
+    def spent(self, seconds: float) -> None:
+        """Add to the time that rendering took, unless the disk is full: `write` has said so."""
+        before = float(self.attrs.get("render_seconds", 0.0))
+        with contextlib.suppress(StoreError):
+            self.update(render_seconds=round(before + seconds, 3))
+
+    def finish(self, direct: Samples | None = None) -> Samples:
+        """Return the samples that every pixel has, with their emission and direct light."""
+        self.update(direct=True if direct else None)
+        return of_store(self, direct)
 
     def extend(self, spp: int) -> None:
         """Make room for more samples per pixel; what is stored stays.

@@ -21,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.display import Card, Shown
 from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import Description, described, digest_of
 
@@ -30,8 +31,8 @@ _PLAIN = (str, bytes, int, float, complex, np.generic, Path, type(None))
 """Types of which two values are the same if they print the same."""
 
 
-@dataclass(frozen=True)
-class Scene:
+@dataclass(frozen=True, repr=False)
+class Scene(Shown):
     """A scene that Mitsuba can render.
 
     Parameters
@@ -50,6 +51,13 @@ class Scene:
     name: str
     source: Path | Mapping[str, Any]
     parameters: Mapping[str, str] = field(default_factory=dict)
+
+    def _card(self) -> Card:
+        facts: dict[str, Any] = {"source": self.origin, "parameters": self.parameters}
+        if isinstance(self.source, Mapping):
+            parts = {name: part for name, part in self.source.items() if isinstance(part, Mapping)}
+            facts["parts"] = f"{len(parts)}: {', '.join(parts)}"
+        return Card(f"Scene {self.name}", facts)
 
     @property
     def origin(self) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 from chdstat.errors import InputError, RenderError, SceneError
 
-__all__ = ["LONGEST", "Asked", "Film", "asked_for"]
+__all__ = ["LONGEST", "Asked", "asked_for"]
 
 _INTEGRATOR = "path"
 """What renders a scene that names no integrator."""

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
-    "EDGES",
     "SAME_SHAPE",
     "WIDTH",
     "LogChds",

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import plain
+from chdstat._core.display import Card, Shown, with_interval
 from chdstat._core.resampling import LEVEL, Interval
 
 __all__ = [
@@ -28,7 +29,6 @@ __all__ = [
     "MissingDataError",
     "Outcome",
     "PlotData",
-    "Verdict",
     "level_of",
     "require",
     "required",
@@ -127,15 +127,18 @@ class ClaimTest:
             return ""
         return f"{write(low)} or more" if math.isinf(high) else f"{write(low)} to {write(high)}"
 
-    def __str__(self) -> str:
+    @property
+    def claimed(self) -> str:
+        """Range of the claim in words."""
         if math.isinf(self.least):
-            claimed = f"at most {_number(self.most)}"
-        elif math.isinf(self.most):
-            claimed = f"at least {_number(self.least)}"
-        else:
-            claimed = f"{_number(self.least)} to {_number(self.most)}"
+            return f"at most {_number(self.most)}"
+        if math.isinf(self.most):
+            return f"at least {_number(self.least)}"
+        return f"{_number(self.least)} to {_number(self.most)}"
+
+    def __str__(self) -> str:
         interval = self.between(_number) or "no interval"
-        return f"{self.name} is {_number(self.interval.value)} ({interval}), claimed {claimed}"
+        return f"{self.name} is {_number(self.interval.value)} ({interval}), claimed {self.claimed}"
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
@@ -171,8 +174,8 @@ class PlotData:
         return cls("bars", series, y_label=y_label)
 
 
-@dataclass(frozen=True)
-class Outcome:
+@dataclass(frozen=True, repr=False)
+class Outcome(Shown):
     """What was measured of a claim; the registry adds number, name and claim.
 
     Attributes
@@ -248,8 +251,8 @@ class Outcome:
         )
 
 
-@dataclass(frozen=True)
-class Finding:
+@dataclass(frozen=True, repr=False)
+class Finding(Shown):
     """What the samples say of one claim.
 
     Attributes
@@ -295,6 +298,27 @@ class Finding:
     details: Mapping[str, Any] = field(default_factory=dict)
     plot_data: PlotData = field(default_factory=PlotData)
     other_models: Mapping[str, Finding] = field(default_factory=dict)
+
+    def confirmed(self, again: Finding | None) -> Finding:
+        """Return the finding, without a verdict if that of another seed is the opposite one."""
+        if again is None or {self.verdict, again.verdict} != {"supported", "not supported"}:
+            return self
+        reason = f"Seeds disagree. The first: {self.reason} Another: {again.reason}"
+        return replace(self, verdict="cannot tell", reason=reason)
+
+    def _card(self) -> Card:
+        facts = {"claim": self.claim, "verdict": self.verdict, "reason": self.reason}
+        facts |= {"about": self.about}
+        rows = [
+            {
+                "statistic": t.name,
+                "value": with_interval(t.interval.value, t.interval.low, t.interval.high),
+                "claimed": t.claimed,
+                "verdict": t.verdict,
+            }
+            for t in self.tests
+        ]
+        return Card(f"Finding on claim {self.number}, {self.name}, in {self.scene}", facts, rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but the plot data, ready for JSON; what is not finite is None."""

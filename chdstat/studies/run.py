@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from chdstat._core.arrays import plain
+from chdstat._core.display import Card, Shown, duration
 from chdstat._core.files import checked_target, writing
 from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
@@ -43,8 +44,8 @@ _ONCE = frozenset({14, 15, 16})
 """Claims that need the whole analysis or a training: they are not repeated with another seed."""
 
 
-@dataclass(frozen=True)
-class SceneStudy:
+@dataclass(frozen=True, repr=False)
+class SceneStudy(Shown):
     """What a study found in one scene.
 
     Attributes
@@ -86,6 +87,14 @@ class SceneStudy:
         """Estimators side by side; None where the samples cannot judge them."""
         return self.data.comparison
 
+    def _card(self) -> Card:
+        facts = {"notes": "; ".join(self.notes)} if self.notes else {}
+        rows = [
+            {"claim": f"{f.number} {f.name}", "verdict": f.verdict, "reason": f.reason}
+            for f in self.findings
+        ]
+        return Card(f"Study of {self.name}", facts, rows)
+
     @cached_property
     def overview(self) -> Overview:
         """The scene in a few numbers."""
@@ -121,8 +130,8 @@ def _provenance(samples: Samples) -> dict[str, Any]:
     return {**attrs, "shape": list(samples.shape), "store": samples.path and str(samples.path)}
 
 
-@dataclass(frozen=True)
-class Study:
+@dataclass(frozen=True, repr=False)
+class Study(Shown):
     """What a study found.
 
     Attributes
@@ -165,6 +174,12 @@ class Study:
                 row[column or ACROSS] = "" if finding is None else finding.verdict
             rows.append(row)
         return rows
+
+    def _card(self) -> Card:
+        seconds = self.provenance.get("seconds")
+        facts = {} if seconds is None else {"time": duration(float(seconds))}
+        rows = [{k: v for k, v in row.items() if k != "number"} for row in self.table()]
+        return Card(f"Study of {', '.join(self.names)}", facts, rows)
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything but arrays, ready for JSON; what is not finite is None."""
@@ -338,7 +353,7 @@ def _scene(scene: StudyScene, stores: Stores, estimators: Sequence[str]) -> Scen
     shapes = timed("atlas", lambda: stores.cache(samples).record("atlas", Atlas, atlas_of_samples))
     return SceneStudy(
         data,
-        tuple(_confirmed(f, repeated.get(f.number)) for f in findings),
+        tuple(f.confirmed(repeated.get(f.number)) for f in findings),
         {number: f.verdict for number, f in repeated.items()},
         chosen=not scene.regions,
         atlas=shapes if len(shapes.share) else None,
@@ -372,14 +387,6 @@ def _repeated(data: SceneData, again: Samples | None, stores: Stores) -> dict[in
         return {}
     other = replace(data, samples=again, given=None, integrator=None, comparison=None)
     return {f.number: f for f in _findings(other, stores, left_out=_ONCE)}
-
-
-def _confirmed(finding: Finding, again: Finding | None) -> Finding:
-    """Return a finding, without a verdict if another seed has the opposite one."""
-    if again is None or {finding.verdict, again.verdict} != {"supported", "not supported"}:
-        return finding
-    reason = f"Seeds disagree. The first: {finding.reason} Another: {again.reason}"
-    return replace(finding, verdict="cannot tell", reason=reason)
 
 
 def _across(scenes: Sequence[SceneData], stores: Stores) -> Findings:

@@ -32,7 +32,7 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ROULETTE", "SHORT", "Source", "Stores", "StudyScene", "scenes_of"]
+__all__ = ["ROULETTE", "Source", "Stores", "StudyScene", "scenes_of"]
 
 _SPP = 1024
 _N = 32
@@ -192,14 +192,7 @@ class Stores:
             if done is not None:
                 return done
         return render(
-            scene,
-            spp=recipe.spp,
-            size=recipe.size,
-            seed=recipe.seed,
-            max_depth=recipe.max_depth,
-            out=out,
-            backend=self.backend,
-            progress=self.progress,
+            scene, **recipe.settings(), out=out, backend=self.backend, progress=self.progress
         )
 
     def cache(self, samples: Samples) -> Cache:
@@ -263,13 +256,8 @@ class Stores:
             return replace(comparison, models={})  # a record holds no network
 
         learned = {name for name in estimators if isinstance(lookup(name), LearnedEstimator)}
-        comparison = cache.record(
-            "comparison",
-            Comparison,
-            compared,
-            inputs=tuple(estimators),
-            again=not learned <= trained.keys(),
-        )
+        inputs, again = tuple(estimators), not learned <= trained.keys()
+        comparison = cache.record("comparison", Comparison, compared, inputs=inputs, again=again)
         return replace(comparison, models=models)
 
 

@@ -1,4 +1,4 @@
-"""Binning: where the bins of a histogram lie, and the table that counts.
+"""Binning: where the bins of a histogram lie, and which samples they count.
 
 `chdstat.summary.histograms` is the public face of this.
 """
@@ -11,22 +11,19 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import all_good, as_samples, is_bad, is_null, spans
+from chdstat._core.arrays import all_good, as_samples, is_bad, is_null
+from chdstat._core.positive import Floats, Mask
 from chdstat.errors import InputError, Reason
 from chdstat.samples import Samples
 
 __all__ = [
-    "FIRST_DRAWS",
     "LOG_SUPPORT",
     "SCALES",
-    "Counts",
-    "Floats",
     "GivenSupport",
-    "Mask",
     "Scale",
     "Support",
-    "Table",
     "axis_ends",
+    "checked_masks",
     "checked_support",
     "linear_support",
     "sample_masks",
@@ -34,9 +31,6 @@ __all__ = [
 ]
 
 Scale: TypeAlias = Literal["linear", "log"]
-Floats: TypeAlias = npt.NDArray[np.float64]
-Counts: TypeAlias = npt.NDArray[np.int64]
-Mask: TypeAlias = npt.NDArray[np.bool_]
 
 SCALES: tuple[Scale, ...] = ("linear", "log")
 FIRST_DRAWS = 50
@@ -45,8 +39,6 @@ LOG_SUPPORT = (1e-5, 1e5)
 """Support of log histograms, in radiance."""
 
 _PADDING = 0.25
-_CHUNK = 2**16
-"""Samples binned at once: the temporaries stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +86,7 @@ def linear_support(
     """
     first = as_samples(x)[..., :FIRST_DRAWS]
     null, bad = (part if part is None else part[..., :FIRST_DRAWS] for part in (null, bad))
-    null, bad = _masks(first, null, bad)
+    null, bad = checked_masks(first, null, bad)
     if bad is None:
         bad = np.zeros(first.shape, dtype=np.bool_)
     used = ~(null | bad)
@@ -164,93 +156,10 @@ def sample_masks(block: npt.NDArray[Any]) -> tuple[Mask, Mask | None]:
     return null, np.asarray(is_bad(block).any(axis=-2, keepdims=True))
 
 
-class Table:
-    """Counts of every row (pixel and channel) in slots: underflow, bins, overflow, bad."""
-
-    def __init__(self, scale: Scale, bins: int, support: Support) -> None:
-        self.scale = scale
-        self.bins = bins
-        self.support = support
-        self.n = 0
-        rows = support.low.size
-        self._counts = np.zeros((rows, bins + 3), dtype=np.int64)
-        self.null_count = np.zeros(support.low.shape, dtype=np.int64)
-        self.negative = np.zeros(support.low.shape, dtype=np.int64)
-        low, high = axis_ends(scale, support.low.reshape(-1, 1), support.high.reshape(-1, 1))
-        # Without a support, every sample lies above it, but for the zeros of a log scale.
-        self._origin = np.where(np.isnan(low), -np.inf if scale == "linear" else -1e30, low)
-        with np.errstate(divide="ignore"):
-            self._steps = np.where(np.isnan(low), np.inf, bins / (high - low))
-
-    def update(self, block: npt.NDArray[Any], null: Mask | None, bad: Mask | None) -> None:
-        """Count a block, shape (..., sample)."""
-        shape, n = block.shape[:-1], block.shape[-1]
-        if shape != self.support.low.shape:
-            message = (
-                f"every block must have the batch shape of the support, {self.support.low.shape}, "
-                f"before its samples; got {shape}"
-            )
-            raise InputError(message)
-        null, bad = _masks(block, null, bad)
-        # Nulls are zeros and all fall where a zero falls: count them in and take them out again,
-        # which is many times faster than sorting them out one by one.
-        nulls = np.broadcast_to(np.count_nonzero(null, axis=-1), shape)
-        rows = block.reshape(-1, n)
-        bads = None if bad is None else bad.reshape(-1, n)
-        for part in spans(len(rows), max(1, _CHUNK // n)):
-            for columns in spans(n, _CHUNK):
-                some = None if bads is None else bads[part, columns]
-                slots = self._slots(rows[part, columns], part, some)
-                slots += np.arange(part.start, part.stop)[:, np.newaxis] * self._counts.shape[1]
-                np.add.at(self._counts.reshape(-1), slots.ravel(), 1)
-        zeros = np.zeros((len(rows), 1), block.dtype)
-        self._counts[np.arange(len(rows)), self._slots(zeros, slice(None))[:, 0]] -= nulls.ravel()
-        self.null_count += nulls
-        if not block.min(initial=0) >= 0:
-            negative = block < 0 if bad is None else (block < 0) & ~bad
-            self.negative += np.count_nonzero(negative, axis=-1)
-        self.n += n
-
-    def merge(self, other: Table) -> None:
-        """Add the counts of a table with the same support."""
-        mine, theirs = self.support, other.support
-        if not all(
-            np.array_equal(a, b, equal_nan=True)
-            for a, b in ((mine.low, theirs.low), (mine.high, theirs.high))
-        ):
-            message = (
-                "histograms merge only with the same support, and these differ; "
-                "give both the support of the first draws (linear_support)"
-            )
-            raise InputError(message)
-        self._counts += other._counts
-        self.null_count += other.null_count
-        self.negative += other.negative
-        self.n += other.n
-
-    def counts(self) -> Counts:
-        """Return a copy of the counts, shape (..., slot)."""
-        return self._counts.reshape(*self.support.low.shape, self._counts.shape[-1]).copy()
-
-    def _slots(
-        self, x: npt.NDArray[Any], part: slice, bad: Mask | None = None
-    ) -> npt.NDArray[np.intp]:
-        largest = np.finfo(x.dtype).max
-        origin = self._origin[part].astype(x.dtype)
-        steps = np.minimum(self._steps[part], largest).astype(x.dtype)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
-            # The logarithm of 0 is minus infinity: below every bin, as negative samples are.
-            position = (np.log(np.maximum(x, 0)) if self.scale == "log" else x) - origin
-            position *= steps
-            position += 1
-        np.clip(position, 0, self.bins + 1, out=position)
-        if bad is not None:
-            position[bad] = self.bins + 2
-        slots: npt.NDArray[np.intp] = position.astype(np.intp)
-        return slots
-
-
-def _masks(x: npt.NDArray[Any], null: Mask | None, bad: Mask | None) -> tuple[Mask, Mask | None]:
+def checked_masks(
+    x: npt.NDArray[Any], null: Mask | None, bad: Mask | None
+) -> tuple[Mask, Mask | None]:
+    """Return which samples are null and bad, by masks that a caller gives; None for none bad."""
     for name, mask in (("null", null), ("bad", bad)):
         if mask is None:
             continue

@@ -14,7 +14,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    Concatenate,
+    ParamSpec,
+    Protocol,
+    TypeAlias,
+    TypeVar,
+    cast,
+    overload,
+)
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +37,7 @@ from chdstat.summary.histograms import Histogram
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["Part", "PositiveHistogram", "Source", "run"]
+__all__ = ["OfSource", "Part", "PositiveHistogram", "Source", "of_source", "run"]
 
 _NEEDED = ("log_counts", "log_underflow", "log_overflow", "null_count", "bad_count")
 
@@ -166,6 +176,28 @@ Source: TypeAlias = "Samples | Histogram | xr.Dataset | npt.ArrayLike"
 """What users give: an image, a log histogram, the log histograms of an image, or an array."""
 
 Result = TypeVar("Result")
+Options = ParamSpec("Options")
+Own = TypeVar("Own", covariant=True)
+
+
+class OfSource(Protocol[Options, Own]):
+    """Type of a function that returns a dataset for an image, and a type of its own otherwise."""
+
+    @overload
+    def __call__(
+        self, x: Samples | xr.Dataset, *args: Options.args, **options: Options.kwargs
+    ) -> xr.Dataset: ...
+    @overload
+    def __call__(
+        self, x: Histogram | npt.ArrayLike, *args: Options.args, **options: Options.kwargs
+    ) -> Own: ...
+
+
+def of_source(
+    function: Callable[Concatenate[Source, Options], Own | xr.Dataset],
+) -> OfSource[Options, Own]:
+    """Tell type checkers what a function of any `Source` returns; the function stays as it is."""
+    return cast("OfSource[Options, Own]", function)
 
 
 def run(

@@ -15,21 +15,20 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_samples, warn_left_out
+from chdstat._core.arrays import as_samples, spans, warn_left_out
+from chdstat._core.display import Shown
+from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
 from chdstat.samples import Blocks, Image, Mapped, Samples, opened, reduce_tiles
 from chdstat.summary.bins import (
     LOG_SUPPORT,
     SCALES,
-    Counts,
-    Floats,
     GivenSupport,
-    Mask,
     Scale,
     Support,
-    Table,
     axis_ends,
+    checked_masks,
     checked_support,
     linear_support,
     sample_masks,
@@ -49,6 +48,8 @@ __all__ = [
 ]
 
 _RADIANCE = "W sr-1 m-2"
+_CHUNK = 2**16
+"""Samples binned at once: the temporaries stay in the cache."""
 _LABELS = {
     "counts": ("samples per bin", "1"),
     "underflow": ("samples below the support", "1"),
@@ -60,8 +61,8 @@ _LABELS = {
 }
 
 
-@dataclass(frozen=True)
-class Histogram:
+@dataclass(frozen=True, repr=False)
+class Histogram(Shown):
     """How many samples fell into each bin, and how many elsewhere.
 
     For every pixel, bins + underflow + overflow + null_count + bad_count = n.
@@ -143,11 +144,7 @@ class Histogram:
 
 @overload
 def histogram(  # type: ignore[overload-overlap]  # a str is an ArrayLike, but no radiance
-    x: Image,
-    *,
-    scale: Scale = ...,
-    bins: int = ...,
-    support: GivenSupport | None = ...,
+    x: Image, *, scale: Scale = ..., bins: int = ..., support: GivenSupport | None = ...
 ) -> xr.Dataset: ...
 @overload
 def histogram(
@@ -266,19 +263,75 @@ class StreamingHistogram:
         self.scale: Scale = scale
         self.bins = bins
         self._given = LOG_SUPPORT if support is None and scale == "log" else support
-        self._table: Table | None = None
+        self._support: Support | None = None
+
+    def _begin(self, support: GivenSupport, shape: tuple[int, ...]) -> Support:
+        """Lay out the bins of rows of this shape, all of them empty."""
+        self._support = found = checked_support(support, shape, self.scale)
+        self._n = 0
+        # Slots of every row: underflow, bins, overflow, bad.
+        self._counts = np.zeros((found.low.size, self.bins + 3), dtype=np.int64)
+        self._null_count, self._negative = np.zeros((2, *shape), dtype=np.int64)
+        low, high = axis_ends(self.scale, found.low.reshape(-1, 1), found.high.reshape(-1, 1))
+        # Without a support, every sample lies above it, but for the zeros of a log scale.
+        self._origin = np.where(np.isnan(low), -np.inf if self.scale == "linear" else -1e30, low)
+        with np.errstate(divide="ignore"):
+            self._steps = np.where(np.isnan(low), np.inf, self.bins / (high - low))
+        return found
 
     def update(
         self, x: npt.ArrayLike, *, null: Mask | None = None, bad: Mask | None = None
     ) -> StreamingHistogram:
         """Count the next samples, shape (..., sample); masks as for `histogram`."""
         block = as_samples(x)
-        if self._table is None:
-            support = self._given or linear_support(block, null=null, bad=bad)
-            support = checked_support(support, block.shape[:-1], self.scale)
-            self._table = Table(self.scale, self.bins, support)
-        self._table.update(block, null, bad)
+        shape, n = block.shape[:-1], block.shape[-1]
+        support = self._support
+        if support is None:
+            given = self._given or linear_support(block, null=null, bad=bad)
+            support = self._begin(given, shape)
+        if shape != support.low.shape:
+            message = (
+                f"every block must have the batch shape of the support, {support.low.shape}, "
+                f"before its samples; got {shape}"
+            )
+            raise InputError(message)
+        null, bad = checked_masks(block, null, bad)
+        # Nulls are zeros and all fall where a zero falls: count them in and take them out again,
+        # which is many times faster than sorting them out one by one.
+        nulls = np.broadcast_to(np.count_nonzero(null, axis=-1), shape)
+        rows = block.reshape(-1, n)
+        bads = None if bad is None else bad.reshape(-1, n)
+        for part in spans(len(rows), max(1, _CHUNK // n)):
+            for columns in spans(n, _CHUNK):
+                some = None if bads is None else bads[part, columns]
+                slots = self._slots(rows[part, columns], part, some)
+                slots += np.arange(part.start, part.stop)[:, np.newaxis] * self._counts.shape[1]
+                np.add.at(self._counts.reshape(-1), slots.ravel(), 1)
+        zeros = np.zeros((len(rows), 1), block.dtype)
+        self._counts[np.arange(len(rows)), self._slots(zeros, slice(None))[:, 0]] -= nulls.ravel()
+        self._null_count += nulls
+        if not block.min(initial=0) >= 0:
+            negative = block < 0 if bad is None else (block < 0) & ~bad
+            self._negative += np.count_nonzero(negative, axis=-1)
+        self._n += n
         return self
+
+    def _slots(
+        self, x: npt.NDArray[Any], part: slice, bad: Mask | None = None
+    ) -> npt.NDArray[np.intp]:
+        largest = np.finfo(x.dtype).max
+        origin = self._origin[part].astype(x.dtype)
+        steps = np.minimum(self._steps[part], largest).astype(x.dtype)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore", under="ignore"):
+            # The logarithm of 0 is minus infinity: below every bin, as negative samples are.
+            position = (np.log(np.maximum(x, 0)) if self.scale == "log" else x) - origin
+            position *= steps
+            position += 1
+        np.clip(position, 0, self.bins + 1, out=position)
+        if bad is not None:
+            position[bad] = self.bins + 2
+        slots: npt.NDArray[np.intp] = position.astype(np.intp)
+        return slots
 
     def merge(self, other: StreamingHistogram) -> StreamingHistogram:
         """Add the counts of `other`.
@@ -294,13 +347,21 @@ class StreamingHistogram:
                 f"and {other.bins} {other.scale} bins"
             )
             raise InputError(message)
-        if other._table is None:
+        theirs = other._support
+        if theirs is None:
             return self
-        if self._table is None:
-            theirs = other._table.support
-            support = checked_support(self._given or theirs, theirs.low.shape, self.scale)
-            self._table = Table(self.scale, self.bins, support)
-        self._table.merge(other._table)
+        mine = self._support or self._begin(self._given or theirs, theirs.low.shape)
+        ends = (mine.low, theirs.low), (mine.high, theirs.high)
+        if not all(np.array_equal(a, b, equal_nan=True) for a, b in ends):
+            message = (
+                "histograms merge only with the same support, and these differ; "
+                "give both the support of the first draws (linear_support)"
+            )
+            raise InputError(message)
+        self._counts += other._counts
+        self._null_count += other._null_count
+        self._negative += other._negative
+        self._n += other._n
         return self
 
     def read(self) -> Histogram:
@@ -311,23 +372,23 @@ class StreamingHistogram:
         InputError
             If there are none.
         """
-        if self._table is None:
+        if self._support is None:
             message = "the histogram has seen no samples; call update first"
             raise InputError(message)
-        table = self._table
-        counts = table.counts()
+        shape = self._support.low.shape
+        counts = self._counts.reshape(*shape, self._counts.shape[-1]).copy()
         return Histogram(
             scale=self.scale,
             counts=counts[..., 1:-2],
-            low=table.support.low,
-            high=table.support.high,
+            low=self._support.low,
+            high=self._support.high,
             underflow=counts[..., 0],
             overflow=counts[..., -2],
-            negative=table.negative.copy(),
-            null_count=table.null_count.copy(),
+            negative=self._negative.copy(),
+            null_count=self._null_count.copy(),
             bad_count=counts[..., -1],
-            reason=table.support.reason,
-            n=table.n,
+            reason=self._support.reason,
+            n=self._n,
         )
 
 

@@ -14,19 +14,13 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import as_pixels
+from chdstat._core.display import Shown
 from chdstat._core.moments import Batches, Moments
+from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
 from chdstat.samples import Blocks, Image, Mapped, reduce_tiles, samples_of
-from chdstat.summary.bins import (
-    SCALES,
-    Counts,
-    Floats,
-    GivenSupport,
-    Mask,
-    sample_masks,
-    tile_support,
-)
+from chdstat.summary.bins import SCALES, GivenSupport, sample_masks, tile_support
 from chdstat.summary.histograms import Histogram, StreamingHistogram, label_histogram
 
 if TYPE_CHECKING:
@@ -56,8 +50,8 @@ _PER_CHANNEL = {
 _FLAGS = ("null_count", "bad_count", "nan_count", "inf_count", "negative_count")
 
 
-@dataclass(frozen=True)
-class Statistics:
+@dataclass(frozen=True, repr=False)
+class Statistics(Shown):
     """Statistics of samples, as `Summary.read` returns them.
 
     A sample with a bad channel is bad as a whole: counted, and left out of everything else.
@@ -184,14 +178,7 @@ class Summary:
         # The histograms go first: they are what may refuse the block.
         for histogram in (self._linear, self._log):
             histogram.update(x, null=null, bad=bad)
-        moments = Moments.of(x, good)
-        flags = _count_flags(x, null, bad)
-        if self._moments is None:
-            self._batches = self._batches.empty(x.shape[:-1])
-            self._moments, self._flags = moments, flags
-        else:
-            self._moments = self._moments.merge(moments)
-            self._flags = {name: self._flags[name] + flags[name] for name in _FLAGS}
+        self._add(Moments.of(x, good), _count_flags(x, null, bad))
         self._batches.update(x, good)
         return self
 
@@ -213,14 +200,18 @@ class Summary:
         self._batches.check(other._batches)
         self._linear.merge(other._linear)
         self._log.merge(other._log)
-        if self._moments is None:
-            self._batches = self._batches.empty(other._moments.count.shape)
-            self._moments, self._flags = other._moments, other._flags
-        else:
-            self._moments = self._moments.merge(other._moments)
-            self._flags = {name: self._flags[name] + other._flags[name] for name in _FLAGS}
+        self._add(other._moments, other._flags)
         self._batches.merge(other._batches)
         return self
+
+    def _add(self, moments: Moments, flags: dict[str, Counts]) -> None:
+        """Add moments and counts; the first ones set the shape."""
+        if self._moments is None:
+            self._batches = self._batches.empty(moments.count.shape)
+            self._moments, self._flags = moments, flags
+        else:
+            self._moments = self._moments.merge(moments)
+            self._flags = {name: self._flags[name] + flags[name] for name in _FLAGS}
 
     def read(self) -> Statistics:
         """Return the statistics of all samples so far.
@@ -234,6 +225,8 @@ class Summary:
             message = "the summary has seen no samples; call update first"
             raise InputError(message)
         moments = self._moments
+        of_channels = {name: moments.seen(getattr(moments, name)) for name in _PER_CHANNEL}
+        known: dict[str, Any] = {**self._flags, **of_channels}
         means, spp = self._batches.read()
         count = moments.count[..., 0]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -241,15 +234,8 @@ class Summary:
         return Statistics(
             draws=self._batches.total,
             count=count.astype(np.int64),
-            **self._flags,
+            **known,
             null_share=null_share,
-            mean=moments.seen(moments.mean),
-            variance=moments.variance,
-            skewness=moments.skewness,
-            kurtosis=moments.kurtosis,
-            minimum=moments.seen(moments.minimum),
-            maximum=moments.seen(moments.maximum),
-            standard_error=moments.standard_error,
             batch_means=means,
             batch_spp=spp,
             linear=self._linear.read(),

@@ -8,11 +8,11 @@ shows. One style holds for all (`style`); colours are distinct for colour-blind 
 
 from __future__ import annotations
 
-from chdstat.viz.chd import Panel, averages, batch_histograms, chd_axes, chd_grid, fits
+from chdstat.viz.chd import Panel, batch_histograms, chd_axes, chd_grid, chd_pair, fits
 from chdstat.viz.claims import VERDICTS, claim_intervals, finding_plots, verdict_matrix
+from chdstat.viz.curves import averages, curves, error_curves
 from chdstat.viz.estimators import (
     coverage,
-    error_curves,
     estimator_measures,
     pattern_breakdown,
     pixel_estimates,
@@ -42,8 +42,10 @@ __all__ = [
     "categorical_map",
     "chd_axes",
     "chd_grid",
+    "chd_pair",
     "claim_intervals",
     "coverage",
+    "curves",
     "error_curves",
     "estimator_measures",
     "finding_plots",

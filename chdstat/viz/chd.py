@@ -2,8 +2,7 @@
 
 `chd_axes` and `chd_grid` draw linear or log10 histograms per channel, `fits` several fits of one
 channel. `batch_histograms` follows the first figure of Elek et al. 2019: many batches of samples
-superimposed, and below them the histogram of their means; `averages` shows how such means become
-Gaussian.
+superimposed, and below them the histogram of their means.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from chdstat._core.arrays import take_rows
+from chdstat._core.arrays import is_bad, is_null, take_rows
 from chdstat.errors import InputError
-from chdstat.summary.histograms import Histogram
+from chdstat.summary.histograms import Histogram, histogram
 from chdstat.viz.styling import (
     CHANNELS,
     PALETTE,
@@ -31,7 +30,6 @@ from chdstat.viz.styling import (
     grid,
     page,
     per_cent,
-    plain_log,
     qualitative,
     style,
     verbatim,
@@ -39,11 +37,11 @@ from chdstat.viz.styling import (
 
 __all__ = [
     "Panel",
-    "averages",
     "batch_histograms",
     "by_channel",
     "chd_axes",
     "chd_grid",
+    "chd_pair",
     "draw_histograms",
     "fits",
 ]
@@ -51,8 +49,7 @@ __all__ = [
 Array = npt.NDArray[Any]
 Density = Callable[[Array], Array]
 
-_POINTS = 400
-"""Of the curve of a fit."""
+_CURVE_POINTS = 400
 _LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
 _DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
 _ROOM = 1.35
@@ -87,6 +84,40 @@ class Panel:
     fits: Sequence[Density | None] = ()
     mean: Sequence[float] = ()
     note: str = ""
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        x: npt.ArrayLike,
+        *,
+        channels: Sequence[str] | None = None,
+        fits: Sequence[Density | None] = (),
+        note: str | None = None,
+    ) -> Panel:
+        """Return the CHD of a pixel given by its samples.
+
+        Parameters
+        ----------
+        name, channels, fits
+            As above.
+        x
+            Linear radiance, shape (channel, sample); a sample with a bad channel is left out.
+        note
+            As above; None for the share of nulls.
+
+        Examples
+        --------
+        >>> Panel.of("wall", [[0, 1, 2, 3], [0, 2, 4, 6]]).note
+        '25 % nulls'
+        """
+        samples = np.asarray(x)
+        null, bad = is_null(samples), np.asarray(is_bad(samples).any(axis=0))
+        linear = histogram(samples, scale="linear", null=null, bad=bad)
+        log = histogram(samples, scale="log", null=null, bad=bad)
+        mean = samples[:, ~bad].astype(np.float64).mean(axis=-1).tolist() if not bad.all() else ()
+        note = f"{per_cent(null.mean())} nulls" if note is None else note
+        return cls(name, linear, log, channels, fits, mean, note)
 
 
 @style()
@@ -196,7 +227,7 @@ def draw_histograms(
         ax.stairs(density, edges, linewidth=0.7, label=verbatim(name), **look)
     if not ends:
         where = (0.5, 0.5)
-        ax.annotate("no positive samples", where, xycoords="axes fraction", ha="center", fontsize=7)
+        ax.annotate("no positive samples", where, xycoords="axes fraction", ha="center")
     ax.set_xscale(scale)
     if scale == "log":
         low, high = min(ends, default=1e-5), max(ends, default=1e5)
@@ -213,7 +244,7 @@ def draw_histograms(
 def _draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> None:
     """Draw a density over a histogram, per unit of radiance or per decade as its bins are."""
     space = np.geomspace if counted.scale == "log" else np.linspace
-    x = space(*ax.get_xlim(), _POINTS)
+    x = space(*ax.get_xlim(), _CURVE_POINTS)
     y = np.full(x.shape, np.nan)
     with np.errstate(all="ignore"):
         y[x > 0] = density(x[x > 0])
@@ -252,27 +283,57 @@ def chd_grid(panels: Sequence[Panel], *, columns: int = 2, fig: Figure | None = 
     axes = grid(figure, 2 * len(panels), 2 * columns)
     for i, (panel, color) in enumerate(zip(panels, qualitative(len(panels)), strict=True)):
         pair = axes[2 * i : 2 * i + 2]
-        for ax, counted in zip(pair, (panel.linear, panel.log), strict=True):
-            chd_axes(counted, channels=panel.channels, fits=panel.fits, ax=ax)
+        _draw_pair(pair, panel, f"{i + 1} {panel.name}", below=i + columns >= len(panels))
+        for ax in pair:
             ax.spines["bottom"].set(color=color, linewidth=2.2)
-            for mean, shade in zip(panel.mean, _colors(panel.channels or "RGB"), strict=False):
-                if np.isfinite(mean) and mean > 0:
-                    ax.axvline(mean, 0, 0.92, color=shade, linewidth=0.8, linestyle=(0, (3, 2)))
-        pair[0].set_title(
-            f"{i + 1} {verbatim(panel.name)}", loc="left", fontsize=8, fontweight="bold", pad=3
-        )
-        pair[1].set_title(panel.note, loc="right", fontsize=7, pad=3, color="#444444")
-        pair[0].set_ylabel("density", fontsize=7)
-        if i + columns >= len(panels):
-            pair[0].set_xlabel(f"radiance ({UNIT})")
-            pair[1].set_xlabel(f"radiance ({UNIT}), log scale")
-    names = list(by_channel(panels[0].log, panels[0].channels))
+    _name_channels(axes[0], panels[0])
+    return figure
+
+
+@style()
+def chd_pair(panel: Panel, *, fig: Figure | None = None) -> Figure:
+    """Draw the linear and the log10 CHD of one pixel side by side, with fits and means.
+
+    Parameters
+    ----------
+    panel
+        The pixel.
+    fig
+        Where to draw; None makes a figure.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(1).gamma(2.0, size=(3, 500))
+    >>> len(chd_pair(Panel.of("wall", x)).axes)
+    2
+    """
+    figure = page(fig, 2.2)
+    axes = grid(figure, 2, 2)
+    _draw_pair(axes, panel, panel.name, below=True)
+    _name_channels(axes[0], panel)
+    return figure
+
+
+def _draw_pair(pair: Sequence[Axes], panel: Panel, title: str, *, below: bool) -> None:
+    """Draw a pixel into two axes, which are named if nothing stands below them."""
+    for ax, counted in zip(pair, (panel.linear, panel.log), strict=True):
+        chd_axes(counted, channels=panel.channels, fits=panel.fits, ax=ax)
+        for mean, shade in zip(panel.mean, _colors(panel.channels or "RGB"), strict=False):
+            if np.isfinite(mean) and mean > 0:
+                ax.axvline(mean, 0, 0.92, color=shade, linewidth=0.8, linestyle=(0, (3, 2)))
+    pair[0].set_title(verbatim(title), loc="left", fontweight="bold", pad=3)
+    pair[1].set_title(panel.note, loc="right", pad=3, color="#444444")
+    pair[0].set(ylabel="density", xlabel=f"radiance ({UNIT})" if below else "")
+    pair[1].set_xlabel(f"radiance ({UNIT}), log scale" if below else "")
+
+
+def _name_channels(ax: Axes, panel: Panel) -> None:
+    names = list(by_channel(panel.log, panel.channels))
     channels = [
         Line2D([], [], color=color, label=verbatim(name))
         for name, color in zip(names, _colors(names), strict=True)
     ]
-    axes[0].legend(handles=channels, loc="upper right", handlelength=1, borderaxespad=0)
-    return figure
+    ax.legend(handles=channels, loc="upper right", handlelength=1, borderaxespad=0)
 
 
 @style()
@@ -322,9 +383,9 @@ def fits(
             look = {"color": _LINES[i % len(_LINES)], "linestyle": _DASHES[i % len(_DASHES)]}
             _draw_fit(ax, counted, density, label=name, **look)
     axes[0].set_xlabel(f"radiance ({UNIT})")
-    axes[0].set_ylabel("density per unit of radiance", fontsize=7)
+    axes[0].set_ylabel("density per unit of radiance")
     axes[1].set_xlabel(f"radiance ({UNIT}), log scale")
-    axes[1].set_ylabel("density per decade", fontsize=7)
+    axes[1].set_ylabel("density per decade")
     if axes[0].get_legend_handles_labels()[0]:
         axes[0].legend(loc="upper right")
     axes[0].set_title(title, loc="left")
@@ -374,7 +435,7 @@ def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None
         upper.add_collection(PolyCollection([*outlines], facecolor=color, lw=0, alpha=alpha))
         upper.stairs(counts.mean(axis=0), edges, color="#222222", linewidth=0.6)
         upper.set_ylim(0, 1.15 * float(np.max(counts[:, 1:])) or 1.0)
-        upper.set_title(verbatim(name), fontsize=8)
+        upper.set_title(verbatim(name))
         lower.hist(means, bins=_BINS // 2, color=color)
         for ax in (upper, lower):
             ax.axvline(expected, color="black", linewidth=0.9, linestyle="--")
@@ -384,65 +445,5 @@ def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None
             ax.spines["left"].set_visible(False)
     axes[0].set_ylabel(f"{len(x)} batches\nof {x.shape[1]} samples")
     axes[count].set_ylabel(f"their {len(x)}\nmeans")
-    figure.supxlabel(f"radiance in {UNIT}", fontsize=8)
-    return figure
-
-
-@style()
-def averages(
-    sizes: npt.ArrayLike,
-    rejected: Mapping[str, npt.ArrayLike],
-    skewness: npt.ArrayLike,
-    predicted: npt.ArrayLike,
-    *,
-    alpha: float,
-    fig: Figure | None = None,
-) -> Figure:
-    """Draw how far averages of N samples are from Gaussian.
-
-    By the central limit theorem, skewness falls as 1 / sqrt(N): on a logarithmic scale this is a
-    straight line of slope -1/2, from which samples that depend on each other depart. Skewness that
-    is not positive is left out.
-
-    Parameters
-    ----------
-    sizes
-        N, shape (size,).
-    rejected
-        By name of the channel, the share of pixels for whose averages normality is rejected,
-        shape (size,).
-    skewness
-        Quartiles over the pixels of the skewness of averages, shape (3, size).
-    predicted
-        Median over the pixels of the skewness that the central limit theorem predicts, (size,).
-    alpha
-        The false-discovery rate, drawn as a dotted line.
-    fig
-        Where to draw; None makes a figure.
-    """
-    n = np.asarray(sizes)
-    low, middle, high = np.asarray(skewness, dtype=float)
-    figure = page(fig, 2.3)
-    left, right = grid(figure, 2, 2)
-    for i, (name, share) in enumerate(rejected.items()):
-        color, marker = CHANNELS.get(name, PALETTE[4 + i % 4]), "os^D"[i % 4]
-        label = verbatim(name)
-        left.plot(n, np.asarray(share), marker=marker, markersize=3.5, color=color, label=label)
-    left.axhline(alpha, color="#888888", linewidth=0.8, linestyle=":")
-    left.set(ylim=(0, 1.02), ylabel="normality rejected, share of pixels")
-    left.yaxis.set_major_formatter(per_cent)
-    left.legend(loc="best")
-    right.fill_between(n, low, high, color=PALETTE[1], alpha=0.35, linewidth=0)
-    right.plot(n, middle, marker="o", markersize=3.5, color=PALETTE[4], label="measured")
-    theorem = r"CLT: $1/\sqrt{N}$"
-    right.plot(n, np.asarray(predicted), color=PALETTE[5], linestyle="--", label=theorem)
-    right.set(ylabel="skewness of averages")
-    right.legend(loc="lower left")
-    right.set_yscale("log", nonpositive="mask")
-    plain_log(right.yaxis)
-    for ax in (left, right):
-        ax.set_xscale("log", base=2)
-        ax.set_xticks(n, [str(v) for v in n])
-        ax.minorticks_off()
-        ax.set_xlabel("samples in an average, N")
+    figure.supxlabel(f"radiance in {UNIT}")
     return figure

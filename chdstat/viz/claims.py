@@ -42,6 +42,10 @@ _DASHES = ("-", "--", "-.", ":")
 _MARKERS = "os^Dv<>P"
 _MANY_POINTS, _MOST_POINTS = 50, 4000
 """Points from which they are small and pale, and points that are drawn at most."""
+_SEEN = 0.005, 0.995
+"""Quantiles of many points that a panel reaches, and somewhat further."""
+_MOST_COLORS = 8
+"""Series that are distinguished; of more, only their scatter is to be seen."""
 _LONG = 26
 _LABEL = 28
 """Letters of a label along one panel."""
@@ -82,8 +86,8 @@ def verdict_matrix(verdicts: Mapping[str, Mapping[str, str]], *, ax: Axes | None
             if verdict:
                 _draw_verdict(ax, scenes.index(scene), y, verdict)
     ax.set(xlim=(-0.5, len(scenes) - 0.5), ylim=(len(verdicts) - 0.5, -0.5))
-    ax.set_xticks(range(len(scenes)), map(verbatim, scenes), rotation=28, ha="left", fontsize=8)
-    ax.set_yticks(range(len(verdicts)), list(verdicts), fontsize=8.5, ha="left")
+    ax.set_xticks(range(len(scenes)), map(verbatim, scenes), rotation=28, ha="left")
+    ax.set_yticks(range(len(verdicts)), list(verdicts), ha="left")
     ax.tick_params(length=0, labeltop=True, labelbottom=False)
     ax.tick_params(axis="y", pad=95)
     ax.spines[:].set_visible(False)
@@ -168,7 +172,7 @@ def _draw_intervals(ax: Axes, tests: Sequence[ClaimTest | None]) -> None:
             ax.plot(found.interval.value, i, "o", color=color, **look)
     ax.set_xlim(*span)
     written = "" if test.unit == "1" else f" ({test.unit.replace('^1/2', '$^{1/2}$')})"
-    ax.set_title(test.name + written, loc="left", fontsize=7.5, wrap=True)
+    ax.set_title(test.name + written, loc="left", wrap=True)
 
 
 def _span(values: Sequence[float], test: ClaimTest) -> tuple[float, float]:
@@ -216,13 +220,15 @@ def finding_plots(shown: Mapping[str, PlotData], *, fig: Figure | None = None) -
     for ax, (title, plot) in zip(axes, shown.items(), strict=True):
         series = {verbatim(NAMES.get(name, name)): xy for name, xy in plot.series.items()}
         _DRAW[plot.kind](ax, replace(plot, series=series))
-        ax.set_title(verbatim(title), loc="left", fontsize=8)
+        ax.set_title(verbatim(title), loc="left")
         if len(labels) > 1:
-            ax.set_xlabel(_raised(textwrap.fill(plot.x_label, _LABEL)))
-            ax.set_ylabel(_raised(textwrap.fill(plot.y_label, _LABEL)))
+            x_label, y_label = _axis_labels(plot)
+            ax.set_xlabel(_raised(textwrap.fill(x_label, _LABEL)))
+            ax.set_ylabel(_raised(textwrap.fill(y_label, _LABEL)))
     if len(labels) == 1:
-        figure.supxlabel(_raised(plots[0].x_label), fontsize=8)
-        figure.supylabel(_raised(textwrap.fill(plots[0].y_label, _LABEL * rows)), fontsize=8)
+        x_label, y_label = _axis_labels(plots[0])
+        figure.supxlabel(_raised(x_label))
+        figure.supylabel(_raised(textwrap.fill(y_label, _LABEL * rows)))
     _draw_legends(figure, axes)
     return figure
 
@@ -239,7 +245,12 @@ def _draw_legends(figure: Figure, axes: Sequence[Axes]) -> None:
         return
     for ax, (_, names) in zip(axes, named, strict=True):
         if 1 < len(names) <= (4 if len(axes) > 1 else 10):
-            ax.legend(fontsize=5.5, handlelength=1.3, labelspacing=0.2, borderaxespad=0.1)
+            ax.legend(handlelength=1.3, labelspacing=0.2, borderaxespad=0.1)
+
+
+def _axis_labels(plot: PlotData) -> tuple[str, str]:
+    """Return the labels of both axes: bars lie, so that their names have room beside them."""
+    return (plot.y_label, plot.x_label) if plot.kind == "bars" else (plot.x_label, plot.y_label)
 
 
 def _raised(label: str) -> str:
@@ -249,6 +260,8 @@ def _raised(label: str) -> str:
 
 def _look(place: int, number: int, kind: str) -> dict[str, Any]:
     color = PALETTE[4] if number == 1 else qualitative(number)[place]
+    if number > _MOST_COLORS:
+        return {"color": PALETTE[4], "alpha": 0.3}
     if kind == "points":
         return {"color": color, "marker": _MARKERS[place % len(_MARKERS)], "linestyle": ""}
     return {"color": color, "linestyle": _DASHES[place % len(_DASHES)]}
@@ -281,6 +294,12 @@ def _draw_points(ax: Axes, plot: PlotData) -> None:
         if len(a) >= _MANY_POINTS:
             look |= {"markersize": 1.3, "alpha": 0.45, "rasterized": True}
         ax.plot(a[::step], b[::step], label=name, markeredgewidth=0, **look)
+    known = np.array([v for _, y in plot.series.values() for v in y], dtype=float)
+    known = known[np.isfinite(known)]
+    if known.size >= _MANY_POINTS:
+        # A few outliers must not squeeze all else: they leave the panel.
+        low, high = np.quantile(known, _SEEN)
+        ax.set_ylim(low - 0.15 * (high - low), high + 0.15 * (high - low))
 
 
 def _draw_bars(ax: Axes, plot: PlotData) -> None:
@@ -289,17 +308,17 @@ def _draw_bars(ax: Axes, plot: PlotData) -> None:
     ax.barh(range(len(names)), values, color=PALETTE[1], height=0.7)
     ax.axvline(0, color="#444444", linewidth=0.6)
     short = [n if len(n) <= _LONG else f"{n[: _LONG - 1]}…" for n in names]
-    ax.set_yticks(range(len(names)), short, fontsize=6)
+    ax.set_yticks(range(len(names)), short)
     ax.invert_yaxis()
     ax.tick_params(axis="y", length=0)
 
 
 def _draw_map(ax: Axes, plot: PlotData) -> None:
-    ((_, image),) = plot.series.values()
+    ((name, (_, image)),) = plot.series.items()
     values = np.asarray(image, dtype=float)
     finite = values[np.isfinite(values)]
     top = float(np.percentile(finite, 99)) if finite.size else 1.0
-    value_map(values, limits=(0, top or 1.0), ax=ax)
+    value_map(values, unit=name, limits=(0, top or 1.0), ax=ax)
 
 
 _DRAW = {"curves": _draw_curves, "points": _draw_points, "bars": _draw_bars, "map": _draw_map}

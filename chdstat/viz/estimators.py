@@ -1,14 +1,15 @@
 """Estimators compared: their errors, training curves, intervals, and estimates of a few pixels.
 
-`pattern_breakdown` draws a measure for each pattern, `error_curves` how errors fall with N,
-`estimator_measures` all measures side by side, `pixel_estimates` a few pixels one by one;
-`training` draws losses, `coverage` how often intervals contain the reference.
+`pattern_breakdown` draws a measure for each pattern, `estimator_measures` all measures side by
+side, `pixel_estimates` a few pixels one by one; `training` draws losses, `coverage` how often
+intervals contain the reference.
 """
 
 from __future__ import annotations
 
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from chdstat._core.arrays import luminance
 from chdstat._core.resampling import Interval
-from chdstat.comparison import Breakdown, Comparison, ErrorCurve, PixelEstimates
+from chdstat.comparison import Breakdown, Comparison, PixelEstimates
 from chdstat.errors import InputError
 from chdstat.estimators.registry import LABELS
 from chdstat.estimators.training import History
@@ -43,8 +44,8 @@ from chdstat.viz.styling import (
 
 __all__ = [
     "NAMES",
+    "called",
     "coverage",
-    "error_curves",
     "estimator_measures",
     "pattern_breakdown",
     "pixel_estimates",
@@ -83,7 +84,7 @@ NAMES: Mapping[str, str] = ChainMap(
 """What text and figures call estimators, families and patterns."""
 
 
-def _called(names: Sequence[str]) -> list[str]:
+def called(names: Sequence[str]) -> list[str]:
     """Return what to write for names: what `NAMES` has for them, or themselves in words."""
     return [NAMES.get(name, name.replace("_", " ")) for name in names]
 
@@ -93,7 +94,8 @@ def pattern_breakdown(found: Breakdown, *, ax: Axes | None = None) -> Axes:
     """Draw relMSE over that of the mean, for each pattern and estimator, as a table with colours.
 
     The frame marks the smallest error of each pattern among the estimators that look at one pixel.
-    Pale numbers are those whose interval contains 1, the value of the sample mean.
+    Pale numbers are those whose interval contains 1, the value of the sample mean. Patterns whose
+    mean has no error, as that of constant pixels, have no row.
 
     Parameters
     ----------
@@ -102,6 +104,16 @@ def pattern_breakdown(found: Breakdown, *, ax: Axes | None = None) -> Axes:
     ax
         Where to draw; None makes a figure.
     """
+    share = found.pixels / max(1, found.pixels.sum())
+    known = np.flatnonzero(np.isfinite(found.measures["relmse_ratio"].value).any(axis=1))
+    if known.size:
+        share = share[known]
+        found = replace(
+            found,
+            labels=tuple(found.labels[k] for k in known),
+            pixels=found.pixels[known],
+            measures={name: measure[known] for name, measure in found.measures.items()},
+        )
     ratio, best = found.measures["relmse_ratio"], found.best("relmse")
     ax = axes_in(ax, 1.45 + 0.24 * len(found.labels), WIDTH)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -113,27 +125,26 @@ def pattern_breakdown(found: Breakdown, *, ax: Axes | None = None) -> Axes:
         at = ratio[row, column]
         text = f"{at.value:.{2 if at.value < 9.95 else 0}f}"
         ink = "#111111" if at.low > 1 or at.high < 1 else "#999999"
-        ax.text(column, row, text, ha="center", va="center", fontsize=6, color=ink)
+        ax.text(column, row, text, ha="center", va="center", color=ink)
         if found.estimators[column] == best[row]:
             corner = (column - 0.47, row - 0.45)
             frame: dict[str, Any] = {"fill": False, "edgecolor": "#111111", "linewidth": 1.3}
             ax.add_patch(Rectangle(corner, 0.94, 0.9, **frame))
-    _label_table(ax, found)
+    _label_table(ax, found, share)
     ax.set_title("relMSE ratio for each pattern", loc="left")
     return ax
 
 
-def _label_table(ax: Axes, found: Breakdown) -> None:
+def _label_table(ax: Axes, found: Breakdown, share: Array) -> None:
     """Name rows and columns; a line separates the estimators that use neighbours."""
-    share = found.pixels / max(1, found.pixels.sum())
     rows = [
         f"{label}, {per_cent(part)}" if part >= 0.005 else f"{label}, {count} px"
         for label, part, count in zip(
-            _called(found.labels), share, found.pixels.tolist(), strict=True
+            called(found.labels), share, found.pixels.tolist(), strict=True
         )
     ]
     ax.set_yticks(np.arange(len(rows)), rows)
-    columns = _called(found.estimators)
+    columns = called(found.estimators)
     ax.set_xticks(np.arange(len(columns)), columns)
     if len(columns) > _LEVEL:
         ax.tick_params(axis="x", rotation=40)
@@ -143,51 +154,6 @@ def _label_table(ax: Axes, found: Breakdown) -> None:
     ax.spines[:].set_visible(False)
     if found.uses_neighbours.any():
         ax.axvline(int(found.uses_neighbours.argmax()) - 0.5, color="#111111", linewidth=1)
-
-
-@style()
-def error_curves(found: ErrorCurve, *, fig: Figure | None = None) -> Figure:
-    """Draw MSE and relMSE against the number of samples, on logarithmic scales.
-
-    Bands are intervals over blocks of pixels; dashed lines are estimators that use neighbours. A
-    dotted line is the noise of the reference, below which no error can be seen.
-
-    Parameters
-    ----------
-    found
-        What `chdstat.comparison.error_curve` found.
-    fig
-        Where to draw; None makes a figure.
-    """
-    figure = page(fig, 2.3 + 0.17 * -(-len(found.estimators) // 4))
-    axes = grid(figure, 2, 2)
-    for ax, (measure, title) in zip(axes, (("mse", "MSE"), ("relmse", "relMSE")), strict=True):
-        _draw_errors(ax, found, measure, _called(found.estimators))
-        ax.set(xlabel="samples in an estimate, N", ylabel=title, yscale="log")
-        ax.set_xscale("log", base=2)
-        ax.set_xticks(found.sizes, [str(n) for n in found.sizes])
-        ax.minorticks_off()
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=6.5)
-    return figure
-
-
-def _draw_errors(ax: Axes, found: ErrorCurve, measure: str, names: Sequence[str]) -> None:
-    """Draw one measure of all estimators, the mean in black above the others."""
-    colors = iter(qualitative(len(names)))
-    for k, name in enumerate(found.estimators):
-        color = "#111111" if name == "mean" else next(colors)
-        values = found.measures[measure][:, k]
-        if not np.isfinite(values.value).any():
-            continue
-        band: dict[str, Any] = {"color": color, "alpha": 0.18, "linewidth": 0}
-        ax.fill_between(found.sizes, values.low, values.high, **band)
-        dashes = "--" if found.uses_neighbours[k] else "-"
-        look: dict[str, Any] = {"color": color, "marker": "o", "markersize": 2.5}
-        order = 2.5 if name == "mean" else 2
-        ax.plot(found.sizes, values.value, dashes, label=names[k], zorder=order, **look)
-    noise = found.reference_noise[measure]
-    ax.plot(found.sizes, noise, ":", color=_GREY, linewidth=1, label="noise of the reference")
 
 
 @style()
@@ -207,11 +173,10 @@ def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figur
     figure = page(fig, 0.75 + 0.165 * (rows.max() + 1))
     axes = grid(figure, len(_TITLES), len(_TITLES), sharey=True)
     for ax, (measure, title) in zip(axes, _TITLES.items(), strict=True):
-        ax.set_title(title, fontsize=7.5)
+        ax.set_title(title)
         ax.set_axisbelow(True)
         ax.grid(axis="x", linewidth=0.4, color="#DDDDDD")
         ax.tick_params(axis="y", length=0)
-        ax.tick_params(axis="x", labelsize=6)
         if measure == "improved":
             _draw_shares(ax, rows, found)
         else:
@@ -219,10 +184,10 @@ def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figur
         if found.uses_neighbours.any():
             line = rows[found.uses_neighbours].min() - 0.8
             ax.axhline(line, color=_GREY, linewidth=0.6)
-    axes[0].set_yticks(rows, _called(found.estimators))
+    axes[0].set_yticks(rows, called(found.estimators))
     axes[0].set_ylim(rows.max() + 0.6, -0.6)
     if found.uses_neighbours.any():
-        figure.supxlabel("below the line: those that use neighbouring pixels", fontsize=7)
+        figure.supxlabel("below the line: those that use neighbouring pixels")
     return figure
 
 
@@ -291,7 +256,7 @@ def pixel_estimates(found: PixelEstimates, *, ax: Axes | None = None) -> Axes:
     # Marks lie beside each other within a pixel's place.
     offsets = np.linspace(-0.22, 0.22, len(drawn)) if len(drawn) > 1 else [0.0]
     for k, (name, values) in enumerate(drawn):
-        label = _called([name])[0]
+        label = called([name])[0]
         look: dict[str, Any] = {"marker": "DsP^vX"[k % 6], "color": colors[k], "linewidths": 0}
         ax.scatter(places + offsets[k], values, s=11, label=label, zorder=4, **look)
     _set_radiance_axis(ax, light)
@@ -378,5 +343,5 @@ def coverage(
     ax.set_aspect("equal")
     ax.xaxis.set_major_formatter(per_cent)
     ax.yaxis.set_major_formatter(per_cent)
-    ax.legend(loc="upper left", fontsize=6.5)
+    ax.legend()
     return ax

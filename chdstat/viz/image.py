@@ -19,10 +19,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from chdstat._core.image_scales import display_stops
+from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram
 from chdstat.viz.chd import Panel, by_channel, draw_histograms
+from chdstat.viz.estimators import NAMES
 from chdstat.viz.styling import PALETTE, UNIT, WIDTH, bare, grid, page, qualitative, style, verbatim
 
 __all__ = [
@@ -67,45 +68,6 @@ class Mark:
     ys: slice
     xs: slice
     pixel: tuple[int, int]
-
-
-def tonemap(image: npt.ArrayLike, *, exposure: float | None = None) -> npt.NDArray[np.float64]:
-    """Return display values for linear radiance: exposure, then the sRGB curve, clipped to [0, 1].
-
-    Parameters
-    ----------
-    image
-        Linear radiance, shape (y, x, channel) with 1 or 3 channels.
-    exposure
-        Stops. None puts the 90th percentile near white, which suits interiors, or up to three stops
-        above it where windows or lamps would leave all else dark.
-
-    Returns
-    -------
-    ndarray
-        Shape (y, x, 3), in [0, 1]; pixels that are not finite are magenta, to be seen.
-
-    Raises
-    ------
-    InputError
-        If the shape is not (y, x, 1) or (y, x, 3).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> tonemap(np.full((1, 1, 3), 1.0), exposure=-1).round(3)
-    array([[[0.735, 0.735, 0.735]]])
-    """
-    linear = np.asarray(image, dtype=np.float64)
-    if linear.ndim != 3 or linear.shape[2] not in {1, 3}:
-        message = f"an image must have shape (y, x, 1) or (y, x, 3), got {linear.shape}"
-        raise InputError(message)
-    linear = np.broadcast_to(linear, (*linear.shape[:2], 3))
-    finite = np.asarray(np.isfinite(linear).all(axis=-1))
-    stops = display_stops(linear[finite]) if exposure is None else exposure
-    value = np.clip(np.where(finite[..., None], linear, 0) * 2.0**stops, 0, 1)
-    curve = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
-    return np.where(finite[..., None], curve, (1.0, 0.0, 1.0))
 
 
 @style()
@@ -154,7 +116,7 @@ def _marked(ax: Axes, shown: Array, marks: Sequence[Mark]) -> None:
             ax.add_patch(Rectangle(corner, *extent, fill=False, edgecolor=edge, linewidth=width))
         ax.annotate(
             str(i + 1), corner, xytext=(-1, 1), textcoords="offset points", ha="right", va="bottom",
-            fontsize=6.5, fontweight="bold", annotation_clip=True,
+            fontweight="bold", annotation_clip=True,
             bbox={"boxstyle": "round,pad=0.12", "facecolor": color, "edgecolor": "none"},
         )  # fmt: skip
 
@@ -167,7 +129,7 @@ def _inset(ax: Axes, shown: Array, mark: Mark, place: int) -> None:
     _frame(ax, mark.pixel, color, linewidth=1.2)
     ax.spines[:].set(visible=True, color=color, linewidth=2)
     title = f"{place + 1} {verbatim(mark.name)}"
-    ax.set_title(title, fontsize=7, loc="left", pad=2, fontweight="bold")
+    ax.set_title(title, loc="left", pad=2, fontweight="bold")
 
 
 def _magnify(ax: Axes, shown: Array, pixel: tuple[int, int], half: int) -> None:
@@ -244,7 +206,7 @@ def region_study(
             for i, name in enumerate(channels)
         ]
         below: dict[str, Any] = {"loc": "outside lower center", "ncols": len(handles)}
-        lower.legend(handles=handles, fontsize=7, handlelength=2, **below)
+        lower.legend(handles=handles, handlelength=2, **below)
     return figure
 
 
@@ -255,12 +217,12 @@ def _list_regions(ax: Axes, marks: Sequence[Mark], notes: Sequence[str]) -> None
     for i, (mark, color) in enumerate(zip(marks, qualitative(len(marks)), strict=True)):
         y = 1 - (i + 0.5) / max(len(marks), 6)
         ax.text(
-            0.01, y, str(i + 1), fontsize=7.5, fontweight="bold", ha="center", va="center",
+            0.01, y, str(i + 1), fontweight="bold", ha="center", va="center",
             bbox={"boxstyle": "round,pad=0.2", "facecolor": color, "edgecolor": "none"},
         )  # fmt: skip
-        ax.text(0.06, y, verbatim(mark.name), fontsize=8, fontweight="bold", va="center")
+        ax.text(0.06, y, verbatim(mark.name), fontweight="bold", va="center")
         if i < len(notes):
-            ax.text(0.40, y, notes[i], fontsize=7.5, va="center", color="#333333")
+            ax.text(0.40, y, notes[i], va="center", color="#333333")
 
 
 def _region_chds(linear: Axes, log: Axes, panel: Panel, color: str) -> None:
@@ -273,9 +235,9 @@ def _region_chds(linear: Axes, log: Axes, panel: Panel, color: str) -> None:
             ax, found, colors=[color] * several, outlines=[dark] * several, dashes=_DASHES
         )
         ax.spines["bottom"].set(color=color, linewidth=2)
-        ax.tick_params(labelsize=6, pad=1.5)
+        ax.tick_params(pad=1.5)
     linear.locator_params(axis="x", nbins=3)
-    log.set_title(panel.note, fontsize=6.5, loc="right", pad=2, color="#444444")
+    log.set_title(panel.note, loc="right", pad=2, color="#444444")
 
 
 @style()
@@ -290,7 +252,8 @@ def side_by_side(
     Parameters
     ----------
     images
-        Linear radiance (y, x, channel) by title; the last sets the exposure.
+        Linear radiance (y, x, channel) by title, or by the name of an estimator; the last sets the
+        exposure.
     errors
         Squared error (y, x) by the same titles; drawn on one logarithmic colour scale.
     fig
@@ -311,7 +274,7 @@ def side_by_side(
     axes = grid(figure, rows * count, count)
     for ax, (title, image) in zip(axes, images.items(), strict=False):
         ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
-        bare(ax, title)
+        bare(ax, verbatim(NAMES.get(title, title)))
     if errors:
         for ax in axes[count:]:
             bare(ax)
@@ -375,7 +338,7 @@ def firefly_pair(
     left.set_xlabel(f"radiance in {UNIT}")
     right.set_xlabel("the same on a logarithmic scale")
     if left.patches:
-        left.legend(loc="upper right", fontsize=7)
+        left.legend(loc="upper right")
     return figure
 
 
@@ -414,13 +377,13 @@ def view_pair(
     for ax, (name, image), color in zip(grid(left, 2, 2), images.items(), _PAIR, strict=True):
         ax.imshow(tonemap(image, exposure=exposure), interpolation="nearest")
         bare(ax)
-        ax.set_title(verbatim(name), fontsize=8, color=color, fontweight="bold")
+        ax.set_title(verbatim(name), color=color, fontweight="bold")
     shown = dict(list(log.items())[:4])
     for ax, (region, found) in zip(right.subplots(2, 2).flat, shown.items(), strict=False):
         ax.set_xlim(draw_histograms(ax, found, colors=_PAIR, dashes=_DASHES))
-        ax.set_title(verbatim(region), fontsize=7, loc="left", pad=2)
-        ax.tick_params(labelsize=6, pad=1.5)
+        ax.set_title(verbatim(region), loc="left", pad=2)
+        ax.tick_params(pad=1.5)
     for empty in right.axes[len(shown) :]:
         empty.set_axis_off()
-    right.supxlabel(f"radiance in {UNIT}", fontsize=7)
+    right.supxlabel(f"radiance in {UNIT}")
     return figure

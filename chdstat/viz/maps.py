@@ -7,19 +7,23 @@ as small multiples.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from chdstat.errors import InputError
 from chdstat.patterns import Atlas
+from chdstat.viz.estimators import NAMES
 from chdstat.viz.image import tonemap
 from chdstat.viz.styling import (
     MISSING,
+    PALETTE,
     WIDTH,
     axes_in,
     bare,
@@ -31,7 +35,25 @@ from chdstat.viz.styling import (
     style,
 )
 
-__all__ = ["atlas", "categorical_map", "image_map", "map_grid", "n_needed", "value_map"]
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["atlas", "categorical_map", "image_map", "map_grid", "n_needed", "names_of", "value_map"]
+
+_LABEL_COLORS = {
+    "none": "#DDDDDD",
+    "undetermined": "#DDDDDD",
+    "black": "#222222",
+    "constant": "#999999",
+    "bimodal": "#CC79A7",
+    "long tail": "#D55E00",
+    "null-heavy": "#0072B2",
+    "gamma-like": "#56B4E9",
+    "log-normal-like": "#009E73",
+    "multimodal": "#882255",
+    "firefly-dominated": "#F0E442",
+    "other": "#BBBBBB",
+}
 
 _MORE = "#D55E00"
 """Colour of more samples than were tested: vermillion of Okabe and Ito, not among `sequential`."""
@@ -89,6 +111,7 @@ def value_map(
     title: str = "",
     unit: str = "",
     limits: tuple[float, float] | None = None,
+    diverging: bool = False,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw one number per pixel.
@@ -102,29 +125,56 @@ def value_map(
     limits
         Ends of the colour scale; None takes the 1st and 99th percentile. Values beyond an end
         have its colour.
+    diverging
+        Give numbers below and above 0 colours of their own, and both the larger of the limits.
     ax
         Where to draw; None makes a figure.
     """
     array = np.asarray(values, dtype=float)
     finite = array[np.isfinite(array)]
     low, high = limits or (np.percentile(finite, (1, 99)) if finite.size else (0, 1))
+    colors = sequential()
+    if diverging:
+        high = max(abs(low), abs(high))
+        low, colors = -high, colormaps["PuOr"].with_extremes(bad=MISSING)
     ax = axes_in(ax, _HEIGHT)
-    image = ax.imshow(array, cmap=sequential(), vmin=low, vmax=high, interpolation="nearest")
+    image = ax.imshow(array, cmap=colors, vmin=low, vmax=high, interpolation="nearest")
     bare(ax, title)
     bar = ax.figure.colorbar(image, ax=ax, fraction=0.046, pad=0.03)
     bar.outline.set_visible(False)
-    bar.set_label(unit, fontsize=7)
+    bar.set_label(unit)
     return ax
+
+
+def names_of(variable: xr.DataArray | npt.ArrayLike) -> dict[int, str]:
+    """Return what text calls the values of an integer-coded variable.
+
+    Raises
+    ------
+    InputError
+        If it has no attributes ``flag_values`` and ``flag_meanings``.
+    """
+    attrs = getattr(variable, "attrs", {})
+    if not {"flag_values", "flag_meanings"} <= set(attrs):
+        message = (
+            "expected labels with the attributes flag_values and flag_meanings, as those of "
+            f"chdstat.classify, got a {type(variable).__name__} without; pass names={{code: name}}"
+        )
+        raise InputError(message)
+    codes, names = attrs["flag_values"], str(attrs["flag_meanings"]).split()
+    words = (NAMES.get(name, name.replace("_", " ")) for name in names)
+    return {int(code): word for code, word in zip(codes, words, strict=True)}
 
 
 @style()
 def categorical_map(
-    codes: npt.ArrayLike,
-    names: Mapping[int, str],
+    codes: npt.ArrayLike | xr.DataArray,
+    names: Mapping[int, str] | None = None,
     *,
     title: str = "",
     colors: Sequence[str] | None = None,
     columns: int = 2,
+    shares: bool = True,
     ax: Axes | None = None,
 ) -> Axes:
     """Draw one label per pixel.
@@ -134,7 +184,9 @@ def categorical_map(
     codes
         Integer labels, shape (y, x).
     names
-        Name of each label; those that occur are in the legend with their share of the pixels.
+        Name of each label; those that occur are in the legend. None takes the names, and the
+        colours of the report, from the attributes of `codes`, such as ``label`` of
+        `chdstat.classify`.
     title
         What is shown.
     colors
@@ -142,9 +194,21 @@ def categorical_map(
         `chdstat.viz.PALETTE`, and darker ones beyond its eighth.
     columns
         Of the legend.
+    shares
+        Write the share of the pixels behind each name.
     ax
         Where to draw; None makes a figure.
+
+    Raises
+    ------
+    InputError
+        If there are no names, and `codes` has no attributes ``flag_values`` and ``flag_meanings``.
     """
+    if names is None:
+        names = names_of(codes)
+        colors = colors or [
+            _LABEL_COLORS.get(name, PALETTE[i % 8]) for i, name in enumerate(names.values())
+        ]
     array = np.asarray(codes)
     shades = qualitative(len(names)) if colors is None else colors
     ax = axes_in(ax, _HEIGHT)
@@ -153,12 +217,12 @@ def categorical_map(
     for i, (code, name) in enumerate(names.items()):
         rank[array == code] = i
         if (array == code).any():
-            share = _percent(float((array == code).mean()))
-            patches.append(Patch(color=shades[i], label=f"{name} {share}"))
+            share = f" {_percent(float((array == code).mean()))}" if shares else ""
+            patches.append(Patch(color=shades[i], label=f"{name}{share}"))
     _draw_labels(ax, rank, shades[: len(names)], title)
     ax.legend(
         handles=patches, loc="upper center", bbox_to_anchor=(0.5, -0.02), ncols=columns,
-        fontsize=6.5, handlelength=0.9, columnspacing=0.9, borderaxespad=0.2,
+        handlelength=0.9, columnspacing=0.9, borderaxespad=0.2,
     )  # fmt: skip
     return ax
 
@@ -207,11 +271,7 @@ def n_needed(
 
 @style()
 def image_map(
-    image: npt.ArrayLike,
-    *,
-    title: str = "",
-    exposure: float | None = None,
-    ax: Axes | None = None,
+    image: npt.ArrayLike, *, title: str = "", exposure: float | None = None, ax: Axes | None = None
 ) -> Axes:
     """Draw an image.
 
@@ -258,7 +318,7 @@ def atlas(found: Atlas, *, fig: Figure | None = None) -> Figure:
     for k, (y, x) in enumerate(found.medoids):
         ring = {"boxstyle": "circle,pad=0.18", "facecolor": "white", "edgecolor": colors[k]}
         ax.annotate(
-            str(k + 1), (x, y), ha="center", va="center", fontsize=6.5, fontweight="bold",
+            str(k + 1), (x, y), ha="center", va="center", fontweight="bold",
             bbox={**ring, "lw": 1.4},
         )  # fmt: skip
     panels = right.subplots(rows, columns, squeeze=False).flat
@@ -268,7 +328,7 @@ def atlas(found: Atlas, *, fig: Figure | None = None) -> Figure:
             ax.tick_params(labelbottom=k + columns >= number)
         else:
             ax.set_axis_off()
-    right.supxlabel("decades from the mean of log10 radiance", fontsize=8)
+    right.supxlabel("decades from the mean of log10 radiance")
     return figure
 
 
@@ -285,9 +345,9 @@ def _draw_shape(ax: Axes, found: Atlas, k: int, color: str) -> None:
     ax.set_ylim(bottom=0)
     ax.spines["left"].set_visible(False)
     shares = f"{_percent(found.share[k])}, nulls {_percent(found.null_share[k])}"
-    ax.set_title(f"$\\bf{{{k + 1}}}$  {shares}", loc="left", fontsize=7.5, pad=2)
+    ax.set_title(f"$\\bf{{{k + 1}}}$  {shares}", loc="left", pad=2)
     y, x = found.medoids[k]
     ax.text(
-        0.99, 0.93, f"y {y}\nx {x}", transform=ax.transAxes, ha="right", va="top", fontsize=6,
+        0.99, 0.93, f"y {y}\nx {x}", transform=ax.transAxes, ha="right", va="top",
         color="#555555",
     )  # fmt: skip

@@ -41,6 +41,7 @@ __all__ = [
     "page",
     "per_cent",
     "plain_log",
+    "png_of",
     "qualitative",
     "sequential",
     "spelt",
@@ -57,16 +58,7 @@ HEIGHT = 8.0
 UNIT = r"W$\,$sr$^{-1}\,$m$^{-2}$"
 """Unit of radiance."""
 
-PALETTE = (
-    "#E69F00",
-    "#56B4E9",
-    "#009E73",
-    "#CC79A7",
-    "#0072B2",
-    "#D55E00",
-    "#F0E442",
-    "#7F7F7F",
-)
+PALETTE = ("#E69F00", "#56B4E9", "#009E73", "#CC79A7", "#0072B2", "#D55E00", "#F0E442", "#7F7F7F")
 """Eight colours that colour-blind readers can distinguish (Okabe and Ito 2008), grey for black."""
 
 MISSING = "#DDDDDD"
@@ -84,8 +76,9 @@ _SETTINGS: dict[Any, Any] = {
     "axes.titlesize": 8.5,
     "figure.dpi": 110,
     "figure.facecolor": "white",
+    "figure.labelsize": 8,
     "font.size": 8,
-    "legend.fontsize": 7.5,
+    "legend.fontsize": 8,
     "legend.frameon": False,
     "lines.linewidth": 1.2,
     "mathtext.fontset": "stix",
@@ -93,11 +86,11 @@ _SETTINGS: dict[Any, Any] = {
     "svg.fonttype": "path",
     "svg.hashsalt": "chdstat",
     "xtick.color": "#444444",
-    "xtick.labelsize": 7,
+    "xtick.labelsize": 8,
     "xtick.major.width": 0.6,
     "xtick.minor.width": 0.4,
     "ytick.color": "#444444",
-    "ytick.labelsize": 7,
+    "ytick.labelsize": 8,
     "ytick.major.width": 0.6,
     "ytick.minor.width": 0.4,
 }
@@ -126,10 +119,15 @@ class NotebookFigure(Figure):
     """A figure that a notebook shows, which it does not do with others made without pyplot."""
 
     def _repr_png_(self) -> bytes:
-        stream = io.BytesIO()
-        with style():
-            self.savefig(stream, format="png", dpi="figure")
-        return stream.getvalue()
+        return png_of(self)
+
+
+def png_of(figure: Figure) -> bytes:
+    """Return a figure as the PNG file that a notebook shows."""
+    stream = io.BytesIO()
+    with style():
+        figure.savefig(stream, format="png", dpi="figure")
+    return stream.getvalue()
 
 
 def page(

@@ -42,9 +42,20 @@ def _item(parameter: Any) -> nodes.definition_list_item:
     if is_option and not parameter.is_flag and parameter.metavar:
         spelled += f" {parameter.metavar}"
     term = nodes.term("", "", nodes.literal("", spelled))
-    return nodes.definition_list_item(
-        "", term, nodes.definition("", nodes.paragraph("", parameter.help))
-    )
+    text = parameter.help
+    if is_option and not parameter.is_flag and (default := _default(parameter)):
+        text += f" Default: {default}."
+    return nodes.definition_list_item("", term, nodes.definition("", nodes.paragraph("", text)))
+
+
+def _default(option: Any) -> str:
+    """Return the default of an option as the help says it."""
+    if isinstance(option.show_default, str):
+        return option.show_default
+    given = option.default
+    if isinstance(given, list | tuple):
+        return ", ".join(map(str, given))
+    return "" if given is None else str(given)
 
 
 def setup(app: Any) -> dict[str, bool]:

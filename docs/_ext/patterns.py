@@ -20,7 +20,7 @@ _THRESHOLDS = {
     "gamma_like": ("tail_index", "misfit"),
     "lognormal_like": ("tail_index", "misfit"),
     "firefly_dominated": ("firefly_share", "firefly_samples"),
-    "constant": (),
+    "constant": ("constant",),
 }
 """Which thresholds a flag looks at; a new pattern without an entry is an error."""
 

@@ -28,7 +28,7 @@ def measured(place: Path) -> dict[str, float]:
             store.close()
 
     def write() -> None:
-        fill(Store.create(place, height=EDGE, width=EDGE, channels=3, spp=SPP, attrs=attrs))
+        fill(Store.create(place, shape=(EDGE, EDGE, 3, SPP), attrs=attrs))
 
     def append() -> None:
         store = Store.open(place, writable=True)

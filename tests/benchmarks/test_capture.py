@@ -20,7 +20,7 @@ import pytest
 from chdstat.rendering import capture
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
-from chdstat.rendering.writers import StoreWriter, provenance
+from chdstat.rendering.writers import opened_store, provenance
 from chdstat.scenes import Scene, load_scene
 
 SIZE, SPP, ROUNDS = (128, 128), 256, 7
@@ -55,7 +55,7 @@ def test_capture_against_plain_rendering(benchmark, tmp_path, scene, request, ba
 
         def turn() -> None:
             path, attrs = tmp_path / f"{len(ratios)}.zarr", provenance(job, renderer, SPP)
-            writer = StoreWriter.open(path, attrs, renderer, SPP)
+            writer = opened_store(path, attrs, renderer, SPP)
 
             def captured() -> None:
                 capture._fill(job, renderer, writer, None, False)

@@ -55,7 +55,7 @@ def write(path: Path, tile: np.ndarray, size: int, spp: int, *, plain: bool = Fa
     """Write a store of tiles that differ by factors; of plain ones all but the first are black."""
     attrs = {"scene": "bathroom", "spp": spp, "size": [size, size], "integrator": {"type": "path"}}
     rng = np.random.default_rng(1)
-    with Store.create(path, height=size, width=size, channels=3, spp=spp, attrs=attrs) as store:
+    with Store.create(path, shape=(size, size, 3, spp), attrs=attrs) as store:
         for chunk in chunk_grid(size, size, spp):
             start = chunk.ss.start % tile.shape[-1]
             scale = rng.uniform(0.5, 2, (TILE, TILE, 1, BATCH)).astype(np.float32)

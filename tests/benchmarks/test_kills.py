@@ -32,7 +32,7 @@ COMMANDS = {
     "estimate": ("estimate", "small.zarr", "-o", "box.exr", "--iterations", "30"),
     "train": ("train", "small.zarr", "-o", "b.safetensors", "--features", "--iterations", "200"),
     "study": (
-        *("study", "cornell-box", "--folder", "kept", "--json", "found.json", "--spp", "64"),
+        *("study", "cornell-box", "--store", "kept", "-o", "found.pdf", "--spp", "64"),
         *("--size", "8x6", "--backend", "scalar", "-e", "mean", "-e", "elek2019"),
     ),
 }

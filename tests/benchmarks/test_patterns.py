@@ -8,7 +8,8 @@ import pytest
 
 from chdstat._core.positive import PositivePart
 from chdstat.patterns import flag_scores, random_chds
-from chdstat.patterns.classification import patterns_of_part
+from chdstat.patterns.classification import patterns_of
+from chdstat.patterns.pixel_statistics import PixelFits
 
 SAMPLES = (64, 128, 256, 512, 1024, 2048, 4096)
 DEFINITIONS = ("constant", "firefly_dominated")
@@ -36,4 +37,4 @@ def test_flags_of_a_population(benchmark, population, samples):
 
 def test_cost(benchmark):
     x = np.random.default_rng(1).gamma(0.7, size=(4096, 512)).astype(np.float32)
-    benchmark(lambda: patterns_of_part(PositivePart.of(x)))
+    benchmark(lambda: patterns_of(PixelFits(PositivePart.of(x))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from inspect import signature
@@ -11,9 +12,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pypdfium2 import PdfDocument
+from typer.main import get_command
 
 import chdstat as chd
+import chdstat.samples
+from chdstat._core.display import percent
 from chdstat.cli import estimation, main, program, reports, samples
+from chdstat.comparison import candidates
 from chdstat.rendering import render_batches
 
 ROOT = Path(chd.__file__).parent
@@ -22,6 +28,7 @@ ROOT = Path(chd.__file__).parent
 @pytest.fixture
 def run(monkeypatch, capsys):
     """Run chdstat with arguments; return exit code, output, errors."""
+    monkeypatch.delenv("COLUMNS", raising=False)  # some runners of tests set it
 
     def call(*arguments):
         monkeypatch.setattr("sys.argv", ["chdstat", *map(str, arguments)])
@@ -42,22 +49,61 @@ def store(tmp_path_factory):
     return path
 
 
-def test_help_has_an_example_for_every_command(run):
-    code, out, _ = run("--help")
+COMMANDS = get_command(program.app).commands
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_has_an_example_and_every_default(run, name):
+    assert name in run("--help")[1]
+    assert "Example: chdstat" in run(name, "--help")[1]
+    for option in COMMANDS[name].params:
+        optional = option.param_type_name == "option" and not option.is_flag and not option.required
+        if optional and option.name not in REPEATED:
+            assert option.show_default, option.name
+            assert option.default is not None or isinstance(option.show_default, str), option.name
+
+
+REPEATED = {"define", "threshold", "model", "scene"}
+"""Options that add something where they are given, and have no default."""
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS.keys() - {"explore"}))
+def test_scripts_get_json_from_every_command_by_the_same_flag(name):
+    (flag,) = (option for option in COMMANDS[name].params if "--json" in option.opts)
+    assert flag.is_flag
+
+
+def test_the_help_names_the_estimators_that_are_compared_by_default():
+    assert ", ".join(candidates.DEFAULT) == program.COMPARED
+
+
+def test_alone_it_shows_the_flow_in_its_order(run):
+    code, out, _ = run()
     assert code == 0
-    for command in (
-        "render",
-        "convert",
-        "info",
-        "analyze",
-        "train",
-        "estimate",
-        "compare",
-        "report",
-        "doctor",
-    ):
-        assert command in out
-        assert "Example: chdstat" in run(command, "--help")[1]
+    steps = ["render", "info", "analyze", "compare", "train", "estimate", "report", "explore"]
+    places = [out.index(f"\n  chdstat {step} ") for step in [*steps, "study"]]
+    assert places == sorted(places)
+
+
+def test_list_has_a_sentence_for_each_name(run):
+    found = json.loads(run("list", "--json")[1])
+    assert list(found) == ["scenes", "estimators", "families", "patterns"]
+    assert set(found["estimators"]) == set(chd.estimators.names())
+    for kind, rows in found.items():
+        assert json.loads(run("list", kind, "--json")[1]) == rows
+        shown = run("list", kind)[1].splitlines()
+        assert [line.split()[0] for line in shown] == list(rows)
+        for name, sentence in rows.items():
+            assert sentence[0].isupper() or not sentence[0].isalpha(), name
+            assert sentence.endswith("."), name
+            assert "partial(" not in sentence, name
+
+
+def test_the_shell_completes_scenes(run, monkeypatch):
+    monkeypatch.setenv("_CHDSTAT_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "chdstat render bath")
+    monkeypatch.setenv("COMP_CWORD", "2")
+    assert "bathroom" in run()[1]
 
 
 LIBRARY = {
@@ -140,7 +186,41 @@ def test_info_says_what_is_stored(run, store):
     assert code == 0
     assert said["shape"] == {"y": 10, "x": 12, "channel": 3, "sample": 16}
     assert (said["complete_spp"], said["pending_chunks"], said["damaged"]) == (16, 0, [])
-    assert "complete spp" in run("info", store)[1]
+    code, out, err = run("info", store)
+    rows = dict(re.split(r"  +", line, maxsplit=1) for line in out.splitlines())
+    assert rows["Image"] == "12 × 10 pixels, 3 channels, 16 samples per pixel"
+    assert rows["State"] == "complete"
+    assert f"next: chdstat analyze {store}" in err
+
+
+def test_info_says_that_a_render_was_stopped(run, store, monkeypatch):
+    stopped = chd.samples.inspect(store) | {"complete_spp": 8, "pending_chunks": 2}
+    monkeypatch.setattr(chd.samples, "inspect", lambda *_, **__: stopped)
+    code, out, err = run("info", store)
+    assert code == 0
+    assert "stopped: every pixel has 8 of 16 samples, and 2 chunks are missing" in out
+    assert err == "next: the same 'chdstat render' again, which resumes\n"
+
+
+def test_analyze_speaks_in_sentences(run, store):
+    code, out, err = run("analyze", store)
+    numbers = json.loads(run("analyze", store, "--json", "-q")[1])
+    assert code == 0
+    assert "12 × 10 pixels with 16 samples each." in out
+    assert f"{percent(numbers['null_share'])} of all samples find no light." in out
+    share = percent(numbers["patterns"]["null_heavy"])
+    assert re.search(rf"^null-heavy +{share}  most paths find no light", out, re.MULTILINE)
+    assert err.splitlines()[-1].startswith("next: chdstat explore")
+
+
+def test_lines_are_as_long_as_is_asked_for(run, store, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "70")
+    lines = run("analyze", store, "-q")[1].splitlines()
+    assert max(map(len, lines)) <= 70
+    monkeypatch.delenv("COLUMNS")
+    whole = run("analyze", store, "-q")[1].splitlines()
+    assert len(whole) < len(lines)
+    assert "".join(whole).replace(" ", "")[:200] == "".join(lines).replace(" ", "")[:200]
 
 
 def test_analyze_prints_numbers_and_writes_maps(run, store, tmp_path):
@@ -160,6 +240,7 @@ def test_compare_prints_a_table_and_writes_a_folder(run, store, tmp_path):
     code, out, _ = run(*asked, "--patterns", "--curve", "-o", target)
     assert code == 0
     lines = [line.strip() for line in out.splitlines()]
+    assert re.match(r"mean +1\.00 \[1\.00, 1\.00\] +1\.00", lines[lines.index("") + 2])
     assert lines.index("with neighbours:") < next(
         k for k, line in enumerate(lines) if line.startswith("zirr2018")
     )
@@ -198,6 +279,11 @@ def test_a_model_is_trained_and_estimates(run, store, tmp_path):
     model, image = tmp_path / "box.safetensors", tmp_path / "box.exr"
     asked = ("train", store, "-o", model, "--no-reference", "--iterations", 3, "--spp", 8, "-q")
     assert run(*asked)[:2] == (0, f"wrote {model}\n")
+    asked = (*asked[:-1], "--json")
+    code, out, err = run(*asked)
+    said = {"path": str(model), "estimator": "progressive", "iterations": 3}
+    assert (code, json.loads(out)) == (0, said)
+    assert err.splitlines()[-1].startswith(f"next: chdstat estimate {store} --model {model}")
     asked = ("estimate", store, "-o", image, "--model", model, "--level", 0.5, "-q")
     assert run(*asked)[:2] == (0, f"wrote {image}\n")
     found = chdstat.io.read_exr(image)
@@ -281,8 +367,17 @@ def test_a_scene_is_rendered_as_its_model_looks_at_it(run, tmp_path):
 def test_report_writes_a_pdf(run, store, tmp_path):
     target = tmp_path / "box.pdf"
     code, out, _ = run("report", store, "-o", target, "-q")
-    assert (code, out) == (0, f"wrote {target}\n")
+    assert (code, out) == (0, f"wrote {target}, {len(PdfDocument(target))} pages\n")
     assert target.read_bytes().startswith(b"%PDF")
+
+
+def test_a_report_of_chosen_estimators_says_its_pages_and_what_next(run, store, tmp_path):
+    target = tmp_path / "box.pdf"
+    asked = ("report", store, "-o", target, "-e", "mean", "--json")
+    code, out, err = run(*asked)
+    pages = len(PdfDocument(target))
+    assert (code, json.loads(out)) == (0, {"path": str(target), "pages": pages})
+    assert err.splitlines()[-1] == f"next: chdstat explore {store}"
 
 
 def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
@@ -305,15 +400,16 @@ def test_doctor_says_what_runs(run, monkeypatch, tmp_path):
         (("render", "cornell-box", "-o", "x.zarr", "-D", "a=1"), "takes no parameters"),
         (("render", "cornell-box", "-o", "x.zarr", "--backend", "gpu"), "backend must be one of"),
         (("info", "nowhere.zarr"), "no store at nowhere.zarr"),
+        (("info", __file__), "is a file; a store is a folder"),
         (("analyze", "nowhere.zarr"), "no store at nowhere.zarr"),
         (("analyze", "s.zarr", "--threshold", "tail=1"), "one of alpha, null_share"),
         (("analyze", "s.zarr", "--threshold", "alpha=many"), "takes a number, got 'many'"),
         (("analyze", "s.zarr", "--threshold", "alpha"), "--threshold takes KEY=VALUE"),
         (("analyze", "s.zarr", "--threshold", "alpha=2"), "null_share and firefly_share in (0, 1)"),
         (("train", "box", "-o", "a.txt"), "must end in .safetensors"),
-        (("train", "box", "-o", "a.safetensors", "--model", "mean"), "mean trains no network"),
+        (("train", "box", "-o", "a.safetensors", "-e", "mean"), "mean trains no network"),
         (
-            ("train", "box", "-o", "a.safetensors", "--model", "elek2019", "--features"),
+            ("train", "box", "-o", "a.safetensors", "-e", "elek2019", "--features"),
             "are for 'progressive'",
         ),
         (("train", "nowhere.zarr", "-o", "a.safetensors"), "no built-in scene or file"),

@@ -2,6 +2,7 @@
 
 import inspect
 import json
+import re
 import tracemalloc
 from dataclasses import replace
 from functools import partial
@@ -11,7 +12,7 @@ import pytest
 
 import chdstat as chd
 from chdstat.comparison import MEASURES, metrics
-from chdstat.comparison.accumulate import SUMS, ErrorSums, Units, errors_of
+from chdstat.comparison.accumulate import SUMS, Units, errors_of, measures_of
 from chdstat.errors import InputError
 from chdstat.estimators import MLP, Estimator, registry
 from chdstat.patterns import Label
@@ -137,7 +138,7 @@ def test_a_missing_model_is_trained_on_pixels_of_the_seed(monkeypatch):
 
     entry = registry.lookup("elek2019")
     quick = registry.LearnedEstimator("elek2019", train, entry.source, entry.inputs, entry.pixels)
-    monkeypatch.setitem(registry._ENTRIES, "elek2019", quick)
+    monkeypatch.setitem(registry.ENTRIES, "elek2019", quick)
     found = chd.compare(image(), ["elek2019"], seed=4)
     assert calls == [(4, 160)]
     assert not found.test_pixels[tuple(found.models["elek2019"].train_pixels.T)].any()
@@ -149,7 +150,7 @@ def test_no_row_depends_on_who_else_is_compared(monkeypatch):
         entry = registry.lookup(name)
         few = 40 if name == "elek2019" else 100
         quick = replace(entry, train=partial(entry.train, iterations=20), pixels=few)
-        monkeypatch.setitem(registry._ENTRIES, name, quick)
+        monkeypatch.setitem(registry.ENTRIES, name, quick)
     alone = chd.compare(image(), ["mean", "elek2019"], seed=4)
     beside = chd.compare(image(), ["mean", "elek2019", "progressive"], seed=4)
     assert [len(m.train_pixels) for m in beside.models.values()] == [40, 100]
@@ -338,18 +339,17 @@ def test_every_pixel_is_in_one_unit_of_its_label_and_block():
     units = Units.of(test, labels)
     assert sorted(zip(units.ys, units.xs, strict=True)) == sorted(map(tuple, np.argwhere(test)))
     assert len({*zip(units.label.tolist(), units.block.tolist(), strict=True)}) == len(units.starts)
-    assert (np.repeat(units.label, units.pixels) == units(labels)).all()
-    assert (np.repeat(units.block, units.pixels) == units(blocks)).all()
-    assert units.pixels.sum() == test.sum()
-    ones = units.sum(np.ones(test.sum()))
-    assert (ones == units.pixels).all()
+    pixels = units.sum(np.ones(test.sum(), int))
+    assert (np.repeat(units.label, pixels) == units(labels)).all()
+    assert (np.repeat(units.block, pixels) == units(blocks)).all()
+    assert pixels.sum() == test.sum()
 
 
 def test_a_few_pixels_are_units_of_their_own_in_order():
     test = np.ones((3, 4), bool)
     units = Units.of(test)
     assert (units.ys * 4 + units.xs).tolist() == list(range(12))
-    assert (units.pixels == 1).all()
+    assert (units.sum(np.ones(12)) == 1).all()
 
 
 def test_intervals_know_that_neighbours_gain_and_lose_together():
@@ -372,11 +372,11 @@ def test_intervals_hold_what_they_say_with_few_units(units):
     """Of 300 intervals of 95 % hold 285, and a tenth fewer where gamma samples are but two."""
     rng, held = np.random.default_rng(units), 0
     for _ in range(300):
-        sums = ErrorSums.empty(units, 1, 1)
-        sums.sums[:, 0, 1] = rng.gamma(4, size=(units, 1))
-        sums.reference[:], sums.count[:] = 1, 1
+        sums = np.zeros((units, len(SUMS), 2, 1))
+        sums[:, SUMS.index("squared"), 1] = rng.gamma(4, size=(units, 1))
+        sums[:, SUMS.index("reference")] = sums[:, SUMS.index("count")] = 1
         with np.errstate(divide="ignore", invalid="ignore"):
-            found = sums.measures(seed=0)["mse"]
+            found = measures_of(sums, seed=0)["mse"]
         held += found.low[0, 0] <= 4 <= found.high[0, 0]
     assert 260 < held < 298
 
@@ -416,13 +416,19 @@ def test_models_come_by_the_name_of_the_estimator_that_they_are(monkeypatch):
     entry = registry.LearnedEstimator(
         "half", lambda *_, **__: 1 / 0, "this test", inputs=None, pixels=20
     )
-    monkeypatch.setitem(registry._ENTRIES, "half", entry)
+    monkeypatch.setitem(registry.ENTRIES, "half", entry)
     model = Half(np.array([[0, 0]]), (20, 16))
     found = chd.compare(image(), ["half"], n=16, model={"half": model})
     assert found.models == {"half": model}
     assert found.reusable_models == {}
     with pytest.raises(InputError, match="'elek2019', which is not among"):
         chd.compare(image(), ["half"], n=16, model={"elek2019": model})
+
+
+def test_only_models_of_a_fixed_number_of_samples_serve_for_other_numbers(found):
+    """A curve trains those that take any number anew, for its own sizes."""
+    models = {"elek2019": MLP.preset("elek2019"), "progressive": chd.estimators.Progressive()}
+    assert list(replace(found, models=models).reusable_models) == ["elek2019"]
 
 
 # --- memory -------------------------------------------------------------------------------------
@@ -569,3 +575,50 @@ def test_no_more_pixels_are_drawn_than_have_a_reference():
     assert len(found.draw_pixels().pixels) == 5
     with pytest.raises(InputError, match="at least 1, got 0"):
         found.draw_pixels(0)
+
+
+def test_a_data_frame_holds_the_measures_with_their_intervals(found):
+    frame = found.to_dataframe()
+    assert (frame.index.name, tuple(frame.index)) == ("estimator", found.estimators)
+    for measure, interval in found.measures.items():
+        for part in ("value", "low", "high"):
+            expected = getattr(interval, part)[:, -1]
+            assert np.array_equal(frame[measure, part], expected, equal_nan=True)
+
+
+def test_data_frames_of_patterns_and_curves_have_a_row_for_each_pair():
+    samples = image()
+    labels = np.where(np.arange(16) < 8, Label.BIMODAL, Label.LONG_TAIL) + np.zeros((20, 1), int)
+    pair = ["mean", "median"]
+    parts = chd.compare(samples, pair, labels=labels).breakdown
+    frame = parts.to_dataframe()
+    assert frame.index.tolist() == [(label, name) for label in parts.labels for name in pair]
+    for row in parts.table():
+        for measure in ("mse", "relmse_ratio"):
+            value = frame.loc[(row["label"], row["estimator"]), (measure, "value")]
+            assert value == row[measure]
+    curve = chd.comparison.error_curve(samples, pair, sizes=[4, 8])
+    frame = curve.to_dataframe()
+    for row in curve.table():
+        assert frame.loc[(row["n"], row["estimator"]), ("mse", "low")] == row["mse_low"]
+
+
+def test_latex_has_a_line_for_each_estimator_and_escapes_what_it_must(found):
+    begin, top, head, middle, *rows, bottom, end = found.to_latex().splitlines()
+    assert (begin, end) == (r"\begin{tabular}{lrrrrr}", r"\end{tabular}")
+    assert (top, middle, bottom) == (r"\toprule", r"\midrule", r"\bottomrule")
+    assert len(rows) == len(THREE)
+    columns = head.count(" & ")
+    for row in rows:
+        assert row.endswith(r" \\")
+        assert row.count(" & ") == columns
+        assert not re.search(r"(?<!\\)[%_#]", row)
+    assert rows[0].startswith("sample mean & 1.00 [1.00, 1.00] & ")
+
+
+def test_what_it_shows_are_the_same_words_as_the_latex(found):
+    rows = [line.split("  ") for line in repr(found).splitlines()[4:]]
+    shown = [[cell.strip() for cell in row if cell.strip()] for row in rows]
+    latex = [line.removesuffix(r" \\").split(" & ") for line in found.to_latex().splitlines()[2:-2]]
+    assert [row[0] for row in shown] == [latex[0][0], *(row[0] for row in latex[2:])]
+    assert shown[2][1] == latex[3][1]

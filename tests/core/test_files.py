@@ -1,4 +1,4 @@
-"""Files are whole or not there, and records come back the same; what is no record is refused."""
+"""Files are whole or not there, records come back the same, and workers keep the order."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 import tempfile
+import threading
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import pytest
 
 import chdstat as chd
 from chdstat._core.cache import read_record, write_record
+from chdstat._core.executor import in_order, track
 from chdstat._core.files import Lock, replacing, scratch, sweep
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
@@ -159,3 +161,69 @@ def test_what_is_not_written_whole_is_not_there(tmp_path):
         with pytest.raises(KeyError), replacing(tmp_path / "a", folder=folder):
             raise KeyError
     assert list(tmp_path.iterdir()) == []
+
+
+# --- workers --------------------------------------------------------------------------------------
+
+
+def test_results_come_in_the_order_of_the_items():
+    later = threading.Event()
+
+    def first_waits(i):
+        assert i or later.wait(timeout=10)
+        later.set()
+        return i
+
+    assert list(in_order(first_waits, range(8), workers=4)) == list(range(8))
+
+
+def test_several_work_at_once():
+    both = threading.Barrier(2, timeout=10)  # passes only if two are at work
+    assert list(in_order(lambda i: both.wait() >= 0 and i, range(2), workers=2)) == [0, 1]
+
+
+def test_an_error_is_raised_in_its_place_and_ends_the_work():
+    begun = []
+
+    def fail_at_three(i):
+        begun.append(i)
+        if i == 3:
+            message = "three"
+            raise ValueError(message)
+        return i
+
+    results = in_order(fail_at_three, range(1000), workers=2)
+    assert [next(results) for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ValueError, match="three"):
+        next(results)
+    assert len(begun) < 10
+
+
+def test_items_are_taken_only_as_results_are_asked_for():
+    taken = []
+
+    def items():
+        for i in range(100):
+            taken.append(i)
+            yield i
+
+    results = in_order(abs, items(), workers=2)
+    next(results)
+    assert len(taken) <= 4
+    results.close()
+
+
+def test_a_log_gets_lines_of_progress_where_they_are_asked_for(capfd):
+    with track("counting", 4, show=True, line_every=0.001) as advance:
+        advance(1)
+        said = ""
+        while "counting: 25% after" not in said:
+            said += capfd.readouterr().err
+    assert "\r" not in said
+
+
+@pytest.mark.parametrize("show", [None, False])
+def test_a_log_stays_clean_otherwise(capfd, show):
+    with track("counting", 4, show=show, line_every=0.0) as advance:
+        advance(1)
+    assert capfd.readouterr().err == ""

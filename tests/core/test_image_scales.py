@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.image_scales import RadianceSums
 from chdstat.errors import InputError
 from chdstat.estimators import Progressive, Stream, mean_radiance
 
@@ -108,18 +107,17 @@ def test_it_follows_the_unit_of_radiance_to_the_bit(factor):
 
 def test_it_does_not_depend_on_the_order_of_samples_pixels_or_tiles():
     rng = np.random.default_rng(0)
-    x = rng.lognormal(sigma=2, size=(48, 40, 3, 8)).astype(np.float32)
+    x = rng.lognormal(sigma=2, size=(80, 70, 3, 8)).astype(np.float32)
     whole = mean_radiance(x)
     mixed = rng.permutation(rng.permutation(x.reshape(-1, 3, 8)), axis=2)
     assert mean_radiance(mixed) == pytest.approx(whole, rel=1e-12)
-    tiles = [(slice(y, y + 16), slice(c, c + 16)) for y in (0, 16, 32) for c in (0, 16, 32)]
-    for order in (tiles, tiles[::-1]):
-        sums = RadianceSums((48, 40))
-        for where in order:
-            sums.add(x[where][..., :3], where)
-            sums.add(x[where][..., 3:], where)
-        assert sums.mean() == pytest.approx(whole, rel=1e-12)
-    assert mean_radiance(chd.Samples.from_array(x)) == pytest.approx(whole, rel=1e-12)
+    # `Samples` are walked tile by tile, and batch by batch within a tile.
+    long = np.tile(x, 12)
+    assert mean_radiance(chd.Samples.from_array(long)) == pytest.approx(
+        mean_radiance(long), rel=1e-12
+    )
+    turned = chd.Samples.from_array(np.ascontiguousarray(x[::-1, ::-1]))
+    assert mean_radiance(turned) == pytest.approx(whole, rel=1e-12)
 
 
 @pytest.mark.parametrize("x", [np.zeros((40, 40, 3, 2)), np.full((4, 4, 3, 2), np.nan)])
@@ -152,7 +150,7 @@ def test_samples_without_channels_are_refused():
         mean_radiance(np.ones(8))
 
 
-@pytest.mark.parametrize("width", [63, 64, 65, 127, 128, 129])
+@pytest.mark.parametrize("width", [64, 129])
 def test_training_and_streams_measure_an_image_in_it(width):
     x = noise_free(columns, 16, width, spp=16)
     expected = pytest.approx(x.mean(dtype=np.float64), rel=1e-6)

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from chdstat._core.arrays import luminance
+from chdstat._core.arrays import take_rows
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
+from chdstat.fit.families import FAMILIES
+from chdstat.fit.selection import select_part
 
 X = np.array(
     [
@@ -78,7 +80,8 @@ def test_the_rows_of_a_pixel_are_its_channels_its_luminance_or_both():
         PositivePart.of_pixels(block, rows=rows) for rows in ("channels", "luminance", "both")
     )
     np.testing.assert_array_equal(channels.x, block)
-    assert light.x == pytest.approx(luminance(block), rel=1e-12, nan_ok=True)
+    expected = np.array([0.212671, 0.715160, 0.072169]) @ block
+    assert light.x == pytest.approx(expected, rel=1e-6, nan_ok=True)
     np.testing.assert_array_equal(both.x, np.concatenate([block, light.x[:, None]], axis=1))
     for name in ("positive", "n", "n_null", "n_zero", "n_negative", "n_bad"):
         parts = [getattr(channels, name), getattr(light, name)[:, None]]
@@ -102,3 +105,34 @@ def test_a_single_channel_is_its_own_luminance():
 def test_other_numbers_of_channels_have_no_luminance(rows):
     with pytest.raises(InputError, match="1 or 3 channels, got 2"):
         PositivePart.of_pixels(np.ones((4, 2, 8)), rows=rows)
+
+
+# --- rows: a part of a result is what the same part of the samples gives ------------------------
+
+
+@pytest.fixture(scope="module")
+def x():
+    return np.random.default_rng(4).gamma(2.0, size=(2, 3, 4, 64))
+
+
+@pytest.mark.parametrize("rows", [1, slice(0, 3)])
+def test_a_part_of_a_result_is_that_of_the_rows(x, rows):
+    families = [FAMILIES["gamma"], FAMILIES["lognormal"]]
+    whole = take_rows(select_part(PositivePart.of(x), families), rows, axis=2)
+    part = select_part(PositivePart.of(x[:, :, rows]), families)
+    np.testing.assert_array_equal(whole.values, part.values)
+    np.testing.assert_array_equal(whole.best, part.best)
+    np.testing.assert_array_equal(
+        whole.fits["gamma"].parameters["shape"], part.fits["gamma"].parameters["shape"]
+    )
+    assert whole.families == part.families
+
+
+def test_what_is_cached_goes_along(x):
+    part = PositivePart.of(x)
+    part.sorted, part.log_statistics  # noqa: B018 - computed here, to be taken over
+    taken = take_rows(part, 3, axis=2)
+    assert vars(taken)["sorted"].base is part.sorted
+    np.testing.assert_array_equal(taken.sorted, np.sort(x[:, :, 3], axis=-1))
+    np.testing.assert_array_equal(taken.log_statistics.n, part.n[:, :, 3])
+    assert part.sorted.shape == x.shape

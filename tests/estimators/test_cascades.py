@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from chdstat import estimators
-from chdstat._core.arrays import LUMINANCE
 from chdstat.errors import InputError
 from chdstat.estimators.outliers import BASE, LAYERS, Cascade, layer_weights
 
 BRIGHTNESS = BASE ** np.arange(LAYERS)
+LUMINANCE = np.array([0.212671, 0.715160, 0.072169])
+"""Weights of linear sRGB (ITU-R BT.709)."""
 
 
 def image(seed=0, shape=(4, 5, 3, 32)):
@@ -45,7 +46,7 @@ def split_by_hand(x):
     layers = np.zeros((height, width, LAYERS, channels))
     for y, column, s in np.ndindex(height, width, n):
         colour = x[y, column, :, s]
-        level = float(LUMINANCE.astype(float) @ colour)
+        level = float(LUMINANCE @ colour)
         lower = int(np.clip(np.floor(np.log(level) / np.log(BASE)), 0, LAYERS - 2))
         if level < 1:
             w_lo, w_hi = 1.0, 0.0
@@ -61,7 +62,7 @@ def split_by_hand(x):
 
 def resolve_by_hand(layers, n, kappa, radius):
     height, width, _, channels = layers.shape
-    weights = LUMINANCE.astype(float)
+    weights = LUMINANCE
     result = np.zeros((height, width, channels))
 
     def reliability(y, column, i, r):

@@ -1,4 +1,4 @@
-"""Denoised contestants: what the denoiser is given, who shares a training, what is refused."""
+"""Denoised estimators: what the denoiser is given, who shares a training, what is refused."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_what_is_certain_stays(network, model):
     assert found.estimates[0] == pytest.approx(expected, rel=1e-4)
 
 
-def test_every_contestant_is_judged_in_every_way(network, model):
+def test_every_estimator_is_compared_in_every_way(network, model):
     found = chd.compare(image(), ["mean", "progressive"], n=16, model=model, denoise=True)
     assert found.estimators == (
         "mean",
@@ -100,7 +100,7 @@ def test_without_features_none_are_given(network):
     assert found.estimators == ("mean", "mean + OIDN")
 
 
-def test_a_denoised_contestant_shares_the_training_of_its_own(network, monkeypatch):
+def test_a_denoised_estimator_shares_the_training_of_its_own(network, monkeypatch):
     calls = []
 
     def train(samples, **options):
@@ -108,7 +108,7 @@ def test_a_denoised_contestant_shares_the_training_of_its_own(network, monkeypat
         return Progressive().train(samples, iterations=5, **options)
 
     entry = registry.LearnedEstimator("mine", train, "this test", inputs=None, pixels=64)
-    monkeypatch.setitem(registry._ENTRIES, "mine", entry)
+    monkeypatch.setitem(registry.ENTRIES, "mine", entry)
     found = chd.compare(image(), ["mine", denoised("mine")], n=16)
     assert len(calls) == 1
     assert list(found.models) == ["mine"]

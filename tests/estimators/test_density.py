@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from chdstat import estimators
 from chdstat.errors import InputError
-from chdstat.estimators.similarity import dense
 
 
 def image(seed=0, shape=(6, 7, 3, 5)):
@@ -15,30 +14,20 @@ def image(seed=0, shape=(6, 7, 3, 5)):
 
 @pytest.mark.parametrize("radius", [0, 1, 2, 3])
 @pytest.mark.parametrize("neighbours", [1, 4])
-def test_a_sample_stays_if_its_kth_neighbour_is_near(radius, neighbours):
+def test_estimate_is_the_mean_of_the_samples_whose_kth_neighbour_is_near(radius, neighbours):
     x = image(shape=(6, 7, 3, 8))
-    bad = np.zeros((6, 7, 8), bool)
-    found = dense(x, bad, neighbours, 1.2, radius, 1.0)
-    y, column, _ = np.indices(bad.shape)
+    y, column, _ = np.indices((6, 7, 8))
     colours = np.log(np.moveaxis(x, 2, -1) + 0.01) / (1.2 * np.sqrt(3))
     places = np.stack([y, column], axis=-1) / (radius + 1)
     points = np.concatenate([places, colours], axis=-1).reshape(-1, 5)
-    distance = cKDTree(points).query(points, k=[neighbours + 1])[0][:, 0]
-    assert 0 < found.mean() < 1
-    assert (found.reshape(-1) == (distance < 1)).all()
-
-
-def test_estimate_is_the_mean_of_what_stays():
-    x = image(1)
-    kept = dense(x, np.zeros((6, 7, 5), bool), 4, 1.0, 1, None)
-    some = kept.any(axis=-1)
-    expected = (x * kept[:, :, np.newaxis]).sum(axis=-1) / np.maximum(kept.sum(axis=-1), 1)[
-        ..., np.newaxis
-    ]
-    found = estimators.decoro2010(x)
-    assert found[some] == pytest.approx(expected[some], rel=1e-12)
+    near = (cdist(points, points) < 1).sum(axis=1) > neighbours
+    stays = near.reshape(6, 7, 8)
+    assert 0 < stays.mean() < 1
+    some = stays.any(axis=-1)
+    expected = (x * stays[:, :, np.newaxis]).sum(axis=-1)[some] / stays.sum(axis=-1)[some][:, None]
+    found = estimators.decoro2010(x, neighbours=neighbours, bandwidth=1.2, radius=radius, unit=1.0)
+    assert found[some] == pytest.approx(expected, rel=1e-12)
     assert found[~some] == pytest.approx(x[~some].mean(axis=-1), rel=1e-12)
-    assert 0 < some.sum() < some.size
 
 
 def test_an_outlier_goes_and_one_that_the_pixels_around_confirm_stays():

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core import executor
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators.estimates import estimate, write_estimates
 from chdstat.estimators.models import train_model
@@ -28,7 +27,7 @@ def image(spp=16, channels=3, features=False):
 
 def test_samples_that_memory_cannot_hold_are_refused_in_words(monkeypatch):
     samples = image(spp=64)
-    monkeypatch.setattr(executor, "memory", lambda: 1.5 * samples.nbytes)
+    monkeypatch.setattr("chdstat._core.executor.memory", lambda: 1.5 * samples.nbytes)
     with pytest.raises(InputError, match=r"64 spp.* GB of memory, of which there are .*--spp"):
         estimate(samples, **QUICK)
     estimate(samples, spp=32, **QUICK)

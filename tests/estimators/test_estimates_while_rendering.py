@@ -42,7 +42,7 @@ def test_the_file_holds_what_that_of_samples_holds(tmp_path, box):
 def test_a_model_is_taken_as_it_is(box):
     model = train_model(box, reference=False, iterations=2, progress=False)
     assert model.inputs.neighbours
-    with pytest.raises(InputError, match="look at no neighbours"):
+    with pytest.raises(InputError, match="look neither at neighbours"):
         estimate(rendering(), model)
     alone = Progressive(inputs=["features"]).train(
         box, reference=False, iterations=2, progress=False

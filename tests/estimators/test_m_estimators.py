@@ -7,7 +7,7 @@ from statsmodels.robust import norms, scale
 
 from chdstat import estimators
 from chdstat.errors import InputError
-from chdstat.estimators.rows import balance
+from chdstat.estimators.order import balance
 
 NORMS = {"huber": norms.HuberT, "tukey": norms.TukeyBiweight}
 

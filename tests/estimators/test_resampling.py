@@ -5,7 +5,7 @@ import pytest
 
 from chdstat import estimators
 from chdstat.errors import InputError
-from chdstat.estimators.buckets import bootstrap_counts
+from chdstat.estimators.robust_means import bootstrap_counts
 
 
 def test_resamples_are_balanced():

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as hnp
 
 from chdstat import estimators
 from chdstat.errors import InputError
-from chdstat.estimators.buckets import bucket_means, gini
+from chdstat.estimators.robust_means import bucket_means, gini
 
 
 def test_buckets_are_dealt_round_robin():

@@ -6,7 +6,6 @@ import pytest
 from chdstat import estimators
 from chdstat.errors import InputError
 from chdstat.estimators import james_stein
-from chdstat.estimators.shrinkage import standard_error
 
 
 def test_formula():
@@ -79,10 +78,13 @@ def test_shapes_must_fit():
         james_stein(np.ones(3), np.ones(2), 1.0)
 
 
-def test_standard_error_is_that_of_the_mean():
-    x = np.random.default_rng(4).gamma(0.5, size=(5, 32))
-    assert standard_error(x) == pytest.approx(x.std(axis=-1, ddof=1) / np.sqrt(32), rel=1e-12)
-    assert standard_error(np.ones((2, 1))).tolist() == [0, 0]
+def test_the_variance_that_shrinks_is_the_square_of_the_standard_error():
+    x = np.random.default_rng(4).gamma(0.5, size=(5, 3, 32))
+    error = x.std(axis=-1, ddof=1) / np.sqrt(32)
+    expected = james_stein(x.mean(axis=-1), estimators.gmon_adaptive(x), error**2)
+    assert estimators.gmon_shrinkage(x) == pytest.approx(expected, rel=1e-12)
+    # A single sample has no error, and is its own estimate.
+    assert estimators.gmon_shrinkage(x[..., :1], buckets=1) == pytest.approx(x[..., 0])
 
 
 def test_gmon_shrinkage_lies_between_mean_and_gmon():

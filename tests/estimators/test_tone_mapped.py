@@ -5,7 +5,7 @@ import pytest
 
 from chdstat import estimators
 from chdstat.explorer.estimators import fixed
-from chdstat.reporting.typst import NAMES
+from chdstat.viz.estimators import NAMES
 
 
 def test_the_average_is_that_of_the_formula():

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat.analysis import save
 from chdstat.explorer import explore
 from chdstat.explorer.maps import IMAGES
 from chdstat.samples.store import Store
@@ -126,8 +127,10 @@ def person(context, explored, store_path, of_store):
 
 def test_a_click_shows_the_distribution(person, store_path):
     one = person(store_path).open()
+    assert one.text("h1") == "box.zarr · cornell-box"
     assert one.text("#described") == "32 × 32 px · 64 spp · path"
-    assert one.text("#chips") == "Nothing is selected yet."
+    assert len(one.chips) == 1  # the brightest firefly, or the centre
+    assert one.page.locator("#headline dl > div").count() == 5
     one.point(20, 10)
     pixel = chd.open(store_path)[20, 10]
     assert one.text("#readout").startswith("y 20 x 10 · R ")
@@ -138,12 +141,57 @@ def test_a_click_shows_the_distribution(person, store_path):
     null = (pixel == 0).all(axis=0).mean()
     assert one.text("#note-log").startswith(f"{100 * null:.3g} % null · 0 bad")
     assert "sample mean" in one.text("#estimates")
-    assert "N needed" in one.text("#statistics")
+    assert one.text("#headline h2").startswith("Pixel · y 20, x 10 · 64 samples")
+    assert not one.page.locator("#statistics").is_visible()
+    one.page.get_by_text("All statistics").click()
+    assert "N for Gaussian averages" in one.text("#statistics")
     assert one.text("#patterns").startswith("Patterns: ")
     lines = one.page.evaluate(
         "Bokeh.documents[0].get_model_by_name('log').renderers[1].data_source.data.xs.length"
     )
     assert lines >= 3
+
+
+def test_pixels_that_are_worth_a_look_are_suggested(person, store_path):
+    one = person(store_path).open()
+    one.page.wait_for_selector("#suggested button")
+    names = one.page.locator("#suggested button").all_inner_texts()
+    assert set(names) <= {"long tail", "bimodal", "null-heavy"}
+    with one.answered():
+        one.page.get_by_role("button", name=names[0], exact=True).click()
+    assert len(one.chips) == 1
+    flagged = one.page.locator("#patterns tr", has_text="●").all_inner_texts()
+    assert flagged
+
+
+def test_several_pixels_have_a_row_and_a_column_each(person, store_path):
+    one = person(store_path).open("?p=20,10&p=5,6&p=8,9&a=1")
+    assert one.text("#headline h2").startswith("Pixel 2 · y 5, x 6")
+    assert "pixel 2: y 5, x 6" in one.text("#estimates h2")
+    one.page.get_by_text("All statistics").click()
+    for table in ("#patterns", "#statistics"):
+        heads = one.page.locator(f"{table} th").all_inner_texts()
+        assert [h for h in heads if h.startswith("pixel ")] == ["pixel 1", "pixel 2", "pixel 3"]
+    texts = "Bokeh.documents[0].get_model_by_name('linear').renderers.at(-1).data_source.data.text"
+    assert one.page.evaluate(texts)[::2] == ["1", "2", "3"]
+
+
+def test_every_heading_says_what_is_shown(person, store_path):
+    one = person(store_path).open("?p=20,10")
+    for button in one.page.locator(".help:visible").all():
+        button.click()
+        assert len(one.text("#help")) > 100
+        one.page.keyboard.press("Escape")
+
+
+def test_the_best_estimators_are_shown_first(person, store_path):
+    one = person(store_path).open("?p=20,10&n=8")
+    one.page.get_by_role("button", name="Show all").click()
+    rows = one.page.locator("#estimates tr:visible").all_inner_texts()[1:]
+    assert len(rows) > 7
+    ratios = [float(row.split("\t")[1]) for row in rows if "—" not in row.split("\t")[1]]
+    assert ratios[0] == 1
+    assert ratios[1:] == sorted(ratios[1:])
 
 
 def test_selections_by_mouse_and_keys(person, store_path):
@@ -189,7 +237,7 @@ def test_a_box_picks_a_region(person, store_path):
         one.page.mouse.up()
     assert one.chips == ["region y 4–11, x 6–15 (8 × 10)"]
     assert one.query == {"r": ["4,6,12,16"]}
-    assert one.text("#statistics .note").startswith("5120 samples")
+    assert one.text("#headline h2").startswith("Region y 4–11, x 6–15 · 5\u2009120 samples")
 
 
 def test_a_press_that_is_held_is_a_click_unless_it_becomes_a_drag(person, store_path):
@@ -219,7 +267,7 @@ def test_a_click_outside_changes_nothing(person, store_path):
     box = one.page.locator(".image").bounding_box()
     one.page.mouse.click(box["x"] + 5, box["y"] + 5)
     assert "outside the image" in one.alert()
-    assert one.query == {"p": ["3,4"]}
+    assert one.query["p"] == ["3,4"]
     one.page.get_by_role("button", name="Dismiss").click()
     assert not one.page.locator("#alert").is_visible()
 
@@ -245,9 +293,71 @@ def test_maps_take_the_place_of_the_image(person, store_path):
             "name => new URLSearchParams(location.search).get('map') === name", arg=name
         )
     one.point(20, 10)
-    assert "Error of huber" in one.text("#readout")
+    assert "Error of Huber" in one.text("#readout")
     one.page.locator("select[data-option=map]").select_option("image")
     one.page.wait_for_selector("#colorbar", state="hidden")
+
+
+def test_maps_have_ranges_and_opacity_and_come_from_files(person, store_path, tmp_path):
+    path = save(chd.analyze(chd.open(store_path), progress=False), tmp_path / "maps.zarr")
+    one = person(store_path, maps=path).open("?p=20,10&map=file:null_share")
+    one.page.wait_for_function(
+        "document.querySelector('#colorbar').innerText.includes('Null share')"
+    )
+    one.page.locator("#limits input").first.fill("0.25")
+    one.page.locator("#limits input").first.press("Enter")
+    one.page.wait_for_function("location.search.includes('lim=0.25')")
+    low = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].glyph.color_mapper.low"
+    assert one.page.evaluate(low) == 0.25
+    one.page.locator("#opacity").fill("0.5")
+    alpha = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].glyph.global_alpha"
+    one.page.wait_for_function(f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()")
+    one.page.locator("select[data-option=map]").select_option("variance")
+    one.page.wait_for_function("!location.search.includes('lim=')")
+
+
+def test_keys_change_exposure_channel_and_map(person, store_path):
+    one = person(store_path).open("?p=20,10&ev=1")
+    one.page.locator(".image").focus()
+    for key, name, value in (
+        ("e", "ev", "1.5"), ("E", "ev", "1"), ("c", "c", "0"), ("i", "map", "null_share"),
+    ):  # fmt: skip
+        one.page.keyboard.press(key)
+        one.page.wait_for_function(
+            "([n, v]) => new URLSearchParams(location.search).get(n) === v", arg=[name, value]
+        )
+    one.page.keyboard.press("r")
+    one.page.wait_for_function("!location.search.includes('ev=')")
+    one.page.keyboard.press("?")
+    assert "next channel" in one.text("#help")
+
+
+def test_zoom_is_in_the_address_and_large_pixels_show_their_values(person, store_path):
+    one = person(store_path).open("?p=20,10&z=8,18,14,24")
+    values = "Bokeh.documents[0].get_model_by_name('image0').renderers.at(-1).data_source.data.text"
+    one.page.wait_for_function(f"{values}.length === 36")
+    pixel = chd.open(store_path)[18, 8].mean(axis=-1)
+    shown = [float(v) for v in one.page.evaluate(values)[0].split("\n")]
+    np.testing.assert_allclose(shown, pixel, rtol=1e-2)
+    one.page.get_by_role("button", name="Fit", exact=True).click()
+    one.page.wait_for_function("!location.search.includes('z=')")
+    assert one.page.evaluate(values) == []
+    one.page.get_by_role("button", name="Zoom in").click()
+    one.page.wait_for_function("location.search.includes('z=')")
+
+
+def test_the_theme_is_that_of_the_system_until_it_is_switched(browser, of_store):
+    with browser.new_context(color_scheme="light") as context:
+        one = Person(context.new_page(), of_store).open("?p=20,10")
+        theme, plot = "document.documentElement.dataset.theme", "'linear'"
+        ground = f"Bokeh.documents[0].get_model_by_name({plot}).background_fill_color"
+        assert one.page.evaluate(theme) == "light"
+        assert one.page.evaluate(f"(c => c.value ?? c)({ground})") == "#ffffff"
+        one.page.get_by_role("button", name="Light or dark").click()
+        one.page.reload()
+        one.page.wait_for_selector("body[data-shown]")
+        assert one.page.evaluate(theme) == "dark"
+        assert one.errors == []
 
 
 def test_options_change_what_is_drawn(person, store_path):
@@ -258,7 +368,7 @@ def test_options_change_what_is_drawn(person, store_path):
     one.page.locator("[data-family=best]").uncheck()
     one.page.locator("select[data-option=batch]").select_option("8")
     one.page.wait_for_function(
-        "document.querySelector('#estimates h2').innerText.includes('N = 8')"
+        "document.querySelector('#estimates h2').innerText.includes('from 8')"
     )
     one.page.locator("select[data-option=channel]").select_option("luminance")
     one.page.wait_for_function("document.querySelector('#legend').innerText === 'luminance'")
@@ -323,6 +433,7 @@ def test_fits_are_tested_when_asked(person, store_path):
     one.page.wait_for_selector("#goodness table", timeout=120000)
     assert "199 replicates" in one.text("#goodness .note")
     assert one.page.locator("#goodness tr").count() == 5  # the head and four families
+    one.page.evaluate("scrollTo(0, 0)")
     one.click(5, 5)  # another place, another question
     assert one.page.get_by_role("button", name="Test the fits").is_enabled()
 
@@ -353,6 +464,7 @@ def test_exports_are_files(person, store_path):
     arrays = np.load(io.BytesIO(content["npz"]))
     np.testing.assert_array_equal(arrays["radiance_1"], samples[5, 6])
     assert arrays["selection"].tolist() == ["(20, 10)", "(5, 6)"]
+    assert (arrays["scene"], arrays["spp"], arrays["seed"]) == ("cornell-box", 64, 0)
     assert content["png"].startswith(b"\x89PNG")
     assert content["svg"].startswith(b"<?xml")
     pdfium = pytest.importorskip("pypdfium2")
@@ -362,6 +474,10 @@ def test_exports_are_files(person, store_path):
 
 def test_an_export_needs_a_selection(person, store_path):
     one = person(store_path).open()
+    one.page.get_by_role("button", name="Drop pixel 1").click()
+    one.page.wait_for_selector("body.nothing")
+    assert one.text("#chips") == "Nothing is selected yet."
+    one.page.wait_for_timeout(300)  # until that is computed, the last selection would be exported
     one.page.locator("[data-export=csv]").click()
     assert "nothing is selected" in one.alert()
 
@@ -375,6 +491,14 @@ def test_two_stores_are_compared(person, store_path, tmp_path):
     assert "p of equal CHDs" in one.text("#compared")
     assert "other.zarr against box.zarr" in one.text("#compared")
     assert "second:" in one.text("#note-log")
+    one.page.locator("select[data-option=map]").select_option("diff:signed")
+    one.page.wait_for_function(
+        "document.querySelector('#colorbar').innerText.includes('second minus first')"
+    )
+    clip = "document.querySelectorAll('figure')[1].style.clipPath"
+    for expected in ("0%", "100%"):
+        one.page.keyboard.press("x")
+        assert one.page.evaluate(clip).endswith(f" {expected})")
 
 
 def test_a_scene_is_sampled_where_it_is_clicked(person):
@@ -411,7 +535,7 @@ def test_a_store_deleted_under_the_server_is_a_message(person, own_store):
     assert "is gone" in one.alert()
     one.page.reload()
     one.page.wait_for_selector("body[data-shown]")
-    assert one.text("h1") == "own.zarr"
+    assert one.text("h1") == "own.zarr · cornell-box"
 
 
 def test_a_store_that_is_still_written_grows_on_the_page(person, tmp_path):
@@ -426,7 +550,7 @@ def test_a_store_that_is_still_written_grows_on_the_page(person, tmp_path):
         "document.querySelector('#described').innerText.includes('128 spp')", timeout=15000
     )
     one.page.wait_for_function(
-        "document.querySelector('#statistics').innerText.includes('128 samples')", timeout=15000
+        "document.querySelector('#headline').innerText.includes('128 samples')", timeout=15000
     )
 
 

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat.errors import Reason
 from chdstat.estimators import registry
-from chdstat.explorer import statistics
+from chdstat.explorer import tables
 from chdstat.explorer.estimators import batches_of, fixed, quick_names, scored, scored_around
-from chdstat.explorer.page import encode_panels
-from chdstat.explorer.panels import PanelData, Trace, extent, panels, series_of
+from chdstat.explorer.panels import panels
+from chdstat.explorer.plots import encode_panels, extent
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.statistics import MOST_FITTED, PlaceStatistics, goodness
+from chdstat.explorer.traces import PanelData, Trace, series_of
 from chdstat.explorer.view import FITS, View
 from chdstat.fit.families import SELECTED
 from chdstat.inference.differences import difference
@@ -65,10 +67,14 @@ def test_no_sample_breaks_panels_or_tables(name, channel):
         for trace in (*panel.areas, *panel.lines):
             assert len(trace.x) == len(trace.y)
     encode_panels(drawn)
-    shown = [statistics.statistics_table(place), statistics.patterns_table(place)]
-    shown.append(statistics.estimates_table(estimates(place.samples, 8), RGB, 8, ""))
+    assert len(tables.headline(place)) == 5
+    shown = []
+    for places in ([place], [place, place]):
+        columns = tables.columns_of(places, channel)
+        shown += [tables.statistics_table(columns), tables.patterns_table(columns)]
+    shown.append(tables.estimates_table(estimates(place.samples, 8), RGB, 8, ""))
     found = difference(place.samples, place.samples)
-    shown.append(statistics.compared_table(found, RGB, ("a", "b")))
+    shown.append(tables.compared_table(found, RGB, ("a", "b")))
     for table in shown:
         assert all(isinstance(cell, str) for row in table["rows"] for cell in row)
         assert not [c for row in table["rows"] for c in row if re.search(r"\b(nan|inf)\b", c)]
@@ -90,7 +96,40 @@ def test_nulls_and_bad_samples_are_apart():
     assert int(place.bad.sum()) == 64
     assert int(place.histograms["log"].counts.sum(axis=-1)[0]) == 512 - 128 - 64
     notes = panels(View(), series_of(View(), [place]))["log"].notes
-    assert notes == ["28.6 % null · 64 bad · 0 % outside"]
+    assert notes == ["28.6 % null · 64 bad · 0 % outside the bins"]
+
+
+def test_nearly_constant_samples_are_a_spike_without_fits():
+    rng = np.random.default_rng(1)
+    x = (2.5 * (1 + 1e-6 * rng.normal(size=(3, 512)))).astype(np.float32)
+    place = PlaceStatistics(x, RGB)
+    view = View(families=FITS)
+    drawn = panels(view, series_of(view, [place]))
+    assert place.constant.all()
+    assert place.fit("best", 0) is None
+    spikes = [float(line.x[0]) for line in drawn["linear"].lines]
+    np.testing.assert_allclose(spikes, x.max(axis=-1))
+    assert drawn["qq"].notes == ["constant samples"]
+    columns = tables.columns_of([place], "all")
+    table = {row[0]: row[1] for row in tables.statistics_table(columns)["rows"]}
+    assert table["best family by BIC"] == "constant"
+    assert table["tail index ξ"] == "—"
+    assert tables.patterns_table(columns)["title"] == "Patterns: constant"
+    spread = PlaceStatistics((x - 2.5) * 1e4 + 2.5, RGB)  # the control: 1 % of the mean
+    assert not spread.constant.any()
+
+
+def test_rows_of_several_pixels_stay_apart_and_keep_their_shape():
+    places = [PlaceStatistics(k * gamma(seed=i), RGB) for i, k in enumerate((1, 1e3))]
+    drawn = panels(View(), series_of(View(), places))
+    for name in ("linear", "log", "averages"):
+        assert drawn[name].rows == 2
+        first, second = drawn[name].areas
+        assert second.y.min() == pytest.approx(0)
+        assert first.y.min() == pytest.approx(1)
+        assert second.y.max() < 1
+    one, two = (a.x for a in drawn["linear"].areas)
+    assert (one.min(), one.max()) == (two.min(), two.max()) == (0, 1)
 
 
 def test_the_place_says_what_the_library_says():
@@ -161,9 +200,14 @@ def test_averages_that_are_nearly_all_null_keep_their_range():
 def test_a_p_value_below_all_floats_is_said_to_be():
     p = np.array([0.0, 2e-5, 0.02, 0.5, np.nan])
     place = PlaceStatistics(gamma(), RGB)
-    (row,) = statistics.goodness_table(place, {"gamma": (p, np.ones(5))})["rows"]
+    reasons = np.array([0, 0, 0, 0, Reason.TIED])
+    found = {"gamma": (p[1:], np.ones(4), reasons[1:])}
+    (row,) = tables.goodness_table(place, found)["rows"]
     cells = [cell.partition(" (D")[0] for cell in row[1:]]
-    assert cells == ["≈\u00a00", "2e−5", "0.020", "0.50", "—"]
+    assert cells == ["2e−5", "0.020", "0.50", "too many equal samples"]
+    found = {"gamma": (p[:4], np.ones(4), reasons[:4])}
+    (row,) = tables.goodness_table(place, found)["rows"]
+    assert row[1].startswith("≈\u00a00")
 
 
 def test_cargo_holds_what_panels_hold():
@@ -194,11 +238,11 @@ def test_p_values_of_the_true_family_are_not_small():
 def test_no_sample_breaks_the_test_of_fits(name):
     place = PlaceStatistics(hard()[name], RGB)
     found = goodness(place, lambda _: None, resamples=2)
-    p_values = np.stack([p for p, _ in found.values()])
+    p_values = np.stack([p for p, _, _ in found.values()])
     assert p_values.shape == (len(SELECTED), 4)
     known = p_values[np.isfinite(p_values)]
     assert ((known > 0) & (known <= 1)).all()
-    assert len(statistics.goodness_table(place, found)["rows"]) == len(SELECTED)
+    assert len(tables.goodness_table(place, found)["rows"]) == len(SELECTED)
 
 
 def test_extents_hold_all_that_is_drawn():

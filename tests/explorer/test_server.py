@@ -20,8 +20,8 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError, StoreError
 from chdstat.explorer import explore, server
-from chdstat.explorer.page import FAINT, GROUND, TEXT
-from chdstat.explorer.panels import BLENDED, CHANNEL_COLORS, PIXEL_COLORS
+from chdstat.explorer.plots import FAINT, GROUND, TEXT
+from chdstat.explorer.traces import BLENDED, CHANNEL_COLORS, LIGHT, PIXEL_COLORS
 from chdstat.samples.store import Store
 
 STYLE = resources.files("chdstat.explorer") / "web" / "page.css"
@@ -164,7 +164,7 @@ def test_stores_that_do_not_fit_are_refused(store_path):
 
 def test_a_store_without_a_whole_batch_is_refused(tmp_path):
     path = tmp_path / "empty.zarr"
-    Store.create(path, height=4, width=4, channels=3, spp=4, attrs={"spp": 4})
+    Store.create(path, shape=(4, 4, 3, 4), attrs={"spp": 4})
     with pytest.raises(StoreError, match="no sample that every pixel has"):
         explore(path)
 
@@ -218,15 +218,25 @@ def test_colors_contrast_with_the_ground(color):
     assert contrast(color, GROUND) >= 4.5
 
 
-def test_text_contrasts_with_what_is_behind_it():
+@pytest.mark.parametrize("color", LIGHT.values())
+def test_light_colors_contrast_with_white(color):
+    assert contrast(color, "#ffffff") >= 4.5
+
+
+def test_every_color_has_one_for_the_light_theme():
+    assert set(LIGHT) == {BLENDED, *CHANNEL_COLORS.values(), *PIXEL_COLORS}
+
+
+@pytest.mark.parametrize("theme", [1, 2])
+def test_text_contrasts_with_what_is_behind_it(theme):
     rules = dict(
         part.strip().removeprefix("--").split(": ")
-        for part in STYLE.read_text().split("{")[1].split("}")[0].split(";")
+        for part in STYLE.read_text().split("{")[theme].split("}")[0].split(";")
         if part.strip().startswith("--")
     )
     for text in ("text", "faint", "accent", "alert"):
         for ground in ("ground", "panel", "raised"):
             assert contrast(rules[text], rules[ground]) >= 4.5
-    assert contrast(rules["alert"], "#47201a") >= 4.5
-    assert contrast(rules["text"], "#24496e") >= 4.5  # a pressed button
+    assert contrast(rules["alert"], rules["warn"]) >= 4.5
+    assert contrast(rules["text"], rules["pressed"]) >= 4.5  # a pressed button
     assert contrast(rules["edge"], rules["raised"]) >= 3  # the border of a control

@@ -16,16 +16,16 @@ from chdstat._core import cache
 from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
-from chdstat.explorer.maps import MAPS, Map, map_kind, of_overall, rgba, walk
+from chdstat.explorer.maps import MAPS, Map, map_kind, of_overall, walk
+from chdstat.explorer.scene_source import FIRST_SPP, SceneSource
 from chdstat.explorer.sources import (
-    FIRST_SPP,
     ImageAccumulator,
     Overall,
-    SceneSource,
     StoreSource,
     pooled,
     stream,
 )
+from chdstat.explorer.tones import rgba
 from chdstat.fit.tail import tail_of_part
 from chdstat.patterns import classify
 from chdstat.patterns.classification import luminance_part

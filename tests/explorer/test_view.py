@@ -38,6 +38,7 @@ def views(draw):
         tone=draw(st.sampled_from(TONES)),
         channel=draw(st.sampled_from(["all", "luminance", "0", "2"])),
         map=draw(st.sampled_from(["image", "null_share", "error:huber"])),
+        limits=draw(st.none() | st.sampled_from([(0.0, 1.5), (-2.25, -1e-9)])),
     )
 
 
@@ -63,6 +64,9 @@ def test_a_region_survives_its_address():
         ("n=33", "batch must be one of"),
         ("f=normal", "families must be one of"),
         ("ev=bright", "number of stops"),
+        ("lim=1,0", "the smaller first"),
+        ("lim=1", "the smaller first"),
+        ("lim=a,b", "limits must be numbers"),
         ("ev=nan", "within 32 stops"),
         ("ev=1e9", "within 32 stops"),
         ("tone=none", "tone must be one of"),

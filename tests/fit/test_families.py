@@ -11,8 +11,8 @@ from scipy import stats
 import chdstat as chd
 from chdstat._core.positive import PositivePart
 from chdstat.errors import Reason
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.mle import estimate_part, fit_part
+from chdstat.fit import FAMILIES
+from chdstat.fit.families import estimate_part, fit_part
 from chdstat.fit.weighted_samples import blocks
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))

@@ -12,9 +12,8 @@ from scipy import stats
 import chdstat as chd
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
-from chdstat.fit.families import FAMILIES
-from chdstat.fit.goodness_of_fit import FIT_TESTS, goodness, goodness_of_part
-from chdstat.fit.selection import select
+from chdstat.fit import FAMILIES, goodness, select
+from chdstat.fit.goodness_of_fit import FIT_TESTS, goodness_of_part
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
 RESAMPLES = 19

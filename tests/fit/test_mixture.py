@@ -8,9 +8,10 @@ from sklearn.mixture import GaussianMixture
 import chdstat as chd
 from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
-from chdstat.fit.components import COMPONENTS, summaries_of_each, summaries_of_samples
-from chdstat.fit.em import bound_at, run, segmentations
-from chdstat.fit.mixtures import mixture
+from chdstat.fit import mixture
+from chdstat.fit.em import COMPONENTS, bound_at, run
+from chdstat.fit.search import segmentations
+from chdstat.fit.weighted_samples import summaries_of_each, summaries_of_samples
 
 FAMILIES = ("lognormal", "gamma")
 

@@ -11,8 +11,8 @@ from statsmodels.stats.proportion import proportion_confint
 
 import chdstat as chd
 from chdstat.errors import InputError, Reason
+from chdstat.fit import FAMILIES
 from chdstat.fit._gamma import gamma_shape
-from chdstat.fit.families import FAMILIES
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
 FAMILY_NAMES = sorted(FAMILIES)

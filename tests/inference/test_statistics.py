@@ -6,8 +6,7 @@ from scipy import stats
 from statsmodels.stats import diagnostic
 
 from chdstat.inference.normality import TESTS, run_tests
-from chdstat.inference.null_tables import LEVELS, QUANTILES
-from chdstat.inference.statistics import SCALES, simulated_p
+from chdstat.inference.statistics import LEVELS, QUANTILES, SCALES, simulated_p
 
 ALL = tuple(TESTS)
 

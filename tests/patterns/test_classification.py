@@ -5,23 +5,21 @@ import pytest
 
 import chdstat as chd
 from chdstat import patterns
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
-from chdstat.fit.families import FAMILIES, SELECTED
-from chdstat.fit.selection import select_part
-from chdstat.fit.tail import tail_of_part
-from chdstat.inference.modes import modality_of_part
 from chdstat.patterns import (
     CHD,
     PATTERNS,
     Component,
     Label,
     Thresholds,
+    agreement,
     classify,
     simulate,
     truth_of,
 )
-from chdstat.patterns.agreement import agreement
-from chdstat.patterns.classification import luminance_part, patterns_of_part
+from chdstat.patterns.classification import luminance_part, patterns_of
+from chdstat.patterns.pixel_statistics import PixelFits
 
 SPP = 1024
 FAMILY_FLAGS = ("gamma_like", "lognormal_like")
@@ -225,15 +223,24 @@ def test_results_that_are_there_are_not_computed_again():
     part = luminance_part(
         clear_cases(np.random.default_rng(6), 5)[Label.FIREFLY_DOMINATED][:, None]
     )
-    shared = patterns_of_part(
-        part,
-        tail=tail_of_part(part),
-        modes=modality_of_part(part),
-        families=select_part(part, [FAMILIES[name] for name in SELECTED]),
-    )
-    alone = patterns_of_part(part)
-    for name, value in alone.statistics.items():
-        np.testing.assert_array_equal(shared.statistics[name], value)
+    fits = PixelFits(part)
+    first = fits.selection, fits.tail, fits.mixture, fits.modes
+    found = patterns_of(fits)
+    again = fits.selection, fits.tail, fits.mixture, fits.modes
+    assert all(one is two for one, two in zip(first, again, strict=True))
+    for name, value in patterns_of(PixelFits(part)).statistics.items():
+        np.testing.assert_array_equal(found.statistics[name], value)
+
+
+def test_fits_of_a_row_are_taken_from_those_of_all():
+    x = np.random.default_rng(6).gamma(2.0, size=(2, 3, SPP))
+    fits = PixelFits(PositivePart.of_pixels(x, rows="both"))
+    light = fits.rows(-1)
+    np.testing.assert_array_equal(light.tail.xi, fits.tail.xi[:, -1])
+    np.testing.assert_array_equal(light.mixture.k, fits.mixture.k[:, -1])
+    alone = PixelFits(luminance_part(x))
+    np.testing.assert_array_equal(light.modes.places, alone.modes.places)
+    np.testing.assert_array_equal(patterns_of(light).label, patterns_of(alone).label)
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")

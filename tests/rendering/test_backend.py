@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import os
 import threading
 from dataclasses import replace
@@ -17,12 +16,10 @@ LIBRARY = "/nowhere/libLLVM.so.99"
 
 @pytest.fixture
 def no_cache(tmp_path, monkeypatch):
-    """Start with an empty cache and one pretended LLVM library; return the cache's file."""
+    """Start with an empty cache and one pretended LLVM library; return the cache's folder."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", LIBRARY)
-    backend._read_cache.cache_clear()
-    yield tmp_path / "chdstat" / "backends.json"
-    backend._read_cache.cache_clear()
+    return tmp_path / "chdstat"
 
 
 @pytest.fixture
@@ -46,10 +43,8 @@ def test_answers_are_cached_until_asked_afresh(no_cache, child):
     child("pass")
     first = probe("llvm")
     assert first == Verdict("llvm", works=True, detail="rendered an image", library=LIBRARY)
-    assert len(json.loads(no_cache.read_text())) == 1
+    assert len(list(no_cache.iterdir())) == 1
     child("raise SystemExit('broken since')")
-    assert probe("llvm") == first
-    backend._read_cache.cache_clear()
     assert probe("llvm") == first
     assert not probe("llvm", fresh=True).works
     assert not probe("llvm").works
@@ -93,20 +88,11 @@ def test_the_child_gets_the_library_and_the_variant(no_cache, child):
     assert probe("llvm").works
 
 
-@pytest.mark.parametrize("content", ["", "{", "[]", '{"llvm": 3}'])
-def test_a_broken_cache_only_costs_the_trial(no_cache, child, content):
-    no_cache.parent.mkdir()
-    no_cache.write_text(content)
+def test_a_broken_cache_only_costs_the_trial(no_cache, child):
     child("pass")
     assert probe("llvm").works
-
-
-def test_answers_of_another_version_only_cost_the_trial(no_cache, child):
-    child("pass")
-    probe("llvm")
-    cache = {key: {"works": True, "speed": 3} for key in json.loads(no_cache.read_text())}
-    no_cache.write_text(json.dumps(cache))
-    backend._read_cache.cache_clear()
+    (file,) = no_cache.iterdir()
+    file.write_bytes(b"{")
     assert probe("llvm").works
 
 
@@ -114,10 +100,8 @@ def test_a_home_that_cannot_be_written_to_only_costs_the_trial(tmp_path, monkeyp
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", LIBRARY)
-    backend._read_cache.cache_clear()
     child("pass")
     assert probe("llvm").works
-    backend._read_cache.cache_clear()
 
 
 def test_unknown_names_are_refused():

@@ -17,17 +17,18 @@ import pytest
 import zarr
 
 import chdstat as chd
-from chdstat._core.arrays import is_bad, luminance
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.rendering import render_batches, render_pixels, writers
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import max_spp
-from chdstat.rendering.writers import StoreWriter
 from chdstat.samples import layout
 from chdstat.samples.layout import chunk_grid
 from chdstat.samples.store import Store
 from chdstat.scenes import load_scene
+
+BT_709 = np.array([0.212671, 0.715160, 0.072169])
+"""Weights of linear sRGB in luminance."""
 
 SIZE = (72, 40)
 
@@ -96,7 +97,7 @@ def test_the_same_samples_in_memory_and_on_disk(tmp_path, whole):
     for name, image in held.features.items():
         assert image.shape[:2] == (40, 72)
         assert np.array_equal(image, chd.open(path).features[name])
-    assert not is_bad(held.read()).any()
+    assert np.isfinite(held.read()).all()
 
 
 def test_provenance(tmp_path):
@@ -321,11 +322,9 @@ def test_a_full_disk_is_reported_and_the_render_resumes(tmp_path, monkeypatch):
 def test_time_that_cannot_be_noted_hides_no_error(tmp_path, monkeypatch):
     path = tmp_path / "s.zarr"
     render(out=path)
-
-    writer = StoreWriter(Store.open(path, writable=True))
-    fill_the_disk(monkeypatch, "zarr.json")
-    writer.spent(1.0)
-    writer.close()
+    with Store.open(path, writable=True) as store:
+        fill_the_disk(monkeypatch, "zarr.json")
+        store.spent(1.0)
     assert Store.open(path).attrs["render_seconds"] < 1
 
 
@@ -539,7 +538,7 @@ def test_real_scenes_have_the_nulls_and_the_spread_measured_elsewhere(
     scene = load_scene(scenes_folder / folder / "scene.xml", resx=64, resy=64)
     x = chd.render(scene, spp=64, backend="scalar").read()
     assert (x == 0).all(axis=2).mean() == pytest.approx(null_share, abs=0.05)
-    y = luminance(x.astype(np.float64))
+    y = BT_709 @ x.astype(np.float64)
     mean = y.mean(axis=-1)
     lit = mean > 0
     median = np.median(y.std(axis=-1, ddof=1)[lit] / mean[lit])
@@ -549,7 +548,8 @@ def test_real_scenes_have_the_nulls_and_the_spread_measured_elsewhere(
 
 
 @pytest.mark.parametrize(
-    ("out", "place"), [("huge.zarr", "more than the disk can hold"), (None, "more than the memory")]
+    ("out", "place"),
+    [("huge.zarr", ", more than the disk can hold"), (None, " of memory, of which there are 1")],
 )
 def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place):
     # 3 channels of 4 bytes for 2^20 pixels, as many samples as random numbers allow: 48 GB.
@@ -557,8 +557,8 @@ def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place)
     path = tmp_path / out if out else None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(writers, "free_disk", lambda _: 10**9)
-        patch.setattr(writers, "memory", lambda: 10**9)
-        with pytest.raises(InputError, match=f"take 48.3 GB, {place}"):
+        patch.setattr("chdstat._core.executor.memory", lambda: 10**9)
+        with pytest.raises(InputError, match=f"take 48.3 GB{place}"):
             chd.render(**job, out=path)
     assert list(tmp_path.iterdir()) == []
 
@@ -574,26 +574,18 @@ except KeyboardInterrupt:
 """
 
 
-@pytest.mark.parametrize("turn", range(3))
+@pytest.mark.parametrize("turn", range(2))
 def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path, turn):
     # Mitsuba cancels a pass of its own accord on Ctrl-C and leaves it black; several turns, since
     # the signal may also come between two passes.
     path = tmp_path / "s.zarr"
     command = [sys.executable, "-c", INTERRUPTED, str(path)]
     child = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
-    stored = path / "radiance/c/0/0/0"
-    while not stored.exists():
+    while sum(file.is_file() for file in path.glob("radiance/c/*/*/0/[0-9]*")) <= turn:
         assert child.poll() is None
         time.sleep(0.01)
-    time.sleep(0.05 * turn)
-    for _ in range(20):
-        child.send_signal(signal.SIGINT)
-        try:
-            code = child.wait(timeout=1)
-            break
-        except subprocess.TimeoutExpired:
-            continue
-    assert code == 7
+    child.send_signal(signal.SIGINT)
+    assert child.wait(timeout=120) == 7
     done = Store.open(path)
     assert done.pending()
     kept = [c for c in chunk_grid(96, 96, 2048) if done.ledger[c.index]]

@@ -10,7 +10,6 @@ import pytest
 import xarray as xr
 
 import chdstat as chd
-from chdstat._core.reasons import flag_attributes
 from chdstat.errors import InputError
 from chdstat.patterns import Label
 from chdstat.rendering.recipes import (
@@ -119,6 +118,10 @@ def test_a_missing_recipe_is_an_error_and_an_unknown_scene_has_none(tmp_path):
     assert find_recipe("no-such-scene") is None
 
 
+FLAGS = {
+    "flag_values": [int(label) for label in Label],
+    "flag_meanings": " ".join(label.name.lower() for label in Label),
+}
 STUDY = [name for name in BUILTIN if name != "cornell-box"]
 
 
@@ -168,7 +171,7 @@ def test_the_library_chooses_one_pure_region_for_each_pattern():
     label = np.full((32, 32), Label.GAMMA_LIKE, dtype=np.int8)
     label[20:28, 4:12] = Label.BIMODAL
     label[2, 30] = Label.LONG_TAIL
-    dataset = xr.Dataset({"label": (("y", "x"), label, flag_attributes(Label))})
+    dataset = xr.Dataset({"label": (("y", "x"), label, FLAGS)})
     regions = choose_regions(dataset)
     assert [r.name for r in regions] == ["gamma-like", "bimodal", "long-tail"]
     for region, code in zip(regions[:2], (Label.GAMMA_LIKE, Label.BIMODAL), strict=True):
@@ -177,9 +180,7 @@ def test_the_library_chooses_one_pure_region_for_each_pattern():
 
 
 def test_choosing_works_on_a_single_pixel():
-    label = xr.DataArray(
-        np.full((1, 1), Label.BLACK), dims=("y", "x"), attrs=flag_attributes(Label)
-    )
+    label = xr.DataArray(np.full((1, 1), Label.BLACK), dims=("y", "x"), attrs=FLAGS)
     (region,) = choose_regions(xr.Dataset({"label": label}))
     assert region.pixels(1, 1) == (slice(0, 1), slice(0, 1))
 

@@ -64,13 +64,13 @@ def test_a_part_without_an_interval_says_so():
 
 def test_a_verdict_is_that_of_the_claim_and_not_of_what_stands_beside_it(both):
     (beside,) = finding_content(both)["beside"]
-    assert (beside["name"], beside["verdict"]) == ("progressive (ours)", "not supported")
+    assert (beside["name"], beside["verdict"]) == ("progressive", "not supported")
     rows = claim_content(CLAIM, {"box": both})["rows"]
     assert [(row["scenes"], row["verdict"]) for row in rows] == [
         (["box"], "supported"),
-        (["box, progressive (ours)"], "not supported"),
+        (["box, progressive"], "not supported"),
     ]
-    assert list(with_others({"box": both})) == ["box", "box, progressive (ours)"]
+    assert list(with_others({"box": both})) == ["box", "box, progressive"]
     (figure,) = claim_figures(15, {"box": both}).values()
     assert [text.get_text() for text in figure.axes[0].get_yticklabels()] == list(
         with_others({"box": both})

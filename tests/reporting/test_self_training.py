@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.analysis import overview
-from chdstat.comparison.self_training import SelfTraining, coverage
+from chdstat.comparison.side_by_side import SelfTraining, coverage, train_alone
 from chdstat.estimators import Progressive
 from chdstat.estimators.progressive import Estimates
-from chdstat.reporting import content, figures
+from chdstat.reporting import figures, result_tables
 
 
 def samples(spp=128, side=12):
@@ -34,7 +33,8 @@ def found():
 
 @pytest.fixture(scope="module")
 def trained(found):
-    return SelfTraining.of(samples(), found, iterations=5, progress=False)
+    alone = train_alone(samples(), iterations=5, progress=False)
+    return SelfTraining.of(samples(), found, alone, progress=False)
 
 
 def test_all_pixels_judge_the_same_samples(trained):
@@ -47,16 +47,16 @@ def test_all_pixels_judge_the_same_samples(trained):
 def test_coverage_counts_the_pixels_that_judge(found):
     reference = found.first_reference.astype(np.float32)
 
-    def estimate(level):
-        half = np.where(found.test_pixels[..., np.newaxis], 0.0, np.nan)
-        low = np.where(level > 0.85, reference - half, reference + 1)
-        return Estimates(reference, reference[..., 0], low, reference + 2, level)
-
-    assert coverage(estimate, found) == (0.0, 0.0, 1.0, 1.0)
+    half = np.where(found.test_pixels[..., np.newaxis], 0.0, np.nan)
+    estimates = [
+        Estimates(reference, reference[..., 0], low, reference + 2, 0.9)
+        for low in (reference + 1, reference - half)
+    ]
+    assert coverage(estimates, found) == (0.0, 1.0)
 
 
 def test_words_and_a_figure_come_of_it(trained, found):
-    told = content.self_training_content(trained)
+    told = result_tables.self_training_content(trained)
     assert told["n"] == 64
     assert told["mse_ratio"] != "—"
     figure = figures.self_training(trained)
@@ -68,17 +68,7 @@ def test_words_and_a_figure_come_of_it(trained, found):
         "Width of the interval ÷ estimate",
         "Intervals that contain the reference",
     ]
-    whole = overview(chd.analyze(samples(side=4), progress=False))
-    questions = [row.question for row in content.findings(whole, None, found, trained)]
-    assert any("64 samples without a reference" in question for question in questions)
 
 
 def test_few_samples_are_not_split_further():
-    few = samples(spp=64, side=8)
-    assert SelfTraining.of(few, compared(few), iterations=5, progress=False) is None
-
-
-def test_nothing_is_asked_of_those_who_did_not_take_part():
-    given = samples()
-    found = chd.compare(given, ["mean"], n=8, progress=False)
-    assert SelfTraining.of(given, found, iterations=5, progress=False) is None
+    assert train_alone(samples(spp=64, side=8), iterations=5, progress=False) is None

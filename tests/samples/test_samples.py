@@ -32,10 +32,7 @@ def samples(request, x, depth, tmp_path_factory) -> Samples:
     height, width, channels, spp = SHAPE
     store = Store.create(
         tmp_path_factory.mktemp("samples") / "s.zarr",
-        height=height,
-        width=width,
-        channels=channels,
-        spp=spp,
+        shape=(height, width, channels, spp),
         attrs={"scene": "test", "seed": 5},
         features={"depth": depth},
     )
@@ -118,7 +115,7 @@ def test_a_cut_is_that_of_the_array(samples, x, depth, cut):
 
 
 def test_a_cut_of_a_store_reads_only_its_part(x, tmp_path):
-    store = Store.create(tmp_path / "s.zarr", height=70, width=66, channels=3, spp=70, attrs={})
+    store = Store.create(tmp_path / "s.zarr", shape=(70, 66, 3, 70), attrs={})
     for chunk in store.pending():
         store.write(chunk, x[chunk.ys, chunk.xs, :, chunk.ss])
     (store.path / "radiance/c/1/0/0/0").unlink()
@@ -200,9 +197,7 @@ def test_map_hands_out_smaller_tiles_where_there_are_many_samples():
 def test_walking_a_store_takes_no_more_memory_for_more_samples(tmp_path):
     peaks = []
     for spp in (64, 640):
-        store = Store.create(
-            tmp_path / f"{spp}.zarr", height=16, width=64, channels=3, spp=spp, attrs={}
-        )
+        store = Store.create(tmp_path / f"{spp}.zarr", shape=(16, 64, 3, spp), attrs={})
         for chunk in store.pending():
             store.write(chunk, np.ones((16, 64, 3, 64), np.float32))
         samples = chd.open(store.path)
@@ -268,9 +263,7 @@ def test_other_arrays_are_refused(array, message):
 
 
 def test_damage_shows_when_it_is_read(x, tmp_path):
-    store = Store.create(
-        tmp_path / "s.zarr", height=70, width=66, channels=3, spp=70, attrs={"scene": "test"}
-    )
+    store = Store.create(tmp_path / "s.zarr", shape=(70, 66, 3, 70), attrs={"scene": "test"})
     for chunk in store.pending():
         store.write(chunk, x[chunk.ys, chunk.xs, :, chunk.ss])
     file = store.path / "radiance/c/1/0/0/0"
@@ -297,7 +290,7 @@ def test_what_is_no_image_is_refused_in_words(ask):
 
 
 def test_a_read_that_memory_cannot_hold_is_refused_in_words(tmp_path, monkeypatch):
-    store = Store.create(tmp_path / "s.zarr", height=2, width=2, channels=3, spp=70, attrs={})
+    store = Store.create(tmp_path / "s.zarr", shape=(2, 2, 3, 70), attrs={})
     for chunk in store.pending():
         store.write(chunk, np.ones((2, 2, 3, chunk.shape[2]), np.float32))
     samples = chd.open(tmp_path / "s.zarr")
@@ -311,7 +304,7 @@ def test_a_read_that_memory_cannot_hold_is_refused_in_words(tmp_path, monkeypatc
 
 def test_a_path_is_that_of_a_store_or_not(tmp_path):
     path = tmp_path / "s.zarr"
-    Store.create(path, height=2, width=2, channels=3, spp=4, attrs={}).close()
+    Store.create(path, shape=(2, 2, 3, 4), attrs={}).close()
     assert is_store(path)
     assert is_store(str(path))
     (path / "zarr.json").unlink()

@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from chdstat._core.arrays import is_bad
-from chdstat._core.moments import Moments
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import Samples
 from chdstat.samples.store import Store
@@ -76,6 +74,11 @@ def nist_data(case):
     return np.concatenate([[case["first"]], cycle])
 
 
+def seen(x):
+    """Summarise samples (channel, sample) that lie between -1000 and 10^8."""
+    return Summary(support=(-1e3, 1e8), bins=1).update(x)
+
+
 def exactly(x):
     """Return mean, squared deviations and products of neighbours' deviations, all exact."""
     numbers = [Fraction(number) for number in x]
@@ -108,7 +111,7 @@ def test_nist_data_are_those_that_were_certified(name):
 
 
 @pytest.mark.parametrize("name", sorted(NIST.keys() - {"source"}))
-@pytest.mark.parametrize("step", [1, 7, 2000])
+@pytest.mark.parametrize("step", [7, 100, 2000])
 def test_nist_digits_in_any_order(name, step):
     """Mean and deviation have 12 digits, but where double precision rounds the data themselves.
 
@@ -116,14 +119,13 @@ def test_nist_digits_in_any_order(name, step):
     the deviation, 0.1: their certified deviation is not that of any data in double precision.
     """
     case = NIST[name]
-    x = nist_data(case)
-    parts = [Moments.of(x[start : start + step]) for start in range(0, len(x), step)]
+    x = nist_data(case)[np.newaxis]
     digits = {"NumAcc3": 1e-9, "NumAcc4": 2e-8}.get(name, 1e-12)
-    for seed in range(3):
-        moments = merged_at_random(parts, np.random.default_rng(seed))
-        np.testing.assert_allclose(moments.mean, case["mean"], rtol=2e-15)
-        deviation = np.sqrt(moments.variance)
-        np.testing.assert_allclose(deviation, case["standard_deviation"], rtol=digits)
+    parts = [seen(x[:, start : start + step]) for start in range(0, x.shape[1], step)]
+    found = merged_at_random(parts, np.random.default_rng(0)).read()
+    np.testing.assert_allclose(found.mean, case["mean"], rtol=2e-15)
+    deviation = np.sqrt(found.variance)
+    np.testing.assert_allclose(deviation, case["standard_deviation"], rtol=digits)
 
 
 @pytest.mark.parametrize("name", ["NumAcc3", "NumAcc4"])
@@ -131,14 +133,15 @@ def test_rounded_nist_data_lose_nothing_more_at_once(name):
     x = nist_data(NIST[name])
     _, squares, _ = exactly(x.tolist())
     expected = math.sqrt(squares / (len(x) - 1))
-    assert math.sqrt(Moments.of(x).variance) == pytest.approx(expected, rel=1e-14)
+    (variance,) = seen(x[np.newaxis]).read().variance
+    assert math.sqrt(variance) == pytest.approx(expected, rel=1e-14)
 
 
 @pytest.mark.parametrize("name", ["NumAcc2", "NumAcc3", "NumAcc4"])
 def test_a_summary_has_the_digits_of_its_moments(name):
     x = nist_data(NIST[name])[np.newaxis]
-    summary = Summary(support=(0, 1e8))
-    for start in range(0, x.shape[-1], 100):
+    summary = seen(x[:, :100])
+    for start in range(100, x.shape[-1], 100):
         summary.update(x[:, start : start + 100])
     deviation = np.sqrt(summary.read().variance)
     digits = {"NumAcc3": 1e-9, "NumAcc4": 2e-8}.get(name, 1e-12)
@@ -208,7 +211,7 @@ def test_bad_samples_are_as_if_they_had_not_been_drawn():
     assert s.bad_count.tolist() == [1, 1, 10, 0]
     assert s.count.tolist() == [299, 299, 290, 300]
     for pixel in range(4):
-        good = ~is_bad(x[pixel]).any(axis=0)
+        good = np.isfinite(x[pixel]).all(axis=0)
         clean = Summary(support=(s.linear.low[pixel], s.linear.high[pixel]))
         expected = clean.update(x[pixel][:, good]).read()
         for name in MOMENTS:
@@ -243,17 +246,17 @@ def test_scaling_radiance_scales_the_statistics():
 
 def test_repeating_the_samples_repeats_the_statistics():
     x = radiance().astype(np.float64)
-    once, twice = (Moments.of(part) for part in (x, np.tile(x, 2)))
+    once, twice, merged = seen(x).read(), seen(np.tile(x, 2)).read(), seen(x).merge(seen(x)).read()
     for name in ("skewness", "kurtosis"):
         np.testing.assert_allclose(getattr(twice, name), getattr(once, name), rtol=1e-10)
-    np.testing.assert_allclose(once.merge(once).m4, twice.m4, rtol=1e-10)
+    np.testing.assert_allclose(merged.kurtosis, twice.kurtosis, rtol=1e-10)
 
 
 @pytest.mark.parametrize("bad", [False, True])
 def test_batch_means_are_those_of_consecutive_samples(bad):
     x = with_bad(radiance((4, 3, 288))) if bad else radiance((4, 3, 288))
     s = Summary().update(x[..., :50]).update(x[..., 50:]).read()
-    good = ~is_bad(x).any(axis=-2, keepdims=True)
+    good = np.isfinite(x).all(axis=-2, keepdims=True)
     wide = np.where(good, x, np.nan).astype(np.float64).reshape(4, 3, 9, 32)
     np.testing.assert_allclose(s.batch_means, np.nanmean(wide, axis=-1), rtol=1e-12)
     assert s.batch_spp.tolist() == [32] * 9
@@ -364,7 +367,7 @@ def test_an_image_may_be_samples_an_array_or_the_path_of_a_store(tmp_path):
 
     path = tmp_path / "s.zarr"
     samples = Samples.from_array(radiance((3, 2, 3, 64)))
-    with Store.create(path, height=3, width=2, channels=3, spp=64, attrs={}) as store:
+    with Store.create(path, shape=(3, 2, 3, 64), attrs={}) as store:
         for chunk in store.pending():
             store.write(chunk, samples.read())
     for source in (samples.read(), path, str(path)):

@@ -44,8 +44,10 @@ def examples():
         "categorical_map": partial(viz.categorical_map, labels, {0: "none"}),
         "chd_axes": partial(viz.chd_axes, LOG),
         "chd_grid": partial(viz.chd_grid, [PANEL]),
+        "chd_pair": partial(viz.chd_pair, PANEL),
         "claim_intervals": partial(viz.claim_intervals, {"fog": [test]}),
         "coverage": partial(viz.coverage, [0.5, 0.9], {"ours": (0.4, 0.8)}),
+        "curves": partial(viz.curves, [8, 16], {"gamma": {"a": [0, 1]}, "log": {"b": [1, 1]}}),
         "error_curves": partial(
             viz.error_curves, error_curve(samples, ["mean"], sizes=[4, 8], progress=False)
         ),

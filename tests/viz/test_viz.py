@@ -11,7 +11,7 @@ from scipy import stats
 from chdstat import viz
 from chdstat.errors import InputError
 from chdstat.estimators.training import History
-from chdstat.patterns import atlas
+from chdstat.patterns import atlas, classify
 from chdstat.samples import Samples
 from chdstat.summary.histograms import histogram
 from chdstat.viz import CHANNELS
@@ -117,6 +117,35 @@ def test_maps_have_scales_and_legends(image):
     found = texts(figure)
     assert {"values", "labels", "radiance", "one 80 %", "two 20 %"} <= found
     assert not any("never" in t for t in found)
+
+
+def test_labels_of_a_dataset_bring_their_names():
+    samples = Samples.from_array(np.random.default_rng(0).gamma(1.0, size=(4, 4, 3, 256)))
+    label = classify(samples, progress=False)["label"]
+    assert "gamma-like" in " ".join(texts(viz.categorical_map(label).figure))
+    with pytest.raises(InputError, match=r"flag_meanings.*got a ndarray.*pass names="):
+        viz.categorical_map(label.values)
+
+
+def test_a_panel_of_samples_counts_nulls_and_leaves_bad_samples_out():
+    x = np.array([[0.0, 1.0, 3.0, np.nan], [0.0, 2.0, 2.0, 9.0]])
+    panel = viz.Panel.of("wall", x, channels="ab")
+    assert panel.note == "25 % nulls"
+    assert panel.mean == pytest.approx([4 / 3, 4 / 3])
+    for found in (panel.linear, panel.log):
+        assert found.null_count.tolist() == [1, 1]
+        assert found.bad_count.tolist() == [1, 1]
+    assert viz.Panel.of("dark", np.full((1, 4), np.nan)).mean == ()
+
+
+def test_curves_of_several_panels_share_looks_and_one_legend():
+    shares = {"gamma": {"a": [0, 1], "b": [1, 1]}, "log-normal": {"b": [0.5, 0.5]}}
+    figure = viz.curves([8, 16], shares, level=0.05)
+    first, second = figure.axes
+    assert first.lines[1].get_color() == second.lines[0].get_color()
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
+    assert [tick.get_text() for tick in second.get_xticklabels()] == ["8", "16"]
 
 
 @pytest.mark.parametrize("measured", [(0.5, 0.9), (0.02, 0.3), (np.nan, np.nan)])

@@ -1,7 +1,7 @@
 """Samples of pixels as the progressive estimator takes them: their profiles, and sets that train.
 
 A profile is what a pixel's samples look like, octave by octave of luminance, in constant memory. It
-is to our estimator what the cascade is to `chdstat.estimators.zirr2018`: every sample enters the
+is to the estimator what the cascade is to `chdstat.estimators.zirr2018`: every sample enters the
 two octaves next to its luminance, linearly in the logarithm, with its weight and with its radiance
 in all channels. Profiles add up, do not depend on the order of the samples, and keep their mean
 exactly, as the radiance in all octaves together is that of all samples. Where a renderer says how
@@ -25,12 +25,12 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from chdstat._core.arrays import LUMINANCE, as_pixels, as_samples, is_bad, spans
+from chdstat._core.arrays import LUMINANCE, as_pixels, is_bad, spans
 from chdstat._core.executor import in_order
 from chdstat.errors import InputError
-from chdstat.estimators.validation import without
+from chdstat.estimators.validation import checked_direct, without
 
-__all__ = ["OCTAVES", "Profile", "SampleSplits", "TrainingSet"]
+__all__ = ["OCTAVES", "Array", "Floats", "Indices", "Profile", "SampleSplits", "TrainingSet"]
 
 OCTAVES = 24
 _LOWEST = -12
@@ -125,10 +125,7 @@ class Profile:
                 f"unit must be a positive radiance, {_SMALLEST:.1g} to {_LARGEST:.1g}, got {unit}"
             )
             raise InputError(message)
-        own = None if direct is None else as_samples(direct, name="direct")
-        if own is not None and own.shape != samples.shape:
-            message = f"direct must have the shape of x, {samples.shape}, got {own.shape}"
-            raise InputError(message)
+        own = None if direct is None else checked_direct(direct, samples.shape)
         return cls(*_blocks_of(samples, own, np.float32(unit)), unit)
 
     @property

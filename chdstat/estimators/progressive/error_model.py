@@ -35,7 +35,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import interpolate, optimize, special
 
-from chdstat.estimators.progressive.dataset import TrainingSet
+from chdstat.estimators.progressive.dataset import Floats, Indices, TrainingSet
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
@@ -64,12 +64,12 @@ DARK = 0.02
 _DRAWS, _TIMES, _SAMPLES = 16, 4, 256
 """Splits of each size, of each pixel on average, and samples of a pixel in all of these, at least:
 few samples of a lamp or a firefly are noisy."""
-_ROWS = 1024
+_ROWS, _ENOUGH = 1024, 1 << 17
+"""Rows of a minibatch, and of a size: so many tell enough, however rarely each pixel is seen."""
 _CUTS = 4
 """Ways to cut the other samples in two: together they tell their noise better than one does. With a
 reference it is small, and one tells enough."""
 
-Floats = npt.NDArray[np.floating[Any]]
 Validation = dict[str, npt.NDArray[Any]]
 """Estimates from splits of pixels, in units of the image's radiance, by name:
 
@@ -77,34 +77,36 @@ Validation = dict[str, npt.NDArray[Any]]
 (loss, row, channel), and ``certainty``, (loss, row); ``mean`` and ``target``, of the samples that
 were seen and of the others, shape (row, channel); ``noise``, unbiased for the variance of the
 target, and ``variance``, that of the mean, shape (row, channel)."""
+_BY_LOSS = ("estimate", "certainty")
 
 
 def validate(
     network: Network,
     training_set: TrainingSet,
     *,
-    pixels: npt.NDArray[np.int64],
+    pixels: Indices,
     rng: np.random.Generator,
     samples: int = _SAMPLES,
+    noise: bool = False,
 ) -> Validation:
-    """Estimate from splits of some pixels at all sizes of the training, four or more of each pixel.
+    """Estimate from splits of some pixels at all sizes of the training, one or more of each pixel.
 
-    So many `samples` of a pixel are seen at least in all its splits of a size.
+    Of few pixels, so many `samples` each are seen at least in all splits of a size. The `noise` of
+    the targets takes as long as the estimates, and is measured if asked for.
     """
     import torch
 
     found = []
     for n in sorted(set(training_set.sizes)):
         count, least = 0, _DRAWS
-        while least > 0 or count < max(_TIMES, samples / n) * len(pixels):
+        wanted = min(max(_TIMES, samples / n) * len(pixels), max(_ENOUGH, len(pixels)))
+        while least > 0 or count < wanted:
             rows, drawn = training_set.draw(pixels, n, _ROWS, rng)
             profile, auxiliary, target = training_set.minibatch(rows, drawn)
             with torch.inference_mode():
                 estimate, mean, certainty = (
                     tensor.numpy().astype(np.float64) for tensor in network(profile, auxiliary)
                 )
-            cuts = 1 if training_set.reference else _CUTS
-            noise = [training_set.noise(rows, drawn, rng) for _ in range(cuts)]
             found.append(
                 {
                     "size": np.full(len(rows), training_set.counts[drawn].sum()),
@@ -113,14 +115,16 @@ def validate(
                     "certainty": certainty.T,
                     "mean": mean,
                     "target": target.astype(np.float64),
-                    "noise": np.mean(noise, axis=0),
                     "variance": profile.variance_of_mean(),
                 }
             )
+            if noise:
+                cuts = 1 if training_set.reference else _CUTS
+                measured = [training_set.noise(rows, drawn, rng) for _ in range(cuts)]
+                found[-1]["noise"] = np.mean(measured, axis=0)
             count, least = count + len(rows), least - 1
-    by_loss = ("estimate", "certainty")
     return {
-        name: np.concatenate([one[name] for one in found], axis=int(name in by_loss))
+        name: np.concatenate([one[name] for one in found], axis=int(name in _BY_LOSS))
         for name in found[0]
     }
 
@@ -128,8 +132,7 @@ def validate(
 def of_size(validation: Validation, size: int) -> Validation:
     """Return the estimates from one number of samples."""
     rows = np.flatnonzero(validation["size"] == size)
-    by_loss = ("estimate", "certainty")
-    return {name: a.take(rows, axis=int(name in by_loss)) for name, a in validation.items()}
+    return {name: a.take(rows, axis=int(name in _BY_LOSS)) for name, a in validation.items()}
 
 
 def error_terms(estimate: Floats, mean: Floats, certainty: Floats, variance: Floats) -> Floats:
@@ -160,9 +163,7 @@ def error_terms(estimate: Floats, mean: Floats, certainty: Floats, variance: Flo
     return np.stack(terms, axis=-1)
 
 
-def between_sizes(
-    sizes: Floats, count: npt.NDArray[Any]
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], Floats]:
+def between_sizes(sizes: Floats, count: npt.NDArray[Any]) -> tuple[Indices, Indices, Floats]:
     """Return where numbers of samples lie among ascending sizes, along the logarithm.
 
     Returns
@@ -282,11 +283,11 @@ class ErrorModel:
         network: Network,
         training_set: TrainingSet,
         *,
-        pixels: npt.NDArray[np.int64],
+        pixels: Indices,
         rng: np.random.Generator,
     ) -> Self:
         """Learn from splits of pixels that did not train the network."""
-        held_out = validate(network, training_set, pixels=pixels, rng=rng)
+        held_out = validate(network, training_set, pixels=pixels, rng=rng, noise=True)
         losses = range(len(LOSSES))
         if not training_set.reference:
             weights = np.array([upper_bound(held_out, loss) for loss in losses])

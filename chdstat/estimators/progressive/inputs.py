@@ -10,35 +10,36 @@ independent of it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal, Self
+from dataclasses import dataclass, fields, replace
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_samples
+from chdstat._core.display import Card, Shown, png
+from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError
 from chdstat.estimators.neighbourhood import shared_patches
-from chdstat.estimators.progressive.dataset import OCTAVES, Profile
-from chdstat.estimators.similarity import pool
+from chdstat.estimators.progressive.dataset import OCTAVES, Array, Profile
+from chdstat.estimators.similarity import Window
+from chdstat.estimators.validation import checked_direct
 from chdstat.samples import Samples
 
 __all__ = [
     "BANDS",
     "RADII",
     "Auxiliary",
+    "EstimateOptions",
     "Estimates",
     "Features",
     "Input",
     "InputConfig",
-    "auxiliary_features",
     "keep_constants",
     "shared_estimates",
     "some_rows",
     "unchanged",
 ]
 
-Array = npt.NDArray[np.float32]
 Auxiliary = Mapping[str, Array]
 """What is known of pixels beside their own samples, one row a pixel: ``described``, numbers of the
 first hit (row, number); ``bands`` and ``weight`` of the neighbourhood, (row, radius, band, 1 +
@@ -145,21 +146,17 @@ class InputConfig:
                 "Samples.direct of an image that was rendered with direct=True"
             )
             raise InputError(message)
-        part = as_samples(direct, name="direct")
-        if part.shape != shape:
-            message = f"direct must have the shape of the samples, {shape}, got {part.shape}"
-            raise InputError(message)
-        return part
+        return checked_direct(direct, shape)
 
     def auxiliary(
         self,
         features: Features | None,
         shape: tuple[int, ...],
         *,
-        described: int,
+        described: int | None = None,
         profile: Profile | None = None,
     ) -> dict[str, Array]:
-        """Return the auxiliary features of pixels.
+        """Return the auxiliary features of pixels, one row a pixel.
 
         Parameters
         ----------
@@ -168,7 +165,7 @@ class InputConfig:
         shape
             Of the pixels.
         described
-            Numbers of the first hit that the network takes.
+            Numbers of the first hit that the network takes; None for any.
         profile
             Of the image, where neighbours are an input.
 
@@ -178,15 +175,18 @@ class InputConfig:
             If the pixels are no image where they must be, or features are not as in training.
         """
         found = {}
-        if self.features or self.neighbours:
-            if len(shape) != 2:
-                message = f"features belong to an image (y, x, channel, sample), got pixels {shape}"
-                raise InputError(message)
-            found = auxiliary_features(
-                features if self.features else None, (shape[0], shape[1]), profile
-            )
+        if (self.features or self.neighbours) and len(shape) != 2:
+            message = f"features belong to an image (y, x, channel, sample), got pixels {shape}"
+            raise InputError(message)
+        known = features if self.features else None
+        if known is not None:
+            found["described"] = describe(known, shape).reshape(np.prod(shape), -1)
+        if profile is not None:
+            bands, weight = pool_around(profile, known)
+            found["bands"] = bands.reshape(-1, *bands.shape[2:])
+            found["weight"] = weight.reshape(-1, len(RADII))
         given = found["described"].shape[1] if "described" in found else 0
-        if given != described:
+        if described not in (None, given):
             message = (
                 f"the model sees {described} numbers of the first hit, but these features give "
                 f"{given}; pass features= as it was trained with"
@@ -195,8 +195,8 @@ class InputConfig:
         return found
 
 
-@dataclass(frozen=True)
-class Estimates:
+@dataclass(frozen=True, repr=False)
+class Estimates(Shown):
     """Estimates of a progressive estimator.
 
     Attributes
@@ -220,28 +220,33 @@ class Estimates:
     high: npt.NDArray[np.float32]
     level: float
 
+    def _card(self) -> Card:
+        card = super()._card()
+        if self.radiance.ndim != 3 or self.radiance.shape[-1] not in (1, 3):
+            return card
+        shown = {"estimate": png(tonemap(self.radiance)), "certainty": png(self.certainty)}
+        return replace(card, images=shown)
 
-def auxiliary_features(
-    features: Features | None, shape: tuple[int, int], profile: Profile | None = None
-) -> dict[str, Array]:
-    """Return the auxiliary features of an image's pixels, one row a pixel.
 
-    Parameters
+class EstimateOptions(NamedTuple):
+    """How to estimate.
+
+    Attributes
     ----------
-    features
-        First-hit features, None where they are no input.
-    shape
-        Height and width.
-    profile
-        Of the image, where neighbours are an input.
+    share
+        Of the way from the mean to the estimate, 0 to 1.
+    loss_weight
+        0 for the first of the losses, 1 for the second.
+    level
+        Probability of the interval; None leaves it out (NaN).
+    spp
+        Number of samples that estimates are followed as far as at; None for those that there are.
     """
-    count = shape[0] * shape[1]
-    found = {} if features is None else {"described": describe(features, shape).reshape(count, -1)}
-    if profile is not None:
-        bands, weight = pool_around(profile, features)
-        found["bands"] = bands.reshape(count, *bands.shape[2:])
-        found["weight"] = weight.reshape(count, len(RADII))
-    return found
+
+    share: float
+    loss_weight: float
+    level: float | None = None
+    spp: int | None = None
 
 
 def shared_estimates(image: npt.NDArray[Any]) -> Array:
@@ -255,7 +260,7 @@ def some_rows(auxiliary: Auxiliary, rows: npt.NDArray[np.int64] | slice) -> dict
     return {name: array[rows] for name, array in auxiliary.items()}
 
 
-def describe(features: Features, shape: tuple[int, int]) -> Array:
+def describe(features: Features, shape: tuple[int, ...]) -> Array:
     """Return numbers of about unit size for each pixel, shape (y, x, number).
 
     Albedo and its logarithm, the normal, the logarithm of the depth, and the position in units of
@@ -290,7 +295,7 @@ def describe(features: Features, shape: tuple[int, int]) -> Array:
     return np.concatenate(numbers, axis=-1).astype(np.float32)
 
 
-def _checked(features: Features, shape: tuple[int, int]) -> dict[str, npt.NDArray[Any]]:
+def _checked(features: Features, shape: tuple[int, ...]) -> dict[str, npt.NDArray[Any]]:
     """Return the features that there are, float64, finite, each of shape (y, x, number)."""
     found = {}
     for name in [name for name in _NAMES if name in features]:
@@ -350,7 +355,7 @@ def pool_around(profile: Profile, features: Features | None) -> tuple[Array, Arr
             pairs = zip(fields, zip(here[2:], there[2:], strict=True), strict=True)
             return np.exp(-distance / reach - _dissimilarity(dict(pairs)))
 
-        sums, _ = pool(weigh, compared, values, radius=radius)
+        sums, _ = Window(weigh, compared, radius).sums(values)
         around = sums - values
         weight = np.maximum(around[..., -1:], 0)
         pooled.append(around[..., :-1] / np.maximum(weight, 1e-6))

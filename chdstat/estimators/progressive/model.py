@@ -16,11 +16,11 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_pixels, generator, warn_left_out
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators.order import mean_of_good
 from chdstat.estimators.progressive import shrinkage, training
 from chdstat.estimators.progressive.dataset import Profile
 from chdstat.estimators.progressive.error_model import ErrorModel
 from chdstat.estimators.progressive.inputs import (
+    EstimateOptions,
     Estimates,
     Features,
     Input,
@@ -29,17 +29,15 @@ from chdstat.estimators.progressive.inputs import (
     shared_estimates,
     unchanged,
 )
-from chdstat.estimators.rows import reordered
+from chdstat.estimators.registry import mean_of_good
 from chdstat.estimators.training import TrainedModel, check_iterations
-from chdstat.estimators.validation import training_pixels
+from chdstat.estimators.validation import reordered, training_pixels
 from chdstat.samples import Samples
 
 __all__ = ["Progressive"]
 
 _MEASURED = 2**14
 """Pixels that trust is measured on, where each is estimated separately: more tell little more."""
-_FEWEST = 4
-"""Samples that trust is measured with: two halves, one of them cut in two."""
 
 Array = npt.NDArray[Any]
 
@@ -74,7 +72,7 @@ class Progressive(TrainedModel[training.Learned]):
     Weights of luminance layers: T. Zirr, J. Hanika and C. Dachsbacher, "Re-weighting firefly
     samples for improved finite-sample Monte Carlo estimates", Computer Graphics Forum 37(6), 2018,
     doi:10.1111/cgf.13335. Training without a reference: J. Lehtinen et al., "Noise2Noise: learning
-    image restoration without clean data", ICML 2018. The network and its certainty are ours.
+    image restoration without clean data", ICML 2018. The rest is new.
 
     Examples
     --------
@@ -188,25 +186,20 @@ class Progressive(TrainedModel[training.Learned]):
             message = "neighbours are learned from without a reference; pass reference=False"
             raise InputError(message)
         given = [pixels] if isinstance(samples, Samples) and pixels is not None else pixels
-        if supervised:
-            chosen = training_pixels(images, given, seed=seed)
-            training_set = training.with_reference(
-                images, chosen, self.inputs, sizes=sizes, iterations=iterations
-            )
-        elif len(images) > 1:
+        if not supervised and len(images) > 1:
             message = (
                 f"without a reference, give the one image that is to be improved, got {len(images)}"
             )
             raise InputError(message)
+        if supervised:
+            chosen = training_pixels(images, given, seed=seed)
+            training_set = training.with_reference(images, chosen, self.inputs, sizes=sizes)
         else:
+            own = None if given is None else training_pixels(images, given, seed=seed)[0]
             training_set = training.without_reference(
-                images[0],
-                None if given is None else training_pixels(images, given, seed=seed)[0],
-                self.inputs,
-                sizes=sizes,
-                iterations=iterations,
-                rng=generator(seed),
+                images[0], own, self.inputs, sizes=sizes, rng=generator(seed)
             )
+        training_set.iterations = iterations or training_set.iterations
         self._trained = training.train_network(
             training_set, self.inputs, seed=seed, progress=progress
         )
@@ -278,8 +271,9 @@ class Progressive(TrainedModel[training.Learned]):
         if trust is None:
             known = unit is not None or self.state.recognises(lights[0])
             trust = 1.0 if known else self._measured_trust(lights, features, measured, loss_weight)
-        own = lights, features, measured
-        return self._of_samples(*own, share=trust, loss_weight=loss_weight, level=level)
+        return self._of_samples(
+            lights, features, measured, EstimateOptions(trust, loss_weight, level)
+        )
 
     def trust(
         self,
@@ -308,7 +302,7 @@ class Progressive(TrainedModel[training.Learned]):
         lights, measured = self._checked(x, direct, loss_weight, unit)
         return self._measured_trust(lights, features, measured, loss_weight)
 
-    def check(self, channels: int, loss_weight: float) -> None:
+    def check(self, channels: int, loss_weight: float = 0.5) -> None:
         """Refuse samples of other channels than it takes, and a loss weight out of range."""
         if channels != self.channels:
             message = (
@@ -321,11 +315,7 @@ class Progressive(TrainedModel[training.Learned]):
             raise InputError(message)
 
     def _checked(
-        self,
-        x: npt.ArrayLike,
-        direct: npt.ArrayLike | None,
-        loss_weight: float,
-        unit: float | None,
+        self, x: npt.ArrayLike, direct: npt.ArrayLike | None, loss_weight: float, unit: float | None
     ) -> tuple[list[Array], float]:
         """Return the samples, their direct part where it is an input, and the unit."""
         samples = as_pixels(x)
@@ -340,7 +330,7 @@ class Progressive(TrainedModel[training.Learned]):
     ) -> float:
         """Compare the estimate from each half of the samples with the other half."""
         spp = lights[0].shape[-1]
-        if spp < _FEWEST:
+        if spp < training.FEWEST:
             return 0.0
         rows = [light.reshape(-1, *light.shape[-2:]) for light in lights]
         if len(rows[0]) > _MEASURED and not (self.inputs.features or self.inputs.neighbours):
@@ -349,23 +339,15 @@ class Progressive(TrainedModel[training.Learned]):
         lights = reordered(*lights)
         halves = [[light[..., first::2] for light in lights] for first in range(2)]
         # As far as all samples will be trusted, half of them are.
-        options: dict[str, Any] = {"share": 1.0, "loss_weight": loss_weight, "spp": spp}
+        options = EstimateOptions(1.0, loss_weight, spp=spp)
         moves = []
         for half, other in zip(halves, halves[::-1], strict=True):
-            found = self._of_samples(half, features, unit, level=None, **options).radiance
+            found = self._of_samples(half, features, unit, options).radiance
             moves.append(shrinkage.moves_between(half[0], found, other[0], unit=unit))
         return shrinkage.shrinkage_factor(moves)
 
     def _of_samples(
-        self,
-        lights: list[Array],
-        features: Features | None,
-        unit: float,
-        *,
-        share: float,
-        loss_weight: float,
-        level: float | None,
-        spp: int | None = None,
+        self, lights: list[Array], features: Features | None, unit: float, options: EstimateOptions
     ) -> Estimates:
         from chdstat.estimators.progressive.network import estimate_pixels
 
@@ -383,16 +365,7 @@ class Progressive(TrainedModel[training.Learned]):
             own, *direct = (light[part] for light in rows)
             return Profile.of(own, unit=unit, direct=direct[0] if direct else None)
 
-        found = estimate_pixels(
-            state,
-            profile_of,
-            auxiliary,
-            samples.shape[:-2],
-            share=share,
-            loss_weight=loss_weight,
-            level=level,
-            spp=spp,
-        )
+        found = estimate_pixels(state, profile_of, auxiliary, samples.shape[:-2], options)
         # A profile may overflow, or hold no sample that is good in all channels.
         lost = ~np.isfinite(found.radiance).all(axis=-1)
         if lost.any():
@@ -409,13 +382,8 @@ class Progressive(TrainedModel[training.Learned]):
 
     def _to_file(self, state: training.Learned) -> tuple[dict[str, Array], dict[str, Any]]:
         sizes, shares = state.network.shrinkage or shrinkage.FULL
-        pixels, samples = state.marks
-        arrays: dict[str, Array] = {
-            "trust.sizes": sizes,
-            "trust.shares": shares,
-            "marks.places": pixels,
-            "marks.samples": samples,
-        }
+        arrays: dict[str, Array] = {"trust.sizes": sizes, "trust.shares": shares}
+        arrays |= zip(("marks.places", "marks.samples"), state.marks, strict=True)
         arrays |= {f"network.{name}": w for name, w in state.network.to_arrays().items()}
         arrays |= {f"spread.{name}": a for name, a in vars(state.error_model).items()}
         about = {"shape": state.network.shape, "inputs": list(self.inputs.names)}

@@ -32,22 +32,18 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from chdstat._core.arrays import spans
 from chdstat._core.executor import cores, in_order
-from chdstat.estimators.progressive.dataset import OCTAVES, Profile, TrainingSet
-from chdstat.estimators.progressive.error_model import (
-    BRIGHTNESS,
-    FLOOR,
-    LOSSES,
-    between_sizes,
-    error_terms,
-)
+from chdstat.estimators.progressive.dataset import OCTAVES, Floats, Indices, Profile, TrainingSet
+from chdstat.estimators.progressive.error_model import BRIGHTNESS, FLOOR, LOSSES, error_terms
 from chdstat.estimators.progressive.inputs import (
     BANDS,
     RADII,
     Auxiliary,
+    EstimateOptions,
     Estimates,
     InputConfig,
     some_rows,
 )
+from chdstat.estimators.progressive.shrinkage import shares_at
 from chdstat.estimators.training import descend, threads
 
 if TYPE_CHECKING:
@@ -91,8 +87,6 @@ _ROWS = 4096
 """Pixels at once: their profiles and hidden layers stay in the cache."""
 
 Array = npt.NDArray[np.float32]
-Floats = npt.NDArray[np.floating[Any]]
-Indices = npt.NDArray[np.int64]
 Output = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 """Estimates, one for each of the losses, shape (row, loss, channel), and means of the samples,
 shape (row, channel), in units of the image's radiance; certainty, the weight of the proposal beside
@@ -185,7 +179,7 @@ class Network(nn.Module):
         means = mean[:, None].expand_as(proposal)
         estimate, certainty = torch.lerp(means, proposal, certainty), certainty[..., 0]
         if self.shrinkage is not None:
-            shares = self._tensor(_shares_at(*self.shrinkage, samples))
+            shares = self._tensor(shares_at(*self.shrinkage, samples))
             share = (shares * group_weights(means, estimate - means)).sum(dim=-1)
             estimate = torch.lerp(means, estimate, share[..., None])
             certainty = certainty * share.clamp(max=1)
@@ -198,7 +192,7 @@ class Network(nn.Module):
         """Return the same network, which follows all estimates as far as those of `spp` samples."""
         found = copy.copy(self)
         if self.shrinkage is not None:
-            found.shrinkage = np.ones(1), _shares_at(*self.shrinkage, np.array([spp]))
+            found.shrinkage = np.ones(1), shares_at(*self.shrinkage, np.array([spp]))
         return found
 
     def load_arrays(self, arrays: dict[str, npt.NDArray[np.float32]]) -> None:
@@ -220,13 +214,6 @@ class Network(nn.Module):
     def to_arrays(self) -> dict[str, npt.NDArray[np.float32]]:
         """Return the weights by name."""
         return {name: w.detach().cpu().numpy().copy() for name, w in self.state_dict().items()}
-
-
-def _shares_at(sizes: Floats, shares: Floats, count: npt.NDArray[Any]) -> Floats:
-    """Return the shares for numbers of samples, shape (row, loss, group)."""
-    below, above, part = between_sizes(sizes, count)
-    part = part[:, np.newaxis, np.newaxis]
-    return np.asarray((1 - part) * shares[below] + part * shares[above])
 
 
 def _compressed(bins: torch.Tensor) -> torch.Tensor:
@@ -263,9 +250,9 @@ def group_weights(mean: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
 def learn(
     network: Network,
     training_set: TrainingSet,
-    *,
     train: Indices,
     validation: Indices,
+    *,
     rng: np.random.Generator,
     advance: Callable[[float], None],
 ) -> npt.NDArray[np.float64]:
@@ -380,11 +367,7 @@ def estimate_pixels(
     profile_of: Callable[[slice], Profile],
     auxiliary: Auxiliary,
     shape: tuple[int, ...],
-    *,
-    share: float,
-    loss_weight: float,
-    level: float | None,
-    spp: int | None = None,
+    options: EstimateOptions,
 ) -> Estimates:
     """Estimate from profiles of many pixels, block by block on all cores.
 
@@ -398,15 +381,10 @@ def estimate_pixels(
         Returns the profiles of some of the pixels, counted along the flat image.
     auxiliary, shape
         What is known of all pixels beside, and their shape.
-    share
-        Of the way from the mean to the estimate, 0 to 1.
-    loss_weight
-        0 for the first of the losses, 1 for the second.
-    level
-        Probability of the interval; None leaves it out (NaN).
-    spp
-        Number of samples that estimates are followed as far as at; None for those that there are.
+    options
+        How to estimate.
     """
+    share, loss_weight, level, spp = options
     network = learned.network.to("cuda" if torch.cuda.is_available() else "cpu")
     network = network if spp is None else network.at_spp(spp)
     error_model, rows = learned.error_model, int(np.prod(shape))

@@ -18,9 +18,10 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import generator
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.dataset import OCTAVES, Profile, TrainingSet
-from chdstat.estimators.progressive.inputs import Auxiliary, InputConfig, some_rows
-from chdstat.estimators.progressive.training import Learned, finished, scene_record
+from chdstat.estimators.progressive.dataset import OCTAVES, Array, Indices, Profile, TrainingSet
+from chdstat.estimators.progressive.inputs import Features, InputConfig, some_rows
+from chdstat.estimators.progressive.training import FEWEST, VALIDATION, Learned, finished
+from chdstat.estimators.training import scene_record
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
@@ -35,16 +36,10 @@ _ROUNDING = 2e-6
 """Relative difference of two means below which it is that of their sums in single precision."""
 _PIXELS = 2**16
 """Of an image that train: those of a larger one would take much memory and tell little more."""
-_VALIDATION = 0.1
-"""Share of these held out for validation, to measure how large the errors are."""
-_FEWEST = 4
-"""Samples to learn from: two halves of at least two."""
 _ERROR_SIZES = 3
 """Numbers of samples at which errors are measured: each takes a while."""
 
-Array = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.int64]
 
 
 class BatchProfiles:
@@ -177,8 +172,8 @@ class OnlineTrainer:
         Of the estimator.
     unit
         Mean radiance of the image.
-    auxiliary
-        Auxiliary features of its pixels.
+    features
+        First-hit features of the image, where they are an input.
     seed
         Draws the pixels that train, the first weights and the minibatches.
     start
@@ -192,15 +187,15 @@ class OnlineTrainer:
         inputs: InputConfig,
         *,
         unit: float,
-        auxiliary: Auxiliary,
+        features: Features | None,
         seed: int,
         start: Learned | None,
     ) -> None:
         self._shape, self._inputs, self._seed, self._start = shape, inputs, seed, start
         self._rng = generator(seed)
         self._rows = self._rng.permutation(shape[0] * shape[1])[:_PIXELS]
-        self._held_out = max(1, round(_VALIDATION * len(self._rows)))
-        self._auxiliary = some_rows(auxiliary, self._rows)
+        self._held_out = max(1, round(VALIDATION * len(self._rows)))
+        self._auxiliary = some_rows(inputs.auxiliary(features, shape), self._rows)
         self.batches = BatchProfiles(len(self._rows), channels, unit=unit, parts=inputs.parts)
         self._learned = start
         self._network: Network | None = None
@@ -239,12 +234,7 @@ class OnlineTrainer:
             self._network = new_network(training_set, self._inputs, seed=self._seed)
         train = np.setdiff1d(np.arange(len(training_set)), validation)
         history = learn(
-            self._network,
-            training_set,
-            train=train,
-            validation=validation,
-            rng=self._rng,
-            advance=advance,
+            self._network, training_set, train, validation, rng=self._rng, advance=advance
         )
         history[:, 0] += self.iterations
         self._history = np.concatenate([self._history, history])
@@ -259,11 +249,10 @@ class OnlineTrainer:
                 copy.deepcopy(self._network),
                 replace(training_set, sizes=sizes[:: -(-len(sizes) // _ERROR_SIZES)]),
                 self._inputs,
-                validation=validation,
+                validation,
+                self._history,
                 rng=generator(self._seed).spawn(1)[0],
                 seed=self._seed,
-                history=self._history,
-                unit=self.batches.unit,
                 sizes=sorted(set(sizes)),
                 on_the_fly=True,
                 buckets=BATCHES,
@@ -275,9 +264,9 @@ class OnlineTrainer:
         self, iterations: int, attrs: Mapping[str, Any]
     ) -> tuple[BatchSplits, Indices]:
         """Return the pixels to learn from, and which of them validate."""
-        if self.batches.spp < _FEWEST:
+        if self.batches.spp < FEWEST:
             message = (
-                f"learning needs at least {_FEWEST} samples of each pixel, got "
+                f"learning needs at least {FEWEST} samples of each pixel, got "
                 f"{self.batches.spp}; call update(samples) first"
             )
             raise InputError(message)

@@ -37,21 +37,22 @@ import numpy.typing as npt
 from scipy import optimize, special
 
 from chdstat._core.arrays import spans
-from chdstat.estimators.order import mean_of_good
-from chdstat.estimators.progressive.dataset import TrainingSet
-from chdstat.estimators.progressive.error_model import (
-    BRIGHTNESS,
-    FLOOR,
-    LOSSES,
-    of_size,
-    ratio,
-    validate,
-)
+from chdstat.estimators.progressive import error_model
+from chdstat.estimators.progressive.dataset import Floats, Indices, TrainingSet
+from chdstat.estimators.progressive.error_model import BRIGHTNESS, FLOOR, LOSSES, ratio, validate
+from chdstat.estimators.registry import mean_of_good
 
 if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
 
-__all__ = ["FULL", "checked_shares", "measure_shrinkage", "moves_between", "shrinkage_factor"]
+__all__ = [
+    "FULL",
+    "checked_shares",
+    "measure_shrinkage",
+    "moves_between",
+    "shares_at",
+    "shrinkage_factor",
+]
 
 GROUPS = 2 * len(BRIGHTNESS)
 """Groups of pixels with a share of their own: of each brightness, brightened and darkened ones."""
@@ -73,20 +74,16 @@ _RIDGE = 1e-3
 _ROWS_AT_ONCE = 1024
 
 Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.floating[Any]]
 FULL = np.ones(1), np.ones((1, len(LOSSES), GROUPS))
 """Shares that follow all estimates all the way."""
-Moves = tuple[npt.NDArray[np.int64], Floats, Floats, Floats, Floats]
+Moves = tuple[Indices, Floats, Floats, Floats, Floats]
 """Estimates of pixels beside their means, and targets that neither has seen: rows, which pixels,
 shape (row,); mean, estimate and target, in units of the image's radiance, and noise, unbiased for
 the variance of the target, all of shape (row, channel)."""
 
 
 def measure_shrinkage(
-    network: Network,
-    training_set: TrainingSet,
-    validation: npt.NDArray[np.int64],
-    rng: np.random.Generator,
+    network: Network, training_set: TrainingSet, validation: Indices, rng: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """Return how far from the mean it pays to go to what a network estimates.
 
@@ -102,7 +99,7 @@ def measure_shrinkage(
         # Rare lamps and fireflies are in all pixels, hardly in a tenth of them.
         pixels = np.arange(len(training_set))
         return reference_shares(validate(network, training_set, pixels=pixels, rng=rng))
-    held_out = validate(network, training_set, pixels=validation, rng=rng)
+    held_out = validate(network, training_set, pixels=validation, rng=rng, noise=True)
     # Without a reference the two estimates are nearly one.
     others = (held_out[name] for name in ("target", "noise"))
     moves = held_out["rows"], held_out["mean"], held_out["estimate"].mean(axis=0), *others
@@ -126,6 +123,13 @@ def checked_shares(sizes: Floats, shares: Floats) -> tuple[Floats, Floats]:
         message = f"shares must lie between 0 and {_LARGEST}"
         raise ValueError(message)
     return sizes, shares
+
+
+def shares_at(sizes: Floats, shares: Floats, count: npt.NDArray[Any]) -> Floats:
+    """Return the shares for numbers of samples, shape (row, loss, group)."""
+    below, above, part = error_model.between_sizes(sizes, count)
+    part = part[:, np.newaxis, np.newaxis]
+    return np.asarray((1 - part) * shares[below] + part * shares[above])
 
 
 def _mean_change(network: Network, training_set: TrainingSet) -> Floats:
@@ -158,7 +162,8 @@ def reference_shares(validation: dict[str, Array]) -> tuple[Floats, Floats]:
     """
     sizes = np.unique(validation["size"])
     shares = [
-        [_best_shares(of_size(validation, n), loss) for loss in range(len(LOSSES))] for n in sizes
+        [_best_shares(error_model.of_size(validation, n), k) for k in range(len(LOSSES))]
+        for n in sizes
     ]
     return sizes.astype(np.float64), np.array(shares)
 
@@ -202,30 +207,23 @@ def _least(gains: Sequence[tuple[Floats, Floats]], loss: int, radiance: Floats) 
     """Minimise ``a squares a - 2 along a`` of one loss, that of neither being above 0."""
     ridge = _RIDGE * np.eye(GROUPS) * max(np.trace(gains[loss][1]), 1e-12) / GROUPS
 
-    def excess(shares: Floats, k: int) -> float:
+    def gain(shares: Floats, k: int) -> float:
         along, squares = gains[k]
-        return float(shares @ squares @ shares - 2 * along @ shares)
+        return float(2 * along @ shares - shares @ squares @ shares)
 
     def slope(shares: Floats, k: int) -> Floats:
         along, squares = gains[k]
-        return np.asarray(2 * (squares @ shares - along))
+        return np.asarray(2 * (along - squares @ shares))
 
     found = optimize.minimize(
-        lambda a: excess(a, loss) + a @ ridge @ a,
+        lambda a: a @ ridge @ a - gain(a, loss),
         np.zeros(GROUPS),
-        jac=lambda a: slope(a, loss) + 2 * ridge @ a,
+        jac=lambda a: 2 * ridge @ a - slope(a, loss),
         method="SLSQP",
         bounds=[(0, _LARGEST)] * GROUPS,
         constraints=[
             {"type": "eq", "fun": lambda a: radiance @ a, "jac": lambda _: radiance},
-            *(
-                {
-                    "type": "ineq",
-                    "fun": lambda a, k=k: -excess(a, k),
-                    "jac": lambda a, k=k: -slope(a, k),
-                }
-                for k in range(len(gains))
-            ),
+            *({"type": "ineq", "fun": gain, "jac": slope, "args": (k,)} for k in range(len(gains))),
         ],
         options={"maxiter": 200},
     )
@@ -275,7 +273,7 @@ def shrinkage_factor(moves: Sequence[Moves]) -> float:
 
 
 def own_shares(
-    rows: npt.NDArray[np.int64], mean: Floats, estimate: Floats, target: Floats, noise: Floats
+    rows: Indices, mean: Floats, estimate: Floats, target: Floats, noise: Floats
 ) -> tuple[float, float]:
     r"""Return how far it pays to brighten and to darken pixels, 0 to 1, without a reference.
 
@@ -331,9 +329,7 @@ def shares_keeping_mean(brightened: float, darkened: float, change: Floats) -> F
     return np.repeat([moved / up, moved / down], GROUPS // 2)
 
 
-def _likely(
-    rows: npt.NDArray[np.int64], found: Floats, target: Floats, noise: Floats, change: Floats
-) -> Floats:
+def _likely(rows: Indices, found: Floats, target: Floats, noise: Floats, change: Floats) -> Floats:
     """Return radiances that scatter about the estimates as the truths do.
 
     Targets scatter more than the truths, by their noise, and best guesses of the truths less, while
@@ -377,9 +373,7 @@ def _log_normal(width: float, like: Floats) -> Floats:
     return np.asarray(np.exp(np.sqrt(width) * special.ndtri(rank / len(like)) - width / 2))
 
 
-def _pull(
-    rows: npt.NDArray[np.int64], mean: Floats, found: Floats, target: Floats, noise: Floats
-) -> Floats:
+def _pull(rows: Indices, mean: Floats, found: Floats, target: Floats, noise: Floats) -> Floats:
     r"""Return the part of the truth's mean that has the least relative error, for each estimate.
 
     Of log-normal truths with the mean y and the variance :math:`c^2 y^2` it is
@@ -403,7 +397,7 @@ def _pull(
 
 
 def _smallest_share(
-    rows: npt.NDArray[np.int64],
+    rows: Indices,
     mean: Floats,
     change: Floats,
     wanted: Sequence[tuple[Floats, Floats, float]],
@@ -419,11 +413,7 @@ def _smallest_share(
 
 
 def _share(
-    rows: npt.NDArray[np.int64],
-    move: Floats,
-    wanted: Floats,
-    weight: Floats,
-    standard_errors: float,
+    rows: Indices, move: Floats, wanted: Floats, weight: Floats, standard_errors: float
 ) -> float:
     """Return the share of a move that reduces the weighted error, 0 to 1.
 

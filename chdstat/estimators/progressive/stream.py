@@ -18,15 +18,16 @@ from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.dataset import Profile
 from chdstat.estimators.progressive.inputs import (
+    EstimateOptions,
     Estimates,
     Features,
-    auxiliary_features,
     keep_constants,
     unchanged,
 )
 from chdstat.estimators.progressive.model import Progressive
 from chdstat.estimators.progressive.online import OnlineTrainer
 from chdstat.estimators.progressive.shrinkage import shrinkage_factor
+from chdstat.estimators.progressive.training import FEWEST, ITERATIONS_ALONE
 from chdstat.estimators.training import check_iterations
 
 __all__ = ["Stream", "follow", "schedule"]
@@ -249,7 +250,7 @@ class Stream:
         self.model.check(profile.channels, loss_weight)
         if trust is None:
             trust = self._measured_trust(loss_weight) if self._foreign else 1.0
-        found = self._of_profile(profile, share=trust, loss_weight=loss_weight, level=level)
+        found = self._of_profile(profile, EstimateOptions(trust, loss_weight, level))
         if self._first is not None and self._spp > 1:
             keep_constants(found, self._first, self._same, lit=self._lit)
         return found
@@ -265,17 +266,14 @@ class Stream:
                     f"learning takes an image (y, x, channel, sample), got pixels {tuple(shape)}"
                 )
                 raise InputError(message)
-            if start is not None and self._model.channels != channels:
-                message = f"the model takes {self._model.channels} channels, got {channels}"
-                raise InputError(message)
+            if start is not None:
+                self._model.check(channels)
             self._trainer = OnlineTrainer(
                 (shape[0], shape[1]),
                 channels,
                 inputs,
                 unit=unit,
-                auxiliary=auxiliary_features(
-                    self.features if inputs.features else None, (shape[0], shape[1])
-                ),
+                features=self.features,
                 seed=self._seed,
                 start=start,
             )
@@ -284,40 +282,24 @@ class Stream:
             for _ in range(3 if self._foreign else 1)
         ]
 
-    def _of_profile(
-        self,
-        profile: Profile,
-        *,
-        share: float,
-        loss_weight: float,
-        level: float | None,
-        spp: int | None = None,
-    ) -> Estimates:
+    def _of_profile(self, profile: Profile, options: EstimateOptions) -> Estimates:
         from chdstat.estimators.progressive.network import estimate_pixels
 
         state, shape, rows = self.model.state, profile.count.shape, profile.reshape(-1)
-        return estimate_pixels(
-            state,
-            lambda part: rows[part],
-            self._model.inputs.auxiliary(self.features, shape, described=state.network.described),
-            shape,
-            share=share,
-            loss_weight=loss_weight,
-            level=level,
-            spp=spp,
+        known = self._model.inputs.auxiliary(
+            self.features, shape, described=state.network.described
         )
+        return estimate_pixels(state, rows.__getitem__, known, shape, options)
 
     def _measured_trust(self, loss_weight: float) -> float:
         """Compare the estimate from the profiles of one half of the samples with the other half."""
         halves = self._profiles[1:]
         spp = sum(int(half.count.max(initial=0)) for half in halves)
-        if spp < _FEWEST:
+        if spp < FEWEST:
             return 0.0
-        moves = []
+        moves, options = [], EstimateOptions(1.0, loss_weight, spp=spp)
         for half, other in zip(halves, halves[::-1], strict=True):
-            found = self._of_profile(
-                half, share=1.0, loss_weight=loss_weight, level=None, spp=spp
-            ).radiance
+            found = self._of_profile(half, options).radiance
             mean, estimate, target = (
                 (np.asarray(a, np.float64) / half.unit).reshape(-1, half.channels)
                 for a in (half.mean(), found, other.mean())
@@ -333,8 +315,6 @@ class Stream:
         return self._profiles[0]
 
 
-_ITERATIONS = 2000
-_FEWEST = 4
 _FIRST = 16
 """Samples from which learning pays: fewer tell the network little that lasts."""
 
@@ -391,9 +371,9 @@ def schedule(spp: int, iterations: int | None = None) -> dict[int, int]:
     >>> schedule(64, 700)
     {16: 100, 32: 200, 64: 400}
     """
-    total = _ITERATIONS if iterations is None else iterations
-    if spp < _FEWEST:
-        message = f"learning while rendering needs at least {_FEWEST} spp, got {spp}"
+    total = ITERATIONS_ALONE if iterations is None else iterations
+    if spp < FEWEST:
+        message = f"learning while rendering needs at least {FEWEST} spp, got {spp}"
         raise InputError(message)
     check_iterations(iterations)
     marks = [spp]

@@ -8,7 +8,7 @@ network, and to fit its error model.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -19,16 +19,11 @@ from chdstat._core.arrays import generator, is_bad
 from chdstat._core.executor import track
 from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators.progressive.dataset import Profile, SampleSplits, TrainingSet
+from chdstat.estimators.progressive.dataset import Indices, Profile, SampleSplits, TrainingSet
 from chdstat.estimators.progressive.error_model import ErrorModel
-from chdstat.estimators.progressive.inputs import (
-    InputConfig,
-    auxiliary_features,
-    shared_estimates,
-    some_rows,
-)
+from chdstat.estimators.progressive.inputs import InputConfig, shared_estimates, some_rows
 from chdstat.estimators.progressive.shrinkage import measure_shrinkage
-from chdstat.estimators.training import Trained, provenance_of
+from chdstat.estimators.training import Trained, provenance_of, scene_record
 from chdstat.estimators.validation import check_spp, direct_of
 from chdstat.samples import Samples
 
@@ -36,9 +31,11 @@ if TYPE_CHECKING:
     from chdstat.estimators.progressive.network import Network
 
 __all__ = [
+    "FEWEST",
+    "ITERATIONS_ALONE",
+    "VALIDATION",
     "Learned",
     "finished",
-    "scene_record",
     "train_network",
     "with_reference",
     "without_reference",
@@ -48,9 +45,10 @@ _LADDER = (4, 8, 16, 16, 32, 32, 64, 64, 128, 256, 512)
 """Numbers of samples to learn from where there is a reference: as people ask for them."""
 _MOST_SPP = 2048
 _ITERATIONS = 6000
-_ITERATIONS_ALONE = 2000
+ITERATIONS_ALONE = 2000
 """Without a reference: more of them learn the noise of the targets."""
-_FEWEST = 4
+FEWEST = 4
+"""Samples to learn from, or to measure trust with: two halves, one of them cut in two."""
 _HALVES = 2
 """Samples of each part of a split, at least: the targets are cut in two."""
 _SPLITS = ((0.5, 2), (0.75, 8))
@@ -60,17 +58,16 @@ _SPLITS_OF_SIZE = 5
 """Splits of each size that is given, instead."""
 _WINDOW = 256
 """Side of the part of a large image that trains: more would take long and tell little."""
-_VALIDATION = 0.1
+VALIDATION = 0.1
 """Share of the pixels held out for validation, to measure how large the errors are."""
-_VALIDATION_ALONE, _MOST_VALIDATION = 512, 0.25
+_ALONE, _MOST_VALIDATION = 512, 0.25
 """Without a reference that takes at least so many, up to this share: what they measure is noisy."""
-_ENOUGH, _FEWEST_MARKS = 0.5, 4
+_ENOUGH, _MARKS = 0.5, 4
 """Of the marks that are expected among the samples of an image: some pixels may be bad."""
 _SAME = 1e-6
 """Logarithm of a ratio up to which samples are the same, in whatever unit."""
 
 Array = npt.NDArray[np.float32]
-Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +88,7 @@ class Learned(Trained):
     network: Network
     error_model: ErrorModel
     unit: float
-    marks: tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]
+    marks: tuple[Indices, Array]
 
     def __post_init__(self) -> None:
         used = sum(int(scene["pixels_used"]) for scene in self.provenance["scenes"])
@@ -127,22 +124,9 @@ class Learned(Trained):
             found = np.concatenate([np.unique(row[np.isfinite(row)]) for row in near])
             most = np.unique(found, return_counts=True)[1].max(initial=0)
             expected = own.sum() * min(1.0, x.shape[-1] / spp)
-            if most >= max(_ENOUGH * expected, _FEWEST_MARKS):
+            if most >= max(_ENOUGH * expected, _MARKS):
                 return True
         return False
-
-
-def scene_record(
-    name: str, attrs: Mapping[str, Any], shape: Sequence[int], *, unit: float, pixels_used: int
-) -> dict[str, Any]:
-    """Return what provenance says of an image that trained, ready for JSON."""
-    return {
-        "scene": name,
-        "samples": dict(attrs),
-        "samples_shape": list(shape),
-        "unit": unit,
-        "pixels_used": pixels_used,
-    }
 
 
 def with_reference(
@@ -151,7 +135,6 @@ def with_reference(
     inputs: InputConfig,
     *,
     sizes: Sequence[int] | None,
-    iterations: int | None,
 ) -> SampleSplits:
     """Return pixels with all their samples: the means of those not learned from are references.
 
@@ -181,8 +164,10 @@ def with_reference(
         rows = [_samples_of(part, own, spp) for part in parts]
         good = ~np.any([is_bad(part).any(axis=(1, 2)) for part in rows], axis=0)
         kept.append(own[good])
-        found.append([_good_in_unit(part, good, unit) for part in rows])
-        every = {} if known is None else auxiliary_features(known, image.shape[:2])
+        found.append([part if good.all() else part[good] for part in rows])
+        for part in found[-1]:
+            part /= np.float32(unit)
+        every = inputs.auxiliary(known, image.shape[:2])
         auxiliary.append(some_rows(every, np.ravel_multi_index(tuple(kept[-1].T), image.shape[:2])))
         scenes.append(
             scene_record(image.name, image.attrs, image.shape, unit=unit, pixels_used=len(kept[-1]))
@@ -196,7 +181,7 @@ def with_reference(
         direct=direct[0] if direct else None,
         sizes=[n for n in wanted if n <= spp // 2],
         reference=True,
-        iterations=_ITERATIONS if iterations is None else iterations,
+        iterations=_ITERATIONS,
         auxiliary={name: _joined([one[name] for one in auxiliary]) for name in auxiliary[0]},
         pixels=np.concatenate(kept),
         excluded=sum(map(len, pixels)) - sum(map(len, kept)),
@@ -210,7 +195,6 @@ def without_reference(
     inputs: InputConfig,
     *,
     sizes: Sequence[int] | None,
-    iterations: int | None,
     rng: np.random.Generator,
 ) -> SampleSplits:
     """Return pixels of an image, of a part of it if it is large, to split their own samples.
@@ -221,7 +205,7 @@ def without_reference(
         The image, and which of its pixels train, rows (y, x); None for all.
     inputs
         Where neighbours are an input, estimates from similar pixels are computed for every split.
-    sizes, iterations
+    sizes
         As for `Progressive.train`.
     rng
         Draws the part of the image, and the splits.
@@ -235,8 +219,8 @@ def without_reference(
     known, spp = inputs.features_of(image), image.spp
     unit = mean_radiance(image)
     lights = (image, direct_of(image)) if inputs.direct else (image,)
-    if spp < _FEWEST:
-        message = f"learning from halves of the samples needs at least {_FEWEST} spp, got {spp}"
+    if spp < FEWEST:
+        message = f"learning from halves of the samples needs at least {FEWEST} spp, got {spp}"
         raise InputError(message)
     splits = [
         (min(max(round(share * spp), _HALVES), spp - _HALVES), times) for share, times in _SPLITS
@@ -260,11 +244,9 @@ def without_reference(
     wanted = chosen[ys, xs].ravel()
     bad = np.any([is_bad(light).any(axis=(1, 2)) for light in rows], axis=0)
     good = np.flatnonzero(wanted & ~bad)
-    every = auxiliary_features(
-        None if known is None else {name: field[ys, xs] for name, field in known.items()},
-        (shape[0], shape[1]),
-        Profile.of(part, unit=unit) if inputs.neighbours else None,
-    )
+    own = None if known is None else {name: field[ys, xs] for name, field in known.items()}
+    profile = Profile.of(part, unit=unit) if inputs.neighbours else None
+    every = inputs.auxiliary(own, shape, profile=profile)
     record = scene_record(image.name, image.attrs, image.shape, unit=unit, pixels_used=len(good))
     return SampleSplits(
         samples=rows[0][good],
@@ -272,19 +254,12 @@ def without_reference(
         direct=rows[1][good] if inputs.direct else None,
         prepared=[(drawn, shared[good]) for drawn, shared in prepared],
         sizes=[len(drawn) for drawn, _ in prepared if len(drawn) < spp] or [n for n, _ in splits],
-        iterations=_ITERATIONS_ALONE if iterations is None else iterations,
+        iterations=ITERATIONS_ALONE,
         auxiliary=some_rows(every, good),
         pixels=np.stack(np.unravel_index(good, shape), axis=-1) + np.array([ys.start, xs.start]),
         excluded=int((wanted & bad).sum()),
         scenes=[record],
     )
-
-
-def _good_in_unit(rows: Array, good: npt.NDArray[np.bool_], unit: float) -> Array:
-    """Return good rows in another unit; the array is overwritten."""
-    kept = rows if good.all() else rows[good]
-    kept /= np.float32(unit)
-    return kept
 
 
 def _samples_of(image: Samples, pixels: Indices, spp: int) -> Array:
@@ -335,9 +310,8 @@ def _window(
         starts = [int(rng.integers(last + 1)) for last in most]
     else:
         middle = pixels[rng.integers(len(pixels))]
-        starts = [int(start) for start in np.clip(middle - _WINDOW // 2, 0, most)]
-    ends = (min(start + _WINDOW, length) for start, length in zip(starts, shape, strict=True))
-    ys, xs = (slice(start, end) for start, end in zip(starts, ends, strict=True))
+        starts = np.clip(middle - _WINDOW // 2, 0, most).tolist()
+    ys, xs = (slice(a, min(a + _WINDOW, length)) for a, length in zip(starts, shape, strict=True))
     return ys, xs
 
 
@@ -362,38 +336,25 @@ def train_network(
         raise InputError(message)
     rng = generator(seed).spawn(1)[0]
     order = rng.permutation(count)
-    held_out = max(1, round(count * _VALIDATION))
+    held_out = max(1, round(count * VALIDATION))
     if not training_set.reference:
-        held_out = max(held_out, min(_VALIDATION_ALONE, round(count * _MOST_VALIDATION)))
+        held_out = max(held_out, min(_ALONE, round(count * _MOST_VALIDATION)))
     validation, train = np.split(order, [held_out])
     network = new_network(training_set, inputs, seed=seed)
     with track("training", training_set.iterations, unit="it", show=progress) as advance:
-        history = learn(
-            network, training_set, train=train, validation=validation, rng=rng, advance=advance
-        )
-    units = [scene["unit"] for scene in training_set.scenes]
-    return finished(
-        network,
-        training_set,
-        inputs,
-        validation=validation,
-        rng=rng,
-        seed=seed,
-        history=history,
-        unit=float(np.exp(np.mean(np.log(units)))),
-    )
+        history = learn(network, training_set, train, validation, rng=rng, advance=advance)
+    return finished(network, training_set, inputs, validation, history, rng=rng, seed=seed)
 
 
 def finished(
     network: Network,
     training_set: TrainingSet,
     inputs: InputConfig,
+    validation: Indices,
+    history: npt.NDArray[np.float64],
     *,
-    validation: npt.NDArray[np.int64],
     rng: np.random.Generator,
     seed: int,
-    history: npt.NDArray[np.float64],
-    unit: float,
     **facts: Any,
 ) -> Learned:
     """Measure how far to follow a trained network and how large its errors are.
@@ -421,7 +382,7 @@ def finished(
     return Learned(
         network=network,
         error_model=ErrorModel.learn(network, training_set, pixels=validation, rng=rng),
-        unit=unit,
+        unit=float(np.exp(np.mean([np.log(scene["unit"]) for scene in scenes]))),
         marks=training_set.marks(generator(seed).spawn(2)[1]),
         history=history,
         train_pixels=training_set.pixels,

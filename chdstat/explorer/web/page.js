@@ -2,7 +2,7 @@
 // says into text. It computes nothing. All text from the server is set as text, never as markup.
 window.chdstat = (() => {
   "use strict";
-  let models = null, sent = 0, view = null, label = null;
+  let models = null, sent = 0, view = null, label = null, query = "", lastMap = "null_share", drawn = null;
   const timings = [];
   const $ = (query) => document.querySelector(query);
   const all = (query) => [...document.querySelectorAll(query)];
@@ -12,7 +12,7 @@ window.chdstat = (() => {
     for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
     return element;
   };
-  const swatch = (color) => { const i = make("i"); i.style.background = color; return i; };
+  const swatch = (color) => { const i = make("i"); i.style.background = tint(color); return i; };
 
   function send(command, options = {}) {
     sent += 1;
@@ -73,7 +73,8 @@ window.chdstat = (() => {
     const [x, y] = [Math.floor(event.x), Math.floor(event.y)];
     if (!inside(x, y)) { $("#readout").textContent = "outside the image"; return; }
     near(y, x);
-    const at = y * models.width + x, data = models.radiance.data;
+    const at = y * models.width + x, which = Math.max(0, models.figures.indexOf(event.origin));
+    const data = models.radiances[which].data;
     const parts = models.channels.map((c) => `${c} ${number(data[c][0][at])}`);
     let text = `y ${y}  x ${x}  ·  ${parts.join("  ")}`;
     if (label) {
@@ -104,6 +105,51 @@ window.chdstat = (() => {
     for (const b of all("[data-drag]")) b.setAttribute("aria-pressed", String(b.dataset.drag === how));
   }
 
+  // --- two images ---
+  function stack(on) {
+    $("main").classList.toggle("stacked", on);
+    $("#stack").setAttribute("aria-pressed", String(on));
+    $("#swiping").hidden = !on;
+    swipe();
+  }
+  function swipe() {
+    const on = $("main").classList.contains("stacked");
+    all("figure")[1].style.clipPath = on ? `inset(0 0 0 ${$("#swipe").value}%)` : "";
+  }
+  function flip() {
+    if (!$("main").classList.contains("stacked")) stack(true);
+    $("#swipe").value = Number($("#swipe").value) < 50 ? 100 : 0;
+    swipe();
+  }
+
+  // --- what is in view ---
+  const whole = () => [0, 0, models.width, models.height];
+  const seen = () => [models.x_range.start, models.y_range.end, models.x_range.end, models.y_range.start];
+  function address() {
+    const parts = query ? [query] : [], now = seen().map((v) => Math.round(10 * v) / 10);
+    if (String(now) !== String(whole())) parts.push(`z=${now}`);
+    history.replaceState(null, "", parts.length ? `?${parts.join("&")}` : location.pathname);
+  }
+  let resized = 0;
+  function zoomed() {
+    clearTimeout(resized);
+    resized = setTimeout(() => { address(); labelPixels(); }, 150);
+  }
+  // Pixels that are large enough show their radiance.
+  function labelPixels() {
+    const [left, top, right, bottom] = seen(), edge = $(".image").clientWidth / (right - left);
+    for (const [i, values] of models.values.entries()) {
+      const shown = { x: [], y: [], text: [] }, data = models.radiances[i].data;
+      if (edge >= 38) for (let y = Math.max(0, Math.floor(top)); y < Math.min(models.height, bottom); y++)
+        for (let x = Math.max(0, Math.floor(left)); x < Math.min(models.width, right); x++) {
+          shown.x.push(x + 0.5); shown.y.push(y + 0.5);
+          shown.text.push(models.channels.map((c) => brief(data[c][0][y * models.width + x])).join("\n"));
+        }
+      put(values, shown);
+    }
+  }
+  const brief = (v) => (Number.isFinite(v) ? (Math.abs(v) >= 1e-3 && Math.abs(v) < 1e4 || v === 0 ? String(Number(v.toPrecision(3))) : v.toExponential(1)) : "none");
+
   const ARROWS = { ArrowUp: [-1, 0], ArrowDown: [1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] };
 
   function key(event) {
@@ -116,6 +162,18 @@ window.chdstat = (() => {
     } else if (event.key === "+" || event.key === "=") zoom("in");
     else if (event.key === "-") zoom("out");
     else if (event.key === "0") zoom("reset");
+    else if (event.key === "e" || event.key === "E") {
+      const stops = Number($("#exposure").value) + (event.key === "e" ? 0.5 : -0.5);
+      send("set", { option: "exposure", value: stops });
+    } else if (event.key === "r") send("set", { option: "exposure", value: null });
+    else if (event.key === "c") {
+      const values = [...$("select[data-option=channel]").options].map((o) => o.value);
+      send("set", { option: "channel", value: values[(values.indexOf(view.channel) + 1) % values.length] });
+    } else if (event.key === "i") {
+      const value = view.map === "image" ? lastMap : "image";
+      if (value !== view.map) send("set", { option: "map", value });
+    } else if (event.key === "x" && $("#swipe")) flip();
+    else if (event.key === "?") explain("keys", $("#keys"));
     else if (event.key === "b") drag("box");
     else if (event.key === "p") drag("pan");
     else return;
@@ -128,26 +186,46 @@ window.chdstat = (() => {
       const selected = JSON.stringify([item.view.pixels, item.view.active, item.view.region]);
       if (selected !== asked) { asked = selected; untested(); }
       view = item.view;
-      const query = item.query ? `?${item.query}` : location.pathname;
-      history.replaceState(null, "", query);
+      if (view.map !== "image") lastMap = view.map;
+      query = item.query;
+      address();
       for (const s of all("select[data-option]")) s.value = String(view[s.dataset.option]);
       for (const c of all("[data-family]")) c.checked = view.families.includes(c.dataset.family);
       const automatic = view.exposure === null;
       $("#exposure").value = automatic ? item.exposure : view.exposure;
       $("#stops").textContent = `${item.exposure >= 0 ? "+" : "−"}${Math.abs(item.exposure).toFixed(2)}`;
       $("#auto").setAttribute("aria-pressed", String(automatic));
+      pixelColors = item.colors;
       marks(item.colors);
       chips(item.colors);
       const nothing = !view.pixels.length && !view.region;
       document.body.classList.toggle("nothing", nothing);
-      if (nothing) for (const q of [".table:not(#goodness)", ".panel .note", "#legend"]) for (const e of all(q)) e.replaceChildren();
+      if (nothing) for (const q of [".table:not(#goodness)", "#headline h2", "#headline dl", ".panel .note", "#legend"]) for (const e of all(q)) e.replaceChildren();
     },
     panels(item) {
+      drawn = item;
       draw(item);
+      heading($("#headline h2"), item.title, "headline");
       for (const [name, notes] of Object.entries(item.notes)) $(`#note-${name}`).textContent = notes.join("  |  ");
       $("#legend").replaceChildren(...item.legend.map(([text, color]) => {
         const s = make("span"); s.append(swatch(color), text); return s;
       }));
+    },
+    headline(item) {
+      $("#headline dl").replaceChildren(...item.numbers.map(([title, value, detail]) => {
+        const one = make("div");
+        one.append(make("dt", title), make("dd", value), make("dd", detail, { class: "note" }));
+        return one;
+      }));
+    },
+    suggested(item) {
+      const buttons = item.pixels.map(([name, [y, x]]) => {
+        const button = make("button", name, { type: "button", title: `y ${y}, x ${x}; with shift, beside the others` });
+        button.addEventListener("click", (e) => send("pick", { y, x, add: e.shiftKey }));
+        return button;
+      });
+      $("#suggested").hidden = !buttons.length;
+      $("#suggested").replaceChildren(make("span", "Worth a look", { class: "label" }), ...buttons);
     },
     tables(item) {
       for (const [name, content] of Object.entries(item.tables)) table($(`#${name}`), content);
@@ -212,23 +290,59 @@ window.chdstat = (() => {
     put(models.region, { left, right, top, bottom });
   }
 
+  // --- light and dark ---
+  let light = null;
+  const tint = (color) => (document.documentElement.dataset.theme === "light" ? light[color] ?? color : color);
+  function theme(name) {
+    document.documentElement.dataset.theme = name;
+    $("#theme").textContent = name === "light" ? "Dark" : "Light";
+    const style = getComputedStyle(document.documentElement), color = (v) => style.getPropertyValue(`--${v}`).trim();
+    for (const [, , , , , , xaxis, yaxis, xgrid, ygrid, plot] of Object.values(models.panels)) {
+      const quiet = { sync: false };
+      plot.setv({ background_fill_color: color("panel"), outline_line_color: color("line") }, quiet);
+      for (const grid of [xgrid, ygrid]) grid.setv({ grid_line_color: color("grid") }, quiet);
+      for (const axis of [xaxis, yaxis]) axis.setv({ axis_label_text_color: color("faint"),
+        major_label_text_color: color("text"), major_tick_line_color: color("faint"), axis_line_color: color("line") }, quiet);
+    }
+    if (drawn) says.panels(drawn);
+    if (view) chips(pixelColors);
+  }
+  function preferred() {
+    const system = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+    try { return localStorage.getItem("chdstat-theme") ?? system; } catch { return system; }
+  }
+  function switchTheme() {
+    const name = document.documentElement.dataset.theme === "light" ? "dark" : "light";
+    try { localStorage.setItem("chdstat-theme", name); } catch { /* private windows keep nothing */ }
+    theme(name);
+  }
+
   function draw(item) {
     const bytes = Uint8Array.from(atob(item.numbers), (c) => c.charCodeAt(0));
     const numbers = new Float64Array(bytes.buffer);
     let at = 0;
     const take = (n) => numbers.subarray(at, (at += n));
     for (const [name, panel] of Object.entries(item.panels)) {
-      const [areas, lines, lineMarks, ...ranges] = models.panels[name];
+      const [areas, lines, lineMarks, texts, xr, yr, xaxis, yaxis, xgrid] = models.panels[name];
       const columns = (traces) => {
         const both = traces.map((t) => [take(t.n), take(t.n)]);
-        return { xs: both.map((b) => b[0]), ys: both.map((b) => b[1]), color: traces.map((t) => t.color) };
+        return { xs: both.map((b) => b[0]), ys: both.map((b) => b[1]), color: traces.map((t) => tint(t.color)) };
       };
       put(areas, columns(panel.areas));
       const drawn = columns(panel.lines);
       put(lines, { ...drawn, dash: panel.lines.map((t) => t.dash), width: panel.lines.map((t) => t.width) });
-      put(lineMarks, panel.marks);
-      for (const [i, [start, end]] of (panel.extent ?? []).entries()) ranges[i].setv({ start, end }, { sync: false });
+      for (const [source, data] of [[lineMarks, panel.marks], [texts, panel.texts]])
+        put(source, { ...data, color: data.color.map(tint) });
+      for (const [i, [start, end]] of panel.extent.entries()) [xr, yr][i].setv({ start, end }, { sync: false });
+      // An axis that changes lays the plot out anew, which takes longer than the rest.
+      change(yaxis, { axis_label: panel.y, visible: !panel.rows });
+      for (const part of [xaxis, xgrid]) change(part, { visible: !panel.own_x });
     }
+  }
+
+  function change(model, values) {
+    const news = Object.entries(values).filter(([name, value]) => model[name] !== value);
+    if (news.length) model.setv(Object.fromEntries(news), { sync: false });
   }
 
   function chips(colors) {
@@ -255,6 +369,26 @@ window.chdstat = (() => {
     if (place >= 0) (all("#chips button")[place] ?? $(".image")).focus();
   }
 
+  // A heading with a button that opens what its part of the page shows.
+  function heading(element, text, name) {
+    element.textContent = text;
+    const button = make("button", "?", { type: "button", class: "help", "aria-label": `What ${text} shows` });
+    button.addEventListener("click", () => explain(name, button));
+    element.append(" ", button);
+    return element;
+  }
+
+  function explain(name, button) {
+      const box = $("#help"), at = button.getBoundingClientRect();
+      box.replaceChildren($(`#help-${name}`).content.cloneNode(true));
+      box.style.left = `${Math.max(8, Math.min(at.left, innerWidth - 400))}px`;
+      box.style.top = `${at.bottom + 4}px`;
+      box.showPopover();
+      const over = box.getBoundingClientRect().bottom - innerHeight + 8;
+      if (over > 0) box.style.top = `${Math.max(8, at.bottom + 4 - over)}px`;
+  }
+
+  const unfolded = new Set();
   function table(parent, content) {
     const body = make("table", null, { class: content.words ? "words" : "" });
     const head = make("tr");
@@ -266,33 +400,49 @@ window.chdstat = (() => {
       return row;
     });
     body.append(head, ...rows);
-    const parts = [make("h2", content.title)];
-    for (const text of [content.summary, content.note]) if (text) parts.push(make("p", text, { class: "note" }));
-    parent.replaceChildren(...parts, body);
+    const parts = [heading(make("h2"), content.title, parent.dataset.help ?? parent.id)];
+    if (content.note) parts.push(make("p", content.note, { class: "note" }));
+    const more = content.first ? rows.slice(content.first) : [];
+    if (more.length) {
+      const button = make("button", null, { type: "button", class: "more" });
+      const fold = () => {
+        for (const row of more) row.hidden = !unfolded.has(parent.id);
+        button.textContent = unfolded.has(parent.id) ? "Show fewer" : `Show all ${rows.length}`;
+      };
+      button.addEventListener("click", () => {
+        unfolded[unfolded.has(parent.id) ? "delete" : "add"](parent.id);
+        fold();
+      });
+      fold();
+      parts.push(body, button);
+    } else parts.push(body);
+    parent.replaceChildren(...parts);
   }
 
   // The test of the fits waits to be asked for, anew for each selection.
-  let asked = "", offer = null;
+  let asked = "", offer = null, pixelColors = [];
   function untested() {
     if (!offer) {
       offer = [...$("#goodness").children];
-      $("#goodness button").addEventListener("click", () => {
+      $("#goodness .controls button").addEventListener("click", () => {
         $("#goodness progress").hidden = false;
-        $("#goodness button").disabled = true;
+        $("#goodness .controls button").disabled = true;
         send("goodness");
       });
     }
     $("#goodness").replaceChildren(...offer);
     $("#goodness progress").value = 0;
     $("#goodness progress").hidden = true;
-    $("#goodness button").disabled = false;
+    $("#goodness .controls button").disabled = false;
   }
 
   function colorbar(bar) {
     label = bar && bar.names ? { title: bar.title, names: bar.names } : bar ? { title: bar.title } : null;
     const parent = $("#colorbar");
-    parent.hidden = !bar;
+    parent.hidden = $("#ranging").hidden = !bar;
     if (!bar) return;
+    $("#limits").hidden = Boolean(bar.names);
+    if (bar.limits) all("#limits input").forEach((e, i) => { if (e !== document.activeElement) e.value = bar.limits[i]; });
     const parts = [make("span", bar.unit ? `${bar.title} (${bar.unit})` : bar.title)];
     if (bar.names) {
       const codes = make("div", null, { class: "codes" });
@@ -321,9 +471,25 @@ window.chdstat = (() => {
   function start(given) {
     models = given;
     spare();
+    light = JSON.parse($("#light").textContent);
+    theme(preferred());
+    const asked = new URLSearchParams(location.search).get("z")?.split(",").map(Number) ?? [];
+    if (asked.length === 4 && asked.every(Number.isFinite) && asked[0] < asked[2] && asked[1] < asked[3]) {
+      models.x_range.setv({ start: asked[0], end: asked[2] });
+      models.y_range.setv({ start: asked[3], end: asked[1] });
+    }
+    for (const range of [models.x_range, models.y_range]) range.change.connect(zoomed);
+    for (const source of models.radiances) source.properties.data.change.connect(zoomed);
+    $("#theme").addEventListener("click", switchTheme);
+    $("#keys").addEventListener("click", () => explain("keys", $("#keys")));
+    if ($("#stack")) {
+      $("#stack").addEventListener("click", () => stack(!$("main").classList.contains("stacked")));
+      $("#swipe").addEventListener("input", swipe);
+    }
     models.outbox.properties.value.change.connect(receive);
     receive();
     document.addEventListener("keydown", key);
+    for (const e of all("h2[data-help]")) heading(e, e.textContent, e.dataset.help);
     for (const p of all(".image")) p.addEventListener("pointerdown", () => p.focus({ preventScroll: true }));
     for (const s of all("select[data-option]")) s.addEventListener("change", () => {
       const value = s.dataset.option === "batch" ? Number(s.value) : s.value;
@@ -335,6 +501,12 @@ window.chdstat = (() => {
     });
     $("#exposure").addEventListener("input", (e) => send("set", { option: "exposure", value: Number(e.target.value) }));
     $("#auto").addEventListener("click", () => send("set", { option: "exposure", value: null }));
+    $("#opacity").addEventListener("input", (e) => models.over.setv({ global_alpha: Number(e.target.value) }, { sync: false }));
+    for (const e of all("#limits input")) e.addEventListener("change", () => {
+      const value = all("#limits input").map((i) => i.valueAsNumber);
+      if (value.every(Number.isFinite)) send("set", { option: "limits", value });
+    });
+    $("#limits button").addEventListener("click", () => send("set", { option: "limits", value: null }));
     for (const b of all("[data-drag]")) b.addEventListener("click", () => drag(b.dataset.drag));
     for (const b of all("[data-zoom]")) b.addEventListener("click", () => zoom(b.dataset.zoom));
     for (const b of all("[data-export]")) b.addEventListener("click", () => send("export", { format: b.dataset.export }));

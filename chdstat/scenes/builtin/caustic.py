@@ -9,8 +9,6 @@ The table is about 1.4 m wide; lengths are metres, the origin lies in the middle
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from chdstat.scenes.props import furniture, textures
@@ -35,7 +33,7 @@ _LEMON = [
 ]
 
 
-def build() -> dict[str, Any]:
+def build() -> Entry:
     """Return the scene dict of the still life."""
     return {
         "type": "scene",

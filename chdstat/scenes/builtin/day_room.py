@@ -8,7 +8,6 @@ make it easy for a path tracer: few null samples, and direct light nearly everyw
 from __future__ import annotations
 
 import itertools
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ _SKY = (
 _HIGH = 2.12
 
 
-def build() -> dict[str, Any]:
+def build() -> Entry:
     """Return the scene dict of the living room by day."""
     return {
         "type": "scene",

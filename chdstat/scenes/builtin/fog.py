@@ -10,8 +10,6 @@ of the park and not the edge of the fog.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from chdstat.scenes.props import textures
@@ -38,7 +36,7 @@ _POST = [
 _LAMPS = (3.0, 7.5, 12.0, 16.5)
 
 
-def build() -> dict[str, Any]:
+def build() -> Entry:
     """Return the scene dict of the park."""
     return {
         "type": "scene",
@@ -78,14 +76,9 @@ def _terrain() -> Entry:
     """Return pale and dark pavers, wet, between lawns."""
     lawn = quad((-20.0, -6.0, -0.004), (40.0, 0, 0), (0, 40.0, 0))
     kerbs = [box((x - 0.05, -1.5, -0.02), (x + 0.05, 22.0, 0.07), bevel=0.015) for x in (-1.4, 1.4)]
+    colors = (0.05, 0.05, 0.055), (0.5, 0.49, 0.46)
     return {
-        "path": paving(
-            (-1.35, -1.5),
-            (6, 52),
-            ((0.05, 0.05, 0.055), (0.5, 0.49, 0.46)),
-            edge=0.45,
-            roughness=0.2,
-        ),
+        "path": paving((-1.35, -1.5), (6, 52), colors, edge=0.45, roughness=0.2),
         "kerbs": join(*kerbs).shape(matte(rgb(0.4, 0.4, 0.38))),
         "lawn": lawn.shape(matte(rgb(0.035, 0.07, 0.025))),
     }

@@ -11,8 +11,6 @@ axis at the front.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from chdstat.scenes.props.furniture import bulb, camera, glow, paving
@@ -36,7 +34,7 @@ _DARK = glossy(rgb(0.09, 0.09, 0.095), roughness=0.15)
 _STEEL = metal("Cr", roughness=0.25)
 
 
-def build() -> dict[str, Any]:
+def build() -> Entry:
     """Return the scene dict of the gallery."""
     return {
         "type": "scene",
@@ -61,15 +59,10 @@ def _shell() -> Entry:
         quad((-_HALF, 0, 0), (0, _DEPTH, 0), (0, 0, _HEIGHT)),
     )
     base = quad((-_HALF, 0, -0.002), (2 * _HALF, 0, 0), (0, _DEPTH, 0))
+    colors = (0.05, 0.05, 0.052), (0.72, 0.71, 0.69)
     return {
         "walls": walls.shape(_CONCRETE),
-        "slabs": paving(
-            (-_NAVE, 0.0),
-            (8, 32),
-            ((0.05, 0.05, 0.052), (0.72, 0.71, 0.69)),
-            edge=_NAVE / 4,
-            roughness=0.12,
-        ),
+        "slabs": paving((-_NAVE, 0.0), (8, 32), colors, edge=_NAVE / 4, roughness=0.12),
         "base": base.shape(matte(rgb(0.55, 0.55, 0.55))),
     }
 

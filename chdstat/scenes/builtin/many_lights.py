@@ -9,8 +9,6 @@ The terrace is 7 m wide (x from -3.5 to 3.5) and 8 m deep (y), with a brick wall
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from chdstat.scenes.props import furniture, living_room, textures
@@ -33,7 +31,7 @@ _IRON = glossy(rgb(0.03, 0.03, 0.035), roughness=0.2)
 _TEAK = (0.16, 0.08, 0.04), (0.45, 0.27, 0.14)
 
 
-def build() -> dict[str, Any]:
+def build() -> Entry:
     """Return the scene dict of the terrace."""
     return {
         "type": "scene",
@@ -56,14 +54,9 @@ def _paving() -> Entry:
     """Return dark and pale tiles, wet, on mortar."""
     mortar = quad((-_HALF, -2.0, -0.001), (2 * _HALF, 0, 0), (0, 10.0, 0))
     lawn = quad((-30.0, -10.0, -0.02), (60.0, 0, 0), (0, 40.0, 0))
+    colors = (0.035, 0.04, 0.05), (0.62, 0.58, 0.52)
     return {
-        "tiles": paving(
-            (-_HALF, -2.0),
-            (14, 20),
-            ((0.035, 0.04, 0.05), (0.62, 0.58, 0.52)),
-            edge=0.5,
-            roughness=0.14,
-        ),
+        "tiles": paving((-_HALF, -2.0), (14, 20), colors, edge=0.5, roughness=0.14),
         "mortar": mortar.shape(matte(rgb(0.2, 0.19, 0.18))),
         "lawn": lawn.shape(matte(rgb(0.06, 0.12, 0.04))),
     }

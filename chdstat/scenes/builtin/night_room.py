@@ -8,16 +8,14 @@ null.
 
 from __future__ import annotations
 
-from typing import Any
-
 from chdstat.scenes.props.living_room import living_room
 from chdstat.scenes.props.shapes import quad
-from chdstat.scenes.props.textures import matte, rgb
+from chdstat.scenes.props.textures import Entry, matte, rgb
 
 __all__ = ["build"]
 
 
-def build() -> dict[str, Any]:
+def build() -> Entry:
     """Return the scene dict of the living room by night."""
     outside = quad((-0.7, 0.0, -0.5), (0, 8.0, 0), (0, 0, 4.0))
     return {

@@ -32,7 +32,7 @@ from chdstat.scenes.props.shapes import (
 from chdstat.scenes.props.textures import Entry, glossy, matte, metal, rgb, translucent, walnut
 from chdstat.scenes.scene import rotate, translate
 
-__all__ = ["WINDOWS", "bowl", "living_room", "pad", "walls", "window_frame"]
+__all__ = ["bowl", "living_room", "walls", "window_frame"]
 
 Span = tuple[float, float]
 

@@ -26,7 +26,6 @@ __all__ = [
     "checks",
     "glass",
     "glossy",
-    "gradient",
     "light",
     "matte",
     "metal",

@@ -28,7 +28,7 @@ from chdstat._core.resampling import Blocks, Interval, holm, interval_of, median
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require
 from chdstat.studies.scene_data import SceneData, fold_of, logs, ratio_of, slope_of
 
-__all__ = ["explained_by_features", "growing", "measure", "uniformity", "with_room"]
+__all__ = ["growing", "measure", "with_room"]
 
 _FOLDS = 4
 _ACROSS = 8
@@ -274,10 +274,7 @@ def measure(data: SceneData) -> Outcome:
             "averages_told_from_gaussian": rejected,
         },
         plot_data=PlotData(
-            "points",
-            {"pixels": (log_mean, log_variance)},
-            "log10 mean",
-            "log10 variance of a mean",
+            "points", {"pixels": (log_mean, log_variance)}, "log10 mean", "log10 variance of a mean"
         ),
     )
 

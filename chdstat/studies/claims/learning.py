@@ -31,7 +31,7 @@ from chdstat.samples import Samples
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, required
 from chdstat.studies.scene_data import SceneData, ratio_of
 
-__all__ = ["FACTORS", "LEVELS", "ROUNDING", "early_gain", "measure", "measure_reduction"]
+__all__ = ["measure", "measure_reduction"]
 
 Array = npt.NDArray[Any]
 Estimate = Callable[[Array, Array | None], Floats]

@@ -1,17 +1,173 @@
-"""Neighbours: CHDs are continuous, and a blend of two across an edge (finding 10)."""
+"""Neighbours: fireflies, and CHDs that are continuous, and blends across edges (findings 8, 10)."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 
-from chdstat._core.arrays import generator
+from chdstat._core.arrays import generator, luminance
 from chdstat._core.positive import Counts, Floats
-from chdstat._core.resampling import interval_of
-from chdstat.studies.log_chds import SAME_SHAPE, LogChds, squared_distance
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of
+from chdstat._core.resampling import interval_of, median_of
+from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require
 from chdstat.studies.scene_data import SceneData, ratio_of
 
-__all__ = ["measure"]
+__all__ = ["brightest_firefly", "measure_fireflies", "measure_neighbours"]
+
+
+# --- fireflies ------------------------------------------------------------------------------------
+
+_BRIGHTER = 4.0
+"""An estimate this many times as bright as the pixel next to it is a firefly: two stops, as for the
+fireflies of `chdstat.compare`. That of the paper is 8 times as bright in green."""
+_SAME_MEAN = 2.0
+"""True mean over that of the neighbour up to which both are about the same: a stop, half
+of what makes a firefly."""
+_LEAST = 12
+"""Fireflies that a median over them needs."""
+_USUAL = 3
+"""Batches that show what is usual for a pixel."""
+_SIMILAR = 1.5
+"""Ratio up to which two medians are about the same."""
+_FOLDS = 4
+_BIN = 0.1
+"""Width in decades of a bin of the histograms of `chdstat.summarize`."""
+_STEPS = ((-1, 0), (1, 0), (0, -1), (0, 1))
+"""Above, below, left, right: of equally good neighbours the one above, as in the paper."""
+
+
+def measure_fireflies(data: SceneData) -> Outcome:
+    """Compare CHDs of pixels with a firefly with those next to them: distances, and true means.
+
+    A distance of distribution functions hardly sees rare bright samples, though these make a
+    firefly: the means tell of them. A firefly is chosen by one batch of samples, and half of those
+    of its neighbour; the means are of all other batches, and so tell nothing of the choice.
+    """
+    partner = _partners(data).ravel()
+    light = np.asarray(luminance(data.summary["batch_means"].to_numpy().astype(np.float64)))
+    batches = light.reshape(-1, light.shape[-1])
+    pairs = _pairs(batches, partner)
+    fireflies = pairs["count"] > 0
+    count = int(np.count_nonzero(fireflies))
+    require(count >= _LEAST, f"{_LEAST} fireflies, there are {count}")
+    blocks, level = data.whole().blocks[fireflies], level_of(2)
+    chds = data.chds.flat
+    square = squared_distance(chds, chds[partner], width=_BIN)
+    distance = median_of(square[fireflies], blocks, level=level).root()
+    above, below = (blocks.sums(pairs[name][fireflies]) for name in ("own", "beside"))
+    ratio = interval_of(lambda w: (w @ above) / (w @ below), blocks, level=level)
+    # Samples that did not occur again in the others may be too rare for as many. The upper end
+    # leaves room for them: up to -log((1 - level) / 2) are expected where none is seen (Hanley and
+    # Lippman-Hand 1983, "If nothing goes wrong, is everything all right?",
+    # doi:10.1001/jama.1983.03330370053031).
+    unseen = -math.log((1 - level) / 2) * float(pairs["excess"].sum() / pairs["count"].sum())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = replace(ratio, high=max(ratio.high, float(1 + unseen / below.sum())))
+    ordinary = square[~fireflies & np.isfinite(square)]
+    known = np.where(fireflies, square, np.nan)
+    place = int(np.argsort(known, kind="stable")[np.isfinite(known).sum() // 2])
+    edges = -5 + _BIN * np.arange(chds.halves.shape[-1])
+    shown = {"firefly": place, "neighbour": int(partner[place])}
+    return Outcome(
+        (
+            same_shape("distance between the CHDs of a firefly and its neighbour", distance),
+            ClaimTest(
+                "mean radiance of a firefly over its neighbour's, in other samples",
+                ratio,
+                most=_SAME_MEAN,
+            ),
+        ),
+        details={
+            "fireflies": count,
+            "median_ratio_of_estimates": float(np.median(pairs["ratio"][fireflies])),
+            "distance_of_other_neighbours": float(np.sqrt(max(np.median(ordinary), 0)))
+            if ordinary.size
+            else None,
+        },
+        plot_data=PlotData(
+            "curves",
+            {name: (edges, chds[pixel].whole) for name, pixel in shown.items()},
+            "log10 radiance in W sr-1 m-2",
+            "share below",
+        ),
+    )
+
+
+def brightest_firefly(batches: Floats) -> tuple[int, int, int] | None:
+    """Return row, column and batch of the brightest firefly; None without any.
+
+    It is an estimate at least `_BRIGHTER` times the median of its pixel and of the pixel above it,
+    where these medians are about the same: elsewhere there is an edge.
+
+    Parameters
+    ----------
+    batches
+        Luminance of the mean of each batch, shape (y, x, batch).
+    """
+    if batches.shape[0] < 2 or batches.shape[2] < _USUAL or not np.isfinite(batches).all():
+        return None
+    usual = np.median(batches, axis=-1)
+    high, low = np.maximum(usual[1:], usual[:-1]), np.minimum(usual[1:], usual[:-1])
+    similar = (low > 0) & (high <= _SIMILAR * low)
+    most = batches[1:].max(axis=-1)
+    fireflies = np.where(similar & (most >= _BRIGHTER * high), most, 0.0)
+    if not fireflies.any():
+        return None
+    y, x = (int(i) for i in np.unravel_index(int(fireflies.argmax()), most.shape))
+    return y + 1, x, int(batches[y + 1, x].argmax())
+
+
+def _pairs(batches: Floats, partner: Counts) -> dict[str, Floats]:
+    """Find fireflies among estimates (pixel, batch), and measure them in the other batches.
+
+    Returns
+    -------
+    dict
+        By pixel: ``count`` of the batches whose estimate is a firefly; ``ratio`` of the brightest
+        estimate to the mean of the neighbour; ``own`` and ``beside``, the mean of the other batches
+        of the pixel and of its neighbour, added up over its fireflies; ``excess``, what one more
+        such firefly would add to ``own``, added up over the fireflies of the pixel.
+    """
+    count, ratio, own, beside, excess = np.zeros((5, len(batches)))
+    total, size = batches.sum(axis=1, keepdims=True), batches.shape[1]
+    for fold in range(_FOLDS):
+        here = batches[:, fold::_FOLDS]
+        part = here.sum(axis=1, keepdims=True)
+        same, others = part / here.shape[1], (total - part) / (size - here.shape[1])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            brighter = np.where(same[partner] > 0, here / same[partner], 0.0)
+        firefly = brighter >= _BRIGHTER
+        ratio = np.fmax(ratio, np.fmax.reduce(brighter, axis=1, initial=0.0))
+        count += firefly.sum(axis=1)
+        own += np.where(firefly, (total - here) / (size - 1), 0.0).sum(axis=1)
+        beside += np.where(firefly, others[partner], 0.0).sum(axis=1)
+        excess += np.where(firefly, here - same[partner], 0.0).sum(axis=1) / (size - 1)
+    return {"count": count, "ratio": ratio, "own": own, "beside": beside, "excess": excess}
+
+
+def _partners(data: SceneData) -> Counts:
+    """Return the neighbour that sees the most similar surface, as an index of the flat image."""
+    height, width = data.samples.shape[:2]
+    features = [f for f in map(data.feature, ("albedo", "normal")) if f is not None]
+    depth = data.feature("depth")
+    if depth is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            features.append(np.nan_to_num(np.log(depth), posinf=0, neginf=0)[..., np.newaxis])
+    seen = np.concatenate([*features, np.zeros((height, width, 1))], axis=-1)
+    y, x = np.mgrid[:height, :width]
+    best, partner = np.full((height, width), np.inf), y * width + x
+    for dy, dx in _STEPS:
+        ny, nx = np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)
+        apart = np.abs(seen - seen[ny, nx]).sum(axis=-1)
+        better = ((ny != y) | (nx != x)) & (apart < best)
+        best = np.where(better, apart, best)
+        partner = np.where(better, ny * width + nx, partner)
+    return np.asarray(partner)
+
+
+# --- continuity, and blends across edges ----------------------------------------------------------
 
 _CONTINUOUS = 0.25
 """Squared distance of neighbours over that of any two pixels: from a quarter on, they are not half
@@ -23,12 +179,11 @@ _EDGE = (3 * SAME_SHAPE) ** 2
 """Squared distance between the pixels on both sides from which there is an edge."""
 _MIXED = (0.2, 0.8)
 """Weights between which a pixel is a blend; beyond, it lies on one side."""
-_LEAST = 30
+_ON_EDGES = 30
 """Pixels on edges that are needed."""
-_BIN = 0.1
 
 
-def measure(data: SceneData) -> Outcome:
+def measure_neighbours(data: SceneData) -> Outcome:
     """Compare neighbours with other pixels, and pixels on edges with blends of both sides."""
     chds, blocks, level = data.chds, data.whole().blocks, level_of(2)
     near = _near(chds)
@@ -39,8 +194,8 @@ def measure(data: SceneData) -> Outcome:
     name = "squared distance of neighbours over that of any two pixels"
     tests, missing = [ClaimTest(name, ratio, most=_CONTINUOUS)], list[str]()
     left, nearest, pixels = _edges(chds)
-    if len(left) < _LEAST:
-        missing = [f"needs {_LEAST} pixels on edges between different CHDs, found {len(left)}"]
+    if len(left) < _ON_EDGES:
+        missing = [f"needs {_ON_EDGES} pixels on edges between different CHDs, found {len(left)}"]
     else:
         on_edges = blocks[pixels]
         rest, whole = on_edges.sums(left), on_edges.sums(nearest)

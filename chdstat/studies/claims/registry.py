@@ -9,19 +9,12 @@ from typing import Any
 from chdstat.rendering.recipes import remake_of
 from chdstat.studies.claims import (
     assumptions,
-    complexity,
-    diffuse,
-    families,
-    fireflies,
-    glossy,
-    indirect,
     learning,
+    modes,
     neighbours,
-    path_lengths,
-    penumbrae,
-    reflections,
+    paths,
     scene_shapes,
-    textures,
+    surfaces,
 )
 from chdstat.studies.outcomes import Finding, MissingDataError, Outcome, require
 from chdstat.studies.scene_data import SceneData
@@ -119,7 +112,7 @@ FINDINGS = (
         "nulls",
         "The share of null samples is near 60 % in indirect light, above half by night, and low "
         "where large sources light the scene.",
-        indirect.measure_nulls,
+        paths.measure_nulls,
         spp=32,
     ),
     Claim(
@@ -127,54 +120,54 @@ FINDINGS = (
         "diffuse objects",
         "CHDs of diffuse objects are symmetric and close to Gaussian in the log domain, and "
         "gamma-like with a mode below the mean in the linear one.",
-        diffuse.measure,
+        surfaces.measure_diffuse,
     ),
     Claim(
         3,
         "glossy objects",
         "CHDs of glossy objects have the shape of diffuse ones, with channels moved apart and a "
         "spread that follows their radiance.",
-        glossy.measure,
+        surfaces.measure_glossy,
     ),
     Claim(
         4,
         "noisy reflections",
         "All pixels of a noisy reflection share one shape of the CHD, though their estimates vary.",
-        reflections.measure,
+        surfaces.measure_reflections,
     ),
     Claim(
         5,
         "indirect light",
         "CHDs of indirect light have long tails, high kurtosis, negative skew in the log domain, "
         "and many nulls.",
-        indirect.measure,
+        paths.measure_indirect,
     ),
     Claim(
         6,
         "penumbrae",
         "CHDs in a penumbra are bimodal, with weights of the modes that follow the position "
         "across it.",
-        penumbrae.measure,
+        modes.measure_penumbrae,
     ),
     Claim(
         7,
         "coloured textures",
         "A coloured texture moves the log CHD but does not change its shape, and albedo does not "
         "tell the relative variance.",
-        textures.measure,
+        surfaces.measure_textures,
     ),
     Claim(
         8,
         "fireflies",
         "A firefly and the pixel next to it have nearly the same CHD, though their estimates "
         "differ.",
-        fireflies.measure,
+        neighbours.measure_fireflies,
     ),
     Claim(
         9,
         "path lengths",
         "Longer paths give CHDs of wider support, longer tail, more skew and more variance.",
-        path_lengths.measure,
+        paths.measure_lengths,
         paired=True,
         about=_TWO_RENDERS,
     ),
@@ -182,13 +175,13 @@ FINDINGS = (
         10,
         "neighbours",
         "CHDs are continuous over the image, and across an edge a blend of those of its two sides.",
-        neighbours.measure,
+        neighbours.measure_neighbours,
     ),
     Claim(
         11,
         "complexity",
         "CHDs have more modes in more complex scenes.",
-        complexity.measure,
+        modes.measure_complexity,
         across=True,
         about=_IMAGES,
     ),
@@ -212,7 +205,7 @@ FINDINGS = (
         14,
         "families",
         "The most frequent elementary distribution is the gamma distribution.",
-        families.measure,
+        modes.measure_families,
     ),
     Claim(
         15,

@@ -30,7 +30,7 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["common_count", "drawn", "measure", "permuted", "squares", "squares_of_pairs"]
+__all__ = ["common_count", "drawn", "measure"]
 
 
 def common_count(scenes: Sequence[SceneData], *, least: int) -> int:

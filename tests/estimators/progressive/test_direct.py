@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import numpy.typing as npt
@@ -121,7 +122,7 @@ def test_rounding_is_forgiven_and_more_is_not():
     assert not found.bins[:, OCTAVES:].any()
     with pytest.raises(InputError, match=r"of one it is 1\.001 and the whole 1;"):
         Profile.of(x, unit=1.0, direct=x * 1.001)
-    with pytest.raises(InputError, match=r"shape of x, \(2, 3, 4\), got \(2, 3, 3\)"):
+    with pytest.raises(InputError, match=r"shape of the samples, \(2, 3, 4\), got \(2, 3, 3\)"):
         Profile.of(x, unit=1.0, direct=x[..., :3])
 
 
@@ -335,9 +336,9 @@ def test_what_is_no_direct_part_is_refused(model, call, match):
 
 def test_that_of_fewer_samples_is_refused():
     samples = lit(4, 8).samples
-    samples._direct = samples.direct.first(6)
+    fewer = SimpleNamespace(spp=8, direct=samples.direct.first(6))
     with pytest.raises(InputError, match="has that of 6; render it with direct=True"):
-        direct_of(samples)
+        direct_of(fewer)
 
 
 def test_whoever_does_not_look_at_it_may_be_told(trained, image):

@@ -5,7 +5,6 @@ import pytest
 
 from chdstat.errors import InputError
 from chdstat.estimators import Profile
-from chdstat.estimators.progressive import dataset
 from chdstat.estimators.progressive.dataset import OCTAVES
 
 
@@ -59,13 +58,16 @@ def test_the_order_of_samples_does_not_matter():
     same(Profile.of(shuffled, unit=1.0), Profile.of(x, unit=1.0))
 
 
-@pytest.mark.parametrize("at_once", [1, 100, 999, 10**6])
-def test_blocks_of_any_size_give_the_same_profiles(monkeypatch, at_once):
-    expected = Profile.of(samples(), unit=1.0)
-    monkeypatch.setattr(dataset, "_SAMPLES_AT_ONCE", at_once)
-    found = Profile.of(samples(), unit=1.0)
-    assert (found.bins == expected.bins).all()
-    assert (found.count == expected.count).all()
+@pytest.mark.parametrize("pixels", [1, 7, 300])
+def test_pixels_have_the_same_profiles_among_few_and_among_many(pixels):
+    """So many samples are counted in several blocks, of other pixels where they are fewer."""
+    x = samples((900, 3, 512))
+    found = Profile.of(x, unit=1.0)
+    for first in range(0, 900, 300):
+        part = slice(first, first + pixels)
+        expected = Profile.of(x[part], unit=1.0)
+        assert (found.bins[part] == expected.bins).all()
+        assert (found.count[part] == expected.count).all()
 
 
 @pytest.mark.parametrize("power", [-30, 3, 40])

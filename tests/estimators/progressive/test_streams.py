@@ -1,12 +1,13 @@
 """Streams: what is fed in parts gives what all samples give, in memory that does not grow."""
 
+import copy
+
 import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
-from chdstat.estimators import Progressive, Stream
+from chdstat.estimators import Progressive, Stream, mean_radiance
 from chdstat.patterns import CHD, Component, truth_of
 
 
@@ -233,14 +234,14 @@ def test_learning_goes_on_from_where_it_was(source):
     stream = learner(source, iterations=(30,))
     before = stream.model
     first = before.history.validation_loss[-1]
-    weights = before._trained.network.to_arrays()
+    weights = before.state.network.to_arrays()
     stream.learn(iterations=1)
     history = stream.model.history
     assert stream.iterations == 31
     assert (np.diff(history.iteration) > 0).all()
     # One step of a new network would be near the loss of the mean.
     assert abs(history.validation_loss[-1] - first) < abs(history.validation_baseline[-1] - first)
-    after = stream.model._trained.network.to_arrays()
+    after = stream.model.state.network.to_arrays()
     assert any((after[name] != w).any() for name, w in weights.items())
 
 
@@ -254,7 +255,7 @@ def test_memory_does_not_grow_where_it_learns(source):
 
 def test_the_same_seed_learns_the_same(source):
     first, again, other = (
-        learner(source, iterations=(4,), seed=seed).model._trained.network.to_arrays()
+        learner(source, iterations=(4,), seed=seed).model.state.network.to_arrays()
         for seed in (1, 1, 2)
     )
     assert all((first[name] == again[name]).all() for name in first)
@@ -276,9 +277,7 @@ def test_what_was_learned_is_a_model_like_any_other(source, taught, tmp_path):
 
 def test_one_that_was_trained_before_learns_on(source, trained):
     start = trained.predict(source.x)
-    model = Progressive()
-    model._trained = trained._trained
-    stream = Stream(model, learns=True, unit=1.0)
+    stream = Stream(copy.copy(trained), learns=True, unit=1.0)
     stream.update(source.x)
     expected = trained.predict(source.x, unit=1.0)
     assert stream.estimate().radiance == pytest.approx(expected, rel=1e-3, abs=1e-5)
@@ -342,7 +341,5 @@ def test_learning_needs_a_stream_that_learns_an_image(trained, source):
     fresh.update(source.x)
     with pytest.raises(InputError, match="the stream holds pixels"):
         fresh.update(source.x[1:])
-    model = Progressive()
-    model._trained = trained._trained
-    with pytest.raises(InputError, match="takes 3 channels, got 1"):
-        Stream(model, learns=True).update(np.ones((4, 4, 1, 8)))
+    with pytest.raises(InputError, match="with 3 channels, got 1"):
+        Stream(copy.copy(trained), learns=True).update(np.ones((4, 4, 1, 8)))

@@ -52,7 +52,7 @@ def test_intervals_contain_the_radiance_as_often_as_stated(image):
 def test_the_same_seed_trains_the_same_network_and_another_does_not(image):
     source = image(12, 32, seed=2)
     first, again, other = (
-        Progressive().train(source.samples, iterations=5, seed=seed, progress=False)._trained
+        Progressive().train(source.samples, iterations=5, seed=seed, progress=False).state
         for seed in (0, 0, 1)
     )
     weights = [found.network.to_arrays() for found in (first, again, other)]

@@ -116,28 +116,27 @@ def world(name, rng, shape=(48, 48, 1, 512)):
     return chd.Samples.from_array(radiance[..., np.newaxis] * samples)
 
 
-@pytest.fixture(scope="module", params=["nulls", "fireflies", "lamps"])
-def with_reference(request):
-    """Return a model that was trained with a reference, and its world."""
-    samples = world(request.param, np.random.default_rng(4))
-    return Progressive().train(samples, iterations=300, progress=False), samples
-
-
-def test_with_a_reference_no_error_is_above_the_means_and_the_image_keeps_its_mean(with_reference):
-    model, samples = with_reference
+@pytest.mark.parametrize("name", ["nulls", "fireflies", "lamps"])
+def test_with_a_reference_no_error_is_above_the_means_and_the_image_keeps_its_mean(name):
+    """Of one training the image's mean drifts by about as much as its few splits scatter."""
+    samples = world(name, np.random.default_rng(4))
+    trainings = [
+        Progressive().train(samples, iterations=300, seed=seed, progress=False) for seed in range(3)
+    ]
     truth = samples.read().mean(axis=-1, dtype=np.float64)
     for n in (4, 16, 64):
         drift = []
         for first in range(0, 512 - n, max(n, 32)):
             x = samples.read(ss=slice(first, first + n))
             mean = x.mean(axis=-1, dtype=np.float64)
-            found = model.predict(x, trust=1.0).astype(np.float64)
-            drift.append((found.sum() - mean.sum()) / truth.sum())
-            for power in (0, 1):
-                weight = (truth**2 + 0.01 * truth.mean() ** 2) ** -power
-                excess = weight * ((found - truth) ** 2 - (mean - truth) ** 2)
-                error = 2 * excess.std() * np.sqrt(excess.size)
-                assert excess.sum() <= 0.02 * (weight * (mean - truth) ** 2).sum() + error
+            for model in trainings:
+                found = model.predict(x, trust=1.0).astype(np.float64)
+                drift.append((found.sum() - mean.sum()) / truth.sum())
+                for power in (0, 1):
+                    weight = (truth**2 + 0.01 * truth.mean() ** 2) ** -power
+                    excess = weight * ((found - truth) ** 2 - (mean - truth) ** 2)
+                    error = 2 * excess.std() * np.sqrt(excess.size)
+                    assert excess.sum() <= 0.02 * (weight * (mean - truth) ** 2).sum() + error
         error = 2 * np.std(drift, ddof=1) / np.sqrt(len(drift))
         assert abs(np.mean(drift)) <= max(0.02, error)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chdstat.studies.claims.fireflies import brightest_firefly
+from chdstat.studies.claims.neighbours import brightest_firefly
 
 
 def test_a_firefly_is_an_estimate_that_its_pixel_and_the_one_above_do_not_share():

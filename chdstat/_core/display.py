@@ -1,0 +1,340 @@
+"""Display: numbers as a reader wants them, and results that show themselves.
+
+`Shown` gives a result a representation: in a notebook an image and small tables, elsewhere at most
+ten lines. A class says what is worth seeing in a `Card`.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import html
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.errors import Reason
+
+__all__ = [
+    "Card",
+    "Shown",
+    "between",
+    "byte_size",
+    "duration",
+    "each",
+    "number",
+    "percent",
+    "png",
+    "reasons",
+    "with_error",
+    "with_interval",
+    "written",
+]
+
+_LINES, _WIDTH = 10, 100
+"""Largest size of a representation as text."""
+_LONG = 400
+"""Largest number of letters of a value."""
+_IN_FULL = 12
+"""Arrays up to this size are written number by number."""
+
+
+def number(value: float) -> str:
+    """Return a number with three digits, and a real minus sign.
+
+    Examples
+    --------
+    >>> number(0.012345), number(1234.5), number(-2.0), number(float("nan"))
+    ('0.0123', '1230', '−2.00', '—')
+    """
+    if not math.isfinite(value):
+        return "—"
+    if value == 0:
+        return "0"
+    rounded = float(f"{value:.3g}")
+    digits = max(0, 2 - math.floor(math.log10(abs(rounded))))
+    text = f"{rounded:.{digits}f}" if 1e-4 <= abs(rounded) < 1e7 else f"{rounded:.1e}"
+    return text.replace("-", "−")
+
+
+def percent(share: float, *, sign: bool = False) -> str:
+    r"""Return a share in per cent, which no line break splits.
+
+    Examples
+    --------
+    >>> percent(0.574), percent(0.0012), percent(-0.031, sign=True), percent(0.0)
+    ('57\xa0%', '0.1\xa0%', '−3.1\xa0%', '0\xa0%')
+    """
+    if not math.isfinite(share):
+        return "—"
+    digits = 0 if abs(share) >= 0.0995 or share == 0 else 1
+    rounded = round(100 * share, digits) + 0.0  # no minus before 0
+    text = f"{rounded:{'+' if sign and rounded else ''}.{digits}f}\N{NO-BREAK SPACE}%"
+    return text.replace("-", "−")
+
+
+def between(value: float, margin: float) -> str:
+    """Return a value with its margin of error.
+
+    Examples
+    --------
+    >>> between(0.31, 0.2)
+    '0.31 ± 0.20'
+    """
+    if not (math.isfinite(value) and math.isfinite(margin)):
+        return "—"
+    return f"{value:.2f} ± {margin:.2f}".replace("-", "−")
+
+
+def with_interval(
+    value: float, low: float, high: float, write: Callable[[float], str] = number
+) -> str:
+    """Return a value with its interval; without, where that is not known.
+
+    Examples
+    --------
+    >>> with_interval(0.9131, 0.8691, 0.9502), with_interval(1.0, float("nan"), float("nan"))
+    ('0.913 [0.869, 0.950]', '1.00')
+    """
+    if not (math.isfinite(low) and math.isfinite(high)):
+        return write(value)
+    return f"{write(value)} [{write(low)}, {write(high)}]"
+
+
+def byte_size(count: float) -> str:
+    """Return a number of bytes in the unit that suits it.
+
+    Examples
+    --------
+    >>> byte_size(512), byte_size(165_000), byte_size(21_916_437), byte_size(3e12)
+    ('512 B', '161 KiB', '20.9 MiB', '2.73 TiB')
+    """
+    power = min(4, max(0, math.floor(math.log2(max(count, 1)) / 10)))
+    unit = ("B", "KiB", "MiB", "GiB", "TiB")[power]
+    return f"{count} B" if power == 0 else f"{number(count / 1024**power)} {unit}"
+
+
+def duration(seconds: float) -> str:
+    """Return a time in the unit that suits it.
+
+    Examples
+    --------
+    >>> duration(5.74e-8), duration(0.288), duration(73.4), duration(700), duration(9000)
+    ('57 ns', '288 ms', '73 s', '12 min', '2.5 h')
+    """
+    for unit, size in (("h", 3600), ("min", 60), ("s", 1), ("ms", 1e-3), ("µs", 1e-6)):
+        if seconds >= size * (2 if size >= 60 else 1):
+            amount = seconds / size
+            return f"{amount:.0f} {unit}" if amount >= 9.95 else f"{amount:.2g} {unit}"
+    return f"{seconds * 1e9:.0f} ns"
+
+
+def written(value: Any) -> str:
+    r"""Return a value as text: a large array as its shape and range.
+
+    Examples
+    --------
+    >>> written({"shape": np.array(2.8252), "scale": 0.0506})
+    'shape 2.83, scale 0.0506'
+    >>> written(np.array([[0.25, 1.0], [2.0, np.nan]])), written(np.arange(100) > 24)
+    ('[[0.250, 1.00], [2.00, —]]', '(100,) bool, 75\xa0% true')
+    >>> written(np.linspace(0, 1, 600).reshape(20, 30))
+    '(20, 30) float64, 0 to 1.00'
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        return _array(np.asarray(value))
+    if isinstance(value, float):
+        return number(value)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {written(v)}" for name, v in value.items())
+    if isinstance(value, tuple | list):
+        return ", ".join(map(written, value))
+    if isinstance(value, Shown):
+        return value._card().title
+    text = str(value)
+    return text if len(text) <= _LONG else f"{text[: _LONG - 3]}..."
+
+
+def each(write: Callable[..., str], values: npt.ArrayLike, *others: npt.ArrayLike) -> str:
+    """Return numbers with others beside them as text, one by one; the range of large arrays.
+
+    Examples
+    --------
+    >>> each(with_interval, [0.5, 2.0], [0.25, 1.0], [1.0, 4.0])
+    '[0.500 [0.250, 1.00], 2.00 [1.00, 4.00]]'
+    """
+    x = np.asarray(values)
+    if x.size > _IN_FULL:
+        return _array(x)
+    texts = np.empty(x.shape, object)
+    for i in np.ndindex(x.shape):
+        texts[i] = write(float(x[i]), *(float(np.asarray(other)[i]) for other in others))
+    return _nested(texts.tolist())
+
+
+def with_error(value: float, error: float) -> str:
+    """Return a value with its standard error.
+
+    Examples
+    --------
+    >>> with_error(2.8252, 0.473), with_error(2.8252, float("nan"))
+    ('2.83 ± 0.473', '2.83')
+    """
+    return f"{number(value)} ± {number(error)}" if math.isfinite(error) else number(value)
+
+
+def reasons(codes: npt.ArrayLike) -> str:
+    """Return the reasons that occur among codes, in words; "" if everything is there.
+
+    Examples
+    --------
+    >>> reasons([0, 0, 2, 1]), reasons(np.zeros((3, 4)))
+    ('all null, too few', '')
+    """
+    found = (Reason(int(code)) for code in np.unique(np.asarray(codes)))
+    return ", ".join(r.name.lower().replace("_", " ") for r in found if r is not Reason.OK)
+
+
+def _array(x: npt.NDArray[Any]) -> str:
+    if x.size <= _IN_FULL:
+        return _nested(x.tolist())
+    about = f"{x.shape} {x.dtype}"
+    if x.dtype == bool:
+        return f"{about}, {percent(float(x.mean()))} true"
+    known = x[np.isfinite(x)] if x.dtype.kind == "f" else x
+    if x.dtype.kind not in "fiu" or not known.size:
+        return f"{about}, no number" if x.dtype.kind == "f" else about
+    missing = f", {percent(1 - known.size / x.size)} missing" if known.size < x.size else ""
+    return f"{about}, {written(known.min().item())} to {written(known.max().item())}{missing}"
+
+
+def _nested(x: Any) -> str:
+    return f"[{', '.join(map(_nested, x))}]" if isinstance(x, list) else written(x)
+
+
+_CELL = "text-align: left; padding-right: 1em"
+_UNBROKEN = 32
+"""Letters of a cell that stay on one line."""
+
+
+def _cell(text: str) -> str:
+    wrap = "; white-space: nowrap" if len(text) <= _UNBROKEN else ""
+    return f'<td style="{_CELL}{wrap}">{html.escape(text)}</td>'
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a result shows of itself.
+
+    Parameters
+    ----------
+    title
+        What it is.
+    facts
+        Names and values, the most important first.
+    table
+        Rows of text by the titles of the columns.
+    images
+        PNG files by what they show.
+    """
+
+    title: str
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    table: Sequence[Mapping[str, str]] = ()
+    images: Mapping[str, bytes] = field(default_factory=dict)
+
+    def _known(self) -> dict[str, str]:
+        """Return the facts as text, without empty ones."""
+        texts = {name: written(value) for name, value in self.facts.items() if value is not None}
+        return {name: text for name, text in texts.items() if text}
+
+    def text(self) -> str:
+        """Return at most ten lines: the facts, then the rows of the table."""
+        facts = self._known()
+        width = max(map(len, facts), default=0)
+        lines = [f"{name:{width}}  {text}" for name, text in facts.items()]
+        if self.table:
+            rows = [[*self.table[0]], *([*row.values()] for row in self.table)]
+            widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+            cells = ([f"{c:{w}}" for c, w in zip(row, widths, strict=True)] for row in rows)
+            lines += ["  ".join(row).rstrip() for row in cells]
+        if len(lines) > _LINES - 1:
+            left_out = len(lines) - (_LINES - 2)
+            lines = [*lines[: _LINES - 2], f"... and {left_out} more lines"]
+        lines = [line if len(line) <= _WIDTH else f"{line[: _WIDTH - 3]}..." for line in lines]
+        return "\n".join([self.title, *(f"  {line}" for line in lines)])
+
+    def html(self) -> str:
+        """Return images and tables side by side, in the colours of the page that shows them."""
+        figures = "".join(
+            f'<figure style="margin: 0"><img alt="{html.escape(caption)}" '
+            'style="max-width: 100%; min-width: 160px; image-rendering: pixelated" '
+            f'src="data:image/png;base64,{base64.b64encode(image).decode()}">'
+            f'<figcaption style="font-size: 85%">{html.escape(caption)}</figcaption></figure>'
+            for caption, image in self.images.items()
+        )
+        facts = "".join(
+            f'<tr><th style="{_CELL}">{html.escape(name)}</th>{_cell(text)}</tr>'
+            for name, text in self._known().items()
+        )
+        parts = [f"<table>{facts}</table>"] if facts else []
+        if self.table:
+            head = "".join(
+                f'<th style="{_CELL}">{html.escape(name)}</th>' for name in self.table[0]
+            )
+            body = "".join(
+                f"<tr>{''.join(_cell(text) for text in row.values())}</tr>" for row in self.table
+            )
+            parts.append(f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>")
+        return (
+            f'<div><strong>{html.escape(self.title)}</strong><div style="display: flex; '
+            'flex-wrap: wrap; gap: 1em; align-items: flex-start">'
+            f"{figures}<div>{''.join(parts)}</div></div></div>"
+        )
+
+
+class Shown:
+    """A result that shows itself, at most ten lines of it where only text is shown.
+
+    Examples
+    --------
+    >>> @dataclass(frozen=True, repr=False)
+    ... class Found(Shown):
+    ...     share: float
+    ...     image: npt.NDArray[np.float64]
+    >>> Found(0.5, np.zeros((4, 4)))
+    Found
+      share  0.500
+      image  (4, 4) float64, 0 to 0
+    >>> Found(0.5, np.zeros((4, 4)))._repr_html_().count("<td")
+    2
+    """
+
+    def _card(self) -> Card:
+        """Return what is worth seeing; by default, every field of a dataclass but functions."""
+        fields: Any = dataclasses.fields(self)  # type: ignore[arg-type]
+        facts = {f.name: getattr(self, f.name) for f in fields}
+        facts = {name: value for name, value in facts.items() if not callable(value)}
+        facts |= {n: reasons(codes) for n, codes in facts.items() if n.endswith("reason")}
+        return Card(type(self).__name__, {n.replace("_", " "): v for n, v in facts.items()})
+
+    def __repr__(self) -> str:
+        return self._card().text()
+
+    def _repr_html_(self) -> str:
+        return self._card().html()
+
+
+def png(values: npt.ArrayLike) -> bytes:
+    """Return an image as a PNG file: values from 0 to 1, shape (y, x, 3), or (y, x) for grey."""
+    from matplotlib.image import imsave
+
+    stream = io.BytesIO()
+    image = np.atleast_3d(np.asarray(values, np.float64))
+    imsave(stream, np.broadcast_to(image, (*image.shape[:2], 3)).clip(0, 1), format="png")
+    return stream.getvalue()

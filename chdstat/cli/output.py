@@ -1,0 +1,129 @@
+"""Output: sentences and tables for readers, JSON for scripts, and what to do next."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from chdstat.samples import Samples
+
+__all__ = [
+    "print_json",
+    "print_rows",
+    "print_sentences",
+    "print_table",
+    "say_next",
+    "say_samples",
+    "say_written",
+]
+
+_WIDE = 200
+"""Columns of a pipe or a file, so that lines stay whole."""
+
+
+def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
+    """Say what samples there are, and what to do with them."""
+    path = samples.path
+    if as_json:
+        print_json({**samples.attrs, "path": str(path), "spp": samples.spp})
+    else:
+        height, width, _, spp = samples.shape
+        typer.echo(f"{path}: {samples.name}, {width} x {height} pixels, {spp} samples per pixel")
+    say_next(quiet, f"chdstat analyze {path}", f"chdstat explore {path}")
+
+
+def say_written(path: Path, *, as_json: bool, **numbers: Any) -> None:
+    """Say what was written, with numbers about it."""
+    if as_json:
+        print_json({"path": str(path), **numbers})
+        return
+    about = "".join(f", {value} {name.replace('_', ' ')}" for name, value in numbers.items())
+    typer.echo(f"wrote {path}{about}")
+
+
+def say_next(quiet: bool, *commands: str) -> None:
+    """Say what to do next, beside the output: nothing of it gets into a pipe."""
+    if not quiet:
+        typer.echo(f"next: {'  or  '.join(commands)}", err=True)
+
+
+def print_json(content: Mapping[str, Any] | Sequence[Any]) -> None:
+    """Print numbers for scripts."""
+    typer.echo(json.dumps(content, indent=2, allow_nan=False))
+
+
+def print_sentences(sentences: Iterable[str], *, bullet: str = "") -> None:
+    """Print sentences as a paragraph, or one by one behind a bullet."""
+    width = _columns() or sys.maxsize
+    indent = " " * len(bullet)
+    for text in sentences if bullet else [" ".join(sentences)]:
+        typer.echo(fill(text, width, initial_indent=bullet, subsequent_indent=indent))
+
+
+def print_table(content: Mapping[str, Any]) -> None:
+    """Print names and values."""
+    rows = [{"name": name, "value": _readable(value)} for name, value in content.items()]
+    print_rows(rows, {"name": "", "value": ""}, text=["value"])
+
+
+def print_rows(
+    rows: Sequence[Mapping[str, Any]],
+    columns: Mapping[str, str],
+    *,
+    text: Sequence[str] = (),
+    separate: str | None = None,
+) -> None:
+    """Print rows with the columns that they have.
+
+    Parameters
+    ----------
+    rows
+        By the names of the columns; the first stands at the left, others at the right.
+    columns
+        Titles by name; without any, there is no header.
+    text
+        Other columns of text, which stand at the left, too.
+    separate
+        A key; a line stands before the first row that has it.
+    """
+    from rich.console import Console
+    from rich.table import Table
+
+    shown = {key: title for key, title in columns.items() if key in rows[0]}
+    table = Table(box=None, padding=(0, 2, 0, 0), show_header=any(shown.values()))
+    for index, (key, title) in enumerate(shown.items()):
+        side: Any = "left" if index == 0 or key in text else "right"
+        table.add_column(title, justify=side, no_wrap=index == 0)
+    before = False
+    for row in rows:
+        if separate is not None and row[separate] and not before:
+            before = True
+            table.add_row("with neighbours:", style="bold")
+        table.add_row(*(_readable(row[key]) for key in shown))
+    console = Console(highlight=False, markup=False, width=_columns() or _WIDE)
+    with console.capture() as captured:
+        console.print(table)
+    typer.echo("\n".join(line.rstrip() for line in captured.get().splitlines()))
+
+
+def _columns() -> int | None:
+    """Return how long lines may be; None for a pipe or a file, unless COLUMNS says it."""
+    known = sys.stdout.isatty() or "COLUMNS" in os.environ
+    return shutil.get_terminal_size().columns if known else None
+
+
+def _readable(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "\n".join(f"{k}: {_readable(v)}" for k, v in value.items()) or "none"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(_readable(v) for v in value) or "none"
+    return "unknown" if value is None else str(value)

@@ -1,0 +1,144 @@
+"""A renderer in a process of its own: while Mitsuba loads or renders, the page's server goes on.
+
+The child is a fresh interpreter, not a `multiprocessing` one, which would run the user's script
+again. Requests and results are pickles on its standard input and output.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+from chdstat.errors import RenderError
+from chdstat.rendering.backend import activate
+from chdstat.rendering.renderer import Job, Renderer
+
+__all__ = ["RenderProcess", "serve"]
+
+_CODE = "from chdstat.explorer.render_process import serve; serve()"
+
+
+class RenderProcess:
+    """Calls methods of a `chdstat.rendering.renderer.Renderer` in a child process.
+
+    A job that cannot travel, or a scene that only this process can build because its plugins were
+    registered here, is rendered here.
+
+    Parameters
+    ----------
+    job
+        What to render.
+
+    Attributes
+    ----------
+    size
+        (width, height) in pixels.
+    integrator
+        Mitsuba's name of the integrator.
+
+    Raises
+    ------
+    SceneError, RenderError
+        If the scene cannot be loaded or rendered.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._lock = threading.Lock()
+        child = subprocess.Popen(  # noqa: S603 - our own code in our own interpreter
+            [sys.executable, "-c", _CODE], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        self._child: subprocess.Popen[bytes] | None = child
+        self._end = weakref.finalize(self, _killed, child)
+        try:
+            self.size, self.integrator = self._asked(pickle.dumps(job))
+        except Exception:  # noqa: BLE001 - what is wrong with the scene is raised here again
+            self.close()
+            self._child, self._job, self._renderer = None, job, Renderer(job)
+            self.size, self.integrator = _described(self._renderer)
+
+    def __call__(self, method: str, *arguments: Any, **options: Any) -> Any:
+        """Return what a method of the renderer returns.
+
+        Raises
+        ------
+        RenderError
+            If the process has ended.
+        """
+        with self._lock:
+            if self._child is None:
+                with activate(self._job.verdict):
+                    return getattr(self._renderer, method)(*arguments, **options)
+            try:
+                return self._asked(pickle.dumps((method, arguments, options)))
+            except (OSError, EOFError, ValueError) as error:
+                message = "the process that renders the scene has ended; explore the scene again"
+                raise RenderError(message) from error
+
+    def close(self) -> None:
+        """End the process."""
+        self._end()
+
+    def _asked(self, request: bytes) -> Any:
+        assert self._child is not None
+        assert self._child.stdin is not None
+        assert self._child.stdout is not None
+        self._child.stdin.write(request)
+        self._child.stdin.flush()
+        done, result = pickle.load(self._child.stdout)  # noqa: S301 - of our own process
+        if not done:
+            raise result
+        return result
+
+
+def _killed(child: subprocess.Popen[bytes]) -> None:
+    child.kill()
+    child.wait()
+    for pipe in (child.stdin, child.stdout):
+        with suppress(OSError):
+            pipe.close()  # type: ignore[union-attr]
+
+
+def _described(renderer: Renderer) -> tuple[tuple[int, int], str]:
+    return renderer.size, str(renderer.integrator["type"])
+
+
+def serve() -> None:
+    """Do what is read from standard input until it ends; for the child process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this
+    with suppress(AttributeError, OSError):
+        os.nice(5)  # the page goes first
+    results = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what Mitsuba prints must not come between
+
+    def reply(work: Callable[[], Any]) -> None:
+        try:
+            found = True, work()
+        except Exception as error:  # noqa: BLE001 - raised again in the parent
+            found = False, error
+        results.write(pickle.dumps(found))
+        results.flush()
+
+    job: Job = pickle.load(sys.stdin.buffer)  # noqa: S301 - of our own parent
+    built: list[Renderer] = []
+
+    def build() -> tuple[tuple[int, int], str]:
+        built.append(Renderer(job))
+        return _described(built[0])
+
+    with activate(job.verdict):
+        reply(build)
+        while built:
+            try:
+                method, arguments, options = pickle.load(sys.stdin.buffer)  # noqa: S301
+            except EOFError:
+                return
+            reply(partial(getattr(built[0], method), *arguments, **options))

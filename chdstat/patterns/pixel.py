@@ -1,0 +1,189 @@
+"""Pixel: the characteristic distribution (CHD) of one pixel, with all that is known of it.
+
+`Samples.pixel` makes one. Everything is computed when it is asked for.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import is_bad, is_null, take_rows
+from chdstat._core.display import Card, Shown, number, percent, with_interval
+from chdstat.fit.families import FAMILIES
+from chdstat.fit.selection import Selection, select
+from chdstat.fit.tail import tail_index
+from chdstat.fit.tail_fits import Tail
+from chdstat.inference.modes import Modality, modality
+from chdstat.patterns.classification import Label, Patterns, classify
+from chdstat.patterns.table import PATTERNS
+from chdstat.samples.samples import Samples
+from chdstat.summary.bins import Scale
+from chdstat.summary.histograms import Histogram, histogram
+from chdstat.summary.statistics import summarize
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
+    from chdstat.viz import Panel
+
+__all__ = ["Pixel"]
+
+
+@dataclass(frozen=True, repr=False)
+class Pixel(Shown):
+    """The samples of one pixel, and their distribution.
+
+    Attributes
+    ----------
+    y, x
+        Row and column.
+    radiance
+        Linear radiance, shape (channel, sample), float32.
+    channels
+        Names of the channels.
+    scene
+        Name of the scene.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> radiance = rng.lognormal(size=(4, 6, 3, 256)) * (rng.random((4, 6, 1, 256)) < 0.25)
+    >>> pixel = Samples.from_array(radiance).pixel(2, 3)
+    >>> pixel.null.shape, round(pixel.null_share, 2), pixel.families["R"], pixel.patterns_shown
+    ((256,), 0.76, 'lognormal', ('null_heavy', 'lognormal_like'))
+    >>> pixel.tail.xi.shape, pixel.modality.modes.tolist()
+    ((3,), [1, 1, 1])
+    """
+
+    y: int
+    x: int
+    radiance: npt.NDArray[np.float32]
+    channels: tuple[str, ...]
+    scene: str
+
+    @classmethod
+    def of(cls, samples: Samples, y: int, x: int) -> Self:
+        """Return a pixel of an image; negative places count from the end."""
+        height, width = samples.shape[:2]
+        radiance = samples[y, x]
+        return cls(y % height, x % width, radiance, samples.channels, samples.name)
+
+    @property
+    def spp(self) -> int:
+        """Samples of the pixel."""
+        return int(self.radiance.shape[-1])
+
+    @property
+    def null(self) -> npt.NDArray[np.bool_]:
+        """Null samples: paths that found no light, shape (sample,)."""
+        return is_null(self.radiance)
+
+    @property
+    def bad(self) -> npt.NDArray[np.bool_]:
+        """Samples of which a channel is NaN or infinite, shape (sample,)."""
+        return np.asarray(is_bad(self.radiance).any(axis=0))
+
+    @property
+    def null_share(self) -> float:
+        """Share of nulls among the good samples; NaN where none is good."""
+        good = ~self.bad
+        return float(self.null[good].mean()) if good.any() else np.nan
+
+    @cached_property
+    def statistics(self) -> xr.Dataset:
+        """What `chdstat.summarize` says of it: means, moments, counts, by channel."""
+        image = Samples(self.radiance[np.newaxis, np.newaxis], attrs={})
+        dataset = summarize(image, progress=False)
+        return dataset.assign_coords(channel=np.array(self.channels, object)).isel(y=0, x=0)
+
+    def histogram(self, scale: Scale = "log") -> Histogram:
+        """Return its histogram of each channel, as `chdstat.histogram` counts it."""
+        return histogram(self.radiance, scale=scale, null=self.null, bad=self.bad)
+
+    @cached_property
+    def selection(self) -> Selection:
+        """The families that were fitted to each channel, and which is the best by BIC."""
+        return select(self._good, null=self.null)
+
+    @property
+    def families(self) -> dict[str, str]:
+        """Name of the best family of each channel, by its name; "" where none could be fitted."""
+        return dict(zip(self.channels, map(str, self.selection.names), strict=True))
+
+    @cached_property
+    def tail(self) -> Tail:
+        """Tail index of each channel, and whether the variance can be trusted."""
+        return tail_index(self._good, null=self.null)
+
+    @cached_property
+    def modality(self) -> Modality:
+        """Modes of each channel in log radiance."""
+        return modality(self._good, null=self.null)
+
+    @cached_property
+    def patterns(self) -> Patterns:
+        """Patterns of its luminance, tested on their own and not for an image; 1 or 3 channels."""
+        return classify(self.radiance)
+
+    @property
+    def patterns_shown(self) -> tuple[str, ...]:
+        """Names of the patterns that it shows."""
+        return tuple(p.name for p in PATTERNS if bool(self.patterns.flags[p.name]))
+
+    @property
+    def _good(self) -> npt.NDArray[np.float32]:
+        """The samples; NaN in all channels where one is bad."""
+        return np.where(self.bad, np.float32(np.nan), self.radiance)
+
+    def plot(self, *, fig: Figure | None = None) -> Figure:
+        """Draw linear and log10 histograms of its channels, their best fits and their means.
+
+        Parameters
+        ----------
+        fig
+            Where to draw; None makes a figure, which a notebook shows.
+        """
+        from chdstat import viz
+
+        return viz.chd_pair(self.panel(f"{self.scene}, y {self.y}, x {self.x}"), fig=fig)
+
+    def panel(self, title: str) -> Panel:
+        """Return what `chdstat.viz.chd_grid` draws of it: histograms, best fits and means."""
+        from chdstat import viz
+
+        fits = [
+            None if not name else take_rows(self.selection.fits[name], i, axis=0).pdf
+            for i, name in enumerate(self.families.values())
+        ]
+        named = dict.fromkeys(FAMILIES[name].label for name in self.families.values() if name)
+        note = f"{percent(self.null_share)} null, {' / '.join(named) or 'no fit'}"
+        return viz.Panel.of(title, self.radiance, channels=self.channels, fits=fits, note=note)
+
+    def _repr_html_(self) -> str:
+        from chdstat.viz.styling import png_of
+
+        shown = {"histograms, best fits and means": png_of(self.plot())}
+        return replace(self._card(), images=shown).html()
+
+    def _card(self) -> Card:
+        mean, error = (self.statistics[name].values for name in ("mean", "standard_error"))
+        rows = [
+            {
+                "channel": channel,
+                "mean": f"{number(mean[i])} ± {number(error[i])}",
+                "best family": FAMILIES[family].label if family else "—",
+                "tail index": with_interval(self.tail.xi[i], *self.tail.interval[i]),
+                "modes": str(self.modality.modes[i]),
+            }
+            for i, (channel, family) in enumerate(self.families.items())
+        ]
+        facts = {"samples": f"{self.spp}, {percent(self.null_share)} null, {self.bad.sum()} bad"}
+        if len(self.channels) in (1, 3):
+            facts["label"] = Label(int(self.patterns.label)).name.lower().replace("_", " ")
+        return Card(f"Pixel y {self.y}, x {self.x} of {self.scene}", facts, rows)

@@ -1,0 +1,80 @@
+"""Description of samples in words: for reports, the command line and notebooks."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chdstat._core.arrays import is_bad
+from chdstat._core.display import Card, duration, png
+from chdstat._core.image_scales import tonemap
+from chdstat._core.moments import Moments
+from chdstat.samples.samples import Samples
+
+__all__ = ["card", "provenance"]
+
+_EDGE, _VALUES = 256, 2**25
+"""Longer edge of a thumbnail in pixels, and samples that are read for it at most."""
+
+
+def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]:
+    """Return the settings that render the same samples again, by name; those that are known.
+
+    Parameters
+    ----------
+    attrs
+        Of the samples.
+    shape
+        Theirs, (y, x, channel, sample).
+
+    Examples
+    --------
+    >>> provenance({"scene": "flat", "seed": 3, "sampler": "independent"}, (4, 6, 3, 32))
+    {'Scene': 'flat (samples given)',
+     'Image': '6 × 4 pixels, 3 channels, 32 samples per pixel',
+     'Random numbers': 'independent sampler, seed 3'}
+    """
+    height, width, channels, spp = shape
+    integrator = dict(attrs.get("integrator") or {})
+    kind = integrator.pop("type", "")
+    settings = ", ".join(f"{name} {value}" for name, value in integrator.items())
+    seconds = float(attrs.get("render_seconds") or 0)
+    source = Path(attrs.get("scene_source", "samples given")).name  # no folders of a machine
+    rows = {
+        "Scene": f"{attrs.get('scene', 'samples')} ({source})",
+        "Scene hash": str(attrs.get("scene_hash", ""))[:16],
+        "Integrator": f"{kind} ({settings})" if settings else kind,
+        "Image": f"{width} × {height} pixels, {channels} channel{'s' * (channels > 1)}, "
+        f"{spp} samples per pixel",
+        "Random numbers": f"{attrs['sampler']} sampler, seed {attrs['seed']}"
+        if {"sampler", "seed"} <= attrs.keys()
+        else "",
+        "Filter": str(attrs.get("filter", "")),
+        "Renderer": f"Mitsuba {attrs['mitsuba_version']}, {attrs['backend']}"
+        if "mitsuba_version" in attrs
+        else "",
+        "Rendering time": duration(seconds) if seconds else "",
+        "Note": "; ".join(attrs.get("notes") or []),
+    }
+    return {name: value for name, value in rows.items() if value}
+
+
+def card(samples: Samples) -> Card:
+    """Return what a notebook shows of samples: a thumbnail, and where they come from."""
+    height, width, channels, spp = samples.shape
+    facts = provenance(samples.attrs, samples.shape)
+    if samples.features:
+        facts["First hit"] = ", ".join(samples.features)
+    facts["Stored"] = "in memory" if samples.path is None else str(samples.path)
+    if channels not in (1, 3):
+        return Card("Samples", facts)
+    step = -(-max(height, width) // _EDGE)
+    few = max(1, min(spp, _VALUES // math.prod(samples.shape[:3])))
+    thumbnail = samples.isel(y=slice(None, None, step), x=slice(None, None, step))
+    radiance = thumbnail.read(ss=slice(few)).astype(np.float64)
+    mean = Moments.of(radiance, ~is_bad(radiance)).mean
+    return Card("Samples", facts, images={f"mean of the first {few} samples": png(tonemap(mean))})

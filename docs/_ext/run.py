@@ -1,0 +1,114 @@
+"""The directive ``run``: code or commands, run while the page is built, with what they gave below.
+
+All blocks of a page share their variables, and all pages one working folder, so that a store that
+is rendered on one page is there on the next, which must not append to it. Code that fails fails the
+build.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import functools
+import io
+import os
+import shlex
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, ClassVar
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from sphinx.util.docutils import SphinxDirective
+
+from chdstat.viz import style
+
+__all__ = ["Run"]
+
+_COLUMNS = "88"
+
+
+class Run(SphinxDirective):
+    """Show Python, or with the argument ``console`` commands, and their output.
+
+    The output is what was printed, then the value of the last expression: a figure as an image,
+    anything else by its ``repr``. The option ``alt`` describes the image.
+    """
+
+    has_content = True
+    optional_arguments = 1
+    option_spec: ClassVar = {"alt": directives.unchanged}
+
+    def run(self) -> list[nodes.Node]:
+        code = "\n".join(self.content)
+        with contextlib.chdir(_folder().name):
+            if self.arguments == ["console"]:
+                return [_literal(f"$ {code}", "console"), *_shown(_command(code))]
+            variables = self.env.temp_data.setdefault("run_variables", {"__name__": "__main__"})
+            printed, value = _execute(code, variables, f"{self.env.docname}.rst")
+        value = value.figure if isinstance(value, Axes) else value
+        shown = [_literal(code, "python")]
+        if isinstance(value, Figure):
+            return [*shown, *_shown(printed), self._image(value)]
+        return [*shown, *_shown(printed if value is None else f"{printed}{value!r}")]
+
+    def _image(self, figure: Figure) -> nodes.image:
+        serial = self.env.new_serialno("run")
+        name = f"{self.env.docname.replace('/', '-')}-{serial}.png"
+        path = Path(self.env.srcdir, "_run", name)
+        path.parent.mkdir(exist_ok=True)
+        with style():
+            figure.savefig(path, dpi=200)
+        return nodes.image(uri=f"/_run/{name}", alt=self.options.get("alt", ""), classes=["result"])
+
+
+def _execute(code: str, variables: dict[str, Any], name: str) -> tuple[str, Any]:
+    """Run code, and return what it printed and the value of its last line, if it has one."""
+    tree = ast.parse(code)
+    last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
+    printed, progress = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(progress):
+        exec(compile(tree, name, "exec"), variables)  # noqa: S102 - the documentation's own code
+        value = last and eval(compile(ast.Expression(last.value), name, "eval"), variables)  # noqa: S307
+    return printed.getvalue(), value
+
+
+def _command(line: str) -> str:
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "COLUMNS": _COLUMNS, "NO_COLOR": "1"}
+    done = subprocess.run(  # noqa: S603 - the documentation's own commands
+        shlex.split(line), capture_output=True, text=True, env=environment, check=False
+    )
+    if done.returncode:
+        message = f"{line}\n{done.stdout}{done.stderr}"
+        raise RuntimeError(message)
+    return done.stdout
+
+
+def _shown(output: str) -> list[nodes.Node]:
+    return [_literal(output.rstrip(), "text", "output")] if output.strip() else []
+
+
+def _literal(text: str, language: str, *classes: str) -> nodes.literal_block:
+    return nodes.literal_block(text, text, language=language, classes=list(classes))
+
+
+@functools.cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory()
+
+
+def _clean_up(*_: Any) -> None:
+    _folder().cleanup()
+    _folder.cache_clear()
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Let Sphinx load this module as an extension."""
+    app.add_directive("run", Run)
+    app.connect("build-finished", _clean_up)
+    return {"parallel_read_safe": False}

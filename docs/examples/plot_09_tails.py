@@ -1,0 +1,56 @@
+"""
+How heavy are the tails?
+========================
+
+In which pixels are rare bright samples so frequent that the variance of the estimate may be
+infinite?
+"""
+
+# %%
+# The scene has a glass ball and a gold ring under a small lamp, which throw caustics that a path
+# tracer finds only by chance.
+
+# sphinx_gallery_panel = 1, 2
+import chdstat as chd
+from chdstat import viz
+
+samples = chd.render("caustic", spp=256, size=(64, 64), seed=1, backend="scalar")
+tail = chd.fit.tail_index(samples)
+
+# %%
+# The tail index ξ is fitted to the largest samples of a pixel alone. It is 0 for tails like those
+# of a gamma distribution, and positive for power laws. From 1/2 on the variance is infinite.
+
+xi = tail["tail_index"].sel(channel="G")
+figure = viz.map_grid(2, columns=2)
+left, right = figure.axes
+viz.image_map(samples.read().mean(axis=-1), title="Mean of 256 samples", ax=left)
+viz.value_map(xi, title="Tail index ξ of green", limits=(-0.5, 1.0), ax=right)
+figure
+
+# %%
+# Grey pixels have too few samples in their tail for an answer. On most of the board the index is
+# near or above 1/2: where it is above, the error of a mean falls more slowly than with one over the
+# square root of the number of samples, and an estimated standard error cannot be trusted.
+
+suspect = tail["tail_variance_suspect"].sel(channel="G")
+unidentified = tail["tail_variance_unidentified"].sel(channel="G")
+print(f"variance may be infinite: {float(suspect.mean()):.0%} of the pixels")
+print(f"too few samples to know:  {float(unidentified.mean()):.0%}")
+
+# %%
+# One pixel with its interval
+# ---------------------------
+#
+# From 256 samples the index of a pixel is uncertain. More samples narrow its interval. This pixel
+# is on a white square of the board.
+
+for spp in (256, 4096, 65536):
+    some = chd.rendering.render_pixels("caustic", [(52, 30)], spp=spp, size=(64, 64), seed=2)[:, 1]
+    fit = chd.fit.tail_index(some)
+    low, high = fit.interval[0]
+    print(f"{spp:6} samples: ξ {fit.xi[0]:5.2f}, 95 % interval {low:5.2f} to {high:.2f}")
+
+# %%
+# **Next:** `Are the samples Gaussian on some scale? <plot_10_gaussianity.html>`_ turns from the
+# tail to the body of the distributions.

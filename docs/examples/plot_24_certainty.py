@@ -1,0 +1,52 @@
+"""
+How sure is an estimate?
+========================
+
+An estimate without a reference comes with a certainty and an interval. Can they be trusted?
+"""
+
+# %%
+# We train an estimator on the first 32 samples of each pixel of the bathroom, without a reference.
+
+# sphinx_gallery_panel = 2, 1
+import chdstat as chd
+from chdstat import viz
+from chdstat.estimators import Progressive
+
+samples = chd.render("bathroom", spp=128, size=(48, 48), seed=6, backend="scalar")
+few, features = samples.first(32), samples.features
+model = Progressive(inputs=["features", "neighbours"])
+model.train(few, reference=False, iterations=80, progress=False)
+found = model.estimate(few.read(), features=features, level=0.9)
+
+# %%
+# Certainty is the weight of what was learned beside the mean. The interval is meant to contain the
+# truth with a probability of 90 %.
+
+width = (found.high - found.low).mean(axis=-1) / found.radiance.mean(axis=-1)
+figure = viz.map_grid(3)
+left, middle, right = figure.axes
+viz.image_map(found.radiance, title="Estimate from 32 samples", ax=left)
+viz.value_map(found.certainty, title="Certainty", limits=(0, 1), ax=middle)
+viz.value_map(width, title="Width of the interval ÷ estimate", limits=(0, 3), ax=right)
+figure
+
+# %%
+# Count how often it holds
+# ------------------------
+#
+# The mean of the other samples stands for the truth. It is noisy itself, so that even perfect
+# intervals would miss it a little more often than stated.
+
+reference = samples.read(ss=slice(32, 128)).mean(axis=-1)
+levels, shares = (0.5, 0.8, 0.9, 0.95), []
+for level in levels:
+    at = model.estimate(few.read(), features=features, level=level)
+    shares.append(((at.low <= reference) & (reference <= at.high)).mean())
+viz.coverage(
+    levels, {"bathroom, 32 spp": shares}, title="Intervals that contain the reference"
+).figure
+
+# %%
+# **Next:** `Denoise from a better start <plot_25_denoise.html>`_ passes an estimate on to a
+# denoiser.

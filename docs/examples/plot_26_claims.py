@@ -1,0 +1,56 @@
+"""
+Put claims about a scene to the test
+====================================
+
+The paper describes what its authors saw in the distributions of four scenes. Does another scene
+show the same?
+"""
+
+# %%
+# `chdstat.studies.claims` turns each of the paper's observations into tests with intervals.
+# Built-in scenes have named regions, each inside one phenomenon;
+# `chdstat.rendering.recipes.choose_regions` finds some in yours.
+
+# sphinx_gallery_panel = 1, 3
+import chdstat as chd
+from chdstat import viz
+from chdstat.rendering.recipes import regions_of
+from chdstat.studies.claims import FINDINGS, SceneData
+
+samples = chd.render("caustic", spp=128, size=(64, 64), seed=1, backend="scalar")
+data = SceneData("caustic", samples, regions_of(samples))
+for region in data.regions[:5]:
+    print(f"{region.name:12} {region.phenomenon:12} {region.note[:60]}")
+
+# %%
+# Verdicts
+# --------
+#
+# A claim is supported where the intervals of all its tests lie within the range that it states, and
+# not supported where one lies outside. Otherwise it is undecided, and the reason says what would
+# decide it. `chdstat.studies.claims.find` tests all claims; six of them keep this page short.
+
+found = [claim.find(data) for claim in FINDINGS if claim.number in {2, 3, 6, 7, 8, 10}]
+for finding in found:
+    print(f"{finding.number:2} {finding.name}: {finding.verdict}")
+
+# %%
+# What they rest on
+# -----------------
+
+viz.finding_plots({f"{finding.number} {finding.name}": finding.plot_data for finding in found})
+
+# %%
+# The tests of one claim
+# ----------------------
+#
+# The blue range is what the claim states, the mark with its line is what was measured.
+
+penumbrae = found[2]
+print(penumbrae.claim)
+viz.claim_intervals({"caustic": penumbrae.tests}).figure
+
+# %%
+# **Next:** ``chdstat study bathroom fog caustic -o study.pdf`` renders several scenes, again with
+# another seed and with shorter paths, and typesets the answers to all sixteen claims. `Bring your
+# own samples <plot_27_own_samples.html>`_ brings samples of another renderer.

@@ -1,0 +1,220 @@
+"""Display: what results show of themselves, in ten lines and in a notebook."""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from dataclasses import dataclass
+from html.parser import HTMLParser
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat._core.display import Card, Shown, byte_size, duration, number, percent, png, written
+
+VOID = {"img"}
+
+
+class Tags(HTMLParser):
+    """Checks that tags are closed in order, and collects the text."""
+
+    def __init__(self, html):
+        super().__init__()
+        self.open, self.texts, self.images = [], [], []
+        self.feed(html)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in VOID:
+            self.open.append(tag)
+        else:
+            self.images.append(dict(attrs))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"),
+        (0.5, "0.500"),
+        (1e30, "1.0e+30"),
+        (float("nan"), "—"),
+        (np.array(["gamma", ""]), "[gamma, ]"),
+        (np.zeros((0, 3)), "[]"),
+        (np.full(40, np.nan), "(40,) float64, no number"),
+        (np.array([np.nan, *range(99)]), "(100,) float64, 0 to 98.0, 1.0\xa0% missing"),
+        (np.arange(40, dtype=np.int8), "(40,) int8, 0 to 39"),
+        ({"a": 1, "b": (2.0, "c")}, "a 1, b 2.00, c"),
+    ],
+)
+def test_values_are_written_in_short(value, text):
+    assert written(value) == text
+
+
+def test_a_rounded_zero_has_no_sign():
+    assert percent(-0.0004, sign=True) == "0.0\xa0%"
+    assert percent(0.0004, sign=True) == "0.0\xa0%"
+
+
+def test_units_suit_the_number():
+    assert (byte_size(0), byte_size(1024), duration(0), duration(119.6)) == (
+        "0 B",
+        "1.00 KiB",
+        "0 ns",
+        "120 s",
+    )
+    assert number(12_345_678) == "1.2e+07"
+
+
+def test_text_from_others_cannot_become_markup():
+    evil = "<script>alert('x')</script>"
+    card = Card(evil, {evil: evil}, [{evil: evil}], {evil: png(np.zeros((2, 2)))})
+    tags = Tags(card.html())
+    assert "<script" not in card.html()
+    assert tags.texts.count(evil) == 6
+    assert tags.images[0]["alt"] == evil
+
+
+def test_an_image_arrives_as_it_was():
+    values = np.array([[[0, 0, 0], [1, 0, 0]], [[0, 1, 0], [1, 1, 1]]], float)
+    source = Tags(Card("a", images={"b": png(values)}).html()).images[0]["src"]
+    found = matplotlib.image.imread(io.BytesIO(base64.b64decode(source.partition(",")[2])))
+    assert np.array_equal(found[..., :3], values)
+    assert matplotlib.image.imread(io.BytesIO(png(np.eye(3)))).shape[:2] == (3, 3)
+
+
+@dataclass(frozen=True, repr=False)
+class Many(Shown):
+    rows: tuple[float, ...]
+
+    def _card(self):
+        return Card("Many", {f"fact {i}": value for i, value in enumerate(self.rows)})
+
+
+def test_at_most_ten_lines_say_how_many_are_left_out():
+    assert repr(Many((1.0,) * 9)).count("\n") == 9
+    text = repr(Many((1.0,) * 30))
+    assert text.count("\n") == 9
+    assert text.endswith("... and 22 more lines")
+    assert Many((1.0,) * 30)._repr_html_().count("<tr>") == 30
+
+
+@pytest.fixture(scope="module")
+def samples():
+    rng = np.random.default_rng(0)
+    radiance = rng.gamma(2.0, size=(8, 12, 3, 128)) * (rng.random((8, 12, 1, 128)) < 0.75)
+    return chd.Samples.from_array(radiance, scene="<wall>", seed=3, sampler="independent")
+
+
+@pytest.fixture(scope="module")
+def results(samples):
+    x = samples[2, 3]
+    null = (x == 0).all(axis=0)
+    gamma = chd.fit.gamma(x, null=null)
+    compared = chd.compare(samples, ["mean", "median"], n=8, labels="classify", progress=False)
+    study = chd.study(samples, estimators=["mean"], progress=False)
+    model = chd.estimators.Progressive().train(samples, iterations=2, progress=False)
+    found = {
+        "samples": samples,
+        "pixel": samples.pixel(2, 3),
+        "scene": chd.load_scene("cornell-box"),
+        "fit": gamma,
+        "fits of an image": chd.fit.gamma(samples.read()),
+        "mixture": chd.fit.mixture(x, null=null),
+        "selection": chd.fit.select(x, null=null, held_out=True),
+        "tail": chd.fit.tail_index(x, null=null),
+        "goodness": chd.fit.goodness(x, gamma, resamples=0),
+        "gaussianity": chd.gaussianity(x, null=null),
+        "gaussianity of means": chd.inference.gaussianity_of_means(x),
+        "modality": chd.modality(x, null=null),
+        "difference": chd.difference(x, samples[0, 0]),
+        "histogram": chd.histogram(x, null=null),
+        "patterns": chd.classify(samples.read()),
+        "atlas": chd.atlas(samples, progress=False),
+        "comparison": compared,
+        "breakdown": compared.breakdown,
+        "curve": chd.comparison.error_curve(samples, ["mean"], sizes=[4, 8], progress=False),
+        "pixels of a comparison": compared.draw_pixels(4),
+        "untrained": chd.estimators.Progressive(),
+        "model": model,
+        "history": model.history,
+        "estimates": model.estimate(samples.read(ss=slice(8))),
+        "estimator": chd.estimators.lookup("mean"),
+        "learned estimator": chd.estimators.lookup("elek2019"),
+        "study": study,
+        "scene of a study": study.scenes[0],
+        "finding": study.scenes[0].findings[1],
+    }
+    found["held out"] = found["selection"].held_out
+    return found
+
+
+NAMES = (
+    *("samples", "pixel", "scene", "fit", "fits of an image", "mixture", "selection", "held out"),
+    *("tail", "goodness", "gaussianity", "gaussianity of means", "modality", "difference"),
+    *("histogram", "patterns", "atlas", "comparison", "breakdown", "curve"),
+    *("pixels of a comparison", "untrained", "model", "history", "estimates", "estimator"),
+    *("learned estimator", "study", "scene of a study", "finding"),
+)
+
+
+def test_all_results_are_looked_at(results):
+    assert set(NAMES) == set(results)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_results_show_themselves_in_short_and_in_a_notebook(results, name):
+    text = repr(results[name])
+    assert len(text.splitlines()) <= 10
+    assert max(map(len, text.splitlines())) <= 110
+    assert "object at 0x" not in text
+    assert Tags(results[name]._repr_html_()).texts
+
+
+def test_samples_show_a_thumbnail_and_where_they_come_from(samples):
+    tags = Tags(samples._repr_html_())
+    assert tags.images[0]["alt"] == "mean of the first 128 samples"
+    assert {"<wall> (samples given)", "independent sampler, seed 3"} <= set(tags.texts)
+    source = base64.b64decode(tags.images[0]["src"].partition(",")[2])
+    shown = matplotlib.image.imread(io.BytesIO(source))[..., :3]
+    assert np.allclose(shown, chd.viz.tonemap(samples.read().mean(axis=-1)), atol=0.01)
+
+
+def test_samples_without_three_channels_have_no_thumbnail():
+    samples = chd.Samples.from_array(np.ones((4, 4, 2, 8)))
+    assert Tags(samples._repr_html_()).images == []
+
+
+def test_a_thumbnail_of_bad_samples_is_made_of_the_good_ones():
+    x = np.full((2, 2, 1, 4), 0.25)
+    x[0, 0, 0, 1] = np.nan
+    source = Tags(chd.Samples.from_array(x)._repr_html_()).images[0]["src"]
+    shown = matplotlib.image.imread(io.BytesIO(base64.b64decode(source.partition(",")[2])))
+    assert np.ptp(shown[..., 0]) == 0
+
+
+def test_a_fit_says_its_parameters_with_errors(results):
+    fit = results["fit"]
+    value, error = fit.parameters["shape"][0], fit.standard_errors["shape"][0]
+    assert f"shape       [{number(value)} ± {number(error)}, " in repr(fit)
+
+
+def test_a_tail_says_its_index_with_the_interval(results):
+    tail = results["tail"]
+    low, high = tail.interval[0]
+    assert f"[{number(tail.xi[0])} [{number(low)}, {number(high)}], " in repr(tail)
+    words = {"trusted", "suspect", "not determined"}
+    assert set(re.findall("trusted|suspect|not determined", repr(tail))) <= words
+
+
+def test_a_pixel_that_cannot_be_fitted_says_why():
+    dark = chd.fit.gamma(np.zeros(64))
+    assert repr(dark).splitlines()[-1] == "  not fitted  all null"
