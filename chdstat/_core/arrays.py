@@ -29,6 +29,7 @@ __all__ = [
     "as_pixels",
     "as_samples",
     "block_numbers",
+    "check_real",
     "generator",
     "is_bad",
     "is_null",
@@ -138,16 +139,7 @@ def as_samples(
         names and none is "sample"; or if it holds unsigned integers, as encoded images do.
     """
     array = _unmasked(_in_order(x, name), name)
-    if array.dtype.kind == "u":
-        message = (
-            f"{name} holds unsigned integers, {array.dtype}, as images for a display do: samples "
-            "are linear radiance. Decode them (sRGB to linear); numbers that are linear already "
-            "pass as floating point, x.astype(float)"
-        )
-        raise InputError(message)
-    if array.dtype.kind not in "fi":
-        message = f"{name} must hold real numbers, got dtype {array.dtype}"
-        raise InputError(message)
+    check_real(array.dtype, name)
     if array.ndim == 0:
         message = f"{name} must have its samples on the last axis, got a single number"
         raise InputError(message)
@@ -158,6 +150,20 @@ def as_samples(
         )
         raise InputError(message)
     return array if array.dtype in (np.float32, np.float64) else array.astype(np.float64)
+
+
+def check_real(dtype: np.dtype[Any], name: str) -> None:
+    """Refuse what holds no real numbers, or unsigned integers, as encoded images do."""
+    if dtype.kind == "u":
+        message = (
+            f"{name} holds unsigned integers, {dtype}, as images for a display do: samples "
+            "are linear radiance. Decode them (sRGB to linear); numbers that are linear already "
+            "pass as floating point, x.astype(float)"
+        )
+        raise InputError(message)
+    if dtype.kind not in "fi":
+        message = f"{name} must hold real numbers, got dtype {dtype}"
+        raise InputError(message)
 
 
 def as_pixels(
@@ -224,18 +230,29 @@ class LeftOut:
         # may grow in several threads.
         self._counts: list[tuple[int, ...]] = []
 
-    def see(self, x: npt.NDArray[np.floating[Any]], *, channel_axis: int | None = None) -> None:
-        """Count samples (..., sample); whole ones where there is an axis of channels."""
+    def see(
+        self,
+        x: npt.NDArray[np.floating[Any]],
+        *,
+        channel_axis: int | None = None,
+        absent: int = 0,
+    ) -> None:
+        """Count samples (..., sample); whole ones where there is an axis of channels.
+
+        `absent` of them are NaN because a pixel has fewer samples than others.
+        """
         axes = () if channel_axis is None else (channel_axis,)
         samples = x.size if channel_axis is None else x.size // max(1, x.shape[channel_axis])
         masks: list[npt.NDArray[np.bool_]] = []
         if not all_good(x):
             masks = [mask(x) for mask in (is_bad, np.isnan, np.isinf)]
-        bad = [int(mask.any(axis=axes).sum()) for mask in masks] or [0, 0, 0]
+        marked = [int(mask.any(axis=axes).sum()) for mask in masks] or [0, 0, 0]
         negative = 0
         if self._logarithms and x.size and not x.min() >= 0:
             negative = int(((x < 0) & np.isfinite(x)).sum())
-        self._counts.append((samples, *bad, x.size, negative))
+        values = x.size - absent * (x.size // max(1, samples))
+        bad, nan, infinite = marked[0] - absent, marked[1] - absent, marked[2]
+        self._counts.append((samples - absent, bad, nan, infinite, values, negative))
 
     def warn(self) -> None:
         """Warn the caller of the library where more than 1 % of the samples were left out."""

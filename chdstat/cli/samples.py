@@ -12,7 +12,7 @@ from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError
 
-__all__ = ["analyze", "convert", "info", "render"]
+__all__ = ["analyze", "convert", "import_samples", "info", "render"]
 
 
 @cli.app.command(
@@ -67,6 +67,99 @@ def render(
     output.say_samples(samples, as_json=as_json, quiet=quiet)
 
 
+def _feature(name: str) -> Any:
+    what = f"First-hit {name}: a layer of the files, or a file of it."
+    return typer.Option(metavar="NAME|FILE", help=what, show_default="none")
+
+
+@cli.app.command(
+    "import", epilog="Example: chdstat import frames/*.exr -o own.zarr --scene kitchen"
+)
+def import_samples(
+    sources: Annotated[
+        list[str],
+        typer.Argument(metavar="SOURCE...", help="Files of samples in their order, or a folder."),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Store to write or append to.")],
+    format: Annotated[  # noqa: A002 - what users call it
+        str | None,
+        typer.Option(metavar="NAME", help="Format.", show_default="by the names of the files"),
+    ] = None,
+    axes: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LETTERS",
+            help="Order of the axes of arrays: y, x, c (channel) and s (sample), such as syxc.",
+            show_default="yxcs, or by name",
+        ),
+    ] = None,
+    variable: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Array of the samples.", show_default="the largest"),
+    ] = None,
+    albedo: Annotated[str | None, _feature("albedo")] = None,
+    normal: Annotated[str | None, _feature("normal")] = None,
+    depth: Annotated[str | None, _feature("depth")] = None,
+    position: Annotated[str | None, _feature("position")] = None,
+    counts: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Samples of each pixel, where they differ: .npy.",
+            show_default="all of each",
+        ),
+    ] = None,
+    averaged: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Samples that each value is the average of.", show_default="the files' own"
+        ),
+    ] = None,
+    scene: Annotated[
+        str | None, typer.Option(help="Name of the scene.", show_default="that of the first file")
+    ] = None,
+    renderer: Annotated[
+        str | None, typer.Option(help="What rendered it.", show_default="unknown")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed that it was rendered with.", show_default="unknown")
+    ] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of radiance.", show_default="W sr-1 m-2")
+    ] = None,
+    append: Annotated[
+        bool, typer.Option("--append", help="Add the samples to those of the store.")
+    ] = False,
+    quiet: cli.Quiet = False,
+    as_json: cli.Json = False,
+) -> None:
+    """Write samples of another renderer to a store, which every command takes.
+
+    An import that was stopped goes on when it is repeated.
+    """
+    import chdstat
+
+    features = {"albedo": albedo, "normal": normal, "depth": depth, "position": position}
+    about: dict[str, Any] = {
+        "scene": scene,
+        "renderer": renderer,
+        "seed": seed,
+        "unit": unit,
+        "averaged": averaged,
+    }
+    samples = chdstat.io.read(
+        *sources,
+        format=format,
+        axes=axes,
+        variable=variable,
+        features={name: value for name, value in features.items() if value is not None},
+        counts=counts,
+        **{name: value for name, value in about.items() if value is not None},
+    )
+    saved = samples.save(out, append=append, progress=not quiet)
+    output.say_samples(saved, as_json=as_json, quiet=quiet)
+
+
 @cli.app.command(epilog="Example: chdstat info bathroom.zarr")
 def info(
     store: cli.StorePath,
@@ -111,9 +204,11 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
     files = "all there; --verify reads them, too"
     if "damaged" in found:
         files = "damaged: " + ", ".join(found["damaged"]) if found["damaged"] else "sound, all read"
-    direct = f", direct light of {found['direct_spp']} samples" if found["direct_spp"] else ""
+    also = [", ".join(found["features"]) + " of the first hit"] if found["features"] else []
+    if found["direct_spp"]:
+        also.append(f"direct light of {found['direct_spp']} samples")
     return {
-        "Also stored": ", ".join(found["features"]) + " of the first hit" + direct,
+        "Also stored": ", ".join(also) or "nothing",
         "State": state,
         "Files": files,
         "On disk": byte_size(found["bytes"]),

@@ -26,7 +26,7 @@ from chdstat.inference import MORE_THAN_TESTED, N_MEANS, sizes_of_means
 from chdstat.inference.normality_of_means import means_of_block
 from chdstat.patterns import classification
 from chdstat.patterns.pixel_statistics import PixelFits
-from chdstat.samples.samples import Mapped
+from chdstat.samples.tiles import Mapped, assemble
 from chdstat.viz.estimators import NAMES
 
 if TYPE_CHECKING:
@@ -345,7 +345,7 @@ def walk(source: StoreSource, name: str, step: Step) -> Map:
 
     if name == "pattern":
         # Over the image, flags are decided with p-values corrected for its size.
-        whole = source.samples.assemble(parts(), progress=False)
+        whole = assemble(source.samples, parts(), progress=False)
         values = classification.finish_patterns(whole)["label"].to_numpy().astype(np.float32)
     else:
         for _ in parts():

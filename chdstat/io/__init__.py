@@ -1,15 +1,16 @@
-"""Exchange with other programs: EXR files, and the hand-over of estimates to a denoiser.
+"""Exchange with other programs: their samples, EXR files, and estimates for a denoiser.
 
-`write_exr` and `read_exr` keep images with their layers in EXR files; `denoise` gives an image
-of estimates to Open Image Denoise.
+`read` opens samples in files of other programs. `write_exr` and `read_exr` keep images with their
+layers in EXR files; `denoise` gives an image of estimates to Open Image Denoise.
 """
 
 from __future__ import annotations
 
 from chdstat.io.denoiser import denoise
 from chdstat.io.exr import ExrImage, read_exr, write_exr
+from chdstat.io.reading import read
 
-__all__ = ["ExrImage", "denoise", "read_exr", "write_exr"]
+__all__ = ["ExrImage", "denoise", "read", "read_exr", "write_exr"]
 
 
 def __dir__() -> list[str]:

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, spans, whole
 from chdstat._core.display import Card
 from chdstat._core.executor import track
-from chdstat.errors import InputError, RenderError
+from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.rendering.backend import Backend, activate
 from chdstat.rendering.renderer import Job, Renderer
 from chdstat.rendering.seeds import check_spp
@@ -118,6 +118,12 @@ def render(
     existing = Store.open(Path(out)) if out is not None and is_store(out) else None
     if existing is not None:
         direct = existing.direct() is not None or direct  # one of other samples is refused here
+        if "scene_hash" not in existing.attrs:
+            message = (
+                f"{out} holds samples that were saved or imported, to which no render can be "
+                "added; nothing was changed. Give another path"
+            )
+            raise StoreError(message)
         backend = existing.attrs["backend"] if backend == "auto" else backend
         size = size or tuple(existing.attrs["size"])
     job = Job.of(loaded, size=size, seed=seed, max_depth=max_depth, sensor=sensor, backend=backend)

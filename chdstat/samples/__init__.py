@@ -13,7 +13,8 @@ from chdstat.samples.access import (
     reduce_tiles,
     samples_of,
 )
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples.samples import Samples
+from chdstat.samples.tiles import Mapped
 
 __all__ = [
     "Blocks",

@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import LeftOut
 from chdstat.errors import InputError, StoreError
-from chdstat.samples.samples import Mapped, Samples
+from chdstat.samples.samples import Samples
+from chdstat.samples.tiles import Mapped, assemble, check_single
 from chdstat.scenes.files import is_file
 
 if TYPE_CHECKING:
@@ -92,7 +93,14 @@ def of_store(store: Store, direct: Samples | None = None) -> Samples:
     part = range(height), range(width), range(store.complete_spp())
     if direct is not None and direct.spp > len(part[2]):
         direct = direct.isel(sample=slice(len(part[2])))
-    return Samples(store, attrs=store.attrs, direct=direct, part=part, path=store.path)
+    return Samples(
+        store,
+        attrs=store.attrs,
+        direct=direct,
+        part=part,
+        path=store.path,
+        counts=store.counts(),
+    )
 
 
 def cache_key(samples: Samples) -> str:
@@ -150,18 +158,21 @@ def opened(x: Image | npt.ArrayLike) -> Samples | npt.ArrayLike:
     return open(x) if isinstance(x, str | Path) else x
 
 
-def samples_of(source: Image | npt.ArrayLike) -> Samples:
+def samples_of(source: Image | npt.ArrayLike, *, averages: bool = False) -> Samples:
     """Return the samples of an image, be they given as such, in an array or by a store's path.
 
     Raises
     ------
     InputError
-        If it is none of these, or `Samples.from_array` refuses the array.
+        If it is none of these, or `Samples.from_array` refuses the array; or if it holds averages
+        of batches, and the caller does not take `averages`.
     StoreError
         If there is no store at the path, or `open` refuses it.
     """
     found = opened(source)
     if isinstance(found, Samples):
+        if not averages:
+            check_single(found)
         return found
     if isinstance(found, np.ndarray) or type(found).__name__ == "DataArray":
         return Samples.from_array(found)
@@ -201,14 +212,14 @@ def reduce_tiles(
     left_out = LeftOut()
 
     def seen(walk: Iterable[tuple[slice, slice, slice, npt.NDArray[np.float32]]]) -> Blocks:
-        for *_, block in walk:
-            left_out.see(block, channel_axis=-2)
+        for *part, block in walk:
+            left_out.see(block, channel_axis=-2, absent=samples.absent(*part))
             yield block
 
     parts = (
         (ys, xs, function(ys, xs, seen(walk)))
         for (ys, xs), walk in groupby(samples.blocks(), key=lambda block: block[:2])
     )
-    dataset = samples.assemble(parts, description=description, progress=progress)
+    dataset = assemble(samples, parts, description=description, progress=progress)
     left_out.warn()
     return dataset

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-import importlib
 import operator
-import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_samples
+from chdstat._core.arrays import as_samples, check_real
 from chdstat.errors import InputError
 
-__all__ = ["as_image", "as_slice", "check_features", "cut", "lazily"]
+__all__ = [
+    "as_image",
+    "as_slice",
+    "check_counts",
+    "check_features",
+    "counted",
+    "cut",
+    "ordered",
+    "same_numbers",
+    "single",
+]
 
 _MOST_CHANNELS = 4
 """More than these are probably samples, unless the caller says that they are channels."""
@@ -45,12 +53,45 @@ def as_image(array: npt.ArrayLike, name: str, axes: str | None) -> npt.NDArray[n
         _check_plausible(name, data.shape)
     if data.ndim == 3:
         data = data[:, :, np.newaxis, :]
-    return _single(data, name)
+    return single(data, name)
+
+
+def as_images(
+    array: npt.ArrayLike,
+    direct: npt.ArrayLike | None,
+    counts: npt.ArrayLike | None,
+    axes: str | None,
+) -> tuple[list[npt.NDArray[np.float32]], npt.NDArray[np.int32] | None]:
+    """Return samples and perhaps their direct part as images, and how many each pixel has.
+
+    Raises
+    ------
+    InputError
+        If they are not of one shape, or counts or axes do not fit them.
+    """
+    parts = [as_image(array, "samples", axes)]
+    if direct is not None:
+        parts.append(as_image(direct, "direct", axes))
+    if parts[-1].shape != parts[0].shape:
+        message = (
+            f"direct must have the shape of the samples, {parts[0].shape}, got {parts[1].shape}"
+        )
+        raise InputError(message)
+    if counts is None:
+        return parts, None
+    found = check_counts(counts, parts[0].shape)
+    absent = np.arange(parts[0].shape[3]) >= found[..., np.newaxis, np.newaxis]
+    return [np.where(absent, np.float32(np.nan), part) for part in parts], found
 
 
 def check_features(features: Mapping[str, npt.ArrayLike], shape: tuple[int, ...]) -> None:
     """Refuse first-hit features of another image than samples of this shape."""
     for name, image in features.items():
+        if name == "counts":
+            message = (
+                "a feature must not be called counts: give the samples of each pixel as counts="
+            )
+            raise InputError(message)
         if np.ndim(image) not in (2, 3) or np.shape(image)[:2] != shape[:2]:
             message = (
                 f"feature {name} must have shape {shape[:2]} or (*{shape[:2]}, component), "
@@ -59,20 +100,40 @@ def check_features(features: Mapping[str, npt.ArrayLike], shape: tuple[int, ...]
             raise InputError(message)
 
 
-def lazily(
-    read: Callable[[slice, slice, slice], npt.NDArray[np.float32]],
-    shape: tuple[int, ...],
-    chunks: tuple[int, ...],
-) -> Any:
-    """Return samples (y, x, channel, sample) as a dask array that reads its chunks when needed."""
-    da: Any = importlib.import_module("dask.array")
+def check_counts(counts: npt.ArrayLike, shape: tuple[int, ...]) -> npt.NDArray[np.int32]:
+    """Return how many of the samples of this shape each pixel has, shape (y, x).
 
-    def block(block_info: Any) -> npt.NDArray[np.float32]:
-        ys, xs, _, ss = (slice(*ends) for ends in block_info[None]["array-location"])
-        return read(ys, xs, ss)
+    Raises
+    ------
+    InputError
+        If they are no whole numbers from 0 to the number of samples, or of another image.
+    """
+    found = np.asarray(counts)
+    if found.dtype.kind not in "iu" or found.shape != shape[:2]:
+        message = (
+            f"counts must be whole numbers, the samples of each pixel, of shape {shape[:2]}; got "
+            f"{found.dtype} of shape {found.shape}"
+        )
+        raise InputError(message)
+    if found.min() < 0 or found.max() > shape[3]:
+        message = (
+            f"counts must be from 0 to {shape[3]}, the samples that there are, got {found.min()} "
+            f"to {found.max()}"
+        )
+        raise InputError(message)
+    return np.asarray(found, np.int32)
 
-    named = {"name": f"radiance-{uuid.uuid4()}", "meta": np.empty((0, 0, 0, 0), np.float32)}
-    return da.map_blocks(block, chunks=da.core.normalize_chunks(chunks, shape), **named)
+
+def counted(counts: npt.NDArray[np.int32], samples: range) -> npt.NDArray[np.int32]:
+    """Return how many of some samples each pixel has, of which it has the first `counts`.
+
+    Examples
+    --------
+    >>> counted(np.array([[0, 5, 9]], np.int32), range(2, 8, 2))
+    array([[0, 2, 3]], dtype=int32)
+    """
+    last = np.minimum(counts, samples.stop) - samples.start
+    return np.asarray(np.maximum(-(-last // samples.step), 0), np.int32)
 
 
 def cut(dim: str, places: range, index: slice | SupportsIndex) -> slice:
@@ -89,21 +150,68 @@ def cut(dim: str, places: range, index: slice | SupportsIndex) -> slice:
     return as_slice(kept)
 
 
+def same_numbers(
+    attrs: Mapping[str, Any],
+    part: tuple[range, range, range],
+    other: Mapping[str, Any],
+    other_part: tuple[range, range, range],
+) -> bool:
+    """Return whether parts of two renders with these attributes drew the same random numbers."""
+    (*places, first), (*others, second) = part, other_part
+    if attrs.get("seed") is None or places != others:
+        return False
+    # What compiles draws in wavefronts, with numbers of their own.
+    kinds = {about.get("backend") == "scalar" for about in (attrs, other)}
+    named = ("seed", "streams")
+    return (
+        (first.start, first.step) == (second.start, second.step)
+        and len(kinds) == 1
+        and all(attrs.get(name) == other.get(name) for name in named)
+    )
+
+
 def as_slice(places: range) -> slice:
     """Return places along an axis as a slice."""
     return slice(places.start, places.stop, places.step)
 
 
+def ordered(array: Any, name: str, axes: str | None) -> str:
+    """Return the letters of the axes of an array in a file, as asked for or as is plausible.
+
+    Raises
+    ------
+    InputError
+        If it holds no real numbers, is empty, or the axes are not, or probably not, its own.
+    """
+    check_real(array.dtype, name)
+    shape = tuple(map(int, array.shape))
+    if axes is None and len(shape) in (3, 4) and 0 not in shape:
+        _check_plausible(name, shape)
+    axes = "yxcs" if axes is None and len(shape) == 4 else "yxs" if axes is None else axes
+    _check_letters(shape, name, axes)
+    return axes
+
+
 def _ordered(data: npt.NDArray[Any], name: str, axes: str) -> npt.NDArray[Any]:
     """Return an array whose axes are named by letters as (y, x, channel, sample)."""
+    _check_letters(data.shape, name, axes)
     letters = "yxcs" if data.ndim == 4 else "yxs"
-    if not isinstance(axes, str) or sorted(axes) != sorted(letters) or data.ndim not in (3, 4):
+    return np.ascontiguousarray(data.transpose([axes.index(letter) for letter in letters]))
+
+
+def _check_letters(shape: tuple[int, ...], name: str, axes: str) -> None:
+    letters = "yxcs" if len(shape) == 4 else "yxs"
+    if (
+        not isinstance(axes, str)
+        or sorted(axes) != sorted(letters)
+        or len(shape) not in (3, 4)
+        or 0 in shape
+    ):
         message = (
             "axes must name each axis of the samples once, by the letters y, x, s (sample) and, of "
-            f"four axes, c (channel), such as 'yxsc'; got {axes!r} for {name} of shape {data.shape}"
+            f"four axes, c (channel), such as 'yxsc'; got {axes!r} for {name} of shape {shape}"
         )
         raise InputError(message)
-    return np.ascontiguousarray(data.transpose([axes.index(letter) for letter in letters]))
 
 
 def _check_plausible(name: str, shape: tuple[int, ...]) -> None:
@@ -133,11 +241,13 @@ def _check_plausible(name: str, shape: tuple[int, ...]) -> None:
     raise InputError(message)
 
 
-def _single(data: npt.NDArray[np.floating[Any]], name: str) -> npt.NDArray[np.float32]:
+def single(data: npt.NDArray[np.floating[Any]], name: str) -> npt.NDArray[np.float32]:
     """Return samples in single precision, unless that makes nulls or infinite ones of them."""
+    if data.dtype in (np.float32, np.float16):
+        return data.astype(np.float32, copy=False)
     with np.errstate(over="ignore", under="ignore"):
-        single = data.astype(np.float32, copy=False)
-    changed = ((single == 0) != (data == 0)) | (np.isinf(single) != np.isinf(data))
+        kept = data.astype(np.float32)
+    changed = ((kept == 0) != (data == 0)) | (np.isinf(kept) != np.isinf(data))
     if changed.any():
         message = (
             f"{name} holds {data[changed][0]:.6g}, but samples are kept in single precision, from "
@@ -145,4 +255,4 @@ def _single(data: npt.NDArray[np.floating[Any]], name: str) -> npt.NDArray[np.fl
             "small to matter"
         )
         raise InputError(message)
-    return single
+    return kept

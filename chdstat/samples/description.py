@@ -56,6 +56,9 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
         "Filter": str(attrs.get("filter", "")),
         "Renderer": f"Mitsuba {attrs['mitsuba_version']}, {attrs['backend']}"
         if "mitsuba_version" in attrs
+        else str(attrs.get("renderer", "")),
+        "Averages": f"each value is the average of {attrs['averaged']} samples"
+        if attrs.get("averaged", 1) > 1
         else "",
         "Rendering time": duration(seconds) if seconds else "",
         "Note": "; ".join(attrs.get("notes") or []),

@@ -5,7 +5,9 @@ The group::
     zarr.json           provenance, and the manifest of everything below
     radiance/zarr.json  (y, x, channel, sample), float32; once more the manifest
     radiance/c/Y/X/0/B  a chunk: the tile of pixels in row Y and column X, the batch B of samples
-    features/           albedo, normal, position (y, x, component); depth (y, x)
+    features/           albedo, normal, position (y, x, component); depth (y, x); and, where the
+                        pixels have different numbers of samples, counts (y, x): what lies beyond
+                        them in radiance is NaN
     direct/             a store of its own: emission and direct light of the same samples
     .lock               while a process writes
 
@@ -55,6 +57,7 @@ from chdstat.samples.access import is_store
 __all__ = [
     "BATCH",
     "BLOCK",
+    "COUNTS",
     "DIRECT",
     "FIRST_SCHEMA",
     "SCHEMA_VERSION",
@@ -75,6 +78,8 @@ BLOCK = 16
 """Edge in pixels of what is compressed separately within a chunk."""
 DIRECT = "direct"
 """Folder of the store of direct light."""
+COUNTS = "counts"
+"""Feature that says how many samples each pixel has, where they differ."""
 ALL = slice(None)
 _LABEL = struct.Struct("<8s8s4IQII")
 """Mark, identity, tile_y, tile_x, batch, samples, length and checksum of what is before the label,
@@ -91,7 +96,7 @@ Shape = tuple[int, int, int, int]
 SCHEMA_VERSION = 2
 FIRST_SCHEMA = 1
 LOCK = ".lock"
-_GROWING = ("spp", "render_seconds")
+_GROWING = ("spp", "render_seconds", "appended")
 """Attributes that change while samples are added; all others are the identity of a store."""
 FOREIGN = (
     ArithmeticError,

@@ -7,40 +7,35 @@ whole.
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsIndex, cast, overload
+from typing import TYPE_CHECKING, Any, SupportsIndex, overload
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import LeftOut, spans
-from chdstat._core.executor import check_memory, in_order, track
+from chdstat._core.executor import check_memory, in_order
 from chdstat.errors import InputError
-from chdstat.samples.axes import as_image, as_slice, check_features, cut, lazily
+from chdstat.samples import tiles
+from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers
+from chdstat.samples.tiles import Image, Mapped, Source
 
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure
 
     from chdstat.patterns.pixel import Pixel
-    from chdstat.samples.store import Store
 
-__all__ = ["Mapped", "Samples"]
+__all__ = ["Samples"]
 
-_MAP_BYTES = 16 * 2**20
-"""Size of the block that `Samples.map` hands out at most, unless 16 x 16 pixels are larger."""
-_TILE, _BATCH = 64, 64
-"""Edge of the tiles and number of samples of the blocks that samples are walked in."""
 _ALWAYS_READ = 2**26
 """Bytes that are read without a look at how much memory there is."""
 _ALL = slice(None)
-
-Image = npt.NDArray[np.float32]
-Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
 
 
 class Samples:
@@ -59,16 +54,17 @@ class Samples:
 
     def __init__(
         self,
-        held: Image | Store,
+        held: Image | Source,
         *,
         attrs: Mapping[str, Any],
         features: Mapping[str, Image] | None = None,
         direct: Samples | None = None,
         part: tuple[range, range, range] | None = None,
         path: Path | None = None,
+        counts: npt.NDArray[np.int32] | None = None,
     ) -> None:
         height, width, _, spp = held.shape
-        self._held, self._attrs = held, dict(attrs)
+        self._held, self._attrs, self._counts = held, dict(attrs), counts
         self._features, self._direct, self._path = features, direct, path
         # Rows, columns and samples of the render that these are: of a store, those that are read.
         self._part = part or (range(height), range(width), range(spp))
@@ -81,6 +77,7 @@ class Samples:
         features: Mapping[str, Image] | None = None,
         direct: npt.ArrayLike | None = None,
         axes: str | None = None,
+        counts: npt.ArrayLike | None = None,
         **attrs: Any,
     ) -> Samples:
         """Hold samples that are already in memory.
@@ -99,8 +96,12 @@ class Samples:
         axes
             Order of the axes of `array` and `direct`: the letters y, x, c (channel) and s (sample),
             such as "yxsc"; None for "yxcs" or "yxs", where that is plausible.
+        counts
+            How many samples each pixel has, shape (y, x), where they differ; what `array` holds
+            beyond them is ignored. Where they depended on the samples themselves, as in adaptive
+            sampling, means are biased.
         **attrs
-            Provenance, such as ``scene="name"``.
+            Provenance: ``scene="name"``, ``renderer="mine 1.2"``, ``seed=7``, ``unit`` of radiance.
 
         Raises
         ------
@@ -116,18 +117,11 @@ class Samples:
         >>> Samples.from_array(radiance, axes="yxsc")
         <Samples 'samples' 6 x 4 pixels, 3 channels, 32 spp, in memory>
         """
-        data = as_image(array, "samples", axes)
-        check_features(features or {}, data.shape)
-        samples = cls(data, attrs=attrs, features=features or {})
-        if direct is not None:
-            samples._direct = cls(as_image(direct, "direct", axes), attrs=attrs, features={})
-            if samples._direct.shape != samples.shape:
-                message = (
-                    f"direct must have the shape of the samples, {samples.shape}, "
-                    f"got {samples._direct.shape}"
-                )
-                raise InputError(message)
-        return samples
+        parts, found = as_images(array, direct, counts, axes)
+        check_features(features or {}, parts[0].shape)
+        held = [cls(p, attrs=attrs, features=features or {}, counts=found) for p in parts]
+        held[0]._direct = held[1] if direct is not None else None
+        return held[0]
 
     @property
     def attrs(self) -> dict[str, Any]:
@@ -145,6 +139,16 @@ class Samples:
         return self._path
 
     @property
+    def source(self) -> Source | None:
+        """What the samples are read from; None in memory."""
+        return None if isinstance(self._held, np.ndarray) else self._held
+
+    @property
+    def part(self) -> tuple[range, range, range]:
+        """Rows, columns and samples of the whole that these are."""
+        return self._part
+
+    @property
     def shape(self) -> tuple[int, int, int, int]:
         """(y, x, channel, sample)."""
         rows, columns, samples = map(len, self._part)
@@ -154,6 +158,20 @@ class Samples:
     def spp(self) -> int:
         """Samples per pixel."""
         return len(self._part[2])
+
+    @property
+    def counts(self) -> npt.NDArray[np.int32] | None:
+        """Samples of each pixel, shape (y, x), where they differ; None where each has `spp`.
+
+        Those that a pixel lacks read as NaN, and are not bad.
+        """
+        found = None if self._counts is None else counted(self._counts, self._part[2])
+        return None if found is None or (found == self.spp).all() else found
+
+    @property
+    def averaged(self) -> int:
+        """Samples that each value is the average of: 1, unless these are averages of batches."""
+        return int(self._attrs.get("averaged", 1))
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -173,8 +191,8 @@ class Samples:
     def direct(self) -> Samples | None:
         """Emission and direct light of the same samples, as far as known; None where it is not.
 
-        These are the same paths, cut after their first reflection: sample by sample no more than
-        the whole. There are fewer of them where their rendering was stopped.
+        These are the same paths, cut after their first reflection. There are fewer of them where
+        their rendering was stopped.
         """
         return self._direct
 
@@ -191,14 +209,7 @@ class Samples:
         >>> one.shares_numbers_with(same), one.shares_numbers_with(other)
         (True, False)
         """
-        (*ours, first), (*theirs, second) = self._part, other._part
-        of_one_place = ours == theirs and (first.start, first.step) == (second.start, second.step)
-        if self._attrs.get("seed") is None or not of_one_place:
-            return False
-        # What compiles draws in wavefronts, with numbers of their own.
-        kinds = {s.attrs.get("backend") == "scalar" for s in (self, other)}
-        named = ("seed", "streams")
-        return len(kinds) == 1 and all(self._attrs.get(n) == other.attrs.get(n) for n in named)
+        return same_numbers(self._attrs, self.part, other._attrs, other.part)
 
     def pixel(self, y: int, x: int) -> Pixel:
         """Return one pixel as an object that knows its nulls, statistics, fits and patterns.
@@ -227,9 +238,10 @@ class Samples:
         where = "in memory"
         if not isinstance(self._held, np.ndarray):
             where = f"{'at' if self.path else 'part of'} {self._held.path}"
+        number = str(spp) if self.counts is None else f"{self.counts.min()} to {spp}"
         return (
             f"<Samples {self.name!r} {width} x {height} pixels, "
-            f"{channels} channel{'s' if channels > 1 else ''}, {spp} spp, {where}>"
+            f"{channels} channel{'s' if channels > 1 else ''}, {number} spp, {where}>"
         )
 
     @overload
@@ -241,15 +253,16 @@ class Samples:
     def __getitem__(
         self, pixel: tuple[slice | SupportsIndex, slice | SupportsIndex]
     ) -> Image | Samples:
-        """Return the samples of one pixel, shape (channel, sample); of slices, as `isel` does."""
+        """Return the samples that one pixel has, shape (channel, sample); of slices, as `isel`."""
         pair = isinstance(pixel, tuple) and len(pixel) == 2
         if not pair or not all(isinstance(place, SupportsIndex | slice) for place in pixel):
             message = f"expected a pixel (y, x) or slices of rows and columns, got {pixel!r}"
             raise InputError(message)
         part = self.isel(y=pixel[0], x=pixel[1])
-        return (
-            part if any(isinstance(i, slice) for i in pixel) else cast("Image", part.read()[0, 0])
-        )
+        if any(isinstance(i, slice) for i in pixel):
+            return part
+        number = part.spp if part.counts is None else int(part.counts[0, 0])
+        return part.read()[0, 0, :, :number]
 
     def isel(
         self,
@@ -286,6 +299,7 @@ class Samples:
             features=features,
             direct=direct,
             part=(rows[ys], columns[xs], samples[ss]),
+            counts=None if self._counts is None else self._counts[ys, xs],
         )
 
     def read(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> Image:
@@ -320,10 +334,44 @@ class Samples:
         """Return the same samples held in memory: worth it before several analyses."""
         if isinstance(self._held, np.ndarray):
             return self
-        direct = None if self._direct is None else self._direct.load()
-        return Samples(
-            self.read(), attrs=self._attrs, features=self.features, direct=direct, part=self._part
-        )
+        loaded = copy.copy(self)
+        loaded._held, loaded._features, loaded._path = self.read(), self.features, None
+        loaded._direct = None if self._direct is None else self._direct.load()
+        return loaded
+
+    def save(
+        self, path: str | Path, *, append: bool = False, progress: bool | None = None
+    ) -> Samples:
+        """Write the samples to a store, and return those of the store.
+
+        One that was interrupted goes on when it is repeated.
+
+        Parameters
+        ----------
+        path
+            The store to write.
+        append
+            Add the samples to those of an existing store.
+        progress
+            As for `map`.
+
+        Raises
+        ------
+        InputError
+            If samples of another size are appended, or of the same random numbers.
+        StoreError
+            If something else is at the path, or it cannot be written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> samples = Samples.from_array(np.ones((4, 6, 3, 32)), scene="flat")
+        >>> samples.save(Path(tempfile.mkdtemp()) / "flat.zarr").spp
+        32
+        """
+        from chdstat.samples.saving import save
+
+        return save(self, Path(path), append=append, progress=progress)
 
     def first(self, spp: int) -> Samples:
         """Return the first samples of each pixel, in memory.
@@ -349,7 +397,7 @@ class Samples:
             Its samples, shape (y, x, channel, sample).
         """
         height, width, _, spp = self.shape
-        edges = spans(height, _TILE), spans(width, _TILE), spans(spp, _BATCH)
+        edges = spans(height, tiles.TILE), spans(width, tiles.TILE), spans(spp, tiles.BATCH)
         for ys, xs, ss in itertools.product(*edges):
             yield ys, xs, ss, self.read(ys, xs, ss)
 
@@ -376,70 +424,27 @@ class Samples:
             `chdstat.errors.LeftOutWarning` tells of more than 1 %.
         description, progress
             Label of a progress bar, and whether to show it; None shows it on a terminal.
-
-        Returns
-        -------
-        xarray.Dataset
-            The variables over the whole image, with y, x and channel coordinates.
         """
-        height, width, channels, spp = self.shape
-        edge = _TILE
-        while edge > 16 and edge * edge * channels * spp * 4 > _MAP_BYTES:
-            edge //= 2
-        tiles = itertools.product(spans(height, edge), spans(width, edge))
+        tiles.check_single(self)
         left_out = LeftOut(logarithms=logarithms)
 
         def of_tile(tile: tuple[slice, slice]) -> tuple[slice, slice, Mapped]:
             block = self.read(*tile)
-            left_out.see(block, channel_axis=-2)
+            left_out.see(block, channel_axis=-2, absent=self.absent(*tile))
             return (*tile, function(block))
 
-        parts = in_order(of_tile, tiles)
-        dataset = self.assemble(parts, description=description, progress=progress)
+        parts = in_order(of_tile, tiles.tiles(self.shape))
+        dataset = tiles.assemble(self, parts, description=description, progress=progress)
         left_out.warn()
         return dataset
 
-    def assemble(
-        self,
-        parts: Iterable[tuple[slice, slice, Mapped]],
-        *,
-        description: str = "analysing",
-        progress: bool | None = None,
-    ) -> xr.Dataset:
-        """Return the dataset of an image from variables that were computed tile by tile.
-
-        `parts` are rows, columns and variables of each tile, the latter as the function of `map`
-        returns them; they are consumed one by one.
-        """
-        height, width = self.shape[:2]
-        results: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
-        with track(description, height * width, unit="px", show=progress) as advance:
-            for ys, xs, variables in parts:
-                for name, (dims, part) in variables.items():
-                    if name not in results:
-                        whole = np.empty((height, width, *part.shape[2:]), part.dtype)
-                        results[name] = (("y", "x", *dims), whole)
-                    results[name][1][ys, xs] = part
-                advance((ys.stop - ys.start) * (xs.stop - xs.start))
-        return self._dataset(results)
+    def absent(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> int:
+        """Return how many samples the pixels of a part lack, where some have fewer than others."""
+        if self._counts is None:
+            return 0
+        asked = self._part[2][ss]
+        return int((len(asked) - counted(self._counts[ys, xs], asked)).sum())
 
     def to_dataset(self) -> xr.Dataset:
-        """Return samples and features as a labelled dataset, lazily (dask) where on disk."""
-        radiance: Any = self._held
-        if not isinstance(self._held, np.ndarray):
-            radiance = lazily(self.read, self.shape, (_TILE, _TILE, -1, _BATCH))
-        about = {"long_name": "linear radiance", "units": "W sr-1 m-2"}
-        dims = ("y", "x", "component")
-        features = {name: (dims[: i.ndim], i) for name, i in self.features.items()}
-        samples = (("y", "x", "channel", "sample"), radiance, about)
-        return self._dataset({**features, "radiance": samples})
-
-    def _dataset(self, variables: Mapping[str, Any]) -> xr.Dataset:
-        import xarray as xr
-
-        coords = {"y": np.arange(self.shape[0]), "x": np.arange(self.shape[1])}
-        dataset = xr.Dataset(dict(variables), coords, self.attrs)
-        if "channel" in dataset.dims:
-            # Strings of variable length: zarr v3 has no stable type for those of fixed length.
-            dataset = dataset.assign_coords(channel=np.array(self.channels, dtype=object))
-        return dataset
+        """Return samples, features and counts as a labelled dataset, lazily where on disk."""
+        return tiles.dataset_of(self)

@@ -35,6 +35,9 @@ _SAME = ("scene_hash", "size", "seed", "backend", "mitsuba_version")
 class Store:
     """An open store of samples, (y, x, channel, sample).
 
+    What writes to it raises a `StoreError` if the disk is full or not writable; what was stored
+    before stays.
+
     Attributes
     ----------
     path
@@ -45,12 +48,15 @@ class Store:
         Samples of each pixel that are stored in a chunk, shape (tile_y, tile_x, batch).
     """
 
+    frames = False
+    path: Path
+    shape: Shape
     _index_location = "start"
 
     def __init__(self, path: Path, attributes: Mapping[str, Any], lock: Lock | None = None) -> None:
         self.path, self._attributes, self._lock = path, dict(attributes), lock
         height, width, channels, spp = self._manifest["shape"]
-        self.shape: Shape = (height, width, channels, spp)
+        self.shape = (height, width, channels, spp)
         self.ledger = self._stored()
         self._lay_out()
 
@@ -298,12 +304,18 @@ class Store:
         StoreError
             If one is damaged.
         """
-        return {name: self._read_feature(name) for name in self._manifest["features"]}
+        return {name: self._read_feature(name) for name in self.feature_names}
 
     @property
     def feature_names(self) -> list[str]:
         """Names of the first-hit features that belong to the store."""
-        return sorted(self._manifest["features"])
+        return sorted(self._manifest["features"].keys() - {layout.COUNTS})
+
+    def counts(self) -> npt.NDArray[np.int32] | None:
+        """Return how many samples each pixel has, shape (y, x), where they differ."""
+        if layout.COUNTS not in self._manifest["features"]:
+            return None
+        return self._read_feature(layout.COUNTS).astype(np.int32)
 
     def _read_feature(self, name: str) -> Image:
         about = self._manifest["features"][name]
@@ -349,13 +361,7 @@ class Store:
     # --- writing --------------------------------------------------------------------------------
 
     def write(self, chunk: Chunk, block: Image) -> None:
-        """Store one chunk; `block` is (y, x, channel, sample).
-
-        Raises
-        ------
-        StoreError
-            If the disk is full or not writable; what was stored before stays.
-        """
+        """Store one chunk; `block` is (y, x, channel, sample)."""
         self._encoder[chunk.ys, chunk.xs, :, chunk.ss] = block
         key = self.chunk_file(chunk).relative_to(self.path).as_posix()
         content = self._encoded.pop(key).to_bytes()
@@ -366,13 +372,7 @@ class Store:
             self.update()
 
     def update(self, *, direct: bool | None = None, **attrs: Any) -> None:
-        """Change attributes, and note what samples every pixel has.
-
-        Raises
-        ------
-        StoreError
-            If it cannot be written.
-        """
+        """Change attributes, and note what samples every pixel has."""
         manifest = self._manifest
         manifest["complete"] = max(manifest["complete"], self.complete_spp())
         manifest["shape"] = list(self.shape)
@@ -396,13 +396,7 @@ class Store:
         return of_store(self, direct)
 
     def extend(self, spp: int) -> None:
-        """Make room for more samples per pixel; what is stored stays.
-
-        Raises
-        ------
-        StoreError
-            If it cannot be written.
-        """
+        """Make room for more samples per pixel; what is stored stays."""
         height, width, channels, old = self.shape
         if spp <= old:
             return
@@ -413,13 +407,7 @@ class Store:
         self.update(spp=spp)
 
     def restore(self, features: Callable[[], Mapping[str, Image]]) -> None:
-        """Write what is damaged of the features again.
-
-        Raises
-        ------
-        StoreError
-            If it cannot be written.
-        """
+        """Write what is damaged of the features again."""
         damaged = self._damaged_features()
         if damaged or not self.feature_names:
             with layout.writing(self.path):

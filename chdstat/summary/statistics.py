@@ -285,7 +285,7 @@ def summarize(
     >>> dataset["mean"].dims, dataset["batch_means"].shape
     (('y', 'x', 'channel'), (2, 3, 3, 2))
     """
-    image = samples_of(samples)
+    image = samples_of(samples, averages=True)
 
     def of_tile(ys: slice, xs: slice, blocks: Blocks) -> Mapped:
         support = tile_support(image, ys, xs)
@@ -300,6 +300,9 @@ def summarize(
     batches = Batches((), size=batch_size, limit=max_batches)
     batches.update(np.zeros(image.spp))
     dataset = reduce_tiles(image, of_tile, description="summarising", progress=progress)
+    if image.counts is not None:  # what a pixel lacks is not bad
+        for name in ("bad_count", "nan_count"):
+            dataset[name].values -= image.spp - image.counts
     return _label(dataset, batches)
 
 

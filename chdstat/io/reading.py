@@ -1,0 +1,244 @@
+"""Reading: samples in the files of other programs, opened as `chdstat.Samples`.
+
+`read` finds the format; nothing but headers is read until samples are asked for. `FORMATS` lists
+what there is: a format is a function from paths and `Asked` to an `Opened`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.errors import InputError, StoreError
+from chdstat.samples import Samples
+from chdstat.samples.axes import check_counts, check_features
+from chdstat.samples.tiles import Image, Source
+
+__all__ = ["FORMATS", "Asked", "Format", "Opened", "read"]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a caller says of files.
+
+    Attributes
+    ----------
+    axes
+        Order of the axes, of letters y, x, c and s; None where the files say it.
+    variable
+        Which array of a file with several holds the samples; None finds it.
+    features
+        Name within the files of each feature, by the name that it has here.
+    """
+
+    axes: str | None = None
+    variable: str | None = None
+    features: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Opened:
+    """Samples in files: where to read them from, and what the files say of them.
+
+    Attributes
+    ----------
+    source
+        Reads parts of the samples.
+    attrs
+        Provenance that the files hold; ``averaged`` if each value is an average of so many samples.
+    counts
+        Samples of each pixel, shape (y, x), where they differ.
+    """
+
+    source: Source
+    attrs: Mapping[str, Any] = field(default_factory=dict)
+    counts: npt.NDArray[np.int32] | None = None
+
+
+Opener = Callable[[Sequence[Path], Asked], Opened]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of files that hold samples.
+
+    Attributes
+    ----------
+    name
+        As in ``format=``.
+    suffixes
+        Of its files, with the dot.
+    title
+        What it is, for help and documentation.
+    opener
+        Module and function that open it: loaded when it is used.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    title: str
+    opener: str
+
+    def open(self, paths: Sequence[Path], asked: Asked) -> Opened:
+        """Open files of this format."""
+        module, function = self.opener.split(":")
+        opener: Opener = getattr(importlib.import_module(f"chdstat.io.{module}"), function)
+        return opener(paths, asked)
+
+
+FORMATS = (
+    Format("npy", (".npy",), "NumPy arrays", "arrays:open_npy"),
+    Format("npz", (".npz",), "NumPy archives", "arrays:open_npz"),
+    Format("xarray", (".nc", ".nc4", ".h5", ".zarr"), "netCDF and zarr", "arrays:open_xarray"),
+)
+"""Formats in the order in which they are tried."""
+
+
+def read(
+    source: str | Path,
+    *more: str | Path,
+    format: str | None = None,  # noqa: A002 - what users call it
+    axes: str | None = None,
+    variable: str | None = None,
+    features: Mapping[str, str | Path | npt.ArrayLike] | None = None,
+    counts: str | Path | npt.ArrayLike | None = None,
+    **attrs: Any,
+) -> Samples:
+    """Open samples in files of other programs; `Samples.save` makes a store of them.
+
+    Parameters
+    ----------
+    source, *more
+        The files, in the order of their samples; or a folder of them, in the order of their names.
+    format
+        One of `FORMATS`; None goes by the names of the files.
+    axes
+        Order of the axes of arrays: the letters y, x, s (sample) and perhaps c (channel), such as
+        "syxc" for a stack of images; None where their dims have names, or for "yxcs".
+    variable
+        Which array of a file with several holds the samples; None takes the largest.
+    features
+        First-hit features by name (albedo, normal, position, depth): arrays (y, x) or (y, x,
+        component), files of them (.npy, .exr), or their names within the source.
+    counts
+        Samples of each pixel, shape (y, x), where they differ, or a .npy file of them.
+    **attrs
+        Provenance: ``scene="name"``, ``renderer="mine 1.2"``, ``seed=7``, ``unit`` of radiance, or
+        ``averaged=16`` where each value is the average of 16 samples.
+
+    Returns
+    -------
+    Samples
+        Read from the files whenever they are needed.
+
+    Raises
+    ------
+    InputError
+        If the format is not known, or the files do not hold what they should.
+    StoreError
+        If a file is missing, damaged or cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> path = Path(tempfile.mkdtemp(), "radiance.npy")
+    >>> np.save(path, np.ones((32, 4, 6, 3)))  # 32 images of 6 x 4 pixels
+    >>> read(path, axes="syxc")
+    <Samples 'radiance' 6 x 4 pixels, 3 channels, 32 spp, part of ...radiance.npy>
+    """
+    paths = _files([Path(source), *map(Path, more)])
+    given = dict(features or {})
+    named = {n: str(v) for n, v in given.items() if isinstance(v, str | Path) and not _is_file(v)}
+    opened = _format(paths, format).open(paths, Asked(axes, variable, named))
+    shape = opened.source.shape
+    images = {n: _image(v) for n, v in given.items() if n not in named}
+    images = {**opened.source.read_features(), **images}
+    check_features(images, shape)
+    found = opened.counts
+    if counts is not None:
+        found = check_counts(_array(counts) if isinstance(counts, str | Path) else counts, shape)
+    about = {
+        "scene": paths[0].stem,
+        "scene_source": paths[0].name,
+        **opened.attrs,
+        "files": [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in paths],
+        **attrs,
+    }
+    held = opened.source if found is None else _Counted(opened.source, found)
+    return Samples(held, attrs=about, features=images, counts=found)
+
+
+class _Counted:
+    """Samples of which each pixel has a number of its own: what lies beyond it reads as NaN."""
+
+    def __init__(self, source: Source, counts: npt.NDArray[np.int32]) -> None:
+        self._source, self._counts = source, counts
+        self.path, self.shape, self.frames = source.path, source.shape, source.frames
+
+    def read(self, ys: slice, xs: slice, ss: slice) -> Image:
+        """Return a part of the samples."""
+        absent = np.arange(self.shape[3])[ss] >= self._counts[ys, xs, np.newaxis, np.newaxis]
+        return np.where(absent, np.float32(np.nan), self._source.read(ys, xs, ss))
+
+    def read_features(self) -> dict[str, Image]:
+        """Return the features of the source."""
+        return self._source.read_features()
+
+
+def _files(paths: Sequence[Path]) -> list[Path]:
+    """Return the files, those of a single folder in the order of their names."""
+    for path in paths:
+        if not path.exists():
+            message = f"there is nothing at {path}"
+            raise StoreError(message)
+    folder = paths[0]
+    if len(paths) > 1 or folder.is_file() or any((folder / m).exists() for m in _ZARR):
+        return list(paths)
+    found = [f for f in sorted(folder.iterdir()) if f.is_file() and not f.name.startswith(".")]
+    if not found:
+        message = f"{folder} is an empty folder, expected files of samples"
+        raise StoreError(message)
+    return found
+
+
+_ZARR = ("zarr.json", ".zgroup", ".zarray")
+"""Files by which a folder is an array or group of zarr."""
+
+
+def _format(paths: Sequence[Path], name: str | None) -> Format:
+    """Return the format of that name, or the one that all files have the suffix of."""
+    for known in FORMATS:
+        suffixed = all(path.suffix.lower() in known.suffixes for path in paths)
+        if known.name == name or (name is None and suffixed):
+            return known
+    kinds = ", ".join(f"{f.name} ({' '.join(f.suffixes)})" for f in FORMATS)
+    asked = f"format {name!r}" if name else f"files such as {paths[0].name}"
+    message = f"cannot read {asked}; known formats are {kinds}. Name one as format"
+    raise InputError(message)
+
+
+def _is_file(value: str | Path) -> bool:
+    return Path(value).suffix.lower() in (".npy", ".exr") and Path(value).is_file()
+
+
+def _image(value: str | Path | npt.ArrayLike) -> Image:
+    """Return a feature that is given as an array or in a file."""
+    image = np.asarray(_array(value) if isinstance(value, str | Path) else value, np.float32)
+    return image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
+
+
+def _array(path: str | Path) -> npt.NDArray[Any]:
+    """Return the image in a .npy or EXR file."""
+    if Path(path).suffix.lower() == ".exr":
+        from chdstat.io.exr import read_exr
+
+        return read_exr(path).image
+    from chdstat.io.arrays import load_npy
+
+    return load_npy(Path(path))

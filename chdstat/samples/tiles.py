@@ -1,0 +1,172 @@
+"""Images in tiles: those that samples are cut into, and datasets that are assembled from them."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import spans
+from chdstat._core.executor import track
+from chdstat.errors import InputError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = [
+    "BATCH",
+    "TILE",
+    "Image",
+    "Mapped",
+    "Source",
+    "assemble",
+    "dataset_of",
+    "labelled",
+    "lazily",
+    "tiles",
+]
+
+TILE, BATCH = 64, 64
+"""Edge of the tiles and number of samples of the blocks that samples are walked in."""
+_MOST_BYTES = 16 * 2**20
+"""Size of a tile with all its samples at most, unless 16 x 16 pixels are larger."""
+
+Image = npt.NDArray[np.float32]
+Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
+"""Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
+
+
+class Source(Protocol):
+    """What samples are read from when they are needed: a store, or files of another program."""
+
+    frames: bool
+    """Whether samples of one number lie together, and those of a pixel apart."""
+
+    @property
+    def path(self) -> Path:
+        """Where it lies."""
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """(y, x, channel, sample)."""
+
+    def read(self, ys: slice, xs: slice, ss: slice) -> Image:
+        """Return a part of the samples, NaN where a pixel has no more."""
+
+    def read_features(self) -> dict[str, Image]:
+        """Return the first-hit features by name."""
+
+
+class _Image(Protocol):
+    """What a dataset of samples takes its coordinates and attributes from."""
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]: ...
+    @property
+    def channels(self) -> tuple[str, ...]: ...
+    @property
+    def attrs(self) -> dict[str, Any]: ...
+    @property
+    def features(self) -> dict[str, Image]: ...
+    @property
+    def counts(self) -> npt.NDArray[np.int32] | None: ...
+    @property
+    def source(self) -> Source | None: ...
+    def read(
+        self, ys: slice = slice(None), xs: slice = slice(None), ss: slice = slice(None)
+    ) -> Image: ...
+
+
+def check_single(image: _Image) -> None:
+    """Refuse averages of batches where single samples are needed.
+
+    Raises
+    ------
+    InputError
+        If that is what these are.
+    """
+    averaged = int(image.attrs.get("averaged", 1))
+    if averaged > 1:
+        message = (
+            f"expected single samples, got averages of {averaged}, whose distribution is another; "
+            "summarize and contrast take them"
+        )
+        raise InputError(message)
+
+
+def tiles(shape: tuple[int, int, int, int]) -> Iterator[tuple[slice, slice]]:
+    """Cut an image (y, x, channel, sample) into rows and columns small enough to hold at once."""
+    height, width, channels, spp = shape
+    edge = TILE
+    while edge > 16 and edge * edge * channels * spp * 4 > _MOST_BYTES:
+        edge //= 2
+    yield from itertools.product(spans(height, edge), spans(width, edge))
+
+
+def assemble(
+    image: _Image,
+    parts: Iterable[tuple[slice, slice, Mapped]],
+    *,
+    description: str = "analysing",
+    progress: bool | None = None,
+) -> xr.Dataset:
+    """Return the dataset of an image from variables that were computed tile by tile.
+
+    `parts` are rows, columns and variables of each tile; they are consumed one by one.
+    """
+    height, width = image.shape[:2]
+    results: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
+    with track(description, height * width, unit="px", show=progress) as advance:
+        for ys, xs, variables in parts:
+            for name, (dims, part) in variables.items():
+                if name not in results:
+                    whole = np.empty((height, width, *part.shape[2:]), part.dtype)
+                    results[name] = (("y", "x", *dims), whole)
+                results[name][1][ys, xs] = part
+            advance((ys.stop - ys.start) * (xs.stop - xs.start))
+    return labelled(image, results)
+
+
+def labelled(image: _Image, variables: Mapping[str, Any]) -> xr.Dataset:
+    """Return variables of an image as a dataset with its coordinates."""
+    import xarray as xr
+
+    coords = {"y": np.arange(image.shape[0]), "x": np.arange(image.shape[1])}
+    dataset = xr.Dataset(dict(variables), coords, image.attrs)
+    if "channel" in dataset.dims:
+        # Strings of variable length: zarr v3 has no stable type for those of fixed length.
+        dataset = dataset.assign_coords(channel=np.array(image.channels, dtype=object))
+    return dataset
+
+
+def dataset_of(image: _Image) -> xr.Dataset:
+    """Return samples, features and counts as a dataset, lazily (dask) where on disk."""
+    dims = ("y", "x", "component")
+    variables: dict[str, Any] = {n: (dims[: i.ndim], i) for n, i in image.features.items()}
+    if image.counts is not None:
+        variables["counts"] = (dims[:2], image.counts, {"long_name": "samples", "units": "1"})
+    radiance = image.read() if image.source is None else lazily(image.read, image.shape)
+    about = {"long_name": "linear radiance", "units": image.attrs.get("unit", "W sr-1 m-2")}
+    variables["radiance"] = (("y", "x", "channel", "sample"), radiance, about)
+    return labelled(image, variables)
+
+
+def lazily(
+    read: Callable[[slice, slice, slice], npt.NDArray[np.float32]], shape: tuple[int, ...]
+) -> Any:
+    """Return samples (y, x, channel, sample) as a dask array that reads its chunks when needed."""
+    da: Any = importlib.import_module("dask.array")
+
+    def block(block_info: Any) -> npt.NDArray[np.float32]:
+        ys, xs, _, ss = (slice(*ends) for ends in block_info[None]["array-location"])
+        return read(ys, xs, ss)
+
+    named = {"name": f"radiance-{uuid.uuid4()}", "meta": np.empty((0, 0, 0, 0), np.float32)}
+    chunks = da.core.normalize_chunks((TILE, TILE, -1, BATCH), shape)
+    return da.map_blocks(block, chunks=chunks, **named)

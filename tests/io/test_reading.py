@@ -1,0 +1,160 @@
+"""Samples read from files: every axis in its place, features, counts, provenance, and faults."""
+
+import contextlib
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import chdstat as chd
+from chdstat.cli import main
+from chdstat.errors import ChdstatError, InputError, StoreError
+
+FRAMES = np.random.default_rng(5).gamma(2.0, size=(40, 6, 9, 3)).astype(np.float32)
+RADIANCE = np.moveaxis(FRAMES, 0, -1)
+
+
+def npy(folder):
+    np.save(folder / "x.npy", FRAMES)
+    return chd.io.read(folder / "x.npy", axes="syxc")
+
+
+def npz(folder):
+    np.savez_compressed(folder / "x.npz", radiance=FRAMES, other=np.zeros(3))
+    return chd.io.read(folder / "x.npz", axes="syxc")
+
+
+def zarr(folder):
+    dataset = xr.Dataset({"light": (("sample", "y", "x", "channel"), FRAMES)})
+    dataset.to_zarr(folder / "x.zarr", consolidated=False)
+    return chd.io.read(folder / "x.zarr")
+
+
+def netcdf(folder):
+    xr.Dataset({"light": (("sample", "y", "x", "channel"), FRAMES)}).to_netcdf(
+        folder / "x.nc", engine="scipy"
+    )
+    return chd.io.read(folder / "x.nc")
+
+
+@pytest.fixture
+def run(monkeypatch):
+    """Return a function that runs a command, which must succeed."""
+
+    def command(*arguments: object) -> None:
+        monkeypatch.setattr("sys.argv", ["chdstat", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert not ended.value.code
+
+    return command
+
+
+@pytest.mark.parametrize("write", [npy, npz, zarr, netcdf])
+def test_samples_are_read_as_they_are(tmp_path, write):
+    samples = write(tmp_path)
+    assert samples.shape == RADIANCE.shape
+    assert np.array_equal(samples.read(), RADIANCE)
+    part = slice(1, 5, 2), slice(2, 9), slice(3, 40, 5)
+    assert np.array_equal(samples.read(*part), RADIANCE[part[0], part[1], :, part[2]])
+    saved = samples.save(tmp_path / "own.zarr")
+    assert np.array_equal(saved.read(), RADIANCE)
+    assert saved.attrs["scene"] == "x"
+
+
+@pytest.mark.parametrize("axes", ["yxcs", "yxsc", "syxc", "scyx", "cxys"])
+def test_axes_are_brought_in_order(tmp_path, axes):
+    np.save(tmp_path / "x.npy", RADIANCE.transpose(["yxcs".index(a) for a in axes]))
+    assert np.array_equal(chd.io.read(tmp_path / "x.npy", axes=axes).read(), RADIANCE)
+
+
+def test_one_channel_gains_an_axis(tmp_path):
+    np.save(tmp_path / "x.npy", RADIANCE[:, :, 0])
+    assert np.array_equal(chd.io.read(tmp_path / "x.npy").read(), RADIANCE[:, :, :1])
+
+
+def test_files_follow_each_other(tmp_path):
+    for number in range(4):
+        np.save(tmp_path / f"{number}.npy", FRAMES[10 * number : 10 * number + 10])
+    for given in ([tmp_path], sorted(tmp_path.glob("*.npy"))):
+        samples = chd.io.read(*given, axes="syxc")
+        assert np.array_equal(samples.read(), RADIANCE)
+        assert np.array_equal(samples.read(ss=slice(5, 39, 7)), RADIANCE[..., 5:39:7])
+
+
+def test_features_are_arrays_files_or_names(tmp_path):
+    albedo, depth = FRAMES[0], FRAMES[0, :, :, 0]
+    np.savez(tmp_path / "x.npz", radiance=FRAMES, a=albedo)
+    np.save(tmp_path / "depth.npy", depth)
+    chd.io.write_exr(tmp_path / "normal.exr", albedo)
+    features = {"albedo": "a", "depth": tmp_path / "depth.npy", "normal": tmp_path / "normal.exr"}
+    found = chd.io.read(tmp_path / "x.npz", axes="syxc", features=features).features
+    assert np.array_equal(found["albedo"], albedo)
+    assert np.array_equal(found["normal"], albedo)
+    assert np.array_equal(found["depth"], depth)
+
+
+def test_counts_cut_what_a_pixel_has(tmp_path):
+    counts = np.random.default_rng(1).integers(0, 41, size=(6, 9))
+    np.save(tmp_path / "x.npy", FRAMES)
+    np.save(tmp_path / "n.npy", counts)
+    samples = chd.io.read(tmp_path / "x.npy", axes="syxc", counts=tmp_path / "n.npy")
+    saved = samples.save(tmp_path / "own.zarr")
+    assert np.array_equal(saved.counts, counts)
+    assert np.array_equal(np.isfinite(saved.read()[:, :, 0]).sum(axis=-1), counts)
+
+
+def test_the_command_imports_and_appends(tmp_path, run):
+    np.save(tmp_path / "x.npy", FRAMES)
+    np.save(tmp_path / "y.npy", FRAMES + 1)
+    where = ("-o", tmp_path / "own.zarr", "--axes", "syxc", "-q")
+    run("import", tmp_path / "x.npy", *where, "--renderer", "mine 1.2", "--seed", "4")
+    run("import", tmp_path / "y.npy", *where, "--append", "--seed", "5")
+    samples = chd.open(tmp_path / "own.zarr")
+    assert np.array_equal(samples.read(ss=slice(40)), RADIANCE)
+    assert np.array_equal(samples.read(ss=slice(40, 80)), RADIANCE + 1)
+    assert samples.attrs["renderer"] == "mine 1.2"
+    assert str(tmp_path) not in str(samples.attrs)
+
+
+def test_faults_are_named(tmp_path):
+    (tmp_path / "bad.npy").write_bytes(b"no array")
+    (tmp_path / "x.txt").write_text("1 2 3")
+    (tmp_path / "empty").mkdir()
+    np.save(tmp_path / "bytes.npy", (FRAMES * 10).astype(np.uint8))
+    np.save(tmp_path / "x.npy", FRAMES)
+    np.save(tmp_path / "small.npy", FRAMES[:, 1:])
+    np.savez(tmp_path / "x.npz", FRAMES)
+    cases = [
+        (["bad.npy"], {}, StoreError, "cannot read"),
+        (["x.txt"], {}, InputError, "known formats are npy"),
+        (["empty"], {}, StoreError, "empty folder"),
+        (["none.npy"], {}, StoreError, "nothing at"),
+        (["bytes.npy"], {}, InputError, "unsigned integers"),
+        (["x.npy"], {}, InputError, "say what the axes are"),
+        (["x.npy"], {"axes": "yxc"}, InputError, "name each axis"),
+        (["x.npy", "small.npy"], {"axes": "syxc"}, InputError, "small.npy holds samples of shape"),
+        (["x.npz"], {"axes": "syxc", "variable": "y"}, InputError, "holds no array 'y'"),
+        (["x.npz"], {"axes": "syxc", "features": {"albedo": "a"}}, InputError, "no array 'a'"),
+        (["x.npy"], {"axes": "syxc", "features": {"counts": FRAMES[0]}}, InputError, "counts="),
+    ]
+    for names, options, error, told in cases:
+        with pytest.raises(error, match=told):
+            chd.io.read(*(tmp_path / name for name in names), **options)
+
+
+@pytest.mark.parametrize("name", ["x.npy", "x.npz", "x.nc"])
+def test_hostile_files_are_refused(tmp_path, name):
+    np.save(tmp_path / "x.npy", FRAMES)
+    np.savez_compressed(tmp_path / "x.npz", FRAMES)
+    xr.Dataset({"light": (("sample", "y", "x", "channel"), FRAMES)}).to_netcdf(
+        tmp_path / "x.nc", engine="scipy"
+    )
+    whole, rng = (tmp_path / name).read_bytes(), np.random.default_rng(0)
+    for number in range(40):
+        mutated = bytearray(whole[: rng.integers(len(whole))] if number % 2 else whole)
+        for place in rng.integers(min(len(mutated), 400), size=4) if mutated else ():
+            mutated[place] = rng.integers(256)
+        (tmp_path / f"mutated-{name}").write_bytes(mutated)
+        with contextlib.suppress(ChdstatError):
+            chd.io.read(tmp_path / f"mutated-{name}", axes="syxc").read(ss=slice(1))

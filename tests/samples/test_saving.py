@@ -1,0 +1,144 @@
+"""Samples written to stores: as they were, appended to, resumed, and with counts of their own."""
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError, LeftOutWarning, StoreError
+from chdstat.samples.store import Store
+
+RNG = np.random.default_rng(3)
+RADIANCE = RNG.gamma(2.0, size=(70, 5, 3, 100)).astype(np.float32)
+COUNTS = RNG.integers(0, 101, size=(70, 5))
+COUNTS[3, 4] = 37
+
+
+def test_a_store_holds_what_was_saved(tmp_path):
+    features = {"albedo": RADIANCE[..., 0], "depth": RADIANCE[:, :, 0, 0]}
+    samples = chd.Samples.from_array(RADIANCE, features=features, direct=RADIANCE / 2, seed=3)
+    saved = samples.save(tmp_path / "own.zarr")
+    opened = chd.open(tmp_path / "own.zarr")
+    for found in (saved, opened):
+        assert np.array_equal(found.read(), RADIANCE)
+        assert np.array_equal(found.direct.read(), RADIANCE / 2)
+        assert found.features.keys() == features.keys()
+        assert all(np.array_equal(found.features[n], features[n]) for n in features)
+        assert found.attrs["seed"] == 3
+
+
+def test_what_is_there_is_not_overwritten(tmp_path):
+    samples = chd.Samples.from_array(RADIANCE)
+    samples.save(tmp_path / "own.zarr")
+    with pytest.raises(StoreError, match="holds these samples already"):
+        samples.save(tmp_path / "own.zarr")
+    with pytest.raises(StoreError, match="holds other samples"):
+        chd.Samples.from_array(RADIANCE * 2).save(tmp_path / "own.zarr")
+    with pytest.raises(StoreError, match="holds samples that were saved or imported"):
+        chd.render("cornell-box", spp=4, size=(5, 70), out=tmp_path / "own.zarr", backend="scalar")
+    with pytest.raises(StoreError, match="no store at"):
+        samples.save(tmp_path / "none.zarr", append=True)
+    assert np.array_equal(chd.open(tmp_path / "own.zarr").read(), RADIANCE)
+
+
+def test_samples_are_appended_behind_those_that_are_there(tmp_path):
+    first, second = (chd.Samples.from_array(x, seed=s) for s, x in enumerate((RADIANCE, -RADIANCE)))
+    first.save(tmp_path / "own.zarr")
+    found = second.save(tmp_path / "own.zarr", append=True)
+    assert np.array_equal(found.read(), np.concatenate([RADIANCE, -RADIANCE], axis=-1))
+    with pytest.raises(InputError, match="holds these samples already"):
+        second.save(tmp_path / "own.zarr", append=True)
+    with pytest.raises(InputError, match="seed 1 already"):
+        chd.Samples.from_array(RADIANCE + 1, seed=1).save(tmp_path / "own.zarr", append=True)
+    with pytest.raises(InputError, match=r"shape \(y, x, channel\)"):
+        chd.Samples.from_array(RADIANCE[:9]).save(tmp_path / "own.zarr", append=True)
+
+
+@pytest.mark.parametrize("append", [False, True])
+def test_what_was_interrupted_goes_on(tmp_path, monkeypatch, append):
+    path, written = tmp_path / "own.zarr", []
+    if append:
+        chd.Samples.from_array(RADIANCE).save(path)
+    samples = chd.Samples.from_array(RADIANCE[..., ::-1])
+    write = Store.write
+
+    def stops(store, chunk, block):
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        written.append(chunk)
+        write(store, chunk, block)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Store, "write", stops)
+        with pytest.raises(KeyboardInterrupt):
+            samples.save(path, append=append)
+    again = []
+    monkeypatch.setattr(Store, "write", lambda s, c, b: (again.append(c), write(s, c, b)))
+    found = samples.save(path, append=append)
+    expected = [RADIANCE, RADIANCE[..., ::-1]] if append else [RADIANCE[..., ::-1]]
+    assert np.array_equal(found.read(), np.concatenate(expected, axis=-1))
+    assert not {c.index for c in again} & {c.index for c in written}
+
+
+def test_a_saved_part_of_a_render_is_not_paired_with_it(tmp_path):
+    x = chd.render("cornell-box", spp=4, size=(8, 8), backend="scalar")
+    part = x.isel(y=slice(2, 6)).save(tmp_path / "part.zarr")
+    assert not part.shares_numbers_with(x.isel(y=slice(4)))
+    assert x.save(tmp_path / "whole.zarr").shares_numbers_with(x)
+
+
+def test_a_pixel_has_the_samples_that_are_its_own(tmp_path):
+    samples = chd.Samples.from_array(RADIANCE, counts=COUNTS)
+    for found in (samples, samples.save(tmp_path / "own.zarr"), chd.open(tmp_path / "own.zarr")):
+        assert np.array_equal(found.counts, COUNTS)
+        assert np.array_equal(found[3, 4], RADIANCE[3, 4, :, : COUNTS[3, 4]])
+        cut = found.isel(y=slice(10, 60, 2), sample=slice(7, 90, 3))
+        assert cut.counts[4, 1] == len(range(7, min(90, COUNTS[18, 1]), 3))
+        assert np.array_equal(np.isfinite(cut.read()[:, :, 0]).sum(axis=-1), cut.counts)
+        assert found.to_dataset()["counts"].to_numpy().sum() == COUNTS.sum()
+    assert "0 to 100 spp" in repr(samples)
+
+
+def test_equal_counts_are_none(tmp_path):
+    counts = np.full((70, 5), 100)
+    assert chd.Samples.from_array(RADIANCE, counts=counts).counts is None
+    counts[0, 0] = 30
+    assert chd.Samples.from_array(RADIANCE, counts=counts).first(30).counts is None
+
+
+def test_samples_that_a_pixel_lacks_are_not_bad(recwarn):
+    samples = chd.Samples.from_array(RADIANCE, counts=COUNTS)
+    found = chd.summarize(samples)
+    assert not [w for w in recwarn if issubclass(w.category, LeftOutWarning)]
+    assert np.array_equal(found["count"], COUNTS)
+    assert not found["bad_count"].any()
+    one = chd.summarize(RADIANCE[3:4, 4:5, :, : COUNTS[3, 4]])
+    for name in ("mean", "variance", "standard_error", "maximum"):
+        assert np.allclose(found[name][3, 4], one[name][0, 0], equal_nan=True), name
+
+
+@pytest.mark.parametrize(
+    ("counts", "told"),
+    [
+        (np.full((70, 5), 101), "from 0 to 100"),
+        (np.full((70, 5), -1), "from 0 to 100"),
+        (np.ones((70, 5)), "whole numbers"),
+        (np.ones((5, 70), int), r"shape \(70, 5\)"),
+    ],
+)
+def test_wrong_counts_are_refused(counts, told):
+    with pytest.raises(InputError, match=told):
+        chd.Samples.from_array(RADIANCE, counts=counts)
+
+
+def test_averages_are_not_taken_for_samples():
+    averages = chd.Samples.from_array(RADIANCE, averaged=16)
+    assert chd.summarize(averages)["mean"].shape == (70, 5, 3)
+    for function in (chd.analyze, chd.compare, chd.classify, chd.modality):
+        with pytest.raises(InputError, match="averages of 16"):
+            function(averages)
+
+
+def test_different_counts_are_not_appended_to(tmp_path):
+    chd.Samples.from_array(RADIANCE).save(tmp_path / "own.zarr")
+    with pytest.raises(InputError, match="as many as the others"):
+        chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr", append=True)
