@@ -193,6 +193,7 @@ def info(
 def _state(found: Mapping[str, Any]) -> dict[str, str]:
     """Return what there is of a store, in words."""
     from chdstat._core.display import byte_size
+    from chdstat.samples.description import BIASED
 
     wanted, there = found["shape"]["sample"], found["complete_spp"]
     state = "complete"
@@ -207,7 +208,12 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
     also = [", ".join(found["features"]) + " of the first hit"] if found["features"] else []
     if found["direct_spp"]:
         also.append(f"direct light of {found['direct_spp']} samples")
+    numbers = {}
+    if found["counts"]:
+        fewest, most = found["counts"]
+        numbers["Samples"] = f"{fewest} to {most} in a pixel; {BIASED}"
     return {
+        **numbers,
         "Also stored": ", ".join(also) or "nothing",
         "State": state,
         "Files": files,

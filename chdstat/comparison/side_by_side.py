@@ -29,7 +29,7 @@ from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
 from chdstat.estimators import Estimates, Estimator, Progressive
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.validation import check_spp
-from chdstat.samples import Image, Samples, samples_of
+from chdstat.samples import Image, Samples, check_equal_counts, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -238,6 +238,7 @@ def error_curve(
            [ 1., 11.]])
     """
     samples, seed = samples_of(samples), seed_number(seed)
+    check_equal_counts(samples)
     max_batches = _limit(max_batches)
     chosen = curve_sizes(samples, estimators, sizes=sizes)
     entries = resolve(estimators, chosen)

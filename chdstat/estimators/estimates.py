@@ -29,7 +29,7 @@ from chdstat.estimators.progressive.stream import follow
 from chdstat.estimators.registry import check_probability, mean_of_good
 from chdstat.estimators.validation import direct_of
 from chdstat.io import denoise, write_exr
-from chdstat.samples import Image, Samples
+from chdstat.samples import Image, Samples, check_equal_counts
 
 if TYPE_CHECKING:
     from chdstat.rendering import Rendering
@@ -231,6 +231,7 @@ class _Image:
     @classmethod
     def _of_samples(cls, source: Any, model: AnyModel | None, options: _Options) -> _Image:
         samples = first_samples(source, options.spp)
+        check_equal_counts(samples)
         if options.denoise:
             check_denoiser(samples.shape[2])  # refused before the training, not after
         check_memory(

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut, as_samples, generator, spans
 from chdstat.errors import InputError
 from chdstat.estimators.registry import whole_samples
-from chdstat.samples import Samples
+from chdstat.samples import Samples, check_equal_counts
 
 __all__ = [
     "PUBLISHED_PIXELS",
@@ -141,8 +141,9 @@ def check_spp(samples: Samples, n: int) -> None:
     Raises
     ------
     InputError
-        If there are fewer than 2 n samples per pixel.
+        If there are fewer than 2 n samples per pixel, or some pixels have more than others.
     """
+    check_equal_counts(samples)
     if samples.spp < 2 * n:
         message = (
             f"a batch of {n} samples and an equally large reference need at least {2 * n} spp, "

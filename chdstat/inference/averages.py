@@ -45,7 +45,8 @@ __all__ = [
 class Averages:
     """Averages of complete batches of `size` samples, shape (row, batch), bad samples left out.
 
-    ``formed`` marks batches with a good sample, None where all are; others average to 0.
+    ``formed`` marks batches with a good sample, None where all are; others average to 0. The last
+    good sample of a row ends it: what is bad behind it may be what a pixel lacks.
     """
 
     size: int
@@ -63,6 +64,7 @@ def nested_averages(x: npt.NDArray[Any], bad: Mask, sizes: Counts) -> Iterator[A
     samples /= np.where(largest > 0, largest, 1)
     sums = {1: samples}
     counts = {1: np.subtract(1.0, bad)} if spoilt else {}
+    length = samples.shape[-1] - (~bad[:, ::-1]).argmax(axis=-1, keepdims=True)
     for size in map(int, sizes):
         divisor = max(known for known in sums if size % known == 0)
         sums[size] = _grouped(sums[divisor], size // divisor)
@@ -70,8 +72,9 @@ def nested_averages(x: npt.NDArray[Any], bad: Mask, sizes: Counts) -> Iterator[A
             yield Averages(size, sums[size] / size, None)
             continue
         counts[size] = _grouped(counts[divisor], size // divisor)
-        formed = counts[size] > 0
-        yield Averages(size, sums[size] / np.maximum(counts[size], 1), formed)
+        ends = size * np.arange(1, counts[size].shape[-1] + 1)
+        formed = (counts[size] > 0) & (ends <= length)
+        yield Averages(size, formed * sums[size] / np.maximum(counts[size], 1), formed)
 
 
 def _grouped(values: Floats, count: int) -> Floats:

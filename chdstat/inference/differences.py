@@ -187,8 +187,8 @@ def _of_images(
     left_out, parts = LeftOut(), []
     for ys in spans(a.shape[0], rows):
         read = [x.read(ys, ss=most).astype(np.float64) for x in (a, b)]
-        for x in read:
-            left_out.see(x, channel_axis=-2)
+        for image, x in zip((a, b), read, strict=True):
+            left_out.see(x, channel_axis=-2, absent=image.absent(ys, ss=most))
         parts.append(_of_pixels(read[0], read[1], pairs, replicates, seed))
     left_out.warn()
     joined = {

@@ -40,7 +40,7 @@ from chdstat.rendering.recipes import (
 )
 from chdstat.reporting import content, figures
 from chdstat.reporting.typst import Document, typeset
-from chdstat.samples import Samples, is_store
+from chdstat.samples import Samples, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
 from chdstat.scenes import Scene, load_scene
 from chdstat.studies.claims import FINDINGS, SceneData
@@ -131,6 +131,7 @@ def report(
     if isinstance(finished, Samples):
         refuse_render(finished, asked | {"spp": None, "store": store, "backend": backend})
         samples = first_samples(finished, spp)
+        check_equal_counts(samples)
     else:
         scene = load_scene(finished)
         if named is not None:

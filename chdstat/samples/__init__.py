@@ -6,6 +6,7 @@ from chdstat.samples.access import (
     Blocks,
     Image,
     cache_key,
+    check_equal_counts,
     inspect,
     is_store,
     open,  # noqa: A004 - chdstat.open reads like open
@@ -22,6 +23,7 @@ __all__ = [
     "Mapped",
     "Samples",
     "cache_key",
+    "check_equal_counts",
     "inspect",
     "is_store",
     "open",

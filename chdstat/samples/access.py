@@ -31,6 +31,7 @@ __all__ = [
     "Blocks",
     "Image",
     "cache_key",
+    "check_equal_counts",
     "inspect",
     "is_store",
     "of_store",
@@ -134,7 +135,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     from chdstat.samples.store import Store
 
     store = Store.open(Path(path))
-    direct = store.direct()
+    direct, counts = store.direct(), store.counts()
     height, width, channels, spp = store.shape
     files = [f for f in store.path.rglob("*") if f.is_file()]
     found = {
@@ -145,6 +146,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
         "pending_chunks": len(store.pending()),
         "direct_spp": 0 if direct is None else direct.complete_spp(),
         "features": store.feature_names,
+        "counts": None if counts is None else [int(counts.min()), int(counts.max())],
         "bytes": sum(f.stat().st_size for f in files),
     }
     damaged = store.damaged(content=verify)
@@ -181,6 +183,24 @@ def samples_of(source: Image | npt.ArrayLike, *, averages: bool = False) -> Samp
         f"got {type(source).__name__}"
     )
     raise InputError(message)
+
+
+def check_equal_counts(samples: Samples) -> None:
+    """Refuse samples of which some pixels have more than others.
+
+    Raises
+    ------
+    InputError
+        If that is so; the message says how to go on.
+    """
+    if samples.counts is not None:
+        fewest = int(samples.counts.min())
+        message = (
+            f"this needs as many samples in each pixel, {samples.name} has {fewest} to "
+            f"{samples.spp}: use the first of each, samples.first({max(fewest, 1)}) or "
+            f"--spp {max(fewest, 1)}"
+        )
+        raise InputError(message)
 
 
 def reduce_tiles(

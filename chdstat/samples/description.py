@@ -15,8 +15,10 @@ from chdstat._core.image_scales import tonemap
 from chdstat._core.moments import Moments
 from chdstat.samples.samples import Samples
 
-__all__ = ["card", "provenance"]
+__all__ = ["BIASED", "card", "provenance"]
 
+BIASED = "where that number depended on the samples, means and their errors are biased"
+"""What follows from pixels with different numbers of samples."""
 _EDGE, _VALUES = 256, 2**25
 """Longer edge of a thumbnail in pixels, and samples that are read for it at most."""
 
@@ -70,6 +72,9 @@ def card(samples: Samples) -> Card:
     """Return what a notebook shows of samples: a thumbnail, and where they come from."""
     height, width, channels, spp = samples.shape
     facts = provenance(samples.attrs, samples.shape)
+    if samples.counts is not None:
+        fewest, most = samples.counts.min(), samples.counts.max()
+        facts["Samples"] = f"{fewest} to {most} in a pixel; {BIASED}"
     if samples.features:
         facts["First hit"] = ", ".join(samples.features)
     facts["Stored"] = "in memory" if samples.path is None else str(samples.path)

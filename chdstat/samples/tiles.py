@@ -37,6 +37,9 @@ TILE, BATCH = 64, 64
 _MOST_BYTES = 16 * 2**20
 """Size of a tile with all its samples at most, unless 16 x 16 pixels are larger."""
 
+_OF_BAD = ("bad_count", "nan_count", "n_bad")
+"""Counts of bad samples: of those that a pixel lacks, which read as NaN, they are cleared."""
+
 Image = npt.NDArray[np.float32]
 Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
 """Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
@@ -130,6 +133,11 @@ def assemble(
                     results[name] = (("y", "x", *dims), whole)
                 results[name][1][ys, xs] = part
             advance((ys.stop - ys.start) * (xs.stop - xs.start))
+    if image.counts is not None:
+        absent = image.shape[3] - image.counts
+        for name, (_, found) in results.items():
+            if name.rpartition("/")[2] in _OF_BAD:
+                found -= absent.reshape(absent.shape + (1,) * (found.ndim - 2)).astype(found.dtype)
     return labelled(image, results)
 
 

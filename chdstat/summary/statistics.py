@@ -300,9 +300,10 @@ def summarize(
     batches = Batches((), size=batch_size, limit=max_batches)
     batches.update(np.zeros(image.spp))
     dataset = reduce_tiles(image, of_tile, description="summarising", progress=progress)
-    if image.counts is not None:  # what a pixel lacks is not bad
-        for name in ("bad_count", "nan_count"):
-            dataset[name].values -= image.spp - image.counts
+    if image.counts is not None:  # an incomplete last batch is left out, of every pixel
+        ends = np.cumsum(batches.read()[1])
+        complete = (ends <= image.counts[..., np.newaxis]) | (ends == ends[0])
+        dataset["batch_means"] = dataset["batch_means"].where(complete[:, :, np.newaxis])
     return _label(dataset, batches)
 
 

@@ -142,3 +142,65 @@ def test_different_counts_are_not_appended_to(tmp_path):
     chd.Samples.from_array(RADIANCE).save(tmp_path / "own.zarr")
     with pytest.raises(InputError, match="as many as the others"):
         chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr", append=True)
+
+
+def test_a_pixel_is_described_as_if_it_were_alone():
+    rng = np.random.default_rng(0)
+    x = rng.gamma(2.0, size=(2, 3, 3, 400)) * (rng.random((2, 3, 1, 400)) < 0.8)
+    counts = np.array([[400, 271, 316], [64, 0, 3]])
+    samples = chd.Samples.from_array(x, counts=counts)
+    functions = {
+        "summarize": chd.summarize,
+        "select": chd.fit.select,
+        "tail": chd.fit.tail_index,
+        "gaussianity": chd.gaussianity,
+        "means": lambda s: chd.inference.gaussianity_of_means(s, sizes=[1, 2], n_means=32),
+        "classify": chd.classify,
+    }
+    # What a pixel's neighbours decide, too, or the length of an axis.
+    of_the_image = ("q_value", "q_exponential", "rejected", "n_needed", "agreement", "batch_means")
+    for name, function in functions.items():
+        found = function(samples)
+        for y, column in ((0, 0), (0, 1), (0, 2), (1, 0)):
+            part = x[y : y + 1, column : column + 1, :, : counts[y, column]]
+            one = function(chd.Samples.from_array(part, axes="yxcs"))
+            for variable in one:
+                if "y" not in one[variable].dims or str(variable).endswith(of_the_image):
+                    continue
+                here = found[variable].to_numpy()[y, column]
+                alone = one[variable].to_numpy()[0, 0]
+                same = (
+                    np.array_equal(here, alone)
+                    if alone.dtype.kind == "O"
+                    else np.allclose(here, alone, rtol=1e-4, equal_nan=True)
+                )
+                assert same or str(variable).startswith("label"), (name, variable)
+
+
+def test_estimators_of_pixels_take_what_a_pixel_has():
+    samples = chd.Samples.from_array(RADIANCE, counts=np.maximum(COUNTS, 20))
+    with pytest.warns(LeftOutWarning):  # of a bare array, where nothing says what is absent
+        found = chd.estimators.catoni(samples.read())
+    for y, x in ((0, 0), (9, 2), (69, 4)):
+        assert np.allclose(found[y, x], chd.estimators.catoni(samples[y, x]), rtol=1e-5)
+
+
+def test_what_needs_equal_counts_says_so(tmp_path):
+    samples = chd.Samples.from_array(RADIANCE, counts=np.maximum(COUNTS, 20))
+    functions = (
+        chd.compare,
+        chd.study,
+        chd.estimate,
+        chd.estimators.MLP.preset("elek2019").train,
+        lambda s: chd.report(s, tmp_path / "r.pdf"),
+    )
+    for function in functions:
+        with pytest.raises(InputError, match=r"has 20 to 100: .* samples.first\(20\)"):
+            function(samples)
+    assert chd.compare(samples.first(20), ["mean"], n=8).table()
+
+
+def test_counts_are_told(tmp_path, capsys):
+    saved = chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr")
+    assert "biased" in saved._repr_html_()
+    assert chd.samples.inspect(tmp_path / "own.zarr")["counts"] == [COUNTS.min(), COUNTS.max()]
