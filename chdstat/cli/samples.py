@@ -95,7 +95,11 @@ def import_samples(
     ] = None,
     variable: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Array of the samples.", show_default="the largest"),
+        typer.Option(
+            metavar="NAME",
+            help="Array or layer of the samples.",
+            show_default="the largest; R, G, B",
+        ),
     ] = None,
     albedo: Annotated[str | None, _feature("albedo")] = None,
     normal: Annotated[str | None, _feature("normal")] = None,

@@ -19,7 +19,7 @@ from chdstat._core.files import replacing
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError
 
-__all__ = ["ExrImage", "read_exr", "write_exr"]
+__all__ = ["ExrImage", "read_exr", "read_planes", "write_exr"]
 
 Array = npt.NDArray[Any]
 
@@ -45,10 +45,22 @@ _OF_THE_FORMAT = frozenset(
     )
 )
 """Attributes that say how the file is laid out: nobody else's."""
+_SMALL, _MOST_SHRUNK = 2**28, 2000
+"""Bytes of pixels that any file may claim, and the most for each byte of a file: zlib shrinks
+zeros by 1032."""
 
 
-def _read(path: Path) -> tuple[dict[str, str], dict[str, Array]]:
-    """Return the text in the header and all channels, each of shape (y, x), float32 or uint32."""
+def read_planes(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+    """Return the attributes of an EXR file and its channels (y, x), float32 or uint32, by name.
+
+    Those of other parts than the first are called as their layers are: ``normal.X`` is the channel
+    X of the part "normal".
+
+    Raises
+    ------
+    StoreError
+        As `read_exr` does.
+    """
     import OpenEXR
 
     try:
@@ -62,29 +74,67 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, Array]]:
         message = f"{path} is not an EXR file: it does not begin as one"
         raise StoreError(message)
     try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            _check_claim(path, [part.header for part in file.parts])
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            parts, header, channels = len(file.parts), dict(file.header()), dict(file.channels())
-            planes = {name: channel.pixels for name, channel in channels.items()}
-    except (OSError, RuntimeError, ValueError) as error:
+            attributes = dict(file.header())
+            parts = [
+                (str(part.name()), part.header["dataWindow"], dict(part.channels))
+                for part in file.parts
+            ]
+            planes = _planes_of(path, parts)
+    except (OSError, RuntimeError, ValueError, MemoryError) as error:
         message = f"{path} is damaged or cut off; write or copy it again ({error})"
         raise StoreError(message) from error
-    if parts != 1:
-        message = f"{path} has {parts} parts, expected one; split it, as exrmultipart does"
+    return attributes, planes
+
+
+def _check_claim(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
+    """Refuse a file whose header claims more pixels than it can hold, before there is room made."""
+    claimed = sum(4 * _pixels(h["dataWindow"]) * len(h["channels"]) for h in headers)
+    if claimed > max(_SMALL, _MOST_SHRUNK * path.stat().st_size):
+        message = (
+            f"{path} is damaged: of {path.stat().st_size} bytes, it cannot hold the {claimed:.3g} "
+            "that its header claims"
+        )
         raise StoreError(message)
-    (left, top), (right, bottom) = header["dataWindow"]
-    shape = (int(bottom) - int(top) + 1, int(right) - int(left) + 1)
-    for name, plane in planes.items():
-        sampling = (channels[name].xSampling, channels[name].ySampling)
-        if sampling != (1, 1) or plane.shape != shape or plane.dtype.kind not in "fu":
+
+
+def _pixels(window: Any) -> int:
+    height, width = _shape(window)
+    return max(height, 0) * max(width, 0)
+
+
+def _shape(window: Any) -> tuple[int, int]:
+    (left, top), (right, bottom) = window
+    return int(bottom) - int(top) + 1, int(right) - int(left) + 1
+
+
+def _planes_of(path: Path, parts: Sequence[tuple[str, Any, Mapping[str, Any]]]) -> dict[str, Array]:
+    shape, planes = _shape(parts[0][1]), {}
+    for number, (part, window, channels) in enumerate(parts):
+        if _shape(window) != shape:
             message = (
-                f"{path}: channel {name!r} is deep or of a resolution of its own; "
-                f"expected one number for each of {shape} pixels"
+                f"{path}: part {part!r} has {_shape(window)} pixels, the first part {shape}; "
+                "expected parts of one size"
             )
             raise StoreError(message)
-        if plane.dtype.kind == "f":
-            planes[name] = plane.astype(np.float32, copy=False)
-    text = {n: v for n, v in header.items() if isinstance(v, str) and n not in _OF_THE_FORMAT}
-    return text, planes
+        for name, channel in channels.items():
+            outside = number > 0 and not name.startswith(f"{part}.")
+            planes[f"{part}.{name}" if outside else name] = _plane(path, name, channel, shape)
+    return planes
+
+
+def _plane(path: Path, name: str, channel: Any, shape: tuple[int, int]) -> Array:
+    plane: Array = channel.pixels
+    sampling = (channel.xSampling, channel.ySampling)
+    if sampling != (1, 1) or plane.shape != shape or plane.dtype.kind not in "fu":
+        message = (
+            f"{path}: channel {name!r} is deep or of a resolution of its own; "
+            f"expected one number for each of {shape} pixels"
+        )
+        raise StoreError(message)
+    return plane.astype(np.float32, copy=False) if plane.dtype.kind == "f" else plane
 
 
 _USUAL = {1: ("Y",), 3: ("R", "G", "B")}
@@ -211,7 +261,7 @@ def write_exr(
 
 
 def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrImage:
-    """Read an image and its layers from an EXR file of one part.
+    """Read an image and its layers from an EXR file.
 
     Parameters
     ----------
@@ -219,7 +269,8 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
         The file.
     channels
         Which channels are the image; None for R, G, B, or for Y where these are missing. All
-        others become `ExrImage.extra`.
+        others become `ExrImage.extra`. Of a file of several parts, the image is in the first; the
+        channel X of a part "normal" is called normal.X.
 
     Returns
     -------
@@ -231,8 +282,8 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
     InputError
         If the file holds no such channels.
     StoreError
-        If there is no such file, it is damaged, or an EXR of a kind that is not read here: of
-        several parts, deep, or with channels of lower resolution.
+        If there is no such file, it is damaged, or an EXR of a kind that is not read here: deep,
+        of parts of different sizes, or with channels of lower resolution.
 
     Examples
     --------
@@ -242,14 +293,16 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
     chdstat.errors.StoreError: no EXR file at nowhere.exr
     """
     file = Path(path)
-    text, planes = _read(file)
+    attributes, planes = read_planes(file)
     names = _found_names(file, planes, channels)
     stacked = np.stack([planes.pop(name) for name in names], axis=-1)
     return ExrImage(
         image=stacked.astype(np.float32, copy=False),
         channels=names,
         extra=_layers(planes, names),
-        attributes=text,
+        attributes={
+            n: v for n, v in attributes.items() if isinstance(v, str) and n not in _OF_THE_FORMAT
+        },
     )
 
 

@@ -32,7 +32,7 @@ class Asked:
     axes
         Order of the axes, of letters y, x, c and s; None where the files say it.
     variable
-        Which array of a file with several holds the samples; None finds it.
+        Which array or layer of a file with several holds the samples; None finds it.
     features
         Name within the files of each feature, by the name that it has here.
     """
@@ -96,6 +96,7 @@ FORMATS = (
     Format("npy", (".npy",), "NumPy arrays", "arrays:open_npy"),
     Format("npz", (".npz",), "NumPy archives", "arrays:open_npz"),
     Format("xarray", (".nc", ".nc4", ".h5", ".zarr"), "netCDF and zarr", "arrays:open_xarray"),
+    Format("exr", (".exr",), "EXR images, one for each sample or average", "frames:open_exr"),
 )
 """Formats in the order in which they are tried."""
 
@@ -122,10 +123,12 @@ def read(
         Order of the axes of arrays: the letters y, x, s (sample) and perhaps c (channel), such as
         "syxc" for a stack of images; None where their dims have names, or for "yxcs".
     variable
-        Which array of a file with several holds the samples; None takes the largest.
+        Which array of a file with several holds the samples; None takes the largest. Of EXR files
+        the layer; None takes R, G and B, or Y.
     features
         First-hit features by name (albedo, normal, position, depth): arrays (y, x) or (y, x,
-        component), files of them (.npy, .exr), or their names within the source.
+        component), files of them (.npy, .exr), or their names within the source: arrays, or
+        layers, which are averaged over all EXR files.
     counts
         Samples of each pixel, shape (y, x), where they differ, or a .npy file of them.
     **attrs
@@ -158,7 +161,7 @@ def read(
     opened = _format(paths, format).open(paths, Asked(axes, variable, named))
     shape = opened.source.shape
     images = {n: _image(v) for n, v in given.items() if n not in named}
-    images = {**opened.source.read_features(), **images}
+    images = {**{n: _image(v) for n, v in opened.source.read_features().items()}, **images}
     check_features(images, shape)
     found = opened.counts
     if counts is not None:

@@ -140,11 +140,34 @@ def test_channels_that_are_not_there_are_named_with_those_that_are(tmp_path):
         read_exr(path, channels=["Z"])
 
 
-def test_several_parts_are_refused(tmp_path):
-    parts = [OpenEXR.Part(dict(LAYOUT), {"Y": image()[..., 0].copy()}, name) for name in "ab"]
+def test_channels_of_other_parts_are_layers(tmp_path):
+    x, normal = image(), image(seed=1)
+    first = OpenEXR.Part(dict(LAYOUT), {n: x[..., i].copy() for i, n in enumerate("RGB")}, "rgb")
+    other = OpenEXR.Part(dict(LAYOUT), {"X": normal[..., 0].copy(), "n.Y": normal[..., 1]}, "n")
+    OpenEXR.File([first, other]).write(str(tmp_path / "x.exr"))
+    found = read_exr(tmp_path / "x.exr")
+    np.testing.assert_array_equal(found.image, x)
+    assert found.extra.keys() == {"n.X", "n.Y"}
+    np.testing.assert_array_equal(found.extra["n.X"], normal[..., 0])
+
+
+def test_parts_of_several_sizes_are_refused(tmp_path):
+    shapes = {"a": (5, 7), "b": (5, 6)}
+    shown = {**LAYOUT, "displayWindow": (np.zeros(2, np.int32), np.array([6, 4], np.int32))}
+    parts = [OpenEXR.Part(dict(shown), {"Y": image(s)}, name) for name, s in shapes.items()]
     OpenEXR.File(parts).write(str(tmp_path / "x.exr"))
-    with pytest.raises(StoreError, match="has 2 parts, expected one"):
+    with pytest.raises(StoreError, match=r"part 'b' has \(5, 6\) pixels, the first part \(5, 7\)"):
         read_exr(tmp_path / "x.exr")
+
+
+def test_a_header_that_claims_more_than_the_file_can_hold_is_refused(tmp_path):
+    path = write_exr(tmp_path / "x.exr", image())
+    content = bytearray(path.read_bytes())
+    start = content.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
+    content[start : start + 16] = np.array([0, 0, 10**6 - 1, 10**6 - 1], "<i4").tobytes()
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match=r"cannot hold the 1\.2e\+13 that its header claims"):
+        read_exr(path)
 
 
 def test_channels_of_lower_resolution_are_refused(tmp_path):

@@ -1,0 +1,208 @@
+"""Stacks of images: samples in files of one image each, decoded a batch at a time.
+
+What is decoded is kept in temporary files, so that memory holds no more than an image, however
+many samples there are, and parts of many images are read without decoding these again.
+
+`open_exr` reads stacks of EXR files. Sources: Academy Software Foundation, "OpenEXR file layout",
+https://openexr.com; the attributes that count samples are those that pbrt-v4 (``samplesPerPixel``,
+src/pbrt/util/image.cpp) and Blender's Cycles (``cycles.<layer>.samples``) write.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+import threading
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat.errors import InputError, StoreError
+from chdstat.io.exr import read_planes
+from chdstat.io.reading import Asked, Opened
+from chdstat.samples.tiles import BATCH, Image
+
+__all__ = ["Frame", "Frames", "open_exr"]
+
+Frame = tuple[Image, Mapping[str, Image]]
+"""One sample of each pixel, shape (y, x, channel), and features by name."""
+
+_KEPT = 2**31
+"""Bytes of decoded samples that temporary files keep, and one batch in any case."""
+_ORDERS = ("RGB", "XYZ", "rgb", "xyz", "UV")
+"""Channels of a layer in their order; files have them in that of the alphabet."""
+_COUNTED = re.compile(r"samplesPerPixel|cycles\..*\.samples")
+"""Attributes that say how many samples an image is the average of."""
+
+
+class Frames:
+    """Samples that are decoded image by image, and features that are averages over the images.
+
+    Parameters
+    ----------
+    path
+        Where they lie, for messages.
+    shape
+        (y, x, channel, sample).
+    decode
+        Returns the images of consecutive samples one by one.
+    featured
+        Whether the images have features.
+    """
+
+    frames = True
+
+    def __init__(
+        self,
+        path: Path,
+        shape: tuple[int, int, int, int],
+        decode: Callable[[range], Iterator[Frame]],
+        *,
+        featured: bool = False,
+    ) -> None:
+        self.path, self.shape = path, shape
+        self._decode, self._featured = decode, featured
+        self._files: OrderedDict[int, IO[bytes]] = OrderedDict()
+        self._sums: dict[str, npt.NDArray[np.float64]] = {}
+        self._summed: set[int] = set()
+        self._lock = threading.Lock()
+        weakref.finalize(self, _close, self._files)
+
+    def read(self, ys: slice, xs: slice, ss: slice) -> Image:
+        """Return a part of the samples, shape (y, x, channel, sample)."""
+        asked = np.arange(self.shape[3])[ss]
+        parts = []
+        for number in np.unique(asked // BATCH):
+            own = asked[asked // BATCH == number] - number * BATCH
+            batch = self._batch(int(number))
+            parts.append(np.moveaxis(batch[:, ys, xs][own], 0, -1))
+        return np.ascontiguousarray(np.concatenate(parts, axis=-1))
+
+    def read_features(self) -> dict[str, Image]:
+        """Return features by name, each the average over all images."""
+        if not self._featured:
+            return {}
+        for number in range(-(-self.shape[3] // BATCH)):
+            if number not in self._summed:
+                self._batch(number)
+        return {n: (s / self.shape[3]).astype(np.float32) for n, s in self._sums.items()}
+
+    def _batch(self, number: int) -> npt.NDArray[np.float32]:
+        """Return decoded samples, shape (sample, y, x, channel), mapped from a temporary file."""
+        samples = range(number * BATCH, min((number + 1) * BATCH, self.shape[3]))
+        shape = (len(samples), *self.shape[:3])
+        with self._lock:
+            if number not in self._files:
+                most = _KEPT // max(4 * int(np.prod(shape)), 1)
+                while len(self._files) >= max(most, 1):
+                    self._files.popitem(last=False)[1].close()
+                self._files[number] = self._decoded(number, samples)
+            self._files.move_to_end(number)
+            return np.memmap(self._files[number], np.float32, mode="r", shape=shape)
+
+    def _decoded(self, number: int, samples: range) -> IO[bytes]:
+        # It has no name, so that it is gone when the process ends, in whatever way.
+        try:
+            file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 - kept open
+        except OSError as error:
+            raise self._without_room(error) from error
+        try:
+            for image, features in self._decode(samples):
+                file.write(np.ascontiguousarray(image, np.float32).data)
+                if number not in self._summed:
+                    for name, feature in features.items():
+                        self._sums[name] = self._sums.get(name, 0.0) + feature.astype(np.float64)
+            file.flush()
+        except OSError as error:
+            file.close()
+            raise self._without_room(error) from error
+        except BaseException:
+            file.close()
+            raise
+        self._summed.add(number)
+        return file
+
+    def _without_room(self, error: OSError) -> StoreError:
+        return StoreError(
+            f"cannot decode {self.path} into the temporary folder {tempfile.gettempdir()}: "
+            f"{error.strerror or error}; TMPDIR names another"
+        )
+
+
+def _close(files: Mapping[int, IO[bytes]]) -> None:
+    for file in files.values():
+        file.close()
+
+
+def open_exr(paths: Sequence[Path], asked: Asked) -> Opened:
+    """Open EXR files of one sample, or one average, of each pixel.
+
+    The samples are R, G and B, or Y, or the layer `variable`; alpha is left out. Features are
+    layers, and averages over all files, for what a pixel sees differs from sample to sample.
+    """
+    attributes, planes = read_planes(paths[0])
+    shown = asked.variable or next((c for c in ("RGB", "Y") if set(c) <= planes.keys()), None)
+    if shown is None:
+        there = sorted({name.rpartition(".")[0] or name for name in planes})
+        message = (
+            f"{paths[0]} has no channels R, G, B or Y; give the layer of the samples as variable, "
+            f"one of {', '.join(there)}"
+        )
+        raise InputError(message)
+    names = tuple(shown) if asked.variable is None else _channels(paths[0], planes, shown)
+    layers = {n: _channels(paths[0], planes, inside) for n, inside in asked.features.items()}
+    height, width = planes[names[0]].shape
+
+    def decode(samples: range) -> Iterator[Frame]:
+        for number in samples:
+            path = paths[number]
+            held = planes if number == 0 else read_planes(path)[1]
+            image, *features = (
+                _stacked(path, held, channels, (height, width))
+                for channels in (names, *layers.values())
+            )
+            yield image, dict(zip(layers, features, strict=True))
+
+    shape = (height, width, len(names), len(paths))
+    averaged = _averaged(attributes)
+    attrs = {"averaged": averaged} if averaged > 1 else {}
+    return Opened(Frames(paths[0].parent, shape, decode, featured=bool(layers)), attrs)
+
+
+def _channels(path: Path, planes: Mapping[str, Any], layer: str) -> tuple[str, ...]:
+    """Return the channels of a layer by their full names, in their usual order."""
+    if layer in planes:
+        return (layer,)
+    inside = [name for name in planes if name.rpartition(".")[0] == layer]
+    for order in _ORDERS:
+        if {f"{layer}.{letter}" for letter in order} <= set(inside):
+            return tuple(f"{layer}.{letter}" for letter in order)
+    if not inside:
+        message = f"{path} has no layer {layer!r}, but the channels {', '.join(planes)}"
+        raise InputError(message)
+    return tuple(inside)
+
+
+def _stacked(
+    path: Path, planes: Mapping[str, Any], names: Sequence[str], shape: tuple[int, int]
+) -> Image:
+    missing = [name for name in names if name not in planes]
+    if missing or planes[names[0]].shape != shape:
+        what = f"channels {', '.join(planes)}" if missing else f"{planes[names[0]].shape} pixels"
+        wanted = ", ".join(names) if missing else f"{shape}"
+        message = f"{path} has {what}, but the first file {wanted}"
+        raise InputError(message)
+    return np.stack([planes[name] for name in names], axis=-1).astype(np.float32, copy=False)
+
+
+def _averaged(attributes: Mapping[str, Any]) -> int:
+    """Return how many samples an image says that it is the average of, or 1."""
+    for name, value in attributes.items():
+        if _COUNTED.fullmatch(name) and str(value).isdecimal():
+            return max(int(value), 1)
+    return 1
