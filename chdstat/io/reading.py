@@ -96,7 +96,9 @@ FORMATS = (
     Format("npy", (".npy",), "NumPy arrays", "arrays:open_npy"),
     Format("npz", (".npz",), "NumPy archives", "arrays:open_npz"),
     Format("xarray", (".nc", ".nc4", ".h5", ".zarr"), "netCDF and zarr", "arrays:open_xarray"),
-    Format("exr", (".exr",), "EXR images, one for each sample or average", "frames:open_exr"),
+    Format("exr", (".exr",), "EXR images, each a sample or average", "frames:open_exr"),
+    Format("rawls", (".rawls",), "rawls images, each a sample or average", "rawls:open_rawls"),
+    Format("bcd", (".raw",), "raw samples of Bayesian collaborative denoising", "bcd:open_bcd"),
 )
 """Formats in the order in which they are tried."""
 
