@@ -29,6 +29,14 @@ def render(
     direct: Annotated[
         bool, typer.Option("--direct", help="Also store the direct light of each sample.")
     ] = False,
+    by_depth: Annotated[
+        int | None,
+        typer.Option(
+            metavar="SEGMENTS",
+            help="Also store the light of each sample by the length of its path, up to this.",
+            show_default="none",
+        ),
+    ] = None,
     backend: cli.BackendName = "auto",
     define: cli.Defines = None,
     scheduler: Annotated[
@@ -59,6 +67,7 @@ def render(
             max_depth=max_depth,
             sensor=sensor,
             direct=direct,
+            by_depth=by_depth,
             out=out,
             backend=backend,
             client=client,

@@ -133,11 +133,20 @@ class SelectionResults:
             "patterns": tables.patterns_table(columns),
             "estimates": self._estimates_table(plots, quick),
         }
+        if light := self._light(plots.key):
+            found["light"] = self._of(plots, tables.light_table(light))
         if self._shared.other is not None:
             apart = self._difference(plots.key, place, plots.others[plots.view.active])
             names = (self._shared.source.name, self._shared.other.name)
             found["compared"] = self._of(plots, tables.compared_table(apart, place.channels, names))
         return found, quick
+
+    def _light(self, key: Pixel | Box) -> list[dict[str, str | float]]:
+        """Return the light of a pixel by the length of paths, where its samples are known so."""
+        source = self._shared.source
+        if len(key) != 2 or not isinstance(source, StoreSource) or not source.samples.depths:
+            return []
+        return source.samples.pixel(*key).light
 
     def slow_estimates(
         self,

@@ -28,6 +28,7 @@ __all__ = [
     "estimates_table",
     "goodness_table",
     "headline",
+    "light_table",
     "patterns_table",
     "statistics_table",
 ]
@@ -254,6 +255,16 @@ def compared_table(found: Difference, channels: Sequence[str], names: tuple[str,
     p = _p(float(found.p_value))
     note = f"p of equal CHDs, all channels together: {p} (permutation test; {samples})"
     return _table(f"{names[1]} against {names[0]}", ["measure", *channels], rows, note)
+
+
+def light_table(rows: Sequence[Mapping[str, str | float]]) -> Table:
+    """Return the shares of light by the length of paths, as `Pixel.light` has them."""
+    columns = ["of the luminance", *list(rows[0])[1:]]
+    cells = [
+        [str(row["of"]), *(percent(float(share)) for share in list(row.values())[1:])]
+        for row in rows
+    ]
+    return _table("Light by length of path", columns, cells, "")
 
 
 # --- cells --------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ around the threshold that decides it: `truth` lists the zones and gives None ins
 from __future__ import annotations
 
 from chdstat.patterns.atlases import Atlas, atlas
+from chdstat.patterns.attribution import attribute
 from chdstat.patterns.classification import Agreement, Label, Patterns, agreement, classify
 from chdstat.patterns.known_chds import CHD, CHDS, Component
 from chdstat.patterns.pixel import Pixel
@@ -56,6 +57,7 @@ __all__ = [
     "Truth",
     "agreement",
     "atlas",
+    "attribute",
     "classify",
     "flag_scores",
     "random_chds",

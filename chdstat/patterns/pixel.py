@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Self
 
@@ -19,6 +20,7 @@ from chdstat.fit.selection import Selection, select
 from chdstat.fit.tail import tail_index
 from chdstat.fit.tail_fits import Tail
 from chdstat.inference.modes import Modality, modality
+from chdstat.patterns.attribution import by_part, depth_names, groups_of, shares
 from chdstat.patterns.classification import Label, Patterns, classify
 from chdstat.patterns.table import PATTERNS
 from chdstat.samples.samples import Samples
@@ -49,6 +51,9 @@ class Pixel(Shown):
         Names of the channels.
     scene
         Name of the scene.
+    cut
+        Radiance of the same samples, their paths cut after so many segments, by that number, where
+        they were rendered so (``by_depth=``).
 
     Examples
     --------
@@ -66,13 +71,15 @@ class Pixel(Shown):
     radiance: npt.NDArray[np.float32]
     channels: tuple[str, ...]
     scene: str
+    cut: Mapping[int, npt.NDArray[np.float32]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, samples: Samples, y: int, x: int) -> Self:
         """Return a pixel of an image; negative places count from the end."""
         height, width = samples.shape[:2]
         radiance = samples[y, x]
-        return cls(y % height, x % width, radiance, samples.channels, samples.name)
+        cut = {depth: part[y, x] for depth, part in samples.depths.items()}
+        return cls(y % height, x % width, radiance, samples.channels, samples.name, cut)
 
     @property
     def spp(self) -> int:
@@ -136,6 +143,33 @@ class Pixel(Shown):
         """Names of the patterns that it shows."""
         return tuple(p.name for p in PATTERNS if bool(self.patterns.flags[p.name]))
 
+    @cached_property
+    def light(self) -> list[dict[str, str | float]]:
+        """Which lengths of paths make its mean, its variance, each of its modes and its tail.
+
+        A row for each of these, with its share of the samples and, by name, the share of each
+        length in its luminance (of the variance, in that); empty where the samples were not
+        rendered by depth. A sample belongs to the mode that is nearest in log radiance; the tail
+        begins where its fit does.
+        """
+        if not self.cut or len(self.channels) not in (1, 3):
+            return []
+        spp = min(part.shape[-1] for part in self.cut.values())
+        light = by_part([part[:, :spp] for part in (*self.cut.values(), self.radiance)])
+        total = np.nan_to_num(light.sum(axis=0))
+        names, (mean, variance, _) = depth_names(list(self.cut)), shares(light)
+        of_luminance = modality(total, null=self.null[:spp])
+        places = [float(p) for p in of_luminance.places if np.isfinite(p)]
+        threshold = float(tail_index(total, null=self.null[:spp]).threshold)
+        rows = [("mean", 1.0, mean), ("variance", 1.0, variance)]
+        found: list[dict[str, str | float]] = []
+        for name, members in groups_of(total, self.null[:spp], places, threshold).items():
+            rows.append((name, float(members.mean()), shares(light[:, members])[0]))
+        for of, share, parts in rows:
+            named = dict(zip(names, map(float, parts), strict=True))
+            found.append({"of": of, "share of the samples": share, **named})
+        return found
+
     @property
     def _good(self) -> npt.NDArray[np.float32]:
         """The samples; NaN in all channels where one is bad."""
@@ -186,4 +220,7 @@ class Pixel(Shown):
         facts = {"samples": f"{self.spp}, {percent(self.null_share)} null, {self.bad.sum()} bad"}
         if len(self.channels) in (1, 3):
             facts["label"] = Label(int(self.patterns.label)).name.lower().replace("_", " ")
+        for row in self.light[1:2]:
+            named = [(name, float(share)) for name, share in list(row.items())[2:]]
+            facts["variance"] = ", ".join(f"{percent(s)} {n}" for n, s in named if s >= 0.005)
         return Card(f"Pixel y {self.y}, x {self.x} of {self.scene}", facts, rows)

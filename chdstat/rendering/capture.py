@@ -22,15 +22,16 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, spans, whole
 from chdstat._core.display import Card
 from chdstat._core.executor import track
-from chdstat.errors import InputError, RenderError, StoreError
+from chdstat.errors import InputError, StoreError
 from chdstat.rendering.backend import Backend, activate
-from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.renderer import Job, Renderer, cut_paths
 from chdstat.rendering.seeds import check_spp
 from chdstat.rendering.workers import rendered
 from chdstat.rendering.writers import MemoryWriter, Writer, check_room, opened_store, provenance
 from chdstat.samples import Samples, description, is_store
-from chdstat.samples.layout import BATCH, DIRECT, Chunk, Image, chunk_grid
+from chdstat.samples.layout import BATCH, Chunk, Image, chunk_grid, depth_folder
 from chdstat.samples.store import Store
+from chdstat.samples.tiles import DIRECT_DEPTH
 from chdstat.scenes import Scene, load_scene
 
 if TYPE_CHECKING:
@@ -40,8 +41,6 @@ __all__ = ["Rendering", "refuse_render", "render", "render_batches", "render_pix
 
 _log = logging.getLogger("chdstat")
 
-_DIRECT_DEPTH = 2
-"""Segments of a path from the camera to a light that shines on what it sees."""
 _AT_ONCE = 4
 """Samples that a scalar thread draws of a tile: few tiles shall keep all threads busy."""
 
@@ -55,6 +54,7 @@ def render(
     max_depth: int | None = None,
     sensor: int = 0,
     direct: bool = False,
+    by_depth: int | None = None,
     out: str | Path | None = None,
     backend: Backend = "auto",
     client: Client | None = None,
@@ -84,6 +84,10 @@ def render(
         Render every sample once more with no more than two segments, for what is emission and
         direct light of it: `Samples.direct`. The rest is indirect. This takes a tenth more time in
         rooms, and more where paths are short anyway. An `out` that has it goes on with it.
+    by_depth
+        Render every sample once more with no more than 2, 3, ... and so many segments:
+        `Samples.depths`. Their differences are the light of each sample by the length of its path,
+        which `chdstat.patterns.attribute` makes shares of the mean, the variance and the tail of.
     out
         Where to store the samples; None keeps them in memory.
     backend
@@ -115,9 +119,11 @@ def render(
     <Samples 'cornell-box' 8 x 8 pixels, 3 channels, 2 spp, in memory>
     """
     loaded, spp = load_scene(scene), whole("spp", spp, least=1)
+    deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
+    depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
     existing = Store.open(Path(out)) if out is not None and is_store(out) else None
     if existing is not None:
-        direct = existing.direct() is not None or direct  # one of other samples is refused here
+        depths |= existing.depths().keys()  # parts of other samples are refused here
         if "scene_hash" not in existing.attrs:
             message = (
                 f"{out} holds samples that were saved or imported, to which no render can be "
@@ -128,20 +134,22 @@ def render(
         size = size or tuple(existing.attrs["size"])
     job = Job.of(loaded, size=size, seed=seed, max_depth=max_depth, sensor=sensor, backend=backend)
     with activate(job.verdict):
-        renderer = _renderer(job, spp, kept=spp * (1 + direct), out=out)
-        shorter = _shorter(job, renderer) if direct else None
+        renderer = _renderer(job, spp, kept=spp * (1 + len(depths)), out=out)
+        shorter = cut_paths(job, renderer, depths)
         if existing is not None and spp < existing.complete_spp() == existing.shape[3]:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, existing.shape[3], spp)
         with _writer(job, renderer, spp, out) as writer:
             _fill(job, renderer, writer, client, progress)
-            if shorter is None:
-                return writer.finish()
-            del renderer  # kernels are frozen where one scene is alive only
-            renderer, folder = Renderer(shorter), None if out is None else Path(out) / DIRECT
-            with _writer(shorter, renderer, spp, folder, features=False) as directly:
-                _fill(shorter, renderer, directly, client, progress)
-                return writer.finish(directly.finish())
+            parts = {}
+            for depth, cut in shorter.items():
+                del renderer  # kernels are frozen where one scene is alive only
+                renderer = Renderer(cut)
+                folder = None if out is None else Path(out) / depth_folder(depth)
+                with _writer(cut, renderer, spp, folder, features=False) as part:
+                    _fill(cut, renderer, part, client, progress)
+                    parts[depth] = part.finish()
+            return writer.finish(parts)
 
 
 def render_batches(
@@ -384,23 +392,6 @@ def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray
         message = f"pixel (y={y}, x={x}) is outside the image of {width} x {height} pixels"
         raise InputError(message)
     return array.astype(np.intp)
-
-
-def _shorter(job: Job, renderer: Renderer) -> Job:
-    """Return the same job for emission and direct light alone.
-
-    A sample of it is that of the whole but for the light that its path meets later: both draw the
-    same random numbers in the same order.
-    """
-    longest = renderer.depth
-    if longest is None:
-        message = (
-            f"integrator {renderer.integrator['type']!r} has no max_depth, so that direct light "
-            "cannot be told apart; use one that has, such as path or volpath, or direct=False"
-        )
-        raise RenderError(message)
-    depth = _DIRECT_DEPTH if longest < 0 else min(_DIRECT_DEPTH, longest)
-    return replace(job, max_depth=depth)
 
 
 @contextlib.contextmanager

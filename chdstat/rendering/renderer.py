@@ -7,9 +7,10 @@ wavefront. Module `chdstat.rendering.seeds` decides which random numbers each sa
 from __future__ import annotations
 
 import contextlib
+import gc
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +23,12 @@ from chdstat.errors import InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import BACKENDS, Backend, Verdict, activate, resolve
 from chdstat.rendering.seeds import SEEDS, Streams
 from chdstat.samples.layout import Chunk, Image
+from chdstat.samples.tiles import DIRECT_DEPTH
 from chdstat.scenes import Scene, load_scene
 from chdstat.scenes.files import code_of, plugins_made
 from chdstat.scenes.settings import LONGEST, Asked, asked_for
 
-__all__ = ["Job", "Renderer", "scene_integrator", "scene_size"]
+__all__ = ["Job", "Renderer", "cut_paths", "scene_integrator", "scene_size"]
 
 _BLOCK = 32
 _RUN = 16
@@ -356,7 +358,8 @@ class Renderer:
             self._local.kernel = self._wavefront_kernel(dr, sensor)
             self._local.frozen = dr.freeze(self._local.kernel, state_fn=lambda *_, **__: objects)
         try:
-            return self._local.frozen(*inputs)
+            with _uncollected():
+                return self._local.frozen(*inputs)
         except RuntimeError:
             self._local.frozen = self._local.kernel
             return self._local.kernel(*inputs)
@@ -377,6 +380,40 @@ class Renderer:
             return weight * color
 
         return kernel
+
+
+def cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[int, Job]:
+    """Return the same job with paths cut after each of some depths, where that cuts any.
+
+    A sample of it is that of the whole but for the light that its path meets later: both draw the
+    same random numbers in the same order.
+    """
+    longest = renderer.depth
+    if depths and longest is None:
+        message = (
+            f"integrator {renderer.integrator['type']!r} has no max_depth, so that light cannot be "
+            "told apart by depth; use one that has, such as path or volpath, or neither direct nor "
+            "by_depth"
+        )
+        raise RenderError(message)
+    most = LONGEST if longest is None or longest < 0 else longest
+    return {
+        depth: replace(job, max_depth=min(depth, most))
+        for depth in sorted(depths)
+        if depth < most or depth == DIRECT_DEPTH
+    }
+
+
+@contextlib.contextmanager
+def _uncollected() -> Iterator[None]:
+    """Collect no garbage: arrays that are freed while a kernel is recorded end the process."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def _unusable(integrator: str, why: str | Exception) -> RenderError:

@@ -102,9 +102,9 @@ class MemoryWriter:
         """Record how long rendering took."""
         self._attrs["render_seconds"] = round(seconds, 3)
 
-    def finish(self, direct: Samples | None = None) -> Samples:
-        """Return the samples, with their emission and direct light."""
-        return Samples(self._array, attrs=self._attrs, features=self._features, direct=direct)
+    def finish(self, depths: Mapping[int, Samples] | None = None) -> Samples:
+        """Return the samples, with those of cut paths."""
+        return Samples(self._array, attrs=self._attrs, features=self._features, depths=depths)
 
 
 Writer = MemoryWriter | Store

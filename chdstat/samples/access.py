@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
@@ -19,7 +19,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut
 from chdstat.errors import InputError, StoreError
 from chdstat.samples.samples import Samples
-from chdstat.samples.tiles import Mapped, assemble, check_single
+from chdstat.samples.tiles import DIRECT_DEPTH, Mapped, assemble, check_single
 from chdstat.scenes.files import is_file
 
 if TYPE_CHECKING:
@@ -84,20 +84,23 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
             "Run the same 'chdstat render' again to resume it"
         )
         raise StoreError(message)
-    part = store.direct()
-    return of_store(store, of_store(part) if part and part.complete_spp() else None)
+    parts = store.depths().items()
+    return of_store(store, {d: of_store(part) for d, part in parts if part.complete_spp()})
 
 
-def of_store(store: Store, direct: Samples | None = None) -> Samples:
-    """Return the samples of an open store that every pixel has; `direct` is that of as many."""
+def of_store(store: Store, depths: Mapping[int, Samples] | None = None) -> Samples:
+    """Return the samples of an open store that every pixel has, and as many by depth."""
     height, width, _, _ = store.shape
     part = range(height), range(width), range(store.complete_spp())
-    if direct is not None and direct.spp > len(part[2]):
-        direct = direct.isel(sample=slice(len(part[2])))
+    spp = len(part[2])
+    known = {
+        depth: shorter if shorter.spp <= spp else shorter.isel(sample=slice(spp))
+        for depth, shorter in (depths or {}).items()
+    }
     return Samples(
         store,
         attrs=store.attrs,
-        direct=direct,
+        depths=known,
         part=part,
         path=store.path,
         counts=store.counts(),
@@ -135,7 +138,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     from chdstat.samples.store import Store
 
     store = Store.open(Path(path))
-    direct, counts = store.direct(), store.counts()
+    depths, counts = store.depths(), store.counts()
     height, width, channels, spp = store.shape
     files = [f for f in store.path.rglob("*") if f.is_file()]
     found = {
@@ -144,7 +147,8 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
         "shape": {"y": height, "x": width, "channel": channels, "sample": spp},
         "complete_spp": store.complete_spp(),
         "pending_chunks": len(store.pending()),
-        "direct_spp": 0 if direct is None else direct.complete_spp(),
+        "direct_spp": depths[DIRECT_DEPTH].complete_spp() if DIRECT_DEPTH in depths else 0,
+        "depths": {str(depth): part.complete_spp() for depth, part in depths.items()},
         "features": store.feature_names,
         "counts": None if counts is None else [int(counts.min()), int(counts.max())],
         "bytes": sum(f.stat().st_size for f in files),

@@ -9,6 +9,7 @@ The group::
                         pixels have different numbers of samples, counts (y, x): what lies beyond
                         them in radiance is NaN
     direct/             a store of its own: emission and direct light of the same samples
+    depth-3/            likewise the same samples, their paths cut after three segments; and so on
     .lock               while a process writes
 
 A chunk is a tile of 64 x 64 pixels times a batch of 64 samples: one file, replaced as a whole.
@@ -53,12 +54,12 @@ from zarr.storage import StorePath
 from chdstat._core.files import checksum, replacing
 from chdstat.errors import StoreError
 from chdstat.samples.access import is_store
+from chdstat.samples.tiles import DIRECT_DEPTH
 
 __all__ = [
     "BATCH",
     "BLOCK",
     "COUNTS",
-    "DIRECT",
     "FIRST_SCHEMA",
     "SCHEMA_VERSION",
     "TILE",
@@ -67,6 +68,7 @@ __all__ = [
     "WriteError",
     "check_appendable",
     "chunk_grid",
+    "depth_folder",
     "differing",
 ]
 
@@ -76,8 +78,8 @@ BATCH = 64
 """Samples of a pixel in one chunk."""
 BLOCK = 16
 """Edge in pixels of what is compressed separately within a chunk."""
-DIRECT = "direct"
-"""Folder of the store of direct light."""
+_DIRECT = "direct"
+_DEPTH = "depth-"
 COUNTS = "counts"
 """Feature that says how many samples each pixel has, where they differ."""
 ALL = slice(None)
@@ -172,6 +174,20 @@ def differing(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[str]:
     ['seed']
     """
     return [name for name in {**one, **two} if one.get(name) != two.get(name)]
+
+
+def depth_folder(depth: int) -> str:
+    """Return the folder, within a store, of the same paths cut after so many segments."""
+    return _DIRECT if depth == DIRECT_DEPTH else f"{_DEPTH}{depth}"
+
+
+def depths_in(path: Path, manifest: Mapping[str, Any]) -> list[int]:
+    """Return the depths of which a store has parts, or should have them by its manifest."""
+    there = {DIRECT_DEPTH} if manifest["direct"] or is_store(path / _DIRECT) else set()
+    for folder in path.glob(f"{_DEPTH}*"):
+        number = folder.name.removeprefix(_DEPTH)
+        there |= {int(number)} if number.isdecimal() and is_store(folder) else set()
+    return sorted(there | set(manifest.get("depths", [])))
 
 
 def feature_file(name: str, shape: Sequence[int]) -> str:

@@ -23,7 +23,7 @@ from chdstat._core.executor import check_memory, in_order
 from chdstat.errors import InputError
 from chdstat.samples import tiles
 from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers
-from chdstat.samples.tiles import Image, Mapped, Source
+from chdstat.samples.tiles import DIRECT_DEPTH, Image, Mapped, Source
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -58,16 +58,16 @@ class Samples:
         *,
         attrs: Mapping[str, Any],
         features: Mapping[str, Image] | None = None,
-        direct: Samples | None = None,
+        depths: Mapping[int, Samples] | None = None,
         part: tuple[range, range, range] | None = None,
         path: Path | None = None,
         counts: npt.NDArray[np.int32] | None = None,
     ) -> None:
         height, width, _, spp = held.shape
         self._held, self._attrs, self._counts = held, dict(attrs), counts
-        self._features, self._direct, self._path = features, direct, path
-        # Rows, columns and samples of the render that these are: of a store, those that are read.
-        self._part = part or (range(height), range(width), range(spp))
+        self._features, self._depths, self._path = features, dict(depths or {}), path
+        # Rows, columns and samples of the whole that these are: of a store, those that are read.
+        self.part = part or (range(height), range(width), range(spp))
 
     @classmethod
     def from_array(
@@ -120,7 +120,7 @@ class Samples:
         parts, found = as_images(array, direct, counts, axes)
         check_features(features or {}, parts[0].shape)
         held = [cls(p, attrs=attrs, features=features or {}, counts=found) for p in parts]
-        held[0]._direct = held[1] if direct is not None else None
+        held[0]._depths = dict.fromkeys([DIRECT_DEPTH] if direct is not None else [], held[-1])
         return held[0]
 
     @property
@@ -144,20 +144,15 @@ class Samples:
         return None if isinstance(self._held, np.ndarray) else self._held
 
     @property
-    def part(self) -> tuple[range, range, range]:
-        """Rows, columns and samples of the whole that these are."""
-        return self._part
-
-    @property
     def shape(self) -> tuple[int, int, int, int]:
         """(y, x, channel, sample)."""
-        rows, columns, samples = map(len, self._part)
+        rows, columns, samples = map(len, self.part)
         return rows, columns, self._held.shape[2], samples
 
     @property
     def spp(self) -> int:
         """Samples per pixel."""
-        return len(self._part[2])
+        return len(self.part[2])
 
     @property
     def counts(self) -> npt.NDArray[np.int32] | None:
@@ -165,13 +160,8 @@ class Samples:
 
         Those that a pixel lacks read as NaN, and are not bad.
         """
-        found = None if self._counts is None else counted(self._counts, self._part[2])
+        found = None if self._counts is None else counted(self._counts, self.part[2])
         return None if found is None or (found == self.spp).all() else found
-
-    @property
-    def averaged(self) -> int:
-        """Samples that each value is the average of: 1, unless these are averages of batches."""
-        return int(self._attrs.get("averaged", 1))
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -184,17 +174,24 @@ class Samples:
         """First-hit features by name: albedo, normal, position (y, x, component), depth (y, x)."""
         if self._features is not None or isinstance(self._held, np.ndarray):
             return dict(self._features or {})
-        ys, xs, _ = map(as_slice, self._part)
+        ys, xs, _ = map(as_slice, self.part)
         return {name: image[ys, xs] for name, image in self._held.read_features().items()}
 
     @property
     def direct(self) -> Samples | None:
         """Emission and direct light of the same samples, as far as known; None where it is not.
 
-        These are the same paths, cut after their first reflection. There are fewer of them where
-        their rendering was stopped.
+        These are the same paths, cut after their first reflection.
         """
-        return self._direct
+        return self._depths.get(DIRECT_DEPTH)
+
+    @property
+    def depths(self) -> dict[int, Samples]:
+        """The same samples of paths cut after so many segments, ascending, as far as known.
+
+        `chdstat.patterns.attribute` says what light comes from which depth.
+        """
+        return dict(self._depths)
 
     def shares_numbers_with(self, other: Samples) -> bool:
         """Return whether sample i of a pixel was drawn with the random numbers of the other's.
@@ -286,18 +283,19 @@ class Samples:
         >>> samples.isel(y=slice(1, 3), sample=slice(None, None, 2))
         <Samples 'samples' 6 x 2 pixels, 3 channels, 16 spp, in memory>
         """
-        rows, columns, samples = self._part
+        rows, columns, samples = self.part
         ys, xs, ss = cut("y", rows, y), cut("x", columns, x), cut("sample", samples, sample)
-        features, direct = self._features, self._direct
+        features, depths = self._features, {}
         if features is not None:
             features = {name: image[ys, xs] for name, image in features.items()}
-        if direct is not None:  # it may be rendered for fewer samples
-            direct = direct.isel(y=ys, x=xs, sample=ss) if ss.start < direct.spp else None
+        for depth, shorter in self._depths.items():
+            if ss.start < shorter.spp:  # it may be rendered for fewer samples
+                depths[depth] = shorter.isel(y=ys, x=xs, sample=ss)
         return Samples(
             self._held[ys, xs, :, ss] if isinstance(self._held, np.ndarray) else self._held,
             attrs=self._attrs if sample == _ALL else {**self._attrs, "spp": len(samples[ss])},
             features=features,
-            direct=direct,
+            depths=depths,
             part=(rows[ys], columns[xs], samples[ss]),
             counts=None if self._counts is None else self._counts[ys, xs],
         )
@@ -314,7 +312,7 @@ class Samples:
         """
         if isinstance(self._held, np.ndarray):
             return self._held[ys, xs, :, ss]
-        rows, columns, samples = (r[s] for r, s in zip(self._part, (ys, xs, ss), strict=True))
+        rows, columns, samples = (r[s] for r, s in zip(self.part, (ys, xs, ss), strict=True))
         size = 4 * self.shape[2] * len(rows) * len(columns) * len(samples)
         if size > _ALWAYS_READ:
             advice = "read them in parts, such as read(ys, xs), or walk through blocks()"
@@ -336,7 +334,7 @@ class Samples:
             return self
         loaded = copy.copy(self)
         loaded._held, loaded._features, loaded._path = self.read(), self.features, None
-        loaded._direct = None if self._direct is None else self._direct.load()
+        loaded._depths = {depth: shorter.load() for depth, shorter in self._depths.items()}
         return loaded
 
     def save(
@@ -442,7 +440,7 @@ class Samples:
         """Return how many samples the pixels of a part lack, where some have fewer than others."""
         if self._counts is None:
             return 0
-        asked = self._part[2][ss]
+        asked = self.part[2][ss]
         return int((len(asked) - counted(self._counts[ys, xs], asked)).sum())
 
     def to_dataset(self) -> xr.Dataset:

@@ -48,10 +48,13 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
         store, first = Store.open(path, writable=True), 0
     with store:
         _fill(store, samples, first, progress)
-        if samples.direct is None or append:
+        if append:
             return store.finish()
-        inside = path / layout.DIRECT
-        return store.finish(save(samples.direct, inside, append=False, progress=progress))
+        parts = {
+            depth: save(part, path / layout.depth_folder(depth), append=False, progress=progress)
+            for depth, part in samples.depths.items()
+        }
+        return store.finish(parts)
 
 
 def _described(samples: Samples) -> dict[str, Any]:

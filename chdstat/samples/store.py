@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +22,10 @@ from zarr.storage import LocalStore, MemoryStore
 from chdstat._core.files import Lock, checksum, sweep
 from chdstat.errors import StoreError
 from chdstat.samples import layout
-from chdstat.samples.access import is_store, of_store
+from chdstat.samples.access import of_store
 from chdstat.samples.layout import ALL, BATCH, FOREIGN, Chunk, DamageError, Image, Shape, brief
 from chdstat.samples.samples import Samples
+from chdstat.samples.tiles import DIRECT_DEPTH
 
 __all__ = ["Store"]
 
@@ -196,24 +197,25 @@ class Store:
         """Return the file that holds a chunk."""
         return self.path / f"radiance/c/{chunk.tile_y}/{chunk.tile_x}/0/{chunk.batch}"
 
-    def direct(self) -> Store | None:
-        """Open the store of emission and direct light of the same samples; None where it lacks.
+    def depths(self) -> dict[int, Store]:
+        """Open the stores of the same samples whose paths are cut, by their depth in segments.
 
         Raises
         ------
         StoreError
-            If it cannot be read, or is not of the same samples.
+            If one cannot be read, or is not of the same samples.
         """
-        path = self.path / layout.DIRECT
-        if not is_store(path) and not self._manifest["direct"]:
-            return None
+        return {depth: self._part(depth) for depth in layout.depths_in(self.path, self._manifest)}
+
+    def _part(self, depth: int) -> Store:
+        path = self.path / layout.depth_folder(depth)
         part = Store.open(path)
         ours, theirs = self._same, part._same
         if names := layout.differing(ours, theirs):
             detail = "; ".join(f"{n}: {theirs[n]}, not {ours[n]}" for n in names)
             message = (
-                f"{path} is not the direct part of {self.path} ({detail}); move it away, and "
-                "render it with: chdstat render --direct"
+                f"{path} is not of the same samples as {self.path} ({detail}); move it away, and "
+                "render it with: chdstat render --direct or --by-depth"
             )
             raise StoreError(message)
         return part
@@ -290,11 +292,12 @@ class Store:
         found = [file for file, content in expected if layout.loaded(file) != content]
         found += [self.path / "features" / name for name in self._damaged_features()]
         found += [self.chunk_file(chunk) for chunk in self._damaged_chunks(content=content)]
-        try:
-            direct = self.direct()
-        except StoreError:
-            return [*found, self.path / layout.DIRECT]
-        return found if direct is None else found + direct.damaged(content=content)
+        for depth in layout.depths_in(self.path, self._manifest):
+            try:
+                found += self._part(depth).damaged(content=content)
+            except StoreError:
+                found.append(self.path / layout.depth_folder(depth))
+        return found
 
     def read_features(self) -> dict[str, Image]:
         """Return the first-hit features that are stored, by name.
@@ -371,13 +374,16 @@ class Store:
         if self.complete_spp() > self._manifest["complete"]:
             self.update()
 
-    def update(self, *, direct: bool | None = None, **attrs: Any) -> None:
-        """Change attributes, and note what samples every pixel has."""
+    def update(self, *, depths: Iterable[int] = (), **attrs: Any) -> None:
+        """Change attributes, and note what samples every pixel has, and by which depths."""
         manifest = self._manifest
         manifest["complete"] = max(manifest["complete"], self.complete_spp())
         manifest["shape"] = list(self.shape)
-        if direct is not None:
-            manifest["direct"] = direct
+        for depth in depths:
+            if depth == DIRECT_DEPTH:
+                manifest["direct"] = True
+            else:
+                manifest["depths"] = sorted({*manifest.get("depths", []), depth})
         changed = {**self._attributes, **attrs, "manifest": manifest}
         if changed != self._attributes:
             self._attributes = changed
@@ -390,10 +396,10 @@ class Store:
         with contextlib.suppress(StoreError):
             self.update(render_seconds=round(before + seconds, 3))
 
-    def finish(self, direct: Samples | None = None) -> Samples:
-        """Return the samples that every pixel has, with their emission and direct light."""
-        self.update(direct=True if direct else None)
-        return of_store(self, direct)
+    def finish(self, depths: Mapping[int, Samples] | None = None) -> Samples:
+        """Return the samples that every pixel has, with those of cut paths."""
+        self.update(depths=depths or ())
+        return of_store(self, depths)
 
     def extend(self, spp: int) -> None:
         """Make room for more samples per pixel; what is stored stays."""

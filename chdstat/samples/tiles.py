@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BATCH",
+    "DIRECT_DEPTH",
     "TILE",
     "Image",
     "Mapped",
@@ -34,6 +35,8 @@ __all__ = [
 
 TILE, BATCH = 64, 64
 """Edge of the tiles and number of samples of the blocks that samples are walked in."""
+DIRECT_DEPTH = 2
+"""Segments of a path from the camera to a light that shines on what it sees."""
 _MOST_BYTES = 16 * 2**20
 """Size of a tile with all its samples at most, unless 16 x 16 pixels are larger."""
 

@@ -14,8 +14,9 @@ from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.estimators.models import first_samples
 from chdstat.rendering.backend import probe
 from chdstat.samples import inspect
-from chdstat.samples.layout import DIRECT
 from chdstat.samples.store import Store
+
+DIRECT = "direct"
 
 BACKENDS = [
     "scalar",
@@ -123,7 +124,7 @@ def test_that_of_other_samples_is_refused(tmp_path, change, named):
     render(out=out, direct=False)
     render(**{"out": out / DIRECT, "max_depth": 2, "direct": False} | change)
     for again in (lambda: chd.open(out), lambda: inspect(out), lambda: render(out=out, spp=8)):
-        with pytest.raises(StoreError, match=f"not the direct part of .*{named}"):
+        with pytest.raises(StoreError, match=f"not of the same samples as .*{named}"):
             again()
 
 

@@ -1,0 +1,212 @@
+"""Attribution: which paths make the mean, the variance, a mode or the tail of a distribution.
+
+Samples rendered with ``by_depth`` are known with their paths cut after 2, 3, ... segments: the same
+paths, so that the differences are the light of each sample by the length of its path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import is_bad, luminance
+from chdstat._core.executor import in_order
+from chdstat._core.reasons import first_of, label_variables
+from chdstat.errors import InputError, Reason
+from chdstat.samples import Image, Mapped, samples_of
+from chdstat.samples.tiles import DIRECT_DEPTH, assemble, tiles
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["attribute", "by_part", "depth_names", "groups_of", "shares"]
+
+_BRIGHTEST = 0.01
+_SAID = {
+    "mean_share": ("share of the mean that comes by paths of this length", "1"),
+    "variance_share": ("share of the variance that comes by paths of this length", "1"),
+    "brightest_share": ("share of the light of the brightest hundredth of the samples", "1"),
+    "reason": ("why there are no shares", "1"),
+}
+
+
+def attribute(samples: Image | npt.ArrayLike, *, progress: bool | None = None) -> xr.Dataset:
+    """Say which lengths of paths make the luminance of each pixel, and its variance.
+
+    The share of the variance is the covariance of the light of one length with all light, over the
+    variance: shares add up to 1, and one is negative where that light is bright when the rest is
+    dark. Shares of the variance and of the brightest samples rest on few of them where the tail is
+    heavy.
+
+    Parameters
+    ----------
+    samples
+        Samples that were rendered with ``by_depth=``, or with ``direct=True`` for two lengths.
+    progress
+        Show a progress bar; None shows it on a terminal.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``mean_share``, ``variance_share`` and ``brightest_share`` of dims (y, x, segments), the
+        last one of the light in the brightest hundredth of the samples; NaN where ``reason`` (y, x)
+        says why. ``segments`` is the longest path of each group, infinite for the rest, and
+        ``paths`` says it in words.
+
+    Raises
+    ------
+    InputError
+        If the samples are not known by depth, or have neither 1 nor 3 channels.
+
+    References
+    ----------
+    Shares of a variance by covariance: Shorrocks, "Inequality decomposition by factor components",
+    Econometrica 50(1), 1982, doi:10.2307/1912537.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> scene = {"scene": "cornell-box", "spp": 16, "size": (8, 8), "backend": "scalar"}
+    >>> found = attribute(chd.render(**scene, by_depth=3))
+    >>> found["paths"].to_numpy().tolist()
+    ['emitted and direct', '3 segments', 'more than 3 segments']
+    >>> round(float(found["variance_share"].sum("segments").max()), 5)
+    1.0
+    """
+    image = samples_of(samples)
+    if not image.depths:
+        message = (
+            "these samples are not known by the length of their paths; render them with by_depth=5 "
+            "(chdstat render --by-depth 5) into the same store"
+        )
+        raise InputError(message)
+    cut = image.depths
+    spp = min(part.spp for part in cut.values())
+    parts = [*cut.values(), image]
+
+    def of_tile(tile: tuple[slice, slice]) -> tuple[slice, slice, Mapped]:
+        cumulative = [part.read(*tile, slice(spp)) for part in parts]
+        return (*tile, _variables(cumulative))
+
+    walk = in_order(of_tile, tiles(image.shape))
+    found = assemble(image, walk, description="attributing light", progress=progress)
+    paths = np.array(depth_names(list(cut)), dtype=object)
+    return label_variables(found, _SAID, bounds=False).assign_coords(
+        segments=("segments", [*map(float, cut), np.inf], {"long_name": "longest path"}),
+        paths=("segments", paths),
+    )
+
+
+def depth_names(depths: Sequence[int]) -> list[str]:
+    """Return what the light up to each depth, and beyond the last, is called.
+
+    Examples
+    --------
+    >>> depth_names([2, 3])
+    ['emitted and direct', '3 segments', 'more than 3 segments']
+    """
+    names = ["emitted and direct" if d == DIRECT_DEPTH else f"{d} segments" for d in depths]
+    return [*names, f"more than {depths[-1]} segments"]
+
+
+def shares(light: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], ...]:
+    """Return the shares of each part of the light in mean, variance and brightest samples.
+
+    Parameters
+    ----------
+    light
+        Luminance of each sample by part, shape (part, ..., sample); NaN in all for bad samples.
+
+    Returns
+    -------
+    mean, variance, brightest : ndarray
+        Of shape (..., part), summing to 1; not finite where there is nothing to share.
+
+    Examples
+    --------
+    >>> light = np.array([[1.0, 1.0, 1.0, 1.0], [0.0, 2.0, 0.0, 2.0]])
+    >>> [found.tolist() for found in shares(light)]
+    [[0.5, 0.5], [0.0, 1.0], [0.3333333333333333, 0.6666666666666666]]
+    """
+    total = light.sum(axis=0)
+    good = np.isfinite(total)
+    known, count = np.where(good, light, 0), good.sum(axis=-1)
+    with np.errstate(all="ignore"):
+        mean = known.sum(axis=-1)
+        sums = mean.sum(axis=0)
+        centred = np.where(good, total - (sums / count)[..., np.newaxis], 0)
+        variance = (known * centred).sum(axis=-1)
+        most = max(1, round(_BRIGHTEST * light.shape[-1]))
+        last = np.argpartition(np.where(good, total, -np.inf), -most, axis=-1)[..., -most:]
+        brightest = np.take_along_axis(known, last[np.newaxis], axis=-1).sum(axis=-1)
+        found = mean / sums, variance / variance.sum(axis=0), brightest / brightest.sum(axis=0)
+    return tuple(np.moveaxis(part, 0, -1) for part in found)
+
+
+def groups_of(
+    total: npt.NDArray[np.float64],
+    null: npt.NDArray[np.bool_],
+    places: Sequence[float],
+    threshold: float,
+) -> Mapping[str, npt.NDArray[np.bool_]]:
+    """Return the samples of a pixel that make its modes and its tail, as masks by name.
+
+    Parameters
+    ----------
+    total
+        Luminance of the samples, shape (sample,).
+    null
+        Which are null, shape (sample,).
+    places
+        Its modes, log10 of luminance, the darkest first. A sample belongs to the nearest of them.
+    threshold
+        Where its tail begins; NaN without a tail.
+
+    Examples
+    --------
+    >>> total = np.array([0.0, 0.1, 0.1, 10.0, 90.0])
+    >>> {n: m.sum().item() for n, m in groups_of(total, total == 0, [-1.0, 1.0], 50.0).items()}
+    {'mode 1': 2, 'mode 2': 2, 'tail': 1}
+    """
+    positive = (total > 0) & ~null
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = np.abs(np.log10(total) - np.reshape(places, (-1, 1)))
+    nearest = np.where(np.isnan(distance), np.inf, distance).argmin(axis=0) if len(places) else 0
+    groups = {f"mode {i + 1}": positive & (nearest == i) for i in range(len(places))}
+    return {**groups, "tail": positive & (total > threshold)} if threshold > 0 else groups
+
+
+def by_part(cumulative: Sequence[npt.NDArray[np.floating[Any]]]) -> npt.NDArray[np.float64]:
+    """Return the luminance that each cut adds to the one before, (part, ..., sample).
+
+    `cumulative` are samples (..., channel, sample), of rising depth; a bad one is NaN in all parts.
+    """
+    bad = np.any([is_bad(part).any(axis=-2) for part in cumulative], axis=0)
+    found = np.stack([luminance(part.astype(np.float64)) for part in cumulative])
+    return np.where(bad, np.nan, np.diff(found, axis=0, prepend=0))
+
+
+def _variables(cumulative: Sequence[npt.NDArray[np.float32]]) -> Mapped:
+    light = by_part(cumulative)
+    total = light.sum(axis=0)
+    good = np.isfinite(total)
+    mean, variance, brightest = shares(light)
+    highest = np.where(good, total, -np.inf).max(axis=-1)
+    lowest = np.where(good, total, np.inf).min(axis=-1)
+    reason = first_of(
+        {
+            Reason.ALL_BAD: ~good.any(axis=-1),
+            Reason.ALL_NULL: highest <= 0,
+            Reason.CONSTANT: highest <= lowest,
+        }
+    )
+    usable = (reason == Reason.OK)[..., np.newaxis]
+    named = {"mean_share": mean, "variance_share": variance, "brightest_share": brightest}
+    found = {name: np.where(usable, value, np.nan) for name, value in named.items()}
+    return {
+        **{name: (("segments",), value.astype(np.float32)) for name, value in found.items()},
+        "reason": ((), reason),
+    }

@@ -1,0 +1,106 @@
+"""Attribution: shares of paths by their length, of known light and of real scenes."""
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError, Reason
+from chdstat.patterns.attribution import attribute
+from chdstat.samples import Samples
+
+RNG = np.random.default_rng(2)
+
+
+def known(*light):
+    """Return samples of one channel with parts of light that add up, the first of them direct."""
+    cumulative = [Samples.from_array(x) for x in np.cumsum(light, axis=0, dtype=np.float32)]
+    depths = {2 + i: part for i, part in enumerate(cumulative[:-1])}
+    return Samples(cumulative[-1].read(), attrs={}, depths=depths)
+
+
+def test_independent_light_has_its_own_variance():
+    one, two, three = (RNG.gamma(1.0, s, size=(3, 4, 20000)) for s in (1.0, 2.0, 3.0))
+    found = attribute(known(one, two, three))
+    assert found["segments"].to_numpy().tolist() == [2, 3, np.inf]
+    for name, expected in (("variance_share", [1, 4, 9]), ("mean_share", [1, 2, 3])):
+        right = np.array(expected) / np.sum(expected)
+        assert np.allclose(found[name].mean(("y", "x")), right, atol=0.01), name
+        assert np.allclose(found[name].sum("segments"), 1, atol=1e-5), name
+
+
+def test_the_brightest_samples_are_those_that_hold_rare_light():
+    rare = 1000 * (np.arange(4096) % 256 == 7) * np.ones((2, 2, 1))
+    found = attribute(known(np.ones((2, 2, 4096)), rare))
+    assert (found["brightest_share"][..., 1] > 0.99).all()
+    assert np.allclose(found["variance_share"][..., 1], 1, atol=1e-5)
+
+
+def test_light_that_is_bright_when_the_rest_is_dark_lowers_the_variance():
+    x = RNG.uniform(1, 2, size=(1, 1, 5000))
+    found = attribute(known(x, 3 * (2 - x)))
+    assert float(found["variance_share"][0, 0, 0]) == pytest.approx(-0.5, abs=1e-3)
+
+
+def test_pixels_without_light_say_why():
+    x = RNG.gamma(2.0, size=(1, 4, 64))
+    x[0, 0], x[0, 1], x[0, 2, 5] = 0, np.nan, np.nan
+    x[0, 3] = 1
+    found = attribute(known(x / 2, x / 2))
+    assert found["reason"].to_numpy()[0].tolist() == [
+        Reason.ALL_NULL,
+        Reason.ALL_BAD,
+        Reason.OK,
+        Reason.CONSTANT,
+    ]
+    assert np.isfinite(found["mean_share"].to_numpy()[0, 2]).all()
+    assert np.isnan(found["mean_share"].to_numpy()[0, [0, 1, 3]]).all()
+
+
+def test_modes_and_tail_have_paths_of_their_own():
+    dark = RNG.lognormal(-4, 0.3, size=4096)
+    bright = RNG.lognormal(2, 0.3, size=4096) * (RNG.random(4096) < 0.4)
+    pixel = known(*(x.reshape(1, 1, -1) for x in (bright, dark))).pixel(0, 0)
+    rows = {row["of"]: row for row in pixel.light}
+    assert rows["mode 1"]["more than 2 segments"] > 0.99
+    assert rows["mode 2"]["emitted and direct"] > 0.99
+    assert rows["mode 1"]["share of the samples"] == pytest.approx(0.6, abs=0.03)
+    assert rows["variance"]["emitted and direct"] > 0.99
+    assert len(repr(pixel).splitlines()) <= 10
+
+
+def test_samples_of_unknown_depth_are_refused():
+    with pytest.raises(InputError, match="--by-depth"):
+        attribute(np.ones((2, 2, 3, 8)))
+    assert Samples.from_array(np.ones((2, 2, 3, 8))).pixel(0, 0).light == []
+
+
+@pytest.mark.parametrize("scene", ["cornell-box", "fog"])
+def test_shares_are_those_of_independent_renders_of_each_depth(scene):
+    settings = {"size": (12, 12), "spp": 512, "backend": "scalar", "progress": False}
+    found = attribute(chd.render(scene, **settings, seed=1, by_depth=4))
+    whole = [
+        chd.render(scene, **settings, seed=2 + i, max_depth=depth).read().mean(dtype=np.float64)
+        for i, depth in enumerate((2, 3, 4, None))
+    ]
+    right = np.diff(whole, prepend=0) / whole[-1]
+    samples = chd.render(scene, **settings, seed=9)
+    weight = samples.read() @ np.ones(512) @ np.array([0.2126, 0.7152, 0.0722])
+    shares = (found["mean_share"].to_numpy() * weight[..., np.newaxis]).sum((0, 1)) / weight.sum()
+    assert np.allclose(shares, right, atol=0.05)
+
+
+def test_parts_are_stored_resumed_and_opened(tmp_path):
+    settings = {"size": (8, 8), "backend": "scalar", "progress": False}
+    path = tmp_path / "a.zarr"
+    chd.render("cornell-box", spp=4, out=path, **settings)
+    rendered = chd.render("cornell-box", spp=8, out=path, by_depth=4, **settings)
+    opened = chd.open(path)
+    for samples in (rendered, opened, opened.load(), opened.save(tmp_path / "b.zarr")):
+        assert list(samples.depths) == [2, 3, 4]
+        assert samples.direct is samples.depths[2]
+        parts = [part.read() for part in samples.depths.values()]
+        for shorter, longer in zip(parts, [*parts[1:], samples.read()], strict=True):
+            assert (longer >= shorter).all()
+    fresh = chd.render("cornell-box", spp=8, max_depth=3, **settings)
+    assert np.array_equal(opened.depths[3].read(), fresh.read())
+    assert chd.samples.inspect(path, verify=True)["depths"] == {"2": 8, "3": 8, "4": 8}
