@@ -25,6 +25,7 @@ from chdstat.errors import InputError, StoreError
 
 __all__ = [
     "Lock",
+    "check_claim",
     "checked_target",
     "checksum",
     "free_disk",
@@ -40,6 +41,9 @@ _fcntl: Any = importlib.import_module("fcntl") if os.name == "posix" else None
 """Windows has no flock: nothing is locked there, and nothing swept."""
 _TRIES = 8
 """How often a file that vanishes while it is being locked is made again."""
+_SMALL, _MOST_SHRUNK = 2**28, 2000
+"""Bytes of content that any file may claim, and the most for each of its bytes: zlib shrinks zeros
+by 1032."""
 
 
 def checksum(data: bytes) -> int:
@@ -53,6 +57,23 @@ def checksum(data: bytes) -> int:
     import google_crc32c
 
     return int(google_crc32c.value(data))
+
+
+def check_claim(path: Path, claimed: int) -> None:
+    """Refuse a file whose header claims more bytes than it can hold, before there is room made.
+
+    Raises
+    ------
+    StoreError
+        If it does.
+    """
+    size = path.stat().st_size
+    if claimed > max(_SMALL, _MOST_SHRUNK * size):
+        message = (
+            f"{path} is damaged: of {size} bytes, it cannot hold the {claimed:.3g} that its header "
+            "claims"
+        )
+        raise StoreError(message)
 
 
 # --- outputs ------------------------------------------------------------------------------------

@@ -25,9 +25,9 @@ from chdstat.samples.axes import ordered, single
 from chdstat.samples.layout import FOREIGN
 from chdstat.samples.tiles import Image
 
-__all__ = ["ArraySource", "Joined", "load_npy", "open_npy", "open_npz", "open_xarray"]
+__all__ = ["DAMAGED", "ArraySource", "Joined", "load_npy", "open_npy", "open_npz", "open_xarray"]
 
-_DAMAGED = (
+DAMAGED = (
     *FOREIGN,
     EOFError,
     MemoryError,
@@ -72,7 +72,7 @@ class ArraySource:
         index = {"y": ys, "x": xs, "s": ss, "c": slice(None)}
         try:
             block = np.asarray(self._array[tuple(index[letter] for letter in self._axes)])
-        except _DAMAGED as error:
+        except DAMAGED as error:
             message = f"cannot read {self.path}: {error}"
             raise StoreError(message) from error
         block = block.transpose([self._axes.index(i) for i in "yxcs" if i in self._axes])
@@ -133,7 +133,7 @@ def load_npy(path: Path) -> npt.NDArray[Any]:
     """
     try:
         found = np.load(path, mmap_mode="r", allow_pickle=False)
-    except _DAMAGED as error:
+    except DAMAGED as error:
         message = f"cannot read {path}: {error}"
         raise StoreError(message) from error
     if not isinstance(found, np.ndarray):
@@ -174,7 +174,7 @@ def open_xarray(paths: Sequence[Path], asked: Asked) -> Opened:
                 dataset = xr.open_zarr(path, chunks=None, decode_times=False, consolidated=False)
             else:
                 dataset = xr.open_dataset(path, decode_times=False)
-        except _DAMAGED as error:
+        except DAMAGED as error:
             message = f"xarray cannot open {path}: {error}"
             raise StoreError(message) from error
         sizes = {str(n): int(v.size) for n, v in dataset.data_vars.items()}
@@ -202,7 +202,7 @@ def _unpacked(path: Path) -> dict[str, npt.NDArray[Any]]:
                 with archive.open(member) as packed, target.open("wb") as plain:
                     shutil.copyfileobj(packed, plain, 2**20)
                 arrays[member.removesuffix(".npy")] = load_npy(target)
-    except (*_DAMAGED, StoreError) as error:
+    except (*DAMAGED, StoreError) as error:
         shutil.rmtree(folder, ignore_errors=True)
         message = f"cannot read {path}: {error}"
         raise StoreError(message) from error

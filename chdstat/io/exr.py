@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.display import Card, Shown, png
-from chdstat._core.files import replacing
+from chdstat._core.files import check_claim, replacing
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError
 
@@ -45,9 +45,6 @@ _OF_THE_FORMAT = frozenset(
     )
 )
 """Attributes that say how the file is laid out: nobody else's."""
-_SMALL, _MOST_SHRUNK = 2**28, 2000
-"""Bytes of pixels that any file may claim, and the most for each byte of a file: zlib shrinks
-zeros by 1032."""
 
 
 def read_planes(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -75,7 +72,10 @@ def read_planes(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
         raise StoreError(message)
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
-            _check_claim(path, [part.header for part in file.parts])
+            headers = [part.header for part in file.parts]
+            check_claim(
+                path, sum(4 * _pixels(h["dataWindow"]) * len(h["channels"]) for h in headers)
+            )
         with OpenEXR.File(str(path), separate_channels=True) as file:
             attributes = dict(file.header())
             parts = [
@@ -87,17 +87,6 @@ def read_planes(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
         message = f"{path} is damaged or cut off; write or copy it again ({error})"
         raise StoreError(message) from error
     return attributes, planes
-
-
-def _check_claim(path: Path, headers: Sequence[Mapping[str, Any]]) -> None:
-    """Refuse a file whose header claims more pixels than it can hold, before there is room made."""
-    claimed = sum(4 * _pixels(h["dataWindow"]) * len(h["channels"]) for h in headers)
-    if claimed > max(_SMALL, _MOST_SHRUNK * path.stat().st_size):
-        message = (
-            f"{path} is damaged: of {path.stat().st_size} bytes, it cannot hold the {claimed:.3g} "
-            "that its header claims"
-        )
-        raise StoreError(message)
 
 
 def _pixels(window: Any) -> int:

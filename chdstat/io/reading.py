@@ -98,6 +98,7 @@ FORMATS = (
     Format("xarray", (".nc", ".nc4", ".h5", ".zarr"), "netCDF and zarr", "arrays:open_xarray"),
     Format("exr", (".exr",), "EXR images, each a sample or average", "frames:open_exr"),
     Format("rawls", (".rawls",), "rawls images, each a sample or average", "rawls:open_rawls"),
+    Format("noisebase", (".zip",), "sample sets of noisebase", "noisebase:open_noisebase"),
     Format("bcd", (".raw",), "raw samples of Bayesian collaborative denoising", "bcd:open_bcd"),
 )
 """Formats in the order in which they are tried."""
@@ -126,7 +127,7 @@ def read(
         "syxc" for a stack of images; None where their dims have names, or for "yxcs".
     variable
         Which array of a file with several holds the samples; None takes the largest. Of EXR files
-        the layer; None takes R, G and B, or Y.
+        the layer; None takes R, G and B, or Y. Of noisebase's sequences the number of the frame.
     features
         First-hit features by name (albedo, normal, position, depth): arrays (y, x) or (y, x,
         component), files of them (.npy, .exr), or their names within the source: arrays, or
