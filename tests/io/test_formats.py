@@ -99,7 +99,7 @@ def test_samples_are_read_as_they_are(folder, tmp_path):
     part = slice(1, 5, 2), slice(2, 5), slice(3, 11, 4)
     whole = samples.read()
     assert np.array_equal(samples.read(*part), whole[part[0], part[1], :, part[2]])
-    assert samples.averaged == 1
+    assert samples.attrs.get("averaged", 1) == 1
     assert np.array_equal(samples.save(tmp_path / "own.zarr").read(), whole)
 
 
@@ -121,7 +121,7 @@ def test_rawls_files_of_both_kinds_are_read(tmp_path):
         rawls(tmp_path / "x.rawls", RADIANCE[..., 0], samples=20, by_pixel=by_pixel)
         samples = chd.io.read(tmp_path / "x.rawls")
         assert np.array_equal(samples.read(), RADIANCE[..., :1])
-        assert (samples.averaged, samples.attrs["integrator"]) == (20, "path")
+        assert (samples.attrs["averaged"], samples.attrs["integrator"]) == (20, "path")
 
 
 @pytest.mark.parametrize("frames", [None, 2])
