@@ -12,7 +12,7 @@ from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError
 
-__all__ = ["analyze", "convert", "import_samples", "info", "render"]
+__all__ = ["analyze", "convert", "import_samples", "include", "info", "render"]
 
 
 @cli.app.command(
@@ -171,6 +171,21 @@ def import_samples(
     )
     saved = samples.save(out, append=append, progress=not quiet)
     output.say_samples(saved, as_json=as_json, quiet=quiet)
+
+
+@cli.app.command(epilog="Example: chdstat include")
+def include(as_json: cli.Json = False) -> None:
+    """Print the folder of chdstat_writer.h, with which a C++ renderer writes its samples.
+
+    A compiler is told it as -I$(chdstat include); 'chdstat import' reads what is written.
+    """
+    import chdstat
+
+    folder = str(chdstat.io.get_include())
+    if as_json:
+        output.print_json({"include": folder})
+    else:
+        typer.echo(folder)
 
 
 @cli.app.command(epilog="Example: chdstat info bathroom.zarr")

@@ -1,6 +1,7 @@
 """Exchange with other programs: their samples, EXR files, and estimates for a denoiser.
 
-`read` opens samples in files of other programs. `write_exr` and `read_exr` keep images with their
+`read` opens samples in files of other programs; `get_include` names the folder of the C++ header
+with which a renderer writes such files. `write_exr` and `read_exr` keep images with their
 layers in EXR files; `denoise` gives an image of estimates to Open Image Denoise.
 """
 
@@ -9,8 +10,9 @@ from __future__ import annotations
 from chdstat.io.denoiser import denoise
 from chdstat.io.exr import ExrImage, read_exr, write_exr
 from chdstat.io.reading import read
+from chdstat.io.stream import get_include
 
-__all__ = ["ExrImage", "denoise", "read", "read_exr", "write_exr"]
+__all__ = ["ExrImage", "denoise", "get_include", "read", "read_exr", "write_exr"]
 
 
 def __dir__() -> list[str]:

@@ -100,6 +100,7 @@ FORMATS = (
     Format("rawls", (".rawls",), "rawls images, each a sample or average", "rawls:open_rawls"),
     Format("noisebase", (".zip",), "sample sets of noisebase", "noisebase:open_noisebase"),
     Format("bcd", (".raw",), "raw samples of Bayesian collaborative denoising", "bcd:open_bcd"),
+    Format("stream", (".chds",), "streams of chdstat_writer.h", "stream:open_stream"),
 )
 """Formats in the order in which they are tried."""
 
