@@ -1,7 +1,8 @@
 """Image scales: how bright an image is, for the screen, for published thresholds, and on average.
 
 `display_stops` and `tonemap` are for showing it. `exposure_unit` is the radiance that an exposure
-as usual shows as 1. `mean_radiance` is its mean, which a few fireflies do not move.
+as usual shows as 1. `mean_radiance` is its mean, which a few fireflies do not move. `layer_weights`
+splits samples between layers of brightness.
 """
 
 from __future__ import annotations
@@ -15,14 +16,21 @@ from chdstat._core.arrays import LeftOut, as_pixels, is_bad, spans
 from chdstat.errors import InputError
 
 __all__ = [
+    "BASE",
+    "LAYERS",
     "RadianceSums",
     "display_stops",
     "exposure_unit",
+    "layer_weights",
     "mean_of_pixels",
     "mean_radiance",
     "tonemap",
 ]
 
+BASE = 8.0
+"""Ratio b of the brightness of neighbouring layers: the paper's default, in the authors' code."""
+LAYERS = 6
+"""Number of layers, of brightness b^0 to b^5: as above."""
 _WHITE, _PERCENTILE = 0.8, 90
 _KEY = 0.09
 """Log-average of what is shown, at least: a stop below the middle grey of Reinhard et al."""
@@ -277,3 +285,45 @@ def _limit(rest: npt.NDArray[np.float64], excess: npt.NDArray[np.float64]) -> fl
     limits = _SHARE * sums / (1 - _SHARE * np.arange(few))
     enough = np.flatnonzero(limits >= np.abs(top))
     return float(limits[enough[0]] if len(enough) else np.abs(top[-1]))
+
+
+def layer_weights(brightness: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Split samples between the layers, by their luminance L in units of the lowest layer.
+
+    Between B_i and B_(i+1), ``w_i = (B_i / L - 1 / b) / (1 - 1 / b)`` and ``w_(i+1) = 1 - w_i``, so
+    that ``sum_i w_i L / B_i = 1``: every sample counts as one. Below B_0, negative samples too, all
+    of it falls into the lowest layer, above the top one ``B_top / L`` into that.
+
+    Parameters
+    ----------
+    brightness
+        Luminances, shape (...).
+
+    Returns
+    -------
+    ndarray
+        Weights, shape (..., layer).
+
+    References
+    ----------
+    T. Zirr, J. Hanika and C. Dachsbacher, "Re-weighting firefly samples for improved finite-sample
+    Monte Carlo estimates", Computer Graphics Forum 37(6), 2018, doi:10.1111/cgf.13335; the authors'
+    code, tszirr/ic.js (rw/split.cpp).
+
+    Examples
+    --------
+    >>> layer_weights([0.5, 4.0])[:, :3].round(3).tolist()
+    [[1.0, 0.0, 0.0], [0.143, 0.857, 0.0]]
+    """
+    level = np.asarray(brightness, dtype=np.float64)
+    weights = np.zeros((*level.shape, LAYERS))
+    below = np.zeros(level.shape)
+    # A subnormal luminance would overflow the ratio; anything below B_0 is as good as B_0.
+    inverse = 1 / np.maximum(level, 1)
+    for index in range(LAYERS - 1):
+        # What falls into this layer or a lower one.
+        upto = np.clip((BASE**index * inverse - 1 / BASE) / (1 - 1 / BASE), 0, 1)
+        weights[..., index] = upto - below
+        below = upto
+    weights[..., -1] = (1 - below) * np.minimum(BASE ** (LAYERS - 1) * inverse, 1)
+    return weights

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -12,7 +12,7 @@ from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError
 
-__all__ = ["analyze", "convert", "import_samples", "include", "info", "render"]
+__all__ = ["analyze", "convert", "export", "import_samples", "include", "info", "render"]
 
 
 @cli.app.command(
@@ -186,6 +186,53 @@ def include(as_json: cli.Json = False) -> None:
         output.print_json({"include": folder})
     else:
         typer.echo(folder)
+
+
+@cli.app.command(epilog="Example: chdstat export bathroom.zarr --as bcd -o bathroom.exr")
+def export(
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="A store; of maps, what analyze -o wrote.")
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="File to write; its name is that of them all.")
+    ],
+    kind: Annotated[
+        Literal["bcd", "cascades", "moments", "exr", "netcdf"],
+        typer.Option(
+            "--as",
+            help="bcd (.exr), cascades (.exr) or moments (.pfm): what denoisers take, made of the "
+            "samples of a store. exr or netcdf (.nc): maps.",
+        ),
+    ],
+    quiet: cli.Quiet = False,
+    as_json: cli.Json = False,
+) -> None:
+    """Write samples or maps in the formats of other programs.
+
+    bcd is for Bayesian collaborative denoising, cascades for the viewer of Zirr et al. 2018,
+    moments for StatMC.
+    """
+    import chdstat
+    from chdstat.io.maps import open_maps
+
+    io = chdstat.io
+    files: tuple[Path, ...]
+    match kind:
+        case "bcd":
+            files = io.write_bcd(chdstat.open(source), out, progress=not quiet)
+        case "cascades":
+            files = io.write_cascades(chdstat.open(source), out, progress=not quiet)
+        case "moments":
+            files = io.write_moments(chdstat.open(source), out, progress=not quiet)
+        case "exr":
+            files = (io.write_maps(open_maps(source), out),)
+        case "netcdf":
+            files = (io.write_netcdf(open_maps(source), out),)
+    if as_json:
+        output.print_json({"files": [str(file) for file in files]})
+    else:
+        for file in files:
+            output.say_written(file, as_json=False)
 
 
 @cli.app.command(epilog="Example: chdstat info bathroom.zarr")

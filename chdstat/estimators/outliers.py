@@ -17,7 +17,7 @@ import numpy.typing as npt
 from scipy.spatial import cKDTree
 
 from chdstat._core.arrays import as_pixels, luminance, spans, whole
-from chdstat._core.image_scales import exposure_unit
+from chdstat._core.image_scales import BASE, LAYERS, exposure_unit, layer_weights
 from chdstat.errors import InputError
 from chdstat.estimators import registry
 from chdstat.estimators.registry import Array, Floats, register
@@ -25,11 +25,6 @@ from chdstat.estimators.similarity import window_sum
 
 __all__ = ["Cascade", "decoro2010", "karis2013", "zirr2018", "zirr2018_pixel"]
 
-
-BASE = 8.0
-"""Ratio b of the brightness of neighbouring layers: the paper's default, in the authors' code."""
-LAYERS = 6
-"""Number of layers, of brightness b^0 to b^5: as above."""
 
 _DARKEST = 0.05
 """Luminance that is always taken for reliable (authors' code)."""
@@ -224,42 +219,6 @@ class Cascade:
             return values
         # The border repeats, as in the authors' viewer.
         return window_sum(values, radius, mode="edge") / (2 * radius + 1) ** 2
-
-
-def layer_weights(brightness: npt.ArrayLike) -> Floats:
-    """Split samples between the layers, by their luminance L in units of the lowest layer.
-
-    Between B_i and B_(i+1), ``w_i = (B_i / L - 1 / b) / (1 - 1 / b)`` and ``w_(i+1) = 1 - w_i``, so
-    that ``sum_i w_i L / B_i = 1``: every sample counts as one. Below B_0, negative samples too, all
-    of it falls into the lowest layer, above the top one ``B_top / L`` into that.
-
-    Parameters
-    ----------
-    brightness
-        Luminances, shape (...).
-
-    Returns
-    -------
-    ndarray
-        Weights, shape (..., layer).
-
-    Examples
-    --------
-    >>> layer_weights([0.5, 4.0])[:, :3].round(3).tolist()
-    [[1.0, 0.0, 0.0], [0.143, 0.857, 0.0]]
-    """
-    level = np.asarray(brightness, dtype=np.float64)
-    weights = np.zeros((*level.shape, LAYERS))
-    below = np.zeros(level.shape)
-    # A subnormal luminance would overflow the ratio; anything below B_0 is as good as B_0.
-    inverse = 1 / np.maximum(level, 1)
-    for index in range(LAYERS - 1):
-        # What falls into this layer or a lower one.
-        upto = np.clip((BASE**index * inverse - 1 / BASE) / (1 - 1 / BASE), 0, 1)
-        weights[..., index] = upto - below
-        below = upto
-    weights[..., -1] = (1 - below) * np.minimum(BASE ** (LAYERS - 1) * inverse, 1)
-    return weights
 
 
 def _estimate(x: Array, kappa: float, unit: float | None, *, radius: int) -> Array:

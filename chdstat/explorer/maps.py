@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import is_bad, luminance
-from chdstat.errors import InputError, Reason, StoreError
+from chdstat.errors import InputError, Reason
 from chdstat.explorer.estimators import batches_of, fixed
 from chdstat.explorer.sources import Overall, StoreSource, tiles
 from chdstat.explorer.tones import ramp
@@ -24,6 +24,7 @@ from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part
 from chdstat.inference import MORE_THAN_TESTED, N_MEANS, sizes_of_means
 from chdstat.inference.normality_of_means import means_of_block
+from chdstat.io.maps import open_maps
 from chdstat.patterns import classification
 from chdstat.patterns.pixel_statistics import PixelFits
 from chdstat.samples.tiles import Mapped, assemble
@@ -219,14 +220,8 @@ def read_maps(path: str | Path, size: tuple[int, int]) -> dict[str, Map]:
     InputError
         If it is of an image of another size.
     """
-    import xarray as xr
-
-    try:
-        found = xr.open_zarr(path, consolidated=False, chunks=None)
-        shape = tuple(found.sizes[dim] for dim in ("y", "x"))
-    except (OSError, ValueError, KeyError) as error:
-        message = f"no maps at {path}: give what 'chdstat analyze STORE -o MAPS' wrote"
-        raise StoreError(message) from error
+    found = open_maps(path)
+    shape = tuple(found.sizes[dim] for dim in ("y", "x"))
     if shape != size:
         expected, got = (f"{width} x {height}" for height, width in (size, shape))
         message = f"the maps in {path} must have {expected} pixels, got {got}"

@@ -1,0 +1,127 @@
+"""Maps: datasets of results per pixel, as EXR layers, or as netCDF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from chdstat._core.files import checked_target, writing
+from chdstat.errors import InputError, StoreError
+from chdstat.io.exr import write_exr
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+__all__ = ["open_maps", "write_maps", "write_netcdf"]
+
+
+def open_maps(path: str | Path) -> xr.Dataset:
+    """Open a dataset of maps that was written as a zarr store, such as by ``chdstat analyze -o``.
+
+    Raises
+    ------
+    StoreError
+        If there is none, or one of samples.
+    """
+    import xarray as xr
+
+    asked = "give what 'chdstat analyze STORE -o MAPS' wrote"
+    try:
+        found: xr.Dataset = xr.open_zarr(path, consolidated=False, chunks=None)
+        _ = found.sizes["y"], found.sizes["x"]
+    except (OSError, ValueError, KeyError) as error:
+        message = f"no maps at {path}: {asked}"
+        raise StoreError(message) from error
+    if "sample" in found.sizes:
+        message = f"{path} holds samples, not maps: {asked}"
+        raise StoreError(message)
+    return found
+
+
+def write_maps(dataset: xr.Dataset, path: str | Path) -> Path:
+    """Write the maps of a dataset as layers of an EXR file.
+
+    A variable of dims (y, x) becomes a channel, one of dims (y, x, channel) a layer; variables of
+    other dims have no place in an image, and are left out.
+
+    Parameters
+    ----------
+    dataset
+        Results per pixel, such as those of `chdstat.summarize` or `chdstat.analyze`.
+    path
+        The file, .exr. The image in it is ``mean``, or else the first variable.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        If there is no map, or a value is too large for single precision.
+    StoreError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import chdstat as chd
+    >>> found = chd.summarize(np.random.default_rng(0).gamma(2.0, size=(4, 6, 3, 32)))
+    >>> file = write_maps(found, Path(tempfile.mkdtemp()) / "maps.exr")
+    >>> chd.io.read_exr(file).extra["variance"].shape
+    (4, 6, 3)
+    """
+    target = checked_target(path, ".exr")
+    usual = {
+        str(name): values.transpose("y", "x", ...)
+        for name, values in dataset.data_vars.items()
+        if set(values.dims) in ({"y", "x"}, {"y", "x", "channel"}) and values.dtype.kind in "biuf"
+    }
+    with_channels = [name for name, values in usual.items() if values.ndim == 3]
+    shown = next((name for name in ("mean", *with_channels, *usual) if name in usual), None)
+    if shown is None:
+        message = f"the dataset has no map of dims (y, x), only {', '.join(map(str, dataset))}"
+        raise InputError(message)
+    image = np.atleast_3d(usual.pop(shown).to_numpy())
+    text = {str(k): str(v) for k, v in dataset.attrs.items() if isinstance(v, str | int | float)}
+    text["image"] = shown
+    channels = None if image.shape[2] in (1, 3) else [f"channel{i}" for i in range(image.shape[2])]
+    layers = {name: values.to_numpy() for name, values in usual.items()}
+    return write_exr(target, image, channels=channels, extra=layers, attributes=text)
+
+
+def write_netcdf(dataset: xr.Dataset, path: str | Path) -> Path:
+    """Write a dataset of results as netCDF, whole or not at all.
+
+    Parameters
+    ----------
+    dataset
+        Results of any dims.
+    path
+        The file, .nc.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import chdstat as chd
+    >>> found = chd.summarize(np.random.default_rng(0).gamma(2.0, size=(4, 6, 3, 32)))
+    >>> write_netcdf(found, Path(tempfile.mkdtemp()) / "maps.nc").name
+    'maps.nc'
+    """
+    target = checked_target(path, ".nc")
+    with writing(target) as partial:
+        dataset.to_netcdf(partial)
+    return target
