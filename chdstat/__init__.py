@@ -18,6 +18,7 @@ _FUNCTIONS = {
     "atlas": "patterns",
     "classify": "patterns",
     "compare": "comparison",
+    "contrast": "inference",
     "difference": "inference",
     "estimate": "estimators",
     "explore": "explorer",

@@ -1,4 +1,4 @@
-"""Estimation: the commands that train, estimate and compare."""
+"""Estimation: the commands that train, estimate and compare estimators, or renders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from chdstat.errors import InputError
 if TYPE_CHECKING:
     from chdstat.comparison import Comparison, ErrorCurve
 
-__all__ = ["compare", "estimate", "train"]
+__all__ = ["compare", "contrast", "estimate", "train"]
 
 _COMPARED = {
     "estimator": "estimator",
@@ -257,6 +257,56 @@ def compare(
     else:
         _print_comparison(found, errors)
     output.say_next(quiet, f"chdstat estimate {store} -o {store.with_suffix('.exr')}")
+
+
+@cli.app.command(epilog="Example: chdstat contrast path.zarr changed.zarr -o contrast.pdf")
+def contrast(
+    a: Annotated[Path, typer.Argument(metavar="A", help="A finished store.")],
+    b: Annotated[
+        Path,
+        typer.Argument(metavar="B", help="Another store of the view, or a converged EXR image."),
+    ],
+    alpha: Annotated[
+        float, typer.Option(help="Probability of a difference found where there is none.")
+    ] = 0.05,
+    seconds: Annotated[
+        float | None,
+        typer.Option(help="Compare what each renders in this time.", show_default="all samples"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="A page with maps to write, .pdf.", show_default="none"),
+    ] = None,
+    seed: cli.Seed = 0,
+    quiet: cli.Quiet = False,
+    as_json: cli.Json = False,
+) -> None:
+    """Test whether two renders have the same mean, and which is more efficient.
+
+    The exit code is 0 where no difference was found, 1 where one was, and 3 where one cannot tell,
+    as with too few samples. Errors end with 1, too, and print nothing but their message.
+    """
+    import chdstat
+    from chdstat._core.files import checked_target
+    from chdstat.reporting.figures import save_figure
+
+    target = None if out is None else checked_target(out, ".pdf")  # refused before the work
+    found = chdstat.contrast(a, b, alpha=alpha, seconds=seconds, seed=seed)
+    if target is not None:
+        save_figure(chdstat.viz.contrast(found), target)
+    if as_json:
+        output.print_json(found.to_dict())
+    else:
+        output.print_sentences([found.verdict])
+        typer.echo()
+        output.print_table(found.table())
+    output.say_next(quiet, f"chdstat explore {a} --other {b}")
+    if code := _CODES[found.outcome]:
+        raise typer.Exit(code)
+
+
+_CODES = {"no difference found": 0, "differ": 1, "cannot tell": 3}
+"""Exit codes by what `chdstat contrast` found."""
 
 
 def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:

@@ -302,7 +302,18 @@ def _options(
         _show_flow(context)
 
 
-_FLOW = ("render", "info", "analyze", "compare", "train", "estimate", "report", "explore", "study")
+_FLOW = (
+    "render",
+    "info",
+    "analyze",
+    "contrast",
+    "compare",
+    "train",
+    "estimate",
+    "report",
+    "explore",
+    "study",
+)
 
 
 def _show_flow(context: typer.Context) -> None:

@@ -4,11 +4,12 @@
 `modality` looks at the positive samples in the log domain in two ways: Hartigan's dip test, which
 assumes nothing but continuity and has calibrated p-values but little power; and mixtures of
 log-normal or gamma components: the number of modes, their places and their separation.
-`difference` compares two CHDs.
+`difference` compares two CHDs, `contrast` two renders of a view.
 """
 
 from __future__ import annotations
 
+from chdstat.inference.contrasts import Contrast, contrast
 from chdstat.inference.differences import Difference, difference
 from chdstat.inference.modes import MODES, Modality, modality
 from chdstat.inference.normality import TESTS, TRANSFORMS, Gaussianity, gaussianity
@@ -28,10 +29,12 @@ __all__ = [
     "TESTS",
     "TRANSFORMS",
     "UNTESTED",
+    "Contrast",
     "Difference",
     "Gaussianity",
     "GaussianityOfMeans",
     "Modality",
+    "contrast",
     "difference",
     "gaussianity",
     "gaussianity_of_means",

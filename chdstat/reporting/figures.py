@@ -19,7 +19,7 @@ import numpy.typing as npt
 from chdstat import viz
 from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.display import number, percent
-from chdstat._core.files import replacing, unused
+from chdstat._core.files import replacing, unused, writing
 from chdstat._core.image_scales import display_stops
 from chdstat.analysis import Overview, save
 from chdstat.comparison import Comparison, ErrorCurve
@@ -47,6 +47,7 @@ __all__ = [
     "panels_of",
     "report_figures",
     "save_comparison",
+    "save_figure",
     "scene_figures",
     "self_training",
 ]
@@ -363,3 +364,17 @@ def save_comparison(
         message = f"cannot write to {target}: {error.strerror or error}"
         raise StoreError(message) from error
     return sorted(target.iterdir())
+
+
+def save_figure(figure: Figure, target: Path) -> Path:
+    """Write a figure to a file, whose suffix is its format.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    metadata = {"CreationDate": None} if target.suffix.lower() == ".pdf" else None
+    with writing(target) as partial, viz.style(), spelt():
+        figure.savefig(partial, metadata=metadata)
+    return target

@@ -293,7 +293,7 @@ class Samples:
                 depths[depth] = shorter.isel(y=ys, x=xs, sample=ss)
         return Samples(
             self._held[ys, xs, :, ss] if isinstance(self._held, np.ndarray) else self._held,
-            attrs=self._attrs if sample == _ALL else {**self._attrs, "spp": len(samples[ss])},
+            attrs=tiles.attrs_of(self._attrs, self.spp, len(samples[ss])),
             features=features,
             depths=depths,
             part=(rows[ys], columns[xs], samples[ss]),

@@ -27,6 +27,7 @@ __all__ = [
     "Mapped",
     "Source",
     "assemble",
+    "attrs_of",
     "dataset_of",
     "labelled",
     "lazily",
@@ -181,3 +182,17 @@ def lazily(
     named = {"name": f"radiance-{uuid.uuid4()}", "meta": np.empty((0, 0, 0, 0), np.float32)}
     chunks = da.core.normalize_chunks((TILE, TILE, -1, BATCH), shape)
     return da.map_blocks(block, chunks=chunks, **named)
+
+
+def attrs_of(attrs: dict[str, Any], spp: int, kept: int) -> dict[str, Any]:
+    """Return the attributes of some samples of each pixel, and of the time that they took.
+
+    Examples
+    --------
+    >>> attrs_of({"spp": 64, "render_seconds": 8.0}, 64, 16)
+    {'spp': 16, 'render_seconds': 2.0}
+    """
+    if kept == spp:
+        return attrs
+    seconds = attrs.get("render_seconds")
+    return {**attrs, "spp": kept, **({"render_seconds": seconds * kept / spp} if seconds else {})}

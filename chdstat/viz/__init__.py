@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from chdstat.viz.chd import Panel, batch_histograms, chd_axes, chd_grid, chd_pair, fits
 from chdstat.viz.claims import VERDICTS, claim_intervals, finding_plots, verdict_matrix
+from chdstat.viz.contrasts import contrast
 from chdstat.viz.curves import averages, curves, error_curves
 from chdstat.viz.estimators import (
     coverage,
@@ -44,6 +45,7 @@ __all__ = [
     "chd_grid",
     "chd_pair",
     "claim_intervals",
+    "contrast",
     "coverage",
     "curves",
     "error_curves",

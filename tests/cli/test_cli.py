@@ -80,8 +80,8 @@ def test_the_help_names_the_estimators_that_are_compared_by_default():
 def test_alone_it_shows_the_flow_in_its_order(run):
     code, out, _ = run()
     assert code == 0
-    steps = ["render", "info", "analyze", "compare", "train", "estimate", "report", "explore"]
-    places = [out.index(f"\n  chdstat {step} ") for step in [*steps, "study"]]
+    steps = ["render", "info", "analyze", "contrast", "compare", "train", "estimate", "report"]
+    places = [out.index(f"\n  chdstat {step} ") for step in [*steps, "explore", "study"]]
     assert places == sorted(places)
 
 
@@ -232,6 +232,25 @@ def test_analyze_prints_numbers_and_writes_maps(run, store, tmp_path):
     code, _, err = run("analyze", store, "-o", target, "-q")
     assert code == 1
     assert "nothing was overwritten" in err
+
+
+def test_contrast_has_a_verdict_an_exit_code_and_a_page(run, store, tmp_path):
+    again, dark = tmp_path / "again.zarr", tmp_path / "dark.zarr"
+    other = chd.render("cornell-box", spp=16, size=(12, 10), seed=1, out=again, backend="scalar")
+    chd.Samples.from_array(0.5 * other.read(), scene="dark").save(dark)
+    page = tmp_path / "page.pdf"
+    code, out, err = run("contrast", store, again, "-o", page)
+    assert (code, out.split(" (")[0]) == (0, "No difference found")
+    assert "efficiency of B over A" in out
+    assert f"next: chdstat explore {store} --other {again}" in err
+    assert len(PdfDocument(page)) == 1
+    code, out, err = run("contrast", store, dark, "--json", "-q")
+    assert (code, json.loads(out)["outcome"], err) == (1, "differ", "")
+    code, out, _ = run("contrast", store, store)
+    assert (code, out.split(":")[0]) == (3, "Cannot tell")
+    code, out, err = run("contrast", store, again, "--seconds", "1e9")
+    assert (code, out) == (1, "")
+    assert "render more of them" in err
 
 
 def test_compare_prints_a_table_and_writes_a_folder(run, store, tmp_path):

@@ -11,6 +11,7 @@ from scipy import stats
 from chdstat import viz
 from chdstat.errors import InputError
 from chdstat.estimators.training import History
+from chdstat.inference import contrast
 from chdstat.patterns import atlas, classify
 from chdstat.samples import Samples
 from chdstat.summary.histograms import histogram
@@ -117,6 +118,24 @@ def test_maps_have_scales_and_legends(image):
     found = texts(figure)
     assert {"values", "labels", "radiance", "one 80 %", "two 20 %"} <= found
     assert not any("never" in t for t in found)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_contrast_shows_both_images_its_verdict_and_the_window(channels):
+    rng = np.random.default_rng(1)
+    a, b = rng.gamma(2.0, size=(2, 20, 30, channels, 32))
+    same = contrast(a, b)
+    figure = viz.contrast(same)
+    assert {"A: samples", "B: samples", "Pixels by p-value"} <= texts(figure)
+    assert figure.get_suptitle().startswith("No difference found")
+    assert "Efficiency of B over A" not in texts(figure)
+    b[4:12, 8:16] *= 0.3
+    one, other = (Samples.from_array(x, render_seconds=1.0) for x in (a, b))
+    figure = viz.contrast(contrast(one, other))
+    assert figure.get_suptitle().startswith("The means differ")
+    assert "Efficiency of B over A" in texts(figure)
+    mark = figure.axes[1].patches[0]
+    assert (mark.get_x() + 0.5, mark.get_y() + 0.5) == (8, 4)
 
 
 def test_labels_of_a_dataset_bring_their_names():

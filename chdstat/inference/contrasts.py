@@ -1,0 +1,433 @@
+"""Contrasts: whether two renders of a view have the same mean, and which is more efficient.
+
+Use it to test one integrator against another, a change of a renderer against what was before, or a
+render against a converged image: per pixel, and over regions, which show what no pixel does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+from chdstat._core.arrays import Seed, plain, seed_number
+from chdstat._core.display import Card, Shown, number, percent, png, with_interval
+from chdstat._core.image_scales import tonemap
+from chdstat._core.positive import Floats
+from chdstat._core.reasons import label_variables
+from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
+from chdstat.errors import InputError, Reason
+from chdstat.inference.render_pairs import Compared, Pair
+from chdstat.inference.sign_flips import WindowTest, scan_windows, window_sums
+from chdstat.samples import Image, Samples
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from chdstat.io.exr import ExrImage
+
+__all__ = ["Contrast", "contrast"]
+
+Outcome = Literal["no difference found", "differ", "cannot tell"]
+
+_LEAST_TERMS = 8
+"""Fewer give no p-value that is small enough."""
+_OF_WINDOWS = 0.8
+"""Share of alpha for windows; the rest is for single pixels."""
+_RELATIVE = 0.01
+"""Of the squared mean radiance, as in relMSE."""
+_TENTH = 0.1
+
+
+@dataclass(frozen=True, repr=False)
+class Contrast(Shown):
+    """What two renders of a view, A and B, have in common and what not.
+
+    Attributes
+    ----------
+    names
+        What A and B are.
+    maps
+        Over the image, dims (y, x, channel), luminance first where there are R, G and B:
+        ``mean_a``, ``mean_b``, ``difference`` (B - A), its ``standard_error``, ``p_value`` and
+        ``q_value`` (over all pixels and channels together). Of luminance alone, dims (y, x):
+        ``variance_a`` and ``variance_b`` of a sample, ``efficiency`` (of B over that of A), and
+        ``reason``, why a pixel has no p-value.
+    outcome
+        "no difference found", "differ" or "cannot tell", at the level `alpha`.
+    why
+        Why one cannot tell; "" otherwise.
+    p_image
+        p-value of the whole test: that the means are equal in all pixels.
+    share
+        Pixels whose means differ, with a false discovery rate of `alpha`, as a share of the image.
+    loss
+        How much darker B is as a whole, with its interval of 95 %: 1 - mean of B over mean of A.
+    window
+        Where the difference is clearest, if there is one: y, x, height and width in pixels.
+    window_loss
+        How much darker B is there.
+    detectable
+        Smallest relative difference that would have been found with a probability of 90 %: of the
+        ``image``, and of a window of about a ``tenth`` of it.
+    efficiency_ratio
+        1 / (relative variance x time) of B over that of A, with its interval of 95 %; NaN where a
+        time is unknown or A or B has no variance.
+    spp
+        Samples per pixel of A and B that were compared; None for an exact image.
+    seconds
+        Rendering time of a sample of all pixels of A and B; NaN where it is unknown.
+    correlation
+        Of the samples of A with those of B, in the median pixel.
+    paired
+        Whether A and B were rendered with the same random numbers.
+    alpha
+        Level of the test.
+    """
+
+    names: tuple[str, str]
+    maps: xr.Dataset
+    outcome: Outcome
+    why: str
+    p_image: float
+    share: float
+    loss: Interval[float]
+    window: tuple[int, int, int, int]
+    window_loss: float
+    detectable: dict[str, float]
+    efficiency_ratio: Interval[float]
+    spp: tuple[int, int | None]
+    seconds: tuple[float, float]
+    correlation: float
+    paired: bool
+    alpha: float
+
+    @property
+    def p_value(self) -> xr.DataArray:
+        """p-values of equal means, (y, x, channel)."""
+        return self.maps["p_value"]
+
+    @property
+    def q_value(self) -> xr.DataArray:
+        """q-values of equal means, over all pixels and channels together, (y, x, channel)."""
+        return self.maps["q_value"]
+
+    @property
+    def difference(self) -> xr.DataArray:
+        """Mean of B minus that of A, (y, x, channel), radiance."""
+        return self.maps["difference"]
+
+    @property
+    def efficiency(self) -> xr.DataArray:
+        """1 / (variance x time) of B over that of A, (y, x)."""
+        return self.maps["efficiency"]
+
+    @property
+    def verdict(self) -> str:
+        """What was found, in a sentence."""
+        smallest = f"{self._smallest('image')} of the image, {self._smallest('tenth')} of a tenth"
+        if self.outcome == "cannot tell":
+            return f"Cannot tell: {self.why}."
+        if self.outcome == "no difference found":
+            return (
+                f"No difference found (p {number(self.p_image)}); a loss of {smallest} of it would "
+                "have been found with a probability of 90 %."
+            )
+        y, x, height, width = self.window
+        pixels = "no single pixel does"
+        if self.share:
+            rate = percent(self.alpha)
+            pixels = (
+                f"single pixels do in {percent(self.share)} of it (false discovery rate {rate})"
+            )
+        where = f"most clearly in {width} x {height} pixels at y {y}, x {x}"
+        if (height, width) == self.maps["reason"].shape:
+            where = "most clearly in the sum over the image"
+        return (
+            f"The means differ (p {number(self.p_image)}), {where}, where B is "
+            f"{percent(-self.window_loss, sign=True)}; {pixels}."
+        )
+
+    def _smallest(self, part: str) -> str:
+        value = self.detectable.get(part, np.nan)
+        return percent(value) if value < 1 else "all light"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers, without maps, ready for JSON."""
+        y, x, height, width = self.window
+        ends = {
+            name: {"value": i.value, "low": i.low, "high": i.high}
+            for name, i in (("loss", self.loss), ("efficiency_ratio", self.efficiency_ratio))
+        }
+        content = {
+            "a": self.names[0],
+            "b": self.names[1],
+            "outcome": self.outcome,
+            "verdict": self.verdict,
+            "p_value": self.p_image,
+            "alpha": self.alpha,
+            "share_of_pixels": self.share,
+            **ends,
+            "window": {"y": y, "x": x, "height": height, "width": width},
+            "window_loss": self.window_loss,
+            "detectable": self.detectable,
+            "spp": self.spp,
+            "seconds_per_sample": self.seconds,
+            "paired": self.paired,
+            "correlation": self.correlation,
+        }
+        return dict(plain(content))
+
+    def table(self) -> dict[str, str]:
+        """Return the numbers beside the verdict, in words."""
+        of_both = {
+            name: f"{source}, {'taken as exact' if spp is None else f'{spp} spp'}"
+            for name, source, spp in zip("AB", self.names, self.spp, strict=True)
+        }
+        ends = self.loss.value, self.loss.low, self.loss.high
+        found = {
+            **of_both,
+            "B is darker by": with_interval(*ends, percent),
+            "efficiency of B over A": str(self.efficiency_ratio),
+        }
+        if self.spp[1] is not None:
+            shared = "the same" if self.paired else "independent"
+            found["random numbers"] = f"{shared}, correlation {number(self.correlation)}"
+        return found
+
+    def _card(self) -> Card:
+        facts = {"verdict": self.verdict, **self.table()}
+        if self.maps.sizes["channel"] not in (1, 4):
+            return Card("Contrast", facts)
+        last = slice(-3, None)
+        shown = {n: self.maps[f"mean_{n.lower()}"].to_numpy()[..., last] for n in ("A", "B")}
+        return Card("Contrast", facts, images={n: png(tonemap(i)) for n, i in shown.items()})
+
+
+def contrast(
+    a: Image,
+    b: Image | ExrImage | npt.ArrayLike,
+    *,
+    alpha: float = 0.05,
+    seconds: float | None = None,
+    seed: Seed = 0,
+) -> Contrast:
+    """Test whether two renders of a view have the same mean, pixel by pixel and over regions.
+
+    Sample i of A and sample i of B make a term, B - A. If both renders have one distribution, its
+    sign is as often one as the other, and flips of signs give exact p-values, with any tails and
+    nulls, whether or not the renders share random numbers; if they do, the terms are smaller, and
+    smaller differences are found. Of renders that agree in their means only, flips of signs are
+    right for many samples; where rare bright paths decide, the neighbours of a pixel show what it
+    may have missed (`chdstat.inference.sign_flips`).
+
+    Small differences show in sums over windows of all sizes up to the whole image, compared with
+    the largest that flips of signs give anywhere. The verdict is by these, with four fifths of
+    `alpha`, and by the smallest q-value of a pixel, with the rest.
+
+    Parameters
+    ----------
+    a
+        A render: `Samples`, the path of a store, or an array (y, x, channel, sample).
+    b
+        Another render of the same view and size; or an image that is taken as exact: the path of
+        an EXR file, what `chdstat.io.read_exr` returns, or an array (y, x, channel).
+    alpha
+        Level of the verdict and of the share of pixels, between 0 and 1.
+    seconds
+        Compare as many samples of each as it renders in this time. None compares all, and as many
+        of both where they share random numbers.
+    seed
+        Seed of the flips, which are 499 for the windows; p-values of pixels need none.
+
+    Returns
+    -------
+    Contrast
+        A verdict in words and in numbers, and maps.
+
+    Raises
+    ------
+    InputError
+        If sizes or channels differ, `alpha` or `seconds` is out of range, or `seconds` is given
+        for samples of which the rendering time is unknown or which are too few for it.
+    StoreError
+        If a file is missing or damaged.
+
+    References
+    ----------
+    Jung, Hanika and Dachsbacher, "Detecting bias in Monte Carlo renderers using Welch's t-test",
+    2020, Journal of Computer Graphics Techniques 9(2): the question, and a test of many samples.
+    Janssen, "Studentized permutation tests for non-i.i.d. hypotheses and the generalized
+    Behrens-Fisher problem", 1997, doi:10.1016/S0167-7152(97)00043-6. Veach, "Robust Monte Carlo
+    methods for light transport simulation", 1997, equation 2.19: efficiency.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> a, b = rng.gamma(2.0, size=(2, 32, 32, 3, 64))
+    >>> contrast(a, b).outcome
+    'no difference found'
+    >>> b[:16, :16] *= 0.9
+    >>> found = contrast(a, b)
+    >>> found.outcome, found.window
+    ('differ', (0, 0, 16, 16))
+    """
+    if not 0 < alpha < 1:
+        message = f"alpha must lie between 0 and 1, got {alpha}"
+        raise InputError(message)
+    pair = Pair.of(a, b, seconds)
+    return _judged(pair, alpha, seed_number(seed))
+
+
+def _judged(pair: Pair, alpha: float, seed: int) -> Contrast:
+    """Return the verdict on a pair of renders."""
+    found = pair.compare()
+    height, width, bands = found.p_value.shape
+    q = q_values(found.p_value.reshape(height, width * bands)).reshape(found.p_value.shape)
+    scan = scan_windows(found.differences, found.levels, seed=seed)
+    smallest = float(np.nanmin(q)) if np.isfinite(q).any() else np.nan
+    shares = _OF_WINDOWS, 1 - _OF_WINDOWS
+    parts = [p / s for p, s in zip((scan.p_value, smallest), shares, strict=True)]
+    p_image = float(np.min([1.0, *(p for p in parts if np.isfinite(p))]))
+    differs = (q <= alpha).any(axis=-1)
+    y, x, rows, columns = (found.cell * edge for edge in scan.window)
+    place = y, x, min(rows, height - y), min(columns, width - x)
+    loss, window_loss, detectable = _losses(found, pair.terms, scan)
+    why = _why_not(found, pair, detectable, p_image, alpha)
+    return Contrast(
+        names=pair.names,
+        maps=_maps(found, q, pair),
+        outcome="cannot tell" if why else "differ" if p_image <= alpha else "no difference found",
+        why=why,
+        p_image=p_image,
+        share=float(differs.mean()),
+        loss=loss,
+        window=place,
+        window_loss=window_loss,
+        detectable=detectable,
+        efficiency_ratio=_efficiency(found, pair),
+        spp=(pair.spp[0], pair.spp[1] if isinstance(pair.b, Samples) else None),
+        seconds=pair.seconds,
+        correlation=_median(found.correlation) if isinstance(pair.b, Samples) else np.nan,
+        paired=pair.paired,
+        alpha=alpha,
+    )
+
+
+def _why_not(
+    found: Compared, pair: Pair, detectable: dict[str, float], p_image: float, alpha: float
+) -> str:
+    """Return why one cannot tell whether means differ; "" where one can."""
+    if not np.isfinite(found.p_value).any():
+        if (found.reason == Reason.CONSTANT).any():
+            return "the samples of A and B are equal, one by one, as of one render given twice"
+        return "no pixel has samples to compare"
+    if pair.terms < _LEAST_TERMS:
+        return f"{min(pair.spp)} samples per pixel are too few, render {_LEAST_TERMS} or more"
+    if p_image > alpha and not detectable.get("image", np.inf) < 1:
+        return "not even the loss of all light would have been found; render more samples"
+    return ""
+
+
+def _losses(
+    found: Compared, terms: int, scan: WindowTest
+) -> tuple[Interval[float], float, dict[str, float]]:
+    """Return how much darker B is, as a whole and in the window, and what would have been found."""
+    y, x, rows, columns = scan.window
+    here = slice(y, y + rows), slice(x, x + columns)
+    shift = found.differences[(scan.band, *here)].sum(dtype=float)
+    level = found.levels[(scan.band, *here)].sum(dtype=float) - shift / 2
+    d, both = found.differences[0], found.levels[0]
+    edge = max(d.shape[:2])
+    value, error = _relative(d, both, edge)
+    reach = float(stats.t.ppf(0.975, terms - 1)) * error.item() if terms > 1 else np.nan
+    total = -float(value.item())
+    area = _TENTH * d.shape[0] * d.shape[1]
+    near = min(scan.detectable, key=lambda e: abs(np.log(e**2 / area)), default=edge)
+    detectable = {
+        name: float(scan.detectable.get(e, np.inf) * _median(_relative(d, both, e)[1]))
+        for name, e in (("image", edge), ("tenth", near))
+    }
+    return (
+        Interval(total, total - reach, total + reach, standard_error=error.item()),
+        float(-shift / level) if level > 0 else np.nan,
+        detectable,
+    )
+
+
+def _relative(d: npt.NDArray[Any], level: npt.NDArray[Any], edge: int) -> tuple[Floats, Floats]:
+    """Return relative differences of windows, and their standard errors, each (y, x)."""
+    sums = window_sums(d, edge)[0]
+    base = window_sums(level, edge)[0].mean(axis=-1) - sums.mean(axis=-1) / 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        base = np.where(base > 0, base, np.nan)
+        error = (
+            sums.std(axis=-1, ddof=1) / np.sqrt(sums.shape[-1]) if sums.shape[-1] > 1 else np.nan
+        )
+    return sums.mean(axis=-1) / base, np.broadcast_to(error / base, base.shape)
+
+
+def _efficiency(found: Compared, pair: Pair) -> Interval[float]:
+    """Return the ratio of 1 / (relative variance x time), B over A, over the image."""
+    mean = (found.mean_a[..., 0] + found.mean_b[..., 0]) / 2
+    scale = mean**2 + _RELATIVE * np.nanmean(mean) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        costs = [
+            (v / scale * t).ravel()
+            for v, t in zip((found.variance_a, found.variance_b), pair.seconds, strict=True)
+        ]
+    known = np.isfinite(costs).all(axis=0)
+    if not known.any():
+        return Interval.unknown()
+    blocks = Blocks.grid(*mean.shape)[known]
+    one, other = (blocks.sums(cost[known]) for cost in costs)
+    return interval_of(lambda w: (w @ one) / (w @ other), blocks, bounds=(0, np.inf))
+
+
+def _median(x: npt.NDArray[Any]) -> float:
+    known = x[np.isfinite(x)]
+    return float(np.median(known)) if known.size else np.nan
+
+
+_LABELS = {
+    "mean_a": ("mean of A", "W sr-1 m-2"),
+    "mean_b": ("mean of B", "W sr-1 m-2"),
+    "difference": ("mean of B minus mean of A", "W sr-1 m-2"),
+    "standard_error": ("standard error of the difference", "W sr-1 m-2"),
+    "p_value": ("p-value of equal means", "1"),
+    "q_value": ("q-value of equal means, over pixels and channels", "1"),
+    "variance_a": ("variance of the luminance of a sample of A", "W2 sr-2 m-4"),
+    "variance_b": ("variance of the luminance of a sample of B", "W2 sr-2 m-4"),
+    "efficiency": ("1 / (variance x time), B over A", "1"),
+    "reason": ("why there is no p-value", "1"),
+}
+
+
+def _maps(found: Compared, q: Floats, pair: Pair) -> xr.Dataset:
+    import xarray as xr
+
+    each, pixel = ("y", "x", "channel"), ("y", "x")
+    with np.errstate(invalid="ignore", divide="ignore"):
+        efficiency = (found.variance_a * pair.seconds[0]) / (found.variance_b * pair.seconds[1])
+    maps = {
+        "mean_a": (each, found.mean_a),
+        "mean_b": (each, found.mean_b),
+        "difference": (each, found.mean_b - found.mean_a),
+        "standard_error": (each, found.standard_error),
+        "p_value": (each, found.p_value),
+        "q_value": (each, q),
+        "variance_a": (pixel, found.variance_a),
+        "variance_b": (pixel, found.variance_b),
+        "efficiency": (pixel, np.where(np.isfinite(efficiency), efficiency, np.nan)),
+        "reason": (pixel, found.reason),
+    }
+    height, width = found.reason.shape
+    coords = {
+        "y": np.arange(height),
+        "x": np.arange(width),
+        "channel": np.array(found.bands, dtype=object),
+    }
+    return label_variables(xr.Dataset(maps, coords), _LABELS, bounds=False)

@@ -1,0 +1,400 @@
+"""Sign flips: p-values of sums whose terms may as well have had the other sign.
+
+If two renders have one distribution, or if pairs of their samples differ symmetrically, the
+difference of sample i has either sign with equal probability, whatever the tails and however many
+nulls: that is exact. Integrators that agree in the mean only, such as with and without Russian
+roulette, differ in skewness, and a pixel whose rare bright paths were all missed seems to be too
+dark beyond doubt. Its neighbours have seen such paths: their standard error counts, too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage, special
+
+from chdstat._core.arrays import Seed, generator, spans
+from chdstat._core.positive import Floats, Mask
+
+__all__ = ["Moments", "WindowTest", "guarded", "p_of_signs", "scan_windows", "window_sums"]
+
+_ENUMERATED = 10
+"""Rows with up to so many terms other than 0 have all their sign flips counted."""
+_STEPS, _TOLERANCE = 40, 1e-6
+_AT_ONCE = 2**20
+"""Terms of the rows that are worked on together."""
+_ROUNDING = 1e-9
+
+_NEAR = 7
+"""Edge of the neighbourhood whose standard error counts where skewness is against a pixel."""
+_WIDE = (5, 15)
+"""Edges of those whose standard errors count for p-values below `_EXTREME`."""
+_EXTREME = 1e-3
+_SKEWED = 0.9
+"""Sum of cubes over the root of that of sixth powers: 1 with a single outlier, N(0, 1) if there is
+no skewness."""
+_ONE_SIDED = 0.02
+"""Ratio of the sums of both signs below which the rarer sign may have been missed."""
+_DARK = 1e-3
+"""Of the mean radiance of the image: what is darker has no scale of its own."""
+
+_FLIPS = 499
+
+
+def p_of_signs(d: npt.NDArray[np.floating[Any]]) -> Floats:
+    """Return two-sided p-values of the sums of rows (row, term) under all flips of their signs.
+
+    Daniels' saddlepoint approximation of the tail of ``sum +-|d|``, as Barndorff-Nielsen's r*; all
+    flips are counted where at most 10 terms are not 0, and p is at least the share of the most
+    extreme ones. Rows of zeros have no p-value, NaN.
+
+    References
+    ----------
+    Daniels, "Discussion of the paper by G.E.P. Box and S.L. Andersen", 1955, and "Tail probability
+    approximations", 1987, doi:10.2307/1403269. Robinson, "Saddlepoint approximations for
+    permutation tests and confidence intervals", 1982, doi:10.1111/j.2517-6161.1982.tb01191.x.
+
+    Examples
+    --------
+    >>> p_of_signs(np.array([[1.0, 1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0], [0, 0, 0, 0]]))
+    array([0.125, 1.   ,   nan])
+    """
+    found = [_p_of_block(d[i]) for i in spans(len(d), max(1, _AT_ONCE // max(1, d.shape[1])))]
+    return np.concatenate(found) if found else np.zeros(0)
+
+
+def _p_of_block(d: npt.NDArray[np.floating[Any]]) -> Floats:
+    size = np.abs(d)
+    largest = size.max(axis=1, initial=0)
+    known = largest > 0
+    with np.errstate(under="ignore"):
+        size = size / np.where(known, largest, 1)[:, np.newaxis]
+        total = np.abs((d / np.where(known, largest, 1)[:, np.newaxis]).sum(axis=1, dtype=float))
+    terms = (size > 0).sum(axis=1)
+    top = size.sum(axis=1, dtype=float)
+    root = np.sqrt(np.einsum("ij,ij->i", size, size, dtype=float))
+    p = np.where(known, 1.0, np.nan)
+    few = terms <= _ENUMERATED
+    inner = known & ~few & (total > _ROUNDING * root) & (total < (1 - _ROUNDING) * top)
+    p[inner] = _saddlepoint(size[inner], total[inner])
+    outer = known & ~few & (total >= (1 - _ROUNDING) * top)
+    p[outer] = 0
+    least = np.exp2(1.0 - np.minimum(terms, 1000))
+    p = np.where(known, np.clip(p, least, 1), np.nan)
+    p[known & few] = _enumerated(size[known & few], total[known & few])
+    return p
+
+
+def _enumerated(size: npt.NDArray[np.floating[Any]], total: Floats) -> Floats:
+    """Return the share of flips, the first sign fixed, whose sum is as far from 0."""
+    count = min(_ENUMERATED, size.shape[1])
+    largest = -np.partition(-size, count - 1, axis=1)[:, :count] if count < size.shape[1] else size
+    numbers = np.arange(2 ** (count - 1))[:, np.newaxis]
+    signs = 1.0 - 2.0 * (np.left_shift(numbers, 1) >> np.arange(count) & 1)
+    sums = np.abs(largest.astype(float) @ signs.T)
+    slack = _ROUNDING + 1e-6 * total  # float32 terms
+    return np.asarray((sums >= (total - slack)[:, np.newaxis]).mean(axis=1))
+
+
+def _saddlepoint(size: npt.NDArray[np.floating[Any]], total: Floats) -> Floats:
+    """Return the two-sided tail of sums between 0 and the largest, of terms up to 1."""
+    squares = np.einsum("ij,ij->i", size, size, dtype=float)
+    tilt = total / squares
+    active = np.arange(len(size))
+    # The slope of the cumulant function is concave: from the left, Newton's steps stay there.
+    for _ in range(_STEPS):
+        x, at = size[active], tilt[active]
+        tanh = np.tanh(at[:, np.newaxis].astype(x.dtype) * x)
+        slope = np.einsum("ij,ij->i", x, tanh, dtype=float)
+        tanh *= x
+        bend = squares[active] - np.einsum("ij,ij->i", tanh, tanh, dtype=float)
+        step = (total[active] - slope) / np.maximum(bend, _ROUNDING * squares[active])
+        tilt[active] = np.maximum(at + step, at / 2)
+        active = active[np.abs(step) > _TOLERANCE * at]
+        if not len(active):
+            break
+    tilted = tilt[:, np.newaxis].astype(size.dtype) * size
+    with np.errstate(under="ignore"):
+        small = np.exp(-2 * tilted)
+        cumulant = (tilted + np.log1p(small)).sum(axis=1, dtype=float) - np.log(2) * size.shape[1]
+        bend = (small * (2 * size / (1 + small)) ** 2).sum(axis=1, dtype=float)
+    r = np.sqrt(2 * np.maximum(tilt * total - cumulant, 1e-30))
+    u = tilt * np.sqrt(np.maximum(bend, 1e-30))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        star = np.where(r > 0.1, r + np.log(np.maximum(u, 1e-30) / r) / r, total / np.sqrt(squares))
+    return np.asarray(2 * special.ndtr(-np.maximum(star, 0)))
+
+
+@dataclass(frozen=True)
+class Moments:
+    """Sums over the terms of each place of a map, all of shape (y, x).
+
+    Attributes
+    ----------
+    n
+        Number of terms.
+    scale
+        Largest size of a term, 1 where there is none but 0; what follows is of terms over it.
+    total, square
+        Sums of terms and of their squares.
+    central2, central3, central6
+        Sums of the powers of what they differ from their mean by.
+    rarer
+        Sum of the sizes of the sign that has less of it, over that of the other.
+    mean
+        Mean radiance of both renders, for relative differences; not over `scale`.
+    """
+
+    n: int
+    scale: Floats
+    total: Floats
+    square: Floats
+    central2: Floats
+    central3: Floats
+    central6: Floats
+    rarer: Floats
+    mean: Floats
+
+    @classmethod
+    def of(cls, d: npt.NDArray[np.floating[Any]], mean: Floats) -> Moments:
+        """Return those of terms (y, x, term)."""
+        largest = np.abs(d).max(axis=-1, initial=0)
+        scale = np.where(largest > 0, largest, 1).astype(float)
+        with np.errstate(under="ignore"):
+            x = d / scale[..., np.newaxis].astype(d.dtype)
+            total = x.sum(axis=-1, dtype=float)
+            square = np.einsum("...i,...i->...", x, x, dtype=float)
+            above = np.maximum(x, 0).sum(axis=-1, dtype=float)
+            below = above - total
+            x -= (total / d.shape[-1])[..., np.newaxis].astype(d.dtype)
+            cube = x * x
+            central2 = cube.sum(axis=-1, dtype=float)
+            cube *= x
+            central3 = cube.sum(axis=-1, dtype=float)
+            central6 = np.einsum("...i,...i->...", cube, cube, dtype=float)
+        more = np.maximum(above, below)
+        return cls(
+            n=d.shape[-1],
+            scale=scale,
+            total=total,
+            square=square,
+            central2=central2,
+            central3=central3,
+            central6=central6,
+            rarer=np.minimum(above, below) / np.where(more > 0, more, 1),
+            mean=mean,
+        )
+
+    def nearby(self, edge: int, *, relative: bool, against: bool) -> Floats:
+        """Return the mean square of a term that counts for each place, of terms over `scale`.
+
+        It is the mean over a neighbourhood, 0 where that does not count: with `against`, where
+        the neighbourhood's skewness has the sign of the sum, and so does not explain it.
+
+        `relative` is over the mean radiance, as bright pixels vary more.
+        """
+        unit = np.ones_like(self.scale)
+        if relative:
+            unit = np.maximum(self.mean, _DARK * self.mean.mean())
+        ratio = self.scale / np.where(unit > 0, unit, 1)
+        ratio = ratio / max(float(ratio.max()), 1e-300)  # so that sixth powers are numbers
+
+        def near(x: Floats) -> Floats:
+            return np.asarray(np.maximum(ndimage.uniform_filter(x, edge, mode="nearest"), 0))
+
+        with np.errstate(under="ignore", over="ignore", divide="ignore", invalid="ignore"):
+            square = near(self.central2 * ratio**2) / self.n / np.maximum(ratio, 1e-150) ** 2
+            if not against:
+                return np.asarray(np.nan_to_num(square))
+            cubes = self.central3 * ratio**3
+            sixth = near(self.central6 * ratio**6)
+            places = min(edge, self.scale.shape[0]) * min(edge, self.scale.shape[1])
+            signed = near(np.maximum(cubes, 0)) - near(np.maximum(-cubes, 0))
+            skewness = signed * np.sqrt(places) / np.sqrt(sixth)
+        opposed = -np.sign(self.total) * np.nan_to_num(skewness) > _SKEWED
+        return np.asarray(np.nan_to_num(square) * (opposed | (self.rarer < _ONE_SIDED)))
+
+
+def _p_of_moments(moments: Moments, square: Floats) -> Floats:
+    """Return two-sided normal p-values of sums whose terms have this mean square."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.abs(moments.total) / np.sqrt(moments.n * square)
+    return np.where(square > 0, 2 * special.ndtr(-np.nan_to_num(z)), 0)
+
+
+def guarded(p: Floats, moments: Moments, exact: Mask) -> Floats:
+    """Return p-values of a map (y, x) that rare samples which a pixel missed do not make small.
+
+    Where the skewness of the neighbours' differences is against that of a pixel, or where nearly
+    all its terms have one sign, its standard error is at least theirs; and so it is for any pixel
+    before p falls below 1/1000. Neighbours are compared in radiance and relative to their means.
+    Not so where both renders are constant, as lamps are, which is `exact`.
+    """
+    kinds = (False, True)
+    near = np.max([moments.nearby(_NEAR, relative=k, against=True) for k in kinds], axis=0)
+    wide = np.max(
+        [moments.nearby(e, relative=k, against=False) for e in _WIDE for k in kinds], axis=0
+    )
+    p_wide = np.minimum(_p_of_moments(moments, wide), _EXTREME)
+    found = np.maximum(p, np.maximum(_p_of_moments(moments, near), p_wide))
+    return np.where(exact | np.isnan(p), p, found)
+
+
+@dataclass(frozen=True)
+class WindowTest:
+    """Whether any square window of an image has a sum of terms that chance does not explain.
+
+    Attributes
+    ----------
+    p_value
+        Of all windows together, of all sizes, bands and both weightings.
+    window
+        That with the largest sum over its standard error, in cells: y, x, height and width.
+    band
+        The band in which it is.
+    detectable
+        Sum of terms in a window over its standard error that is found with a probability of 90 %,
+        by the edge of windows in cells.
+    """
+
+    p_value: float
+    window: tuple[int, int, int, int]
+    band: int
+    detectable: dict[int, float]
+
+
+def scan_windows(
+    d: npt.NDArray[np.floating[Any]], mean: npt.NDArray[np.floating[Any]], *, seed: Seed = 0
+) -> WindowTest:
+    """Test sums of terms over windows of 1, 2, 4 ... cells and over the whole image.
+
+    Every window's sum over the root of its sum of squares is compared, as the largest of its size,
+    with those that flips of signs give, the same flips for all windows, so that it counts how much
+    they overlap. The smallest p-value over sizes, bands and weightings is again compared with
+    those of the flips. A second weighting, by mean over variance, finds losses that are in
+    proportion to the radiance where a few pixels are much noisier than others; each half of the
+    terms is weighted by what the other half knows, so that no sum is shifted.
+
+    Parameters
+    ----------
+    d
+        Terms of cells, shape (band, y, x, term).
+    mean
+        Radiance of both renders that goes with them, of the same shape.
+    seed
+        Of the flips.
+
+    References
+    ----------
+    Westfall and Young, "Resampling-based multiple testing", 1993, section 2.6. Walther, "Optimal
+    and fast detection of spatial clusters with scan statistics", 2010, doi:10.1214/09-AOS732:
+    each size gets a critical value of its own.
+    """
+    terms = d.shape[-1]
+    flips = 1.0 - 2.0 * generator(seed).integers(0, 2, (_FLIPS + 1, terms))
+    flips[0] = 1
+    scores, places, crossings = [], [], []
+    for band in range(len(d)):
+        for values in (d[band], _weighted(d[band], mean[band])):
+            for edge in _edges(d.shape[1:3]):
+                largest, place = _largest(values, mean[band], edge, flips.astype(np.float32))
+                if largest is None:
+                    continue
+                windows = _independent(largest[1:])
+                scores.append(_log_p(largest, windows))
+                places.append((largest[0], band, place, edge))
+                crossings.append((edge, windows))
+    if not scores:
+        return WindowTest(np.nan, (0, 0, *d.shape[1:3]), 0, {})
+    least = np.min(scores, axis=0)
+    _, band, (y, x), edge = max(places)
+    height, width = (min(edge, size) for size in d.shape[1:3])
+    critical = float(np.quantile(least[1:], 0.05))
+    return WindowTest(
+        p_value=float(np.mean(least <= least[0] + _ROUNDING)),
+        window=(y, x, height, width),
+        band=band,
+        detectable={e: _detectable(critical, windows, terms) for e, windows in crossings[::-1]},
+    )
+
+
+def _edges(shape: tuple[int, ...]) -> list[int]:
+    """Return edges of windows: powers of 2, and the whole image last."""
+    return [*(2**i for i in range(8) if 2**i < max(shape)), max(shape)]
+
+
+def window_sums(x: npt.NDArray[Any], edge: int) -> tuple[npt.NDArray[Any], list[Any]]:
+    """Return sums of cells (y, x, term) over overlapping windows, and where those begin."""
+    total = np.zeros((x.shape[0] + 1, x.shape[1] + 1, *x.shape[2:]))
+    total[1:, 1:] = x.cumsum(axis=0, dtype=float).cumsum(axis=1)
+    step = max(1, edge // 3)
+    starts = [np.arange(0, max(size - edge, 0) + step, step) for size in x.shape[:2]]
+    starts = [
+        np.unique(np.minimum(begin, max(size - edge, 0)))
+        for begin, size in zip(starts, x.shape[:2], strict=True)
+    ]
+    ends = [np.minimum(b + edge, n) for b, n in zip(starts, x.shape[:2], strict=True)]
+    rows = total[ends[0]] - total[starts[0]]
+    return rows[:, ends[1]] - rows[:, starts[1]], starts
+
+
+def _largest(
+    d: npt.NDArray[Any], mean: npt.NDArray[Any], edge: int, flips: npt.NDArray[np.float32]
+) -> tuple[Any, tuple[int, int]]:
+    """Return the largest standardised sum over windows of each flip, None without any term."""
+    sums, starts = window_sums(d, edge)
+    moments = Moments.of(sums, window_sums(mean.mean(axis=-1, keepdims=True), edge)[0][..., 0])
+    known = moments.square > 0
+    if not known.any():
+        return None, (0, 0)
+    # What neighbours have seen counts, too, as of pixels; of the whole image there are none.
+    square = moments.square
+    if known.size > 1:
+        near = np.maximum(
+            moments.nearby(_NEAR, relative=True, against=False),
+            moments.nearby(_NEAR, relative=False, against=True),
+        )
+        square = np.maximum(square, moments.n * near)
+    unit = sums[known] / (moments.scale * np.sqrt(moments.square))[known][:, np.newaxis]
+    z = np.abs(flips @ unit.astype(np.float32).T)
+    z[0] *= np.sqrt(moments.square / np.where(square > 0, square, 1))[known]
+    at = np.argwhere(known)[int(z[0].argmax())]
+    return z.max(axis=1).astype(float), (int(starts[0][at[0]]), int(starts[1][at[1]]))
+
+
+def _independent(largest: Floats) -> float:
+    """Return how many independent normal numbers have a largest size with this median."""
+    middle = float(np.median(largest))
+    return float(np.log(0.5) / np.log1p(-2 * special.ndtr(-middle)))
+
+
+def _log_p(largest: Floats, windows: float) -> Floats:
+    """Return the logarithm of the probability of a largest of so many, or of a larger one."""
+    return np.asarray(np.log(-np.expm1(windows * np.log1p(-2 * special.ndtr(-largest)))))
+
+
+def _detectable(log_p: float, windows: float, terms: int) -> float:
+    """Return the mean over its standard error whose sum crosses a critical value in 90 %."""
+    tail = -np.expm1(np.log1p(-np.exp(log_p)) / windows) / 2
+    z = float(-special.ndtri(tail))
+    t = z * np.sqrt((terms - 1) / (terms - z * z)) if z * z < terms else np.inf
+    return float(t + special.ndtri(0.9))
+
+
+def _weighted(d: npt.NDArray[Any], mean: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return terms (y, x, term) times mean over variance, which the other half of them knows."""
+    found = np.zeros(d.shape)
+    for half in (slice(0, None, 2), slice(1, None, 2)):
+        other = slice(1 - (half.start or 0), None, 2)
+        level = np.maximum(mean[..., other].sum(axis=-1, dtype=float), 0)
+        square = np.einsum("...i,...i->...", d[..., other], d[..., other], dtype=float)
+        # No cell counts as much less noisy than the image is on average: it may have missed much.
+        usual = square.sum() / max(float((level**2).sum()), 1e-300)
+        near = cast("Floats", ndimage.uniform_filter(level, 3, mode="constant"))
+        noise = np.maximum(ndimage.uniform_filter(square, 3, mode="constant"), 0) + near**2 * usual
+        weight = near / np.where(noise > 0, noise, 1)
+        found[..., half] = d[..., half] * weight[..., np.newaxis]
+    return found

@@ -1,0 +1,360 @@
+"""Contrasts: p-values that hold their level under the null, power, and what is said in words."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import chdstat as chd
+from chdstat.errors import InputError, Reason
+from chdstat.inference import contrast
+from chdstat.inference.sign_flips import p_of_signs, scan_windows, window_sums
+from chdstat.io import read_exr, write_exr
+
+LEVELS = np.array([0.01, 0.05, 0.1])
+EDGE = 48
+
+
+def heavy(rng, spp, *, nulls=0.5, sigma=1.2, edge=EDGE):
+    """Return radiance of a smooth image with many nulls and log-normal tails."""
+    y, x = np.mgrid[:edge, :edge] / edge
+    level = (0.2 + y + 2 * x * y)[:, :, np.newaxis, np.newaxis]
+    grey = rng.lognormal(0, sigma, (edge, edge, 1, spp)) * (
+        rng.random((edge, edge, 1, spp)) > nulls
+    )
+    return (level * grey * [[0.9], [0.7], [0.5]]).astype(np.float32)
+
+
+def roulette(rng, x, survival=0.5):
+    """Return samples of which a share survives, and is brighter for it: of equal mean."""
+    alive = rng.random((*x.shape[:2], 1, x.shape[3])) < survival
+    return (x * alive / survival).astype(np.float32)
+
+
+# --- p-values of signs --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("terms", [6, 11, 14])
+def test_p_values_are_those_of_all_flips(terms):
+    rng = np.random.default_rng(terms)
+    d = rng.normal(0.3, 1, (40, terms))
+    signs = np.array(list(itertools.product([-1, 1], repeat=terms)))
+    sums = np.abs(np.abs(d) @ signs.T)
+    exact = (sums >= np.abs(d.sum(axis=1))[:, np.newaxis] - 1e-12).mean(axis=1)
+    found = p_of_signs(d)
+    if terms <= 10:
+        np.testing.assert_allclose(found, exact)
+    else:  # the saddlepoint lies between the steps of what is discrete
+        np.testing.assert_allclose(found, exact, rtol=0.25, atol=4 / 2**terms)
+
+
+def test_many_terms_give_the_p_value_of_the_normal_distribution():
+    d = np.random.default_rng(1).normal(0.02, 1, (200, 4096))
+    z = d.sum(axis=1) / np.sqrt((d**2).sum(axis=1))
+    np.testing.assert_allclose(p_of_signs(d), 2 * stats.norm.sf(np.abs(z)), rtol=0.1)
+
+
+def test_zeros_have_no_sign_and_scale_is_none():
+    d = np.random.default_rng(2).normal(0.5, 1, (30, 40))
+    p = p_of_signs(d)
+    padded = np.concatenate([d, np.zeros((30, 25))], axis=1)
+    np.testing.assert_allclose(p_of_signs(padded), p, rtol=1e-6)
+    for scale in (1e-30, -1e30):
+        np.testing.assert_allclose(p_of_signs(scale * d), p, rtol=1e-6)
+    assert p_of_signs(np.ones((1, 9)))[0] == 2**-8
+    assert p_of_signs(np.ones((1, 300)))[0] == 2.0**-299
+    assert np.isnan(p_of_signs(np.zeros((1, 9)))[0])
+
+
+# --- calibration --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("spp", [16, 64])
+@pytest.mark.parametrize("kind", ["same", "roulette", "paired", "exact"])
+def test_p_values_hold_their_level(kind, spp):
+    """At most a + .01 of p-values up to a; not below a / 2 where both are of one distribution.
+
+    Of 2304 pixels in 4 correlated channels, the share varies by about .005: a false alarm at 1 % in
+    fewer than 1 of 100 runs; the seed is fixed.
+    """
+    rng = np.random.default_rng(5)
+    a = heavy(rng, spp)
+    b = {
+        "same": lambda: heavy(rng, spp),
+        "roulette": lambda: roulette(rng, heavy(rng, spp)),
+        "paired": lambda: roulette(rng, a),
+        "exact": lambda: heavy(rng, 1, nulls=0, sigma=0)[..., 0] * 0.5 * np.exp(1.2**2 / 2),
+    }[kind]()
+    found = contrast(a, b)
+    p = found.p_value.to_numpy()
+    shares = (p[..., np.newaxis] <= LEVELS).mean(axis=(0, 1, 2))
+    assert (shares <= LEVELS + 0.01).all(), shares
+    assert np.nanmin(found.q_value) > 0.01
+    if kind == "same":
+        assert (shares >= LEVELS / 2).all(), shares
+
+
+def test_plain_flips_of_signs_would_not_hold_it():
+    """The negative control: what neighbours have seen is needed."""
+    rng = np.random.default_rng(5)
+    a = heavy(rng, 64)
+    d = (roulette(rng, a, 0.1) - a)[:, :, 0].reshape(-1, 64)
+    assert (p_of_signs(d) <= 0.01).mean() > 0.05
+    assert (contrast(a, roulette(rng, a, 0.1)).p_value <= 0.01).mean() <= 0.02
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_the_verdict_holds_its_level(paired):
+    """Of 60 pairs, more than 9 at 5 % would happen in 1 of 1000 runs."""
+    rng = np.random.default_rng(11)
+    p = []
+    for seed in range(60):
+        a = heavy(rng, 24, edge=24)
+        b = roulette(rng, a if paired else heavy(rng, 24, edge=24))
+        p.append(contrast(a, b, seed=seed).p_image)
+    assert np.mean(np.array(p) <= 0.05) <= 9 / 60
+    assert np.mean(np.array(p) <= 0.5) >= 0.15
+
+
+# --- power --------------------------------------------------------------------------------------
+
+
+def test_a_small_loss_in_a_block_is_found_and_placed():
+    rng = np.random.default_rng(2)
+    a, b = (heavy(rng, 128, sigma=0.5) for _ in range(2))
+    b[8:24, 20:36] *= 0.94
+    found = contrast(a, b)
+    assert found.outcome == "differ"
+    y, x, height, width = found.window
+    assert y < 24 and y + height > 8 and x < 36 and x + width > 20  # noqa: PT018
+    assert -0.1 < -found.window_loss < 0
+    assert "The means differ" in found.verdict
+    assert not contrast(a, heavy(rng, 128, sigma=0.5)).share
+
+
+def test_pairs_show_what_independent_renders_do_not():
+    rng = np.random.default_rng(3)
+    a = heavy(rng, 64)
+    other = heavy(rng, 64)
+    noise = rng.normal(1, 0.02, a.shape)
+    assert contrast(a, a * noise * 0.99).outcome == "differ"
+    assert contrast(a, other * 0.99).outcome == "no difference found"
+
+
+def test_what_would_have_been_found_is_found():
+    """A loss of the size that is called detectable, in the whole image: 90 % of 20; 14 or more."""
+    rng = np.random.default_rng(4)
+    hits = []
+    for seed in range(20):
+        a, b = (heavy(rng, 48, edge=24, sigma=0.5) for _ in range(2))
+        loss = contrast(a, b, seed=seed).detectable["image"]
+        hits.append(contrast(a, b * (1 - loss), seed=seed).outcome == "differ")
+    assert sum(hits) >= 14
+
+
+def test_single_pixels_are_found_among_others():
+    rng = np.random.default_rng(6)
+    a, b = (heavy(rng, 256, sigma=0.5, nulls=0.2) for _ in range(2))
+    b[::7, ::5] *= 0.3
+    found = contrast(a, b)
+    changed = np.zeros((EDGE, EDGE), bool)
+    changed[::7, ::5] = True
+    rejected = (found.q_value <= 0.05).any("channel").to_numpy()
+    assert rejected[changed].mean() > 0.9
+    assert rejected[~changed].sum() <= 0.15 * rejected.sum()
+    assert found.share == rejected.mean()
+
+
+def test_lamps_that_are_constant_differ_exactly():
+    rng = np.random.default_rng(8)
+    a, b = (heavy(rng, 64) for _ in range(2))
+    a[10, 10], b[10, 10] = 50.0, 49.0
+    a[20, 20], b[20, 20] = 50.0, 50.001  # as half floats have it
+    found = contrast(a, b)
+    assert found.p_value[10, 10].to_numpy() == pytest.approx(2.0**-63)
+    assert np.isnan(found.p_value[20, 20]).all()
+    assert found.share == 1 / EDGE**2
+
+
+def test_windows_count_every_cell():
+    x = np.random.default_rng(0).normal(size=(9, 13, 5))
+    sums, (ys, xs) = window_sums(x, 4)
+    assert (ys[-1], xs[-1]) == (5, 9)
+    np.testing.assert_allclose(sums[2, 3], x[ys[2] : ys[2] + 4, xs[3] : xs[3] + 4].sum((0, 1)))
+    np.testing.assert_allclose(window_sums(x, 13)[0][0, 0], x.sum((0, 1)))
+    none = scan_windows(np.zeros((1, 4, 4, 16)), np.ones((1, 4, 4, 16)))
+    assert np.isnan(none.p_value)
+
+
+# --- what is compared ---------------------------------------------------------------------------
+
+
+def small(seed=1, spp=32, edge=16):
+    return heavy(np.random.default_rng(seed), spp, edge=edge)
+
+
+def test_means_and_efficiencies_are_those_of_the_samples():
+    a = chd.Samples.from_array(small(1, 48), render_seconds=2.0)
+    b = chd.Samples.from_array(small(2, 300), render_seconds=5.0)
+    found = contrast(a, b)
+    assert found.spp == (48, 300)
+    assert found.seconds == (2 / 48, 5 / 300)
+    for name, x in (("a", a), ("b", b)):
+        mean = chd.summarize(x)["mean"].to_numpy()
+        np.testing.assert_allclose(found.maps[f"mean_{name}"][..., 1:], mean, rtol=1e-5)
+        weights = [0.212671, 0.715160, 0.072169]
+        light = np.einsum("yxcs,c->yxs", np.asarray(x, dtype=float), weights)
+        np.testing.assert_allclose(found.maps[f"variance_{name}"], light.var(-1, ddof=1), rtol=1e-4)
+    ratio = found.maps["variance_a"] * (2 / 48) / (found.maps["variance_b"] * (5 / 300))
+    np.testing.assert_allclose(found.efficiency, ratio)
+    np.testing.assert_allclose(
+        found.difference, found.maps["mean_b"] - found.maps["mean_a"], rtol=1e-12
+    )
+    assert found.efficiency_ratio.low < found.efficiency_ratio.value < found.efficiency_ratio.high
+
+
+def test_averages_of_samples_have_the_variance_of_samples():
+    x = small(1, 256)
+    means = x.reshape(16, 16, 3, 32, 8).mean(axis=-1)
+    averages = chd.Samples.from_array(means, averaged=8)
+    found = contrast(averages, chd.Samples.from_array(small(2, 64)))
+    whole = contrast(x, chd.Samples.from_array(small(2, 64)))
+    ratio = found.maps["variance_a"] / whole.maps["variance_a"]
+    assert 0.9 < float(ratio.mean()) < 1.1
+
+
+def test_equal_time_cuts_both_to_what_they_render_in_it():
+    a = chd.Samples.from_array(small(1, 48), render_seconds=4.8)
+    b = chd.Samples.from_array(small(2, 96), render_seconds=4.8)
+    assert contrast(a, b, seconds=1.2).spp == (12, 24)
+    assert contrast(a.isel(sample=slice(24)), b, seconds=1.2).spp == (12, 24)
+    with pytest.raises(
+        InputError, match="in 9.00 s, A renders 90 samples per pixel, and it has 48"
+    ):
+        contrast(a, b, seconds=9)
+    with pytest.raises(InputError, match="give more seconds"):
+        contrast(a, b, seconds=0.01)
+    with pytest.raises(InputError, match="B does not say how long"):
+        contrast(a, chd.Samples.from_array(small(2)), seconds=1)
+    with pytest.raises(InputError, match="seconds must be above 0"):
+        contrast(a, b, seconds=-1)
+
+
+def test_renders_of_one_seed_are_paired():
+    a = chd.Samples.from_array(small(1, 40), seed=3)
+    b = chd.Samples.from_array(roulette(np.random.default_rng(2), small(1, 64)), seed=3)
+    found = contrast(a, b)
+    assert found.paired
+    assert found.spp == (40, 40)
+    other = chd.Samples.from_array(small(5, 64), seed=4)
+    assert not contrast(a, other).paired
+    assert contrast(a, other).spp == (40, 64)
+
+
+def test_a_converged_image_is_exact(tmp_path):
+    a = small(1, 64)
+    image = small(2, 1)[..., 0]
+    path = write_exr(tmp_path / "reference.exr", image)
+    found = contrast(a, path)
+    assert found.spp == (64, None)
+    assert found.names[1] == str(path)
+    assert "taken as exact" in found.table()["B"]
+    assert "random numbers" not in found.table()
+    for other in (read_exr(path), image):
+        np.testing.assert_array_equal(contrast(a, other).p_value, found.p_value)
+    assert np.isnan(found.efficiency).all()
+    np.testing.assert_allclose(found.maps["mean_b"][..., 1:], image)
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+def test_pixels_without_a_p_value_say_why():
+    a, b = small(1), small(2)
+    a[0, 0] = b[0, 0] = 0
+    a[0, 1] = np.nan
+    a[0, 2, :, 1:] = np.nan
+    a[0, 3, 1, ::4] = np.inf
+    b[0, 4] = a[0, 4]
+    found = contrast(a, b)
+    assert found.maps["reason"][0, :5].to_numpy().tolist() == [
+        Reason.ALL_NULL,
+        Reason.ALL_BAD,
+        Reason.TOO_FEW,
+        Reason.OK,
+        Reason.CONSTANT,
+    ]
+    p = found.p_value.to_numpy()
+    assert np.isnan(p[0, [0, 1, 2, 4]]).all()
+    assert np.isfinite(p[0, 3]).all()
+    good = np.delete(a[0, 3], np.s_[::4], axis=-1)
+    np.testing.assert_allclose(found.maps["mean_a"][0, 3, 1:], good.mean(-1), rtol=1e-6)
+
+
+def test_bad_samples_leave_with_their_pair():
+    rng = np.random.default_rng(1)
+    a = small(1, 64)
+    b = a * rng.normal(1, 0.01, a.shape).astype(np.float32)
+    a[3, 3, :, 5] = np.nan
+    one, two = (chd.Samples.from_array(x, seed=0) for x in (a, b))
+    found = contrast(one, two)
+    kept = np.delete(np.arange(64), 5)
+    for name, x in (("a", a), ("b", b)):
+        np.testing.assert_allclose(
+            found.maps[f"mean_{name}"][3, 3, 1:], x[3, 3][:, kept].mean(-1), rtol=1e-5
+        )
+
+
+def test_one_render_given_twice_is_no_test():
+    found = contrast(small(), small())
+    assert found.outcome == "cannot tell"
+    assert "one render given twice" in found.verdict
+    assert np.isnan(found.p_value).all()
+
+
+def test_too_few_samples_are_said():
+    assert "5 samples per pixel are too few" in contrast(small(1, 5), small(2, 9)).verdict
+    one, other = (chd.Samples.from_array(small(s, 1, 4), axes="yxcs") for s in (1, 2))
+    assert contrast(one, other).outcome == "cannot tell"
+
+
+def test_one_channel_and_small_images_are_compared():
+    rng = np.random.default_rng(1)
+    a, b = rng.gamma(2.0, size=(2, 3, 2, 1, 64))
+    found = contrast(a, b)
+    assert found.maps.sizes == {"y": 3, "x": 2, "channel": 1}
+    assert np.isfinite(found.p_value).all()
+    b *= 0.2
+    assert contrast(a, b).outcome == "differ"
+
+
+def test_samples_of_any_size_are_compared():
+    a, b = small(1, 64), small(2, 64) * np.float32(0.5)
+    found = contrast(a, b)
+    for scale in (1e-30, 1e30):
+        scaled = contrast(a * np.float32(scale), b * np.float32(scale))
+        np.testing.assert_allclose(scaled.p_value, found.p_value, rtol=1e-3)
+        assert scaled.p_image == found.p_image
+
+
+def test_what_cannot_be_compared_is_refused():
+    with pytest.raises(InputError, match="A has 16 x 16 pixels and B 12 x 12: render both at one"):
+        contrast(small(), small(edge=12))
+    with pytest.raises(InputError, match="as many channels"):
+        contrast(small(), small()[:, :, :1])
+    with pytest.raises(InputError, match="alpha must lie between 0 and 1"):
+        contrast(small(), small(2), alpha=1.5)
+
+
+def test_numbers_go_into_json():
+    found = contrast(small(1), small(2)).to_dict()
+    assert found["outcome"] == "no difference found"
+    assert found["efficiency_ratio"] == {"value": None, "low": None, "high": None}
+    assert set(found["detectable"]) == {"image", "tenth"}
+
+
+def test_it_shows_itself():
+    found = contrast(small(1), small(2))
+    assert found._repr_html_().count("<img") == 2
+    assert len(repr(found).splitlines()) <= 10
