@@ -277,21 +277,27 @@ def contrast(
         Path | None,
         typer.Option("--out", "-o", help="A page with maps to write, .pdf.", show_default="none"),
     ] = None,
+    distributions: Annotated[
+        bool,
+        typer.Option("--distributions", help="Test variances and distributions of pixels, too."),
+    ] = False,
     seed: cli.Seed = 0,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
     """Test whether two renders have the same mean, and which is more efficient.
 
-    The exit code is 0 where no difference was found, 1 where one was, and 3 where one cannot tell,
-    as with too few samples. Errors end with 1, too, and print nothing but their message.
+    The exit code is 0 where no difference was found, 3 where one was, and 4 where one cannot tell,
+    as with too few samples. Errors end with 1 or 2.
     """
     import chdstat
     from chdstat._core.files import checked_target
     from chdstat.reporting.figures import save_figure
 
     target = None if out is None else checked_target(out, ".pdf")  # refused before the work
-    found = chdstat.contrast(a, b, alpha=alpha, seconds=seconds, seed=seed)
+    found = chdstat.contrast(
+        a, b, alpha=alpha, seconds=seconds, distributions=distributions, seed=seed
+    )
     if target is not None:
         save_figure(chdstat.viz.contrast(found), target)
     if as_json:
@@ -305,7 +311,7 @@ def contrast(
         raise typer.Exit(code)
 
 
-_CODES = {"no difference found": 0, "differ": 1, "cannot tell": 3}
+_CODES = {"no difference found": 0, "differ": 3, "cannot tell": 4}
 """Exit codes by what `chdstat contrast` found."""
 
 

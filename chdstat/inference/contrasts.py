@@ -6,7 +6,7 @@ render against a converged image: per pixel, and over regions, which show what n
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -55,7 +55,8 @@ class Contrast(Shown):
         ``mean_a``, ``mean_b``, ``difference`` (B - A), its ``standard_error``, ``p_value`` and
         ``q_value`` (over all pixels and channels together). Of luminance alone, dims (y, x):
         ``variance_a`` and ``variance_b`` of a sample, ``efficiency`` (of B over that of A), and
-        ``reason``, why a pixel has no p-value.
+        ``reason``, why a pixel has no p-value; and p- and q-values of equal variances and
+        distributions, ``variance_p_value`` and so on, where they were asked for.
     outcome
         "no difference found", "differ" or "cannot tell", at the level `alpha`.
     why
@@ -179,7 +180,12 @@ class Contrast(Shown):
             "paired": self.paired,
             "correlation": self.correlation,
         }
-        return dict(plain(content))
+        return dict(plain(content | {f"share_of_{n}": share for n, share in self._shapes()}))
+
+    def _shapes(self) -> list[tuple[str, float]]:
+        """Return the shares of pixels whose variances and distributions differ, if tested."""
+        names = [n for n in ("variance", "distribution") if f"{n}_q_value" in self.maps]
+        return [(f"{n}s", float((self.maps[f"{n}_q_value"] <= self.alpha).mean())) for n in names]
 
     def table(self) -> dict[str, str]:
         """Return the numbers beside the verdict, in words."""
@@ -196,6 +202,8 @@ class Contrast(Shown):
         if self.spp[1] is not None:
             shared = "the same" if self.paired else "independent"
             found["random numbers"] = f"{shared}, correlation {number(self.correlation)}"
+        for name, share in self._shapes():
+            found[f"{name} differ"] = f"in {percent(share)} of the pixels"
         return found
 
     def _card(self) -> Card:
@@ -213,6 +221,7 @@ def contrast(
     *,
     alpha: float = 0.05,
     seconds: float | None = None,
+    distributions: bool = False,
     seed: Seed = 0,
 ) -> Contrast:
     """Test whether two renders of a view have the same mean, pixel by pixel and over regions.
@@ -240,6 +249,9 @@ def contrast(
     seconds
         Compare as many samples of each as it renders in this time. None compares all, and as many
         of both where they share random numbers.
+    distributions
+        Test in each pixel whether the variances and the whole distributions of luminance differ,
+        too, by permutation, which takes twice as long.
     seed
         Seed of the flips, which are 499 for the windows; p-values of pixels need none.
 
@@ -279,7 +291,9 @@ def contrast(
         message = f"alpha must lie between 0 and 1, got {alpha}"
         raise InputError(message)
     pair = Pair.of(a, b, seconds)
-    return _judged(pair, alpha, seed_number(seed))
+    seed = seed_number(seed)
+    found = _judged(pair, alpha, seed)
+    return replace(found, maps=found.maps.assign(pair.shapes(seed))) if distributions else found
 
 
 def _judged(pair: Pair, alpha: float, seed: int) -> Contrast:

@@ -18,7 +18,9 @@ from chdstat._core.arrays import LUMINANCE, LeftOut, all_good, is_bad, spans
 from chdstat._core.display import number
 from chdstat._core.positive import Floats
 from chdstat._core.reasons import first_of
+from chdstat._core.resampling import q_values
 from chdstat.errors import InputError, Reason
+from chdstat.inference.permutation import Shuffles
 from chdstat.inference.sign_flips import Moments, guarded, p_of_signs
 from chdstat.io.exr import ExrImage, read_exr
 from chdstat.samples import Samples, samples_of
@@ -133,6 +135,41 @@ class Pair:
             moments = _joined([tile["moments"][band] for tile in tiles], mean[..., band])
             p[..., band] = guarded(p[..., band], moments, exact[..., band])
         return Compared(bands=bands, cell=cell, p_value=p, **whole)
+
+    def shapes(self, seed: int) -> dict[str, Any]:
+        """Return maps of p- and q-values of equal variances and equal distributions of luminance.
+
+        NaN where a sample is missing, or B is exact.
+        """
+        return {
+            f"{name}_{kind}_value": (
+                ("y", "x"),
+                p if kind == "p" else q_values(p),
+                {"long_name": f"{kind}-value of equal {name}s of luminance", "units": "1"},
+            )
+            for name, p in self._p_of_shapes(seed).items()
+            for kind in ("p", "q")
+        }
+
+    def _p_of_shapes(self, seed: int) -> dict[str, Floats]:
+        size = self.a.shape[:2]
+        found = {name: np.full(size, np.nan) for name in ("variance", "distribution")}
+        if not isinstance(self.b, Samples):
+            return found
+        shuffles = Shuffles.draw(self.spp, seed, paired=self.paired)
+        rows = max(1, _AT_ONCE // (size[1] * sum(self.spp)))
+        for ys in spans(size[0], rows):
+            read = (self.a.read(ys, ss=slice(self.spp[0])), self.b.read(ys, ss=slice(self.spp[1])))
+            one, other = (_luminance(x).reshape(-1, x.shape[-1]) for x in read)
+            known = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
+            for name, test in (
+                ("variance", shuffles.p_of_variances),
+                ("distribution", shuffles.p_of_distributions),
+            ):
+                p = np.full(len(one), np.nan)
+                p[known] = test(one[known], other[known])
+                found[name][ys] = p.reshape(found[name][ys].shape)
+        return found
 
     def _tile(self, ys: slice, cell: int, left_out: LeftOut) -> dict[str, Any]:
         """Return what was measured in some rows."""

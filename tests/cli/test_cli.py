@@ -245,9 +245,9 @@ def test_contrast_has_a_verdict_an_exit_code_and_a_page(run, store, tmp_path):
     assert f"next: chdstat explore {store} --other {again}" in err
     assert len(PdfDocument(page)) == 1
     code, out, err = run("contrast", store, dark, "--json", "-q")
-    assert (code, json.loads(out)["outcome"], err) == (1, "differ", "")
+    assert (code, json.loads(out)["outcome"], err) == (3, "differ", "")
     code, out, _ = run("contrast", store, store)
-    assert (code, out.split(":")[0]) == (3, "Cannot tell")
+    assert (code, out.split(":")[0]) == (4, "Cannot tell")
     code, out, err = run("contrast", store, again, "--seconds", "1e9")
     assert (code, out) == (1, "")
     assert "render more of them" in err

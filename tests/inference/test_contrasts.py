@@ -358,3 +358,33 @@ def test_it_shows_itself():
     found = contrast(small(1), small(2))
     assert found._repr_html_().count("<img") == 2
     assert len(repr(found).splitlines()) <= 10
+
+
+@pytest.mark.parametrize("paired", [False, True])
+def test_shapes_of_equal_renders_have_even_p_values(paired):
+    rng = np.random.default_rng(11)
+    lit = rng.random((2, 24, 24, 1, 64)) < 0.3
+    light = rng.lognormal(sigma=1.5, size=lit.shape)
+    a, b = light * (lit[:1] if paired else lit)
+    seeds = (1, 1) if paired else (1, 2)
+    given = [chd.Samples.from_array(x, seed=s) for x, s in zip((a, b), seeds, strict=True)]
+    found = chd.contrast(*given, distributions=True).maps
+    for name in ("variance", "distribution"):
+        p = found[f"{name}_p_value"].to_numpy().ravel()
+        assert np.all(
+            np.abs((p[:, np.newaxis] <= [0.05, 0.1, 0.5]).mean(0) - [0.05, 0.1, 0.5]) < 0.05
+        )
+        assert (found[f"{name}_q_value"] <= 0.05).mean() < 0.01
+
+
+def test_shapes_that_differ_are_found_where_means_do_not():
+    rng = np.random.default_rng(12)
+    a, b = rng.gamma(1.0, size=(2, 16, 16, 1, 256))
+    b[:8] = rng.gamma(0.25, 4.0, size=(8, 16, 1, 256))
+    found = chd.contrast(a, b, distributions=True)
+    for name in ("variance", "distribution"):
+        q = found.maps[f"{name}_q_value"].to_numpy()
+        assert (q[:8] <= 0.05).mean() > 0.8
+        assert (q[8:] <= 0.05).mean() < 0.1
+        assert 0.4 < found.to_dict()[f"share_of_{name}s"] < 0.6
+    assert "distributions differ" in found.table()
