@@ -205,17 +205,19 @@ def explore(
 @cli.app.command("list", epilog="Example: chdstat list estimators")
 def list_names(
     kind: Annotated[
-        Literal["scenes", "estimators", "families", "patterns"] | None,
-        typer.Argument(help="What to list.", show_default="all four"),
+        Literal["scenes", "estimators", "families", "patterns", "formats"] | None,
+        typer.Argument(help="What to list.", show_default="all five"),
     ] = None,
     as_json: cli.Json = False,
 ) -> None:
-    """List the scenes, estimators, families and patterns that there are, a sentence for each."""
+    """List scenes, estimators, families, patterns and formats to import, a sentence for each."""
     from chdstat.estimators import lookup, names
     from chdstat.fit.families import FAMILIES
+    from chdstat.io.reading import FORMATS
     from chdstat.patterns import PATTERNS
     from chdstat.scenes import BUILTIN
 
+    formats = {f.name: f"{f.title}: {' '.join(f.suffixes)}." for f in FORMATS}
     families = {
         name: (family.documentation or "").partition("\n")[0] for name, family in FAMILIES.items()
     }
@@ -224,6 +226,7 @@ def list_names(
         "estimators": {name: lookup(name).about for name in names()},
         "families": families,
         "patterns": {p.name: f"{p.meaning[0].upper()}{p.meaning[1:]}." for p in PATTERNS},
+        "formats": formats,
     }
     shown = found if kind is None else {kind: found[kind]}
     if as_json:

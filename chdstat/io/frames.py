@@ -76,12 +76,15 @@ class Frames:
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
         """Return a part of the samples, shape (y, x, channel, sample)."""
         asked = np.arange(self.shape[3])[ss]
-        parts = []
+        step = int(asked[1] - asked[0]) if len(asked) > 1 else 1
+        rows, columns = (range(n)[part] for n, part in zip(self.shape, (ys, xs), strict=False))
+        found = np.empty((len(rows), len(columns), self.shape[2], len(asked)), np.float32)
         for number in np.unique(asked // BATCH):
-            own = asked[asked // BATCH == number] - number * BATCH
-            batch = self._batch(int(number))
-            parts.append(np.moveaxis(batch[:, ys, xs][own], 0, -1))
-        return np.ascontiguousarray(np.concatenate(parts, axis=-1))
+            start, stop = np.searchsorted(asked // BATCH, [number, number + 1])
+            first, last = asked[[start, stop - 1]] - number * BATCH
+            batch = self._batch(int(number))[first : last + 1 : step, ys, xs]
+            found[..., start:stop] = np.moveaxis(batch, 0, -1)
+        return found
 
     def read_features(self) -> dict[str, Image]:
         """Return features by name, each the average over all images."""

@@ -28,7 +28,7 @@ from chdstat.samples.tiles import Image
 
 __all__ = ["open_rawls"]
 
-_LONGEST_HEADER = 2**20
+_LONGEST_HEADER = 2**16
 _BEGIN = re.compile(
     rb"IHDR\n\d{1,9}\n(?:(.{4}) (.{4}) (.{4})|(.{4})(.{4})(.{4}))\nCOMMENTS\n", re.DOTALL
 )

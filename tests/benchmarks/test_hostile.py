@@ -1,4 +1,4 @@
-"""Mutations of scenes, recipes and images: each is read, or refused in words, and ends in time.
+"""Mutations of scenes, recipes, images and samples: each is read, or refused in words, in time.
 
 ``--benchmark-only -s`` reads some hundred of each in processes of their own, which may crash or
 hang, and prints the table; `tests/test_hostile.py` reads a few with the other tests. What is read
@@ -48,7 +48,19 @@ def image(path: str) -> None:
     assert chd.io.read_exr(path).image.ndim == 3
 
 
-READERS: dict[str, Callable[[str], None]] = {"scene": render, "recipe": recipe, "exr": image}
+def samples(path: str) -> None:
+    import chdstat as chd
+
+    found = chd.io.read(path)
+    assert found.read(slice(0, 8), slice(0, 8), slice(0, 8)).ndim == 4
+
+
+READERS: dict[str, Callable[[str], None]] = {
+    "scene": render,
+    "recipe": recipe,
+    "exr": image,
+    **dict.fromkeys(("npy", "npz", "netcdf", "stack", "rawls", "noisebase", "bcd"), samples),
+}
 
 
 def serve() -> None:
@@ -124,10 +136,10 @@ class Reader:
 # --- the campaign -------------------------------------------------------------------------------
 
 
-def _hostile() -> Any:
-    """Import what lies beside the tests: they are no package."""
-    path = Path(__file__).parents[1] / "hostile.py"
-    spec = importlib.util.spec_from_file_location("hostile", path)
+def _imported(name: str) -> Any:
+    """Import what lies among the tests: they are no package."""
+    path = Path(__file__).parents[1] / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -137,16 +149,8 @@ def _hostile() -> Any:
 
 def _files(count: int, folder: Path) -> Iterator[tuple[str, str, bytes]]:
     """Yield the kind of a file, what was done to it, and its content."""
-    from chdstat.io import write_exr
-
-    hostile = _hostile()
-    rng = np.random.default_rng(0)
-    write_exr(folder / "good.exr", rng.random((9, 7, 3)).astype(np.float32))
-    good = {
-        "scene": hostile.SCENE,
-        "recipe": hostile.RECIPE,
-        "exr": (folder / "good.exr").read_bytes(),
-    }
+    hostile = _imported("hostile")
+    good = {"scene": hostile.SCENE, "recipe": hostile.RECIPE, **_binary(folder)}
     for kind, content in good.items():
         yield kind, "nothing", content
         for what, data in hostile.mutations(content, count, seed=2):
@@ -155,13 +159,52 @@ def _files(count: int, folder: Path) -> Iterator[tuple[str, str, bytes]]:
         yield from ((kind, "known cases", data) for _, data in cases)
 
 
+NAMES = {
+    "scene": "scene.xml",
+    "recipe": "recipe.toml",
+    "exr": "image.exr",
+    "npy": "x.npy",
+    "npz": "x.npz",
+    "netcdf": "x.nc",
+    "stack": "x.exr",
+    "rawls": "x.rawls",
+    "noisebase": "x.zip",
+    "bcd": "x.raw",
+}
+
+
+def _binary(folder: Path) -> dict[str, bytes]:
+    """Return good files of images and samples, by the names of their readers."""
+    import xarray as xr
+
+    from chdstat.io import write_exr
+
+    x = np.random.default_rng(0).gamma(0.5, size=(9, 7, 3, 8)).astype(np.float32)
+    formats = _imported("io/test_formats")
+    layers = {"albedo": x[..., 1]}
+    makers: dict[str, Callable[[Path], object]] = {
+        "exr": lambda path: write_exr(path, x[..., 0]),
+        "npy": lambda path: np.save(path, x),
+        "npz": lambda path: np.savez_compressed(path, x),
+        "netcdf": lambda path: xr.Dataset(
+            {"radiance": (("y", "x", "channel", "sample"), x)}
+        ).to_netcdf(path, engine="scipy"),
+        "stack": lambda path: write_exr(path, x[..., 0], extra=layers),
+        "rawls": lambda path: formats.rawls(path, x[..., 0]),
+        "noisebase": lambda path: formats.noisebase(path, x),
+        "bcd": lambda path: formats.bcd(path, x),
+    }
+    for kind, make in makers.items():
+        make(folder / f"good-{NAMES[kind]}")
+    return {kind: (folder / f"good-{NAMES[kind]}").read_bytes() for kind in makers}
+
+
 def campaign(count: int, folder: Path) -> Counter[tuple[str, str, str]]:
     """Return how many files of a kind, with a mutation, ended in what."""
     reader, fates = Reader(), Counter[tuple[str, str, str]]()
-    names = {"scene": "scene.xml", "recipe": "recipe.toml", "exr": "image.exr"}
     try:
         for kind, what, data in _files(count, folder):
-            path = folder / names[kind]
+            path = folder / NAMES[kind]
             path.write_bytes(data)
             fates[kind, what, reader.fate(kind, path)] += 1
     finally:

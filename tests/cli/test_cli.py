@@ -87,7 +87,7 @@ def test_alone_it_shows_the_flow_in_its_order(run):
 
 def test_list_has_a_sentence_for_each_name(run):
     found = json.loads(run("list", "--json")[1])
-    assert list(found) == ["scenes", "estimators", "families", "patterns"]
+    assert list(found) == ["scenes", "estimators", "families", "patterns", "formats"]
     assert set(found["estimators"]) == set(chd.estimators.names())
     for kind, rows in found.items():
         assert json.loads(run("list", kind, "--json")[1]) == rows
