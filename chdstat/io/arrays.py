@@ -12,7 +12,8 @@ import tokenize
 import weakref
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,16 @@ from chdstat.samples.axes import ordered, single
 from chdstat.samples.layout import FOREIGN
 from chdstat.samples.tiles import Image
 
-__all__ = ["DAMAGED", "ArraySource", "Joined", "load_npy", "open_npy", "open_npz", "open_xarray"]
+__all__ = [
+    "DAMAGED",
+    "ArraySource",
+    "Joined",
+    "Remapped",
+    "load_npy",
+    "open_npy",
+    "open_npz",
+    "open_xarray",
+]
 
 DAMAGED = (
     *FOREIGN,
@@ -118,6 +128,20 @@ class Joined:
         return dict(self._sources[0].read_features())
 
 
+class Remapped:
+    """An array in a file that is mapped into memory anew for each part that is asked for.
+
+    Pages of a map that stays count as memory of the process, until the whole file does.
+    """
+
+    def __init__(self, mapped: Callable[[], npt.NDArray[Any]]) -> None:
+        self._mapped, array = mapped, mapped()
+        self.shape, self.dtype, self.size = array.shape, array.dtype, array.size
+
+    def __getitem__(self, index: Any) -> npt.NDArray[Any]:
+        return np.asarray(self._mapped()[index])
+
+
 def joined(sources: Sequence[ArraySource]) -> Any:
     """Return one source of the samples of all."""
     return sources[0] if len(sources) == 1 else Joined(sources)
@@ -146,7 +170,7 @@ def open_npy(paths: Sequence[Path], asked: Asked) -> Opened:
     """Open .npy files, whose samples follow each other."""
     sources = []
     for path in paths:
-        array = load_npy(path)
+        array = Remapped(partial(load_npy, path))
         sources.append(ArraySource(array, ordered(array, path.name, asked.axes), path))
     return Opened(joined(sources))
 
@@ -191,23 +215,31 @@ def open_xarray(paths: Sequence[Path], asked: Asked) -> Opened:
     return Opened(joined(sources), attrs)
 
 
-def _unpacked(path: Path) -> dict[str, npt.NDArray[Any]]:
+class _Folder:
+    """A temporary folder, which is removed with the last that refers to it."""
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="chdstat-"))
+        weakref.finalize(self, shutil.rmtree, self.path, ignore_errors=True)
+
+    def load(self, name: str) -> npt.NDArray[Any]:
+        """Return the array in a .npy file in it, mapped into memory."""
+        return load_npy(self.path / name)
+
+
+def _unpacked(path: Path) -> dict[str, Remapped]:
     """Return the arrays of an archive, each mapped from a temporary file."""
-    folder = Path(tempfile.mkdtemp(prefix="chdstat-"))
-    arrays = {}
+    folder, arrays = _Folder(), {}
     try:
         with zipfile.ZipFile(path) as archive:
             for number, member in enumerate(archive.namelist()):
-                target = folder / f"{number}.npy"
-                with archive.open(member) as packed, target.open("wb") as plain:
+                name = f"{number}.npy"
+                with archive.open(member) as packed, (folder.path / name).open("wb") as plain:
                     shutil.copyfileobj(packed, plain, 2**20)
-                arrays[member.removesuffix(".npy")] = load_npy(target)
+                arrays[member.removesuffix(".npy")] = Remapped(partial(folder.load, name))
     except (*DAMAGED, StoreError) as error:
-        shutil.rmtree(folder, ignore_errors=True)
         message = f"cannot read {path}: {error}"
         raise StoreError(message) from error
-    for array in arrays.values():
-        weakref.finalize(array, shutil.rmtree, folder, ignore_errors=True)
     return arrays
 
 
@@ -228,4 +260,4 @@ def _named(path: Path, arrays: Any, name: str) -> npt.NDArray[Any]:
     if name not in arrays:
         message = f"{path} holds no array {name!r}, but {', '.join(map(str, arrays))}"
         raise InputError(message)
-    return np.asarray(arrays[name])
+    return np.asarray(arrays[name][...])

@@ -16,6 +16,7 @@ Computer Graphics Forum 36(4), 2017, doi:10.1111/cgf.13231; its code, superboube
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ import numpy.typing as npt
 
 from chdstat._core.files import checked_target
 from chdstat.errors import InputError, StoreError
-from chdstat.io.arrays import ArraySource, joined
+from chdstat.io.arrays import ArraySource, Remapped, joined
 from chdstat.io.exr import write_exr
 from chdstat.io.reading import Asked, Opened
 from chdstat.samples import Samples, samples_of
@@ -45,7 +46,9 @@ def open_bcd(paths: Sequence[Path], asked: Asked) -> Opened:
     if asked.features or asked.variable:
         message = "raw samples of BCD come without features; give features as files"
         raise InputError(message)
-    return Opened(joined([ArraySource(_mapped(path), "yxsc", path) for path in paths]))
+    arrays = [Remapped(partial(_mapped, path)) for path in paths]
+    sources = [ArraySource(a, "yxsc", path) for a, path in zip(arrays, paths, strict=True)]
+    return Opened(joined(sources))
 
 
 def _mapped(path: Path) -> npt.NDArray[Any]:
