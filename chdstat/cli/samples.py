@@ -209,8 +209,7 @@ def export(
 ) -> None:
     """Write samples or maps in the formats of other programs.
 
-    bcd is for Bayesian collaborative denoising, cascades for the viewer of Zirr et al. 2018,
-    moments for StatMC.
+    bcd is for Bayesian collaborative denoising, cascades for Zirr et al. 2018, moments for StatMC.
     """
     import chdstat
     from chdstat.io.maps import open_maps

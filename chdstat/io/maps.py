@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -96,6 +98,8 @@ def write_maps(dataset: xr.Dataset, path: str | Path) -> Path:
 def write_netcdf(dataset: xr.Dataset, path: str | Path) -> Path:
     """Write a dataset of results as netCDF, whole or not at all.
 
+    Attributes that netCDF has no type for, such as tables, become JSON.
+
     Parameters
     ----------
     dataset
@@ -122,6 +126,31 @@ def write_netcdf(dataset: xr.Dataset, path: str | Path) -> Path:
     'maps.nc'
     """
     target = checked_target(path, ".nc")
+    plain = dataset.drop_encoding().assign_attrs(_plain(dataset.attrs))
+    for name, variable in plain.variables.items():
+        plain[name].attrs = _plain(variable.attrs)
     with writing(target) as partial:
-        dataset.to_netcdf(partial)
+        plain.to_netcdf(partial)
     return target
+
+
+def _plain(attrs: Mapping[Any, Any]) -> dict[str, str | int | float | list[int | float]]:
+    """Return attributes as text, numbers and lists of numbers."""
+    return {
+        str(name): value
+        if isinstance(value, str | float) or _numbers(value)
+        else json.dumps(value, default=str)
+        for name, value in attrs.items()
+    }
+
+
+def _numbers(value: Any) -> bool:
+    """Return whether a value is a number, or a list of some, of a type that netCDF has."""
+    values = value if isinstance(value, list | tuple) else [value]
+    if isinstance(value, np.ndarray):
+        values = value.tolist() if value.ndim == 1 else [None]
+    return all(
+        isinstance(v, float | np.floating)
+        or (isinstance(v, int | np.integer) and not isinstance(v, bool) and abs(int(v)) < 2**31)
+        for v in values
+    )

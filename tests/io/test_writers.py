@@ -145,6 +145,19 @@ def test_results_are_netcdf(tmp_path):
         assert list(again["channel"].to_numpy()) == ["R", "G", "B"]
 
 
+def test_attributes_that_netcdf_has_no_type_for_are_json(tmp_path):
+    found = chd.summarize(SAMPLES).assign_attrs(
+        files=[["a", 1]], none=None, yes=True, size=[6, 5], seed=2**40
+    )
+    found["mean"].attrs["of"] = {"a": [1.5]}
+    with xr.open_dataset(chd.io.write_netcdf(found, tmp_path / "x.nc")) as again:
+        held = again.attrs
+        assert (held["files"], held["none"], held["yes"]) == ('[["a", 1]]', "null", "true")
+        assert (list(held["size"]), held["seed"]) == ([6, 5], str(2**40))
+        assert again["mean"].attrs["of"] == '{"a": [1.5]}'
+    assert found.attrs["none"] is None
+
+
 # --- the command and faults -----------------------------------------------------------------------
 
 
@@ -164,7 +177,7 @@ def run(monkeypatch):
 def test_the_command_exports_samples_and_maps(tmp_path, run, capsys):
     store, maps = tmp_path / "x.zarr", tmp_path / "maps.zarr"
     SAMPLES.save(store)
-    chd.summarize(SAMPLES).to_zarr(maps, consolidated=False)
+    chd.analyze(store, progress=False).to_zarr(maps, consolidated=False)
     kinds = {"bcd": "a.exr", "cascades": "b.exr", "moments": "c.pfm"}
     for kind, name in kinds.items():
         assert run("export", store, "--as", kind, "-o", tmp_path / name) == 0
