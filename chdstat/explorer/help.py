@@ -41,7 +41,7 @@ HELP = {
     "compared": "Distances between the distributions of the pixel in the two stores, with a "
     "permutation test. Pixels that were picked because they look different make its p too small "
     "too often.",
-    "light": "Light that comes by paths of each length, known from the same samples with their "
+    "paths": "Light that comes by paths of each length, known from the same samples with their "
     "paths cut: its share of the mean, of the variance, and of what the samples of each mode and "
     "of the tail carry.",
 }

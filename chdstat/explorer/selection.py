@@ -134,7 +134,7 @@ class SelectionResults:
             "estimates": self._estimates_table(plots, quick),
         }
         if light := self._light(plots.key):
-            found["light"] = self._of(plots, tables.light_table(light))
+            found["paths"] = self._of(plots, tables.light_table(light))
         if self._shared.other is not None:
             apart = self._difference(plots.key, place, plots.others[plots.view.active])
             names = (self._shared.source.name, self._shared.other.name)

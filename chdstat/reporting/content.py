@@ -16,6 +16,7 @@ from chdstat.comparison import Comparison
 from chdstat.comparison.presentation import shown_ratio
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS
+from chdstat.patterns.attribution import attribute
 from chdstat.reporting.claims import finding_content, remake_note
 from chdstat.reporting.figures import Results
 from chdstat.reporting.result_tables import (
@@ -208,6 +209,7 @@ def headlines(found: Results) -> list[Headline]:
     scene, noise = found.scene, _Noise.of(found.data.analysis)
     rows = [
         *_where_noise_is(noise),
+        *_which_paths(found.data),
         Headline(
             f"{percent(scene.null_share)} of all samples find no light.",
             f"In {percent(scene.patterns['null_heavy'])} of the pixels null samples are "
@@ -246,6 +248,28 @@ def _where_noise_is(noise: _Noise) -> Iterator[Headline]:
             f"They are {percent(noise.pixels)} of the image and hold {percent(noise.share)} of its "
             f"relative variance: {_MEANING.get(noise.label, 'no pattern of the table applies')}.",
         )
+
+
+def _which_paths(data: SceneData) -> Iterator[Headline]:
+    """Yield which length of paths makes most of the variance, where samples are known by it."""
+    if not data.samples.depths:
+        return
+    light, blocks = attribute(data.samples, progress=False), data.whole().blocks
+    known = np.isfinite(light["variance_share"].to_numpy()[..., 0]).ravel()
+    if not known.any():
+        return
+    part = blocks[known]
+    held = light["variance_share"].to_numpy().reshape(len(known), -1)[known]
+    most = int(held.mean(axis=0).argmax())
+    share = mean_of(held[:, most].astype(np.float64), part)
+    mean = float(light["mean_share"].to_numpy().reshape(len(known), -1)[known, most].mean())
+    name = str(light["paths"].to_numpy()[most])
+    who = "Emitted and direct light makes" if most == 0 else f"Paths of {name} make"
+    yield Headline(
+        f"{who} the largest part of the variance.",
+        f"In the average pixel that is {percent(share.value)} of it "
+        f"[{_between(share, percent)}], and {percent(mean)} of the light.",
+    )
 
 
 def _pixels(label: str) -> str:

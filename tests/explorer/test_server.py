@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -240,3 +241,10 @@ def test_text_contrasts_with_what_is_behind_it(theme):
     assert contrast(rules["alert"], rules["warn"]) >= 4.5
     assert contrast(rules["text"], rules["pressed"]) >= 4.5  # a pressed button
     assert contrast(rules["edge"], rules["raised"]) >= 3  # the border of a control
+
+
+def test_each_part_of_the_page_has_a_name_of_its_own():
+    page = resources.files("chdstat.explorer").joinpath("web/page.html").read_text("utf-8")
+    names = re.findall(r'\bid="([a-z-]+)"', page)
+    assert len(names) > 20
+    assert sorted(set(names)) == sorted(names)

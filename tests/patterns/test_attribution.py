@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat._core.display import percent
 from chdstat.errors import InputError, Reason
 from chdstat.patterns.attribution import attribute
+from chdstat.reporting.content import analysis_content
 from chdstat.samples import Samples
 
 RNG = np.random.default_rng(2)
@@ -104,3 +106,14 @@ def test_parts_are_stored_resumed_and_opened(tmp_path):
     fresh = chd.render("cornell-box", spp=8, max_depth=3, **settings)
     assert np.array_equal(opened.depths[3].read(), fresh.read())
     assert chd.samples.inspect(path, verify=True)["depths"] == {"2": 8, "3": 8, "4": 8}
+
+
+def test_analyses_say_which_paths_make_the_variance():
+    samples = chd.render(
+        "cornell-box", spp=64, size=(16, 16), backend="scalar", by_depth=3, progress=False
+    )
+    said = analysis_content(samples, chd.analyze(samples, progress=False))["findings"]
+    (told,) = [finding for finding in said if "largest part of the variance" in finding]
+    shares = chd.patterns.attribute(samples)["variance_share"].mean(("y", "x")).to_numpy()
+    assert percent(shares.max()) in told
+    assert [found for found in said if "of the light" in found] == [told]

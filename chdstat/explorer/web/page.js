@@ -230,7 +230,7 @@ window.chdstat = (() => {
     tables(item) {
       for (const [name, content] of Object.entries(item.tables)) table($(`#${name}`), content);
       if ("compared" in item.tables) $("#compared").hidden = false;
-      $("#light").hidden = !("light" in item.tables);
+      if ("statistics" in item.tables) $("#paths").hidden = !("paths" in item.tables);
     },
     goodness(item) {
       const bar = $("#goodness progress");
