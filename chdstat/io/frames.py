@@ -159,12 +159,18 @@ def open_exr(paths: Sequence[Path], asked: Asked) -> Opened:
         raise InputError(message)
     names = tuple(shown) if asked.variable is None else _channels(paths[0], planes, shown)
     layers = {n: _channels(paths[0], planes, inside) for n, inside in asked.features.items()}
-    height, width = planes[names[0]].shape
+    (height, width), averaged = planes[names[0]].shape, _averaged(attributes)
 
     def decode(samples: range) -> Iterator[Frame]:
         for number in samples:
             path = paths[number]
-            held = planes if number == 0 else read_planes(path)[1]
+            about, held = (attributes, planes) if number == 0 else read_planes(path)
+            if _averaged(about) != averaged:
+                message = (
+                    f"{path} is an average of {_averaged(about)} samples, {paths[0].name} of "
+                    f"{averaged}: read them apart"
+                )
+                raise InputError(message)
             image, *features = (
                 _stacked(path, held, channels, (height, width))
                 for channels in (names, *layers.values())
@@ -172,7 +178,6 @@ def open_exr(paths: Sequence[Path], asked: Asked) -> Opened:
             yield image, dict(zip(layers, features, strict=True))
 
     shape = (height, width, len(names), len(paths))
-    averaged = _averaged(attributes)
     attrs = {"averaged": averaged} if averaged > 1 else {}
     return Opened(Frames(paths[0].parent, shape, decode, featured=bool(layers)), attrs)
 

@@ -6,6 +6,7 @@ what there is: a format is a function from paths and `Asked` to an `Opened`.
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,7 @@ import numpy.typing as npt
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import Samples
 from chdstat.samples.axes import check_counts, check_features
+from chdstat.samples.layout import canonical
 from chdstat.samples.tiles import Image, Source
 
 __all__ = ["FORMATS", "Asked", "Format", "Opened", "read"]
@@ -176,11 +178,18 @@ def read(
         "scene": paths[0].stem,
         "scene_source": paths[0].name,
         **opened.attrs,
-        "files": [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in paths],
+        "files": len(paths),
+        "files_hash": _hash(paths),
         **attrs,
     }
     held = opened.source if found is None else _Counted(opened.source, found)
     return Samples(held, attrs=about, features=images, counts=found)
+
+
+def _hash(paths: Sequence[Path]) -> str:
+    """Return by what an import that was stopped is known to be of the same files."""
+    about = [[p.name, p.stat().st_size, p.stat().st_mtime_ns] for p in paths]
+    return hashlib.blake2b(canonical(about), digest_size=16).hexdigest()
 
 
 class _Counted:

@@ -92,11 +92,20 @@ def test_averages_are_known_by_what_renderers_write(tmp_path, name):
 def test_faults_are_named(stack, tmp_path):
     chd.io.write_exr(tmp_path / "small.exr", IMAGES[0, 1:])
     chd.io.write_exr(tmp_path / "grey.exr", IMAGES[0, ..., :1])
+    for count in (4, 8):
+        one = [("one", {"samplesPerPixel": count}, {"Y": IMAGES[0, ..., 0]})]
+        written(tmp_path / f"of-{count}.exr", one)
     written(tmp_path / "other.exr", [("one", {}, {"u.P": IMAGES[0, ..., 0]})])
     first = stack / "0000.exr"
     cases = [
         ([first, tmp_path / "small.exr"], {}, InputError, r"small.exr has \(6, 9\) pixels"),
         ([first, tmp_path / "grey.exr"], {}, InputError, "has channels Y, but the first file R"),
+        (
+            [tmp_path / "of-4.exr", tmp_path / "of-8.exr"],
+            {},
+            InputError,
+            "of-8.exr is an average of 8 samples, of-4.exr of 4",
+        ),
         ([tmp_path / "other.exr"], {}, InputError, "as variable, one of u"),
         ([first], {"variable": "x"}, InputError, "has no layer 'x', but the channels"),
         ([first], {"features": {"normal": "x"}}, InputError, "has no layer 'x'"),
