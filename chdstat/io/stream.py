@@ -5,8 +5,6 @@ which of them have how many samples in it; its place in the file is when a threa
 samples of a tile lie all over the file, and of a pixel some may lie in one block, some in another.
 Opening a stream reads what blocks say of themselves, one after the other; their samples are read
 tile by tile, when they are asked for.
-
-What each byte means is on the page "Format of a stream" of the documentation.
 """
 
 from __future__ import annotations
@@ -14,46 +12,45 @@ from __future__ import annotations
 import itertools
 import math
 import os
-import struct
 import warnings
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.executor import check_memory
-from chdstat._core.files import checksum
 from chdstat.errors import InputError, StoreError
 from chdstat.io.reading import Asked, Opened
+from chdstat.io.stream_blocks import (
+    COMPONENTS,
+    EDGE,
+    PIXELS,
+    Block,
+    Indices,
+    Kind,
+    damaged,
+    opened,
+    read_block,
+    read_body,
+    read_header,
+    text,
+)
 from chdstat.samples.tiles import BATCH, Image
 
 __all__ = ["StreamSource", "get_include", "open_stream"]
 
-VERSION = 1
-EDGE = 64
-"""Edge of the tiles of a stream, in pixels."""
-COMPONENTS = {"albedo": 3, "normal": 3, "position": 3, "depth": 1}
-_MAGIC, _LITTLE = b"\x89CHDS\r\n\x1a", b"\x04\x03\x02\x01"
-_HEADER = struct.Struct("<8sI4s4I")
-_BLOCK = struct.Struct("<4s7I")
-_SAMPLES, _FEATURES, _ATTRIBUTE, _END = 1, 2, 3, 4
-_PIXELS = EDGE * EDGE
-_HEAD = 4 * _PIXELS
-"""Bytes of a head at most."""
 _HELD = 2**25
 """Bytes of samples of a tile that are decoded at once, unless `BATCH` of each pixel are more."""
-_MOST_PIXELS = 2**28
-_LONGEST = 64
-"""Bytes of the names of features, and of the checksum behind them, at most."""
 _SHORT = 16
 """Samples of a pixel in a block up to which they are written one by one."""
+_STRETCHES = 16
+"""Stretches of pixels with equally many samples in a block up to which each is written at once."""
 _KNOWN = ("scene", "renderer", "integrator", "unit")
 _WHOLE = ("seed", "averaged")
 
-Indices = npt.NDArray[np.intp]
 Tile = tuple[int, int]
 """Row and column of a tile."""
 _Tiles = dict[Tile, npt.NDArray[Any]]
@@ -87,39 +84,8 @@ def open_stream(paths: Sequence[Path], asked: Asked) -> Opened:
     return Opened(source, source.attrs, None if equal else source.counts)
 
 
-class Header(NamedTuple):
-    """What all blocks of a stream have in common."""
-
-    width: int
-    height: int
-    channels: int
-    features: tuple[str, ...]
-
-
-class Block(NamedTuple):
-    """A block without its body, and where that lies in the file."""
-
-    kind: int
-    x: int
-    y: int
-    head: bytes
-    body: int
-    size: int
-    checksum: int
-
-    def pixels(self) -> tuple[Indices, Indices]:
-        """Return pixels within the tile, and how many samples each has."""
-        pairs = np.frombuffer(self.head, "<u2").reshape(-1, 2).astype(np.intp)
-        return pairs[:, 0], pairs[:, 1]
-
-
 class StreamSource:
     """Samples in streams, decoded tile by tile.
-
-    Parameters
-    ----------
-    paths
-        Files of one image.
 
     Attributes
     ----------
@@ -145,7 +111,7 @@ class StreamSource:
         if not self.shape[3]:
             message = f"{self.path} holds no samples"
             raise StoreError(message)
-        self._window = max(_HELD // (4 * _PIXELS * self.shape[2]) // BATCH, 1) * BATCH
+        self._window = max(_HELD // (4 * PIXELS * self.shape[2]) // BATCH, 1) * BATCH
         self._last: tuple[tuple[int, int, int], Image] | None = None
 
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
@@ -155,11 +121,9 @@ class StreamSource:
         cuts = (_cuts(rows, EDGE), _cuts(columns, EDGE), _cuts(samples, self._window))
         part = np.empty((len(rows), len(columns), channels, len(samples)), np.float32)
         for (y, to_y, of_y), (x, to_x, of_x), (window, to_s, of_s) in itertools.product(*cuts):
-            decoded = self._decoded(y, x, window)
-            found = decoded[of_y, of_x, :, of_s]
-            if found.shape == decoded.shape == part.shape:
-                self._last = None  # all of it: nothing is left that could be asked for next
-                return decoded
+            found = self._decoded(y, x, window)[of_y, of_x, :, of_s]
+            if found.shape == part.shape:
+                return found  # without a copy
             part[to_y, to_x, :, to_s] = found
         return part
 
@@ -180,24 +144,25 @@ class StreamSource:
         high = min(low + self._window, spp)
         rows, columns = slice(y * EDGE, (y + 1) * EDGE), slice(x * EDGE, (x + 1) * EDGE)
         counts = self.counts[rows, columns]
-        shape = (_PIXELS, channels, high - low)
+        shape = (PIXELS, channels, high - low)
         tile = np.empty(shape, np.float32)
         if counts.min() < high:
             tile.fill(np.nan)
-        seen = np.zeros(_PIXELS, np.intp)
+        seen = np.zeros(PIXELS, np.intp)
         for path, begins in self._begins[y, x].items() if counts.max() > low else ():
-            with _opened(path) as file:
+            with opened(path) as file:
                 size = os.fstat(file.fileno()).st_size
                 for begin in begins:
-                    block = _block(file, begin, size, path)
+                    block = read_block(file, begin, size, path)
                     if block is None:
-                        raise _damaged(path, begin, "it has changed since it was opened")
+                        raise damaged(path, begin, "it has changed since it was opened")
                     pixels, numbers = block.pixels()
                     first = seen[pixels]
                     seen[pixels] += numbers
                     if first.min() < high and (first + numbers).max() > low:
-                        values = np.frombuffer(_body(file, block, path), "<f4")
+                        values = np.frombuffer(read_body(file, block, path), "<f4")
                         _place(tile, values, pixels, numbers, first - low)
+        tile.flags.writeable = False  # parts of it are handed out
         return tile.reshape(EDGE, EDGE, channels, high - low)
 
 
@@ -205,8 +170,8 @@ class _Index:
     """What the blocks of streams say of themselves, read one after the other, by tile."""
 
     def __init__(self, path: Path) -> None:
-        with _opened(path) as file:
-            self.header, _ = _header(file, path)
+        with opened(path) as file:
+            self.header, _ = read_header(file, path)
         self._components = sum(COMPONENTS[name] for name in self.header.features)
         self._counts: _Tiles = {}
         self._features: _Tiles = {}
@@ -219,18 +184,18 @@ class _Index:
         told: dict[str, str] = {}
         counts: _Tiles = {}
         ended, total = False, -1
-        with _opened(path) as file:
-            header, begin = _header(file, path)
+        with opened(path) as file:
+            header, begin = read_header(file, path)
             if header != self.header:
                 message = f"{path} is of another image, {header}, than the first, {self.header}"
                 raise InputError(message)
             size = os.fstat(file.fileno()).st_size
-            while not ended and (block := _block(file, begin, size, path)):
-                if block.kind in (_SAMPLES, _FEATURES):
+            while not ended and (block := read_block(file, begin, size, path)):
+                if block.kind in (Kind.SAMPLES, Kind.FEATURES):
                     self._add(block, begin, counts, file, path)
-                elif block.kind == _ATTRIBUTE:
-                    told[_text(block.head)] = _text(_body(file, block, path))
-                elif block.kind == _END:
+                elif block.kind == Kind.ATTRIBUTE:
+                    told[text(block.head)] = text(read_body(file, block, path))
+                elif block.kind == Kind.END:
                     ended, total = True, int.from_bytes(block.head, "little")
                 begin = block.body + block.size
         count = sum(int(of_tile.sum()) for of_tile in counts.values())
@@ -241,7 +206,7 @@ class _Index:
             )
             warnings.warn(message, stacklevel=6)  # whoever called chdstat.io.read
         elif begin != size or total != count:
-            raise _damaged(path, begin, f"it does not end with its {count} samples")
+            raise damaged(path, begin, f"it does not end with its {count} samples")
         self._attrs.append(_provenance(told))
         self._merge(counts, path)
 
@@ -250,19 +215,19 @@ class _Index:
         tile = block.y // EDGE, block.x // EDGE
         inside = block.y < self.header.height and block.x < self.header.width
         if not inside or block.x % EDGE or block.y % EDGE or not block.head or len(block.head) % 4:
-            raise _damaged(path, begin, "a block does not fit the image")
+            raise damaged(path, begin, "a block does not fit the image")
         pixels, numbers = block.pixels()
-        samples = block.kind == _SAMPLES
+        samples = block.kind == Kind.SAMPLES
         values = numbers.sum() * self.header.channels if samples else len(pixels) * self._components
-        if block.size != 4 * values or pixels[-1] >= _PIXELS or (np.diff(pixels) <= 0).any():
-            raise _damaged(path, begin, "a block does not fit its pixels")
+        if block.size != 4 * values or pixels[-1] >= PIXELS or (np.diff(pixels) <= 0).any():
+            raise damaged(path, begin, "a block does not fit its pixels")
         if samples:
-            counts.setdefault(tile, np.zeros(_PIXELS, np.int64))[pixels] += numbers
+            counts.setdefault(tile, np.zeros(PIXELS, np.int64))[pixels] += numbers
             self.begins.setdefault(tile, {}).setdefault(path, array("Q")).append(begin)
         else:
-            sums = np.frombuffer(_body(file, block, path), "<f4").reshape(len(pixels), -1)
+            sums = np.frombuffer(read_body(file, block, path), "<f4").reshape(len(pixels), -1)
             added = np.column_stack([sums, numbers])
-            empty = np.zeros((_PIXELS, self._components + 1))
+            empty = np.zeros((PIXELS, self._components + 1))
             self._features.setdefault(tile, empty)[pixels] += added
 
     def _merge(self, counts: _Tiles, path: Path) -> None:
@@ -271,7 +236,7 @@ class _Index:
         for tile, number in counts.items():
             self._counts[tile] = self._counts.get(tile, 0) + number
             if seed is not None:
-                before = self._seeds.get((seed, tile), np.zeros(_PIXELS, bool))
+                before = self._seeds.get((seed, tile), np.zeros(PIXELS, bool))
                 if (before & (number > 0)).any():
                     message = (
                         f"{path} repeats pixels of seed {seed}, which are in another of the files: "
@@ -320,20 +285,36 @@ class _Index:
 
 def _place(tile: Image, values: Image, pixels: Indices, numbers: Indices, first: Indices) -> None:
     """Write samples of a block into a tile (pixel, channel, sample): those of each from `first`."""
-    _, channels, spp = tile.shape
-    rows, start, number = tile.reshape(-1, spp), int(first[0]), int(numbers[0])
-    if (numbers == number).all() and (first == start).all():
-        where: Any = slice(pixels[0] * channels, (pixels[-1] + 1) * channels)
-        if len(pixels) <= pixels[-1] - pixels[0]:  # there are gaps
-            where = (pixels[:, np.newaxis] * channels + np.arange(channels)).ravel()
-        low, high = max(start, 0), min(start + number, spp)
-        block = values.reshape(-1, number)[:, low - start : high - start]
-        if number > _SHORT:
-            rows[where, low:high] = block
-        else:  # a column at a time: NumPy is slow with short rows
-            for column in range(low, high):
-                rows[where, column] = block[:, column - low]
+    changes = np.flatnonzero(np.diff(numbers) | np.diff(first)) + 1
+    if len(changes) > _STRETCHES:
+        _place_each(tile, values, pixels, numbers, first)
         return
+    ends = tile.shape[1] * np.cumsum(numbers)
+    for a, b in itertools.pairwise([0, *changes, len(pixels)]):
+        some = values[ends[a - 1] if a else 0 : ends[b - 1]].reshape(-1, numbers[a])
+        _place_equal(tile, some, pixels[a:b], int(first[a]))
+
+
+def _place_equal(tile: Image, values: Image, pixels: Indices, first: int) -> None:
+    """Write as many samples of each pixel: `values` has a row for each pixel and channel."""
+    _, channels, spp = tile.shape
+    where: Any = slice(pixels[0] * channels, (pixels[-1] + 1) * channels)
+    if len(pixels) <= pixels[-1] - pixels[0]:  # there are gaps
+        where = (pixels[:, np.newaxis] * channels + np.arange(channels)).ravel()
+    low, high = max(first, 0), min(first + values.shape[1], spp)
+    rows, values = tile.reshape(-1, spp), values[:, max(low - first, 0) : max(high - first, 0)]
+    if values.shape[1] > _SHORT:
+        rows[where, low:high] = values
+    else:  # a column at a time: NumPy is slow with short rows
+        for column in range(low, high):
+            rows[where, column] = values[:, column - low]
+
+
+def _place_each(
+    tile: Image, values: Image, pixels: Indices, numbers: Indices, first: Indices
+) -> None:
+    """Write numbers of samples that differ from pixel to pixel."""
+    _, channels, spp = tile.shape
     # Each pixel and channel is a row of values, cut where the samples of the tile begin and end.
     skipped, kept = np.clip(-first, 0, numbers), np.clip(spp - first, 0, numbers)
     lengths, channel = np.repeat(kept - skipped, channels), np.arange(channels)
@@ -358,78 +339,6 @@ def _cuts(places: range, edge: int) -> Iterator[tuple[int, slice, slice]]:
             yield tile, slice(i, j), inside
 
 
-# --- bytes --------------------------------------------------------------------------------------
-
-
-def _opened(path: Path) -> BinaryIO:
-    try:
-        return path.open("rb", buffering=0)
-    except OSError as error:
-        message = f"cannot read {path}: {error.strerror or error}"
-        raise StoreError(message) from error
-
-
-def _header(file: BinaryIO, path: Path) -> tuple[Header, int]:
-    """Return the header of a file, and where its blocks begin."""
-    start = file.read(_HEADER.size + _LONGEST)
-    if len(start) < _HEADER.size + 4 or not start.startswith(_MAGIC):
-        message = f"{path} is no stream of samples, as chdstat_writer.h writes it"
-        raise StoreError(message)
-    _, version, order, width, height, channels, length = _HEADER.unpack_from(start)
-    if order != _LITTLE:
-        message = f"{path} was written with another order of bytes than little-endian"
-        raise StoreError(message)
-    if version != VERSION:
-        message = f"{path} has version {version}, this chdstat reads {VERSION}"
-        raise StoreError(message)
-    end = _HEADER.size + length
-    if len(start) < end + 4 or int.from_bytes(start[end : end + 4], "little") != checksum(
-        start[:end]
-    ):
-        raise _damaged(path, 0, "its header is not what was written")
-    features = tuple(_text(start[_HEADER.size : end]).split())
-    sizes = (1 <= size <= 2**16 for size in (width, height, channels * 2**10))
-    if (
-        not all(sizes)
-        or width * height > _MOST_PIXELS
-        or set(features) - set(COMPONENTS)
-        or len(set(features)) < len(features)
-    ):
-        raise _damaged(path, 0, "its header describes no image")
-    return Header(width, height, channels, features), end + 4
-
-
-def _block(file: BinaryIO, begin: int, size: int, path: Path) -> Block | None:
-    """Return the block at a place, without its body; None where the file ends before it does."""
-    file.seek(begin)
-    start = file.read(_BLOCK.size + _HEAD)
-    if len(start) < _BLOCK.size:
-        return None
-    mark, kind, x, y, head, body, of_head, of_body = _BLOCK.unpack_from(start)
-    end = _BLOCK.size + head
-    if mark != b"CHDB" or head > _HEAD:
-        raise _damaged(path, begin, "there is no block")
-    if len(start) < end:
-        return None
-    if checksum(start[: _BLOCK.size - 8] + start[_BLOCK.size : end]) != of_head:
-        raise _damaged(path, begin, "a block is not what was written")
-    found = Block(kind, x, y, start[_BLOCK.size : end], begin + end, body, of_body)
-    return found if found.body + body <= size else None
-
-
-def _body(file: BinaryIO, block: Block, path: Path) -> bytes:
-    """Return the body of a block."""
-    file.seek(block.body)
-    found = file.read(block.size)
-    if len(found) != block.size or checksum(found) != block.checksum:
-        raise _damaged(path, block.body, "samples are not what was written")
-    return found
-
-
-def _text(found: bytes) -> str:
-    return found.decode("utf-8", errors="replace")
-
-
 def _provenance(told: Mapping[str, str]) -> dict[str, Any]:
     """Return attributes by which samples are known, and all others as settings of the renderer."""
     attrs: dict[str, Any] = {k: told[k] for k in _KNOWN if k in told}
@@ -439,7 +348,3 @@ def _provenance(told: Mapping[str, str]) -> dict[str, Any]:
             attrs[name] = int(text[:20])
     others = {k: v for k, v in told.items() if k not in attrs}
     return {**attrs, "renderer_settings": others} if others else attrs
-
-
-def _damaged(path: Path, begin: int, what: str) -> StoreError:
-    return StoreError(f"{path} is damaged at byte {begin}: {what}")

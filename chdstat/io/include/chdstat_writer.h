@@ -8,7 +8,8 @@
 //     writer.close();                              // once all threads are done
 //
 // A sample is the linear radiance of one path, unclamped and unweighted; zeros, negative numbers
-// and NaN are samples, too. Pixel (0, 0) is at the top left. A pixel may have any number of samples.
+// and NaN are samples, too. Pixel (0, 0) is at the top left. Pixels may have different numbers of
+// samples.
 //
 // Each thread collects what it adds in a buffer of its own and appends it to the file, in whole
 // blocks, when the buffer is full; call flush() where a thread should do so earlier. A program that
@@ -43,7 +44,7 @@ namespace chdstat {
 class Writer {
   public:
     // `features` names what add_features() is given, in its order, with spaces between:
-    // albedo (3 numbers), normal (3), position (3), depth (1). `buffer` is in bytes for each thread.
+    // albedo (3 numbers), normal (3), position (3), depth (1). `buffer` is bytes for each thread.
     Writer(const std::string &path, int width, int height, int channels = 3,
            const std::string &features = "", std::size_t buffer = std::size_t(4) << 20)
         : path_(path), width_(width), height_(height), channels_(std::size_t(channels)),
@@ -72,23 +73,24 @@ class Writer {
 
     // Adds one sample: one number for each channel. From any thread.
     template <class T> void add(int x, int y, const T *radiance) {
-        Buffer &own = mine();
-        if (full(own.samples)) append_samples(own.samples);
-        count(own.samples, place(x, y), MOST);
-        float *to = own.samples.values.get() + own.samples.size;
+        Runs &own = mine().samples;
+        if (full(own)) append_samples(own);
+        count(own, place(x, y), MOST);
+        float *to = own.values.get() + own.size;
         for (std::size_t c = 0; c < channels_; ++c) to[c] = static_cast<float>(radiance[c]);
-        own.samples.size += channels_;
+        own.size += channels_;
     }
 
     // Adds one sample of three channels.
     void add(int x, int y, float r, float g, float b) {
         const float radiance[] = {r, g, b};
-        if (channels_ != 3) throw std::invalid_argument("chdstat::Writer: there are not 3 channels");
+        if (channels_ != 3) throw std::invalid_argument("chdstat::Writer: expected 3 channels");
         add(x, y, radiance);
     }
 
-    // Adds `n` samples of each pixel of a tile, in the order radiance[row][column][sample][channel].
-    template <class T> void add_tile(int x, int y, int width, int height, int n, const T *radiance) {
+    // Adds `n` samples of each pixel of a tile: radiance[row][column][sample][channel].
+    template <class T>
+    void add_tile(int x, int y, int width, int height, int n, const T *radiance) {
         for (int j = y; j < y + height; ++j)
             for (int i = x; i < x + width; ++i)
                 for (int s = 0; s < n; ++s, radiance += channels_) add(i, j, radiance);
@@ -157,6 +159,7 @@ class Writer {
         std::unique_ptr<float[]> values;  // of samples: each; of features: the sum over a run
         std::unique_ptr<float[]> body;    // of the block that is being written
         std::size_t size = 0;             // of the values
+        std::size_t overhead = 64;        // room for one more, and what runs take
         explicit Runs(std::size_t most) : values(new float[most]), body(new float[most]) {}
     };
     struct Buffer {
@@ -178,7 +181,7 @@ class Writer {
     }
 
     bool full(const Runs &own) const {
-        return own.size + 3 * own.runs.size() + std::max(channels_, components_) > limit_;
+        return own.size + own.overhead > limit_;
     }
 
     // Counts one more of a pixel, and returns whether that began a run.
@@ -188,6 +191,7 @@ class Writer {
             return false;
         }
         own.runs.push_back({place, 1, std::uint32_t(own.size)});
+        own.overhead += sizeof(Run) / sizeof(float);
         return true;
     }
 
@@ -211,9 +215,10 @@ class Writer {
         const std::size_t channels = channels_;
         append(SAMPLES, own, [=](const Run *begin, const Run *end, float *to) {
             for (std::size_t c = 0; c < channels; ++c)  // all of a channel together
-                for (const Run *run = begin; run != end; ++run)
-                    for (std::size_t s = 0; s < run->number; ++s)
-                        *to++ = values[run->first + s * channels + c];
+                for (const Run *run = begin; run != end; ++run) {
+                    const float *of = values + run->first + c;
+                    for (std::uint32_t s = 0; s < run->number; ++s, of += channels) *to++ = *of;
+                }
             return to;
         });
     }
@@ -250,11 +255,12 @@ class Writer {
                 *entry++ = begin->place % size | number << 16;
                 to = values(begin, run, to);
             }
-            write(kind, tile % tiles_ * EDGE, tile / tiles_ * EDGE, head.data(),
-                  4 * std::size_t(entry - head.data()), own.body.get(), 4 * std::size_t(to - own.body.get()));
+            write(kind, tile % tiles_ * EDGE, tile / tiles_ * EDGE,
+                  head.data(), 4 * std::size_t(entry - head.data()),
+                  own.body.get(), 4 * std::size_t(to - own.body.get()));
         }
         if (kind == SAMPLES) written_ += own.size / channels_;
-        own.runs.clear(), own.size = 0;
+        own.runs.clear(), own.size = 0, own.overhead = 64;
     }
 
     // Sorts runs by their place, and keeps the order of those of one pixel: radix sort.
@@ -298,8 +304,8 @@ class Writer {
         for (std::string name; names >> name; found += name == "depth" ? 1u : 3u)
             if ((name != "albedo" && name != "normal" && name != "position" && name != "depth") ||
                 features.find(name) != features.rfind(name))
-                throw std::invalid_argument("chdstat::Writer: features are albedo, normal, position "
-                                            "and depth, each once; not " + name);
+                throw std::invalid_argument("chdstat::Writer: features are albedo, normal, "
+                                            "position and depth, each once; not " + name);
         return found;
     }
 

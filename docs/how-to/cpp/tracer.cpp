@@ -154,9 +154,10 @@ int main(int count, char **given) {
     std::atomic<int> next{0};
     const int columns = (width + edge - 1) / edge, tiles = columns * ((height + edge - 1) / edge);
     auto work = [&] {
-        for (int tile; (tile = next++) < tiles;)
-            for (int y = tile / columns * edge; y < std::min(height, (tile / columns + 1) * edge); ++y)
-                for (int x = tile % columns * edge; x < std::min(width, (tile % columns + 1) * edge); ++x) {
+        for (int tile; (tile = next++) < tiles;) {
+            const int top = tile / columns * edge, left = tile % columns * edge;
+            for (int y = top; y < std::min(height, top + edge); ++y)
+                for (int x = left; x < std::min(width, left + edge); ++x) {
                     Random random(std::uint64_t(seed) * 1000003 + std::uint64_t(y * width + x));
                     Vec sum = BLACK;
                     for (int s = 0; s < spp; ++s) {
@@ -175,6 +176,7 @@ int main(int count, char **given) {
                     for (int c = 0; c < 3; ++c)
                         image[std::size_t(3 * (y * width + x) + c)] = float(mean[c]);
                 }
+        }
     };
     std::vector<std::thread> threads;
     for (unsigned i = 0; i < std::max(1u, std::thread::hardware_concurrency()); ++i)
