@@ -57,8 +57,8 @@ for row in found.table():
     )
 
 # %%
-# Relative errors fall, squared errors do not, with so little data. In ten times as many pixels the
-# same network reduces both: ``chdstat train`` trains it on any store, and `Compare estimators side
-# by side <plot_22_compare.html>`_ shows how to judge it beside others.
+# Relative errors fall, squared errors do not, with so little data. ``chdstat train`` trains it on
+# any store, and `Compare estimators side by side <plot_22_compare.html>`_ shows how to judge it
+# beside others.
 #
 # **Next:** `A better image without a reference <plot_21_self_trained.html>`_
