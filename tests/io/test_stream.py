@@ -21,7 +21,7 @@ from chdstat.errors import ChdstatError, InputError, StoreError
 
 DOCS = Path(__file__).parents[2] / "docs"
 HEADER = chd.io.get_include() / "chdstat_writer.h"
-STRICT = ("-Wall", "-Wextra", "-Wshadow", "-Wconversion", "-pedantic", "-Werror", "-pthread")
+STRICT = ("-Wall", "-Wextra", "-Werror", "-pthread")
 
 
 # --- a writer after the documentation -----------------------------------------------------------
@@ -278,7 +278,7 @@ def compiled(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tracer(compiled):
-    return compiled(DOCS / "how-to/cpp/tracer.cpp", "-std=c++17", "-Wno-conversion")
+    return compiled(DOCS / "how-to/cpp/tracer.cpp", "-std=c++17")
 
 
 def test_the_header_is_shipped_and_short():

@@ -163,7 +163,7 @@ int main(int count, char **given) {
                     for (int s = 0; s < spp; ++s) {
                         Vec to = {2 * (x + random.next()) - width, height - 2 * (y + random.next()),
                                   -3.05 * height};
-                        Hit first;
+                        Hit first = {};
                         Vec radiance = trace({0, 0, 4}, unit(to), random, first);
                         sum = sum + radiance;
                         if (writer) writer->add(x, y, &radiance.x);
@@ -186,8 +186,8 @@ int main(int count, char **given) {
 
     if (count > 6) {  // the mean of each pixel, as plain numbers
         std::FILE *file = std::fopen(given[6], "wb");
-        if (!file) return std::perror(given[6]), 1;
-        std::fwrite(image.data(), sizeof(float), image.size(), file);
+        if (!file || std::fwrite(image.data(), sizeof(float), image.size(), file) != image.size())
+            return std::perror(given[6]), 1;
         std::fclose(file);
     }
     return 0;
