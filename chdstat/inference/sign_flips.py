@@ -28,12 +28,12 @@ _AT_ONCE = 2**20
 """Terms of the rows that are worked on together."""
 _ROUNDING = 1e-9
 
-_NEAR = 7
-"""Edge of the neighbourhood whose standard error counts where skewness is against a pixel."""
+_NEAR = (5, 11)
+"""Edges of neighbourhoods whose standard errors count where skewness is against a pixel."""
 _WIDE = (5, 15)
 """Edges of those whose standard errors count for p-values below `_EXTREME`."""
-_EXTREME = 1e-3
-_SKEWED = 0.9
+_EXTREME = 3e-3
+_SKEWED = 1.2
 """Sum of cubes over the root of that of sixth powers: 1 with a single outlier, N(0, 1) if there is
 no skewness."""
 _ONE_SIDED = 0.02
@@ -42,6 +42,8 @@ _DARK = 1e-3
 """Of the mean radiance of the image: what is darker has no scale of its own."""
 
 _FLIPS = 499
+_OF_WINDOWS = 7
+"""Edge of the neighbourhood of a window, in windows, which overlap by two thirds."""
 
 
 def p_of_signs(d: npt.NDArray[np.floating[Any]]) -> Floats:
@@ -230,11 +232,13 @@ def guarded(p: Floats, moments: Moments, exact: Mask) -> Floats:
 
     Where the skewness of the neighbours' differences is against that of a pixel, or where nearly
     all its terms have one sign, its standard error is at least theirs; and so it is for any pixel
-    before p falls below 1/1000. Neighbours are compared in radiance and relative to their means.
+    before p falls below 3/1000. Neighbours are compared in radiance and relative to their means.
     Not so where both renders are constant, as lamps are, which is `exact`.
     """
     kinds = (False, True)
-    near = np.max([moments.nearby(_NEAR, relative=k, against=True) for k in kinds], axis=0)
+    near = np.max(
+        [moments.nearby(e, relative=k, against=True) for e in _NEAR for k in kinds], axis=0
+    )
     wide = np.max(
         [moments.nearby(e, relative=k, against=False) for e in _WIDE for k in kinds], axis=0
     )
@@ -354,8 +358,8 @@ def _largest(
     square = moments.square
     if known.size > 1:
         near = np.maximum(
-            moments.nearby(_NEAR, relative=True, against=False),
-            moments.nearby(_NEAR, relative=False, against=True),
+            moments.nearby(_OF_WINDOWS, relative=True, against=False),
+            moments.nearby(_OF_WINDOWS, relative=False, against=True),
         )
         square = np.maximum(square, moments.n * near)
     unit = sums[known] / (moments.scale * np.sqrt(moments.square))[known][:, np.newaxis]
