@@ -371,13 +371,14 @@ def _largest(
 
 def _independent(largest: Floats) -> float:
     """Return how many independent normal numbers have a largest size with this median."""
-    middle = float(np.median(largest))
+    middle = max(float(np.median(largest)), _ROUNDING)
     return float(np.log(0.5) / np.log1p(-2 * special.ndtr(-middle)))
 
 
 def _log_p(largest: Floats, windows: float) -> Floats:
     """Return the logarithm of the probability of a largest of so many, or of a larger one."""
-    return np.asarray(np.log(-np.expm1(windows * np.log1p(-2 * special.ndtr(-largest)))))
+    below = np.log1p(-2 * special.ndtr(-np.maximum(largest, _ROUNDING)))
+    return np.asarray(np.log(-np.expm1(windows * below)))
 
 
 def _detectable(log_p: float, windows: float, terms: int) -> float:
