@@ -24,8 +24,11 @@ from chdstat.samples.store import Store
 
 __all__ = ["save"]
 
-_RENDER = ("scene_hash", "scene_code", "scene_files")
-"""Attributes by which more samples of a scene are appended: a copy is no render of ours."""
+_OF_A_STORE = (
+    *("scene_hash", "scene_code", "scene_files"),
+    *("appended", "manifest", "schema_version"),
+)
+"""Attributes of a store itself: by the first, samples of a scene are appended to a render."""
 
 
 def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -> Samples:
@@ -59,7 +62,7 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
 
 def _described(samples: Samples) -> dict[str, Any]:
     """Return what a store says of samples: where they come from, and which they are."""
-    attrs = {k: v for k, v in samples.attrs.items() if k not in _RENDER}
+    attrs = {k: v for k, v in samples.attrs.items() if k not in _OF_A_STORE}
     height, width, _, spp = samples.shape
     moved = any(r.start or r.step != 1 for r in samples.part)
     if moved or attrs.get("size", [width, height]) != [width, height]:

@@ -204,3 +204,11 @@ def test_counts_are_told(tmp_path, capsys):
     saved = chd.Samples.from_array(RADIANCE, counts=COUNTS).save(tmp_path / "own.zarr")
     assert "biased" in saved._repr_html_()
     assert chd.samples.inspect(tmp_path / "own.zarr")["counts"] == [COUNTS.min(), COUNTS.max()]
+
+
+def test_attributes_of_another_store_are_not_taken_over(tmp_path):
+    samples = chd.Samples.from_array(RADIANCE, appended=[{"first": 9}], manifest={}, scene_hash="a")
+    attrs = samples.save(tmp_path / "own.zarr").attrs
+    assert not {"appended", "scene_hash", "manifest"} & attrs.keys()
+    chd.Samples.from_array(RADIANCE * 2).save(tmp_path / "own.zarr", append=True)
+    assert chd.open(tmp_path / "own.zarr").spp == 200
