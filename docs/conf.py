@@ -86,6 +86,7 @@ html_math_renderer = "mathml"
 html_title = "chdstat"
 html_static_path = ["_static"]
 html_css_files = ["chdstat.css"]
+html_js_files = ["names.js"]
 html_show_sourcelink = False
 html_theme_options = {
     "navbar_align": "left",
