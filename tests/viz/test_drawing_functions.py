@@ -48,6 +48,7 @@ def examples():
         "claim_intervals": partial(viz.claim_intervals, {"fog": [test]}),
         "coverage": partial(viz.coverage, [0.5, 0.9], {"ours": (0.4, 0.8)}),
         "curves": partial(viz.curves, [8, 16], {"gamma": {"a": [0, 1]}, "log": {"b": [1, 1]}}),
+        "contrast": partial(viz.contrast, chd.contrast(samples, samples.read() * 0.9)),
         "error_curves": partial(
             viz.error_curves, error_curve(samples, ["mean"], sizes=[4, 8], progress=False)
         ),
