@@ -9,7 +9,7 @@ windows of all sizes, and says how large a loss it would have found.
 # %%
 # A path tracer, the same with another seed, and one that leaves out long paths.
 
-# sphinx_gallery_panel = 2
+# sphinx_gallery_panel = 1, 2
 import chdstat as chd
 from chdstat import viz
 

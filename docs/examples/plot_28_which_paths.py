@@ -10,7 +10,7 @@ A pixel is noisy, and its distribution has two modes. Which of its paths are to 
 # random numbers are the same, and so are the paths: the differences are the light that each sample
 # gathers by paths of one length.
 
-# sphinx_gallery_panel = 1
+# sphinx_gallery_panel = 1, 1
 import chdstat as chd
 from chdstat import viz
 
