@@ -78,6 +78,7 @@ sphinx_gallery_conf = {
     "remove_config_comments": True,
     "min_reported_time": 1,
     "plot_gallery": "True",
+    "parallel": 2,
     "thumbnail_size": (480, 320),
 }
 
