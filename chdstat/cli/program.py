@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import json
 import logging
 import re
 import reprlib
@@ -50,6 +51,8 @@ __all__ = [
     "app",
     "client_of",
     "compared",
+    "crop_of",
+    "integrator_of",
     "main",
     "samples_of",
     "scene_of",
@@ -258,6 +261,29 @@ def size_of(text: str | None) -> tuple[int, int] | None:
         message = f"--size takes WIDTHxHEIGHT such as 128x128, got {reprlib.repr(text)}"
         raise InputError(message)
     return int(size[1]), int(size[2])
+
+
+def crop_of(text: str | None) -> tuple[int, int, int, int] | None:
+    """Return x, y, width and height from ``X,Y,WxH``."""
+    if text is None:
+        return None
+    crop = re.fullmatch("([0-9]{1,9}),([0-9]{1,9}),([0-9]{1,9})x([0-9]{1,9})", text.lower())
+    if crop is None:
+        message = f"--crop takes X,Y,WIDTHxHEIGHT such as 16,8,64x32, got {reprlib.repr(text)}"
+        raise InputError(message)
+    x, y, width, height = map(int, crop.groups())
+    return x, y, width, height
+
+
+def integrator_of(text: str | None) -> str | dict[str, Any] | None:
+    """Return an integrator by name, or its settings from JSON."""
+    if text is None or not text.lstrip().startswith("{"):
+        return text
+    try:
+        return dict(json.loads(text))
+    except ValueError as error:
+        message = f"--integrator takes a name or JSON, got {reprlib.repr(text)}: {error}"
+        raise InputError(message) from error
 
 
 def client_of(address: str | None) -> contextlib.AbstractContextManager[Client | None]:

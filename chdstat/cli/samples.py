@@ -26,6 +26,23 @@ def render(
     seed: cli.Seed = 0,
     max_depth: cli.Depth = None,
     sensor: Annotated[int, typer.Option(help="Number of the scene's sensor, from 0.")] = 0,
+    integrator: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|JSON",
+            help="Integrator in place of the scene's: its name, or JSON with its settings, such as "
+            '{"type": "path", "rr_depth": 100}.',
+            show_default="the scene's own",
+        ),
+    ] = None,
+    crop: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,WxH",
+            help="Part of the image to render, in pixels.",
+            show_default="all of it",
+        ),
+    ] = None,
     direct: Annotated[
         bool, typer.Option("--direct", help="Also store the direct light of each sample.")
     ] = False,
@@ -66,6 +83,8 @@ def render(
             seed=seed,
             max_depth=max_depth,
             sensor=sensor,
+            integrator=cli.integrator_of(integrator),
+            crop=cli.crop_of(crop),
             direct=direct,
             by_depth=by_depth,
             out=out,

@@ -20,7 +20,8 @@ from typing import Any
 
 from chdstat.errors import RenderError
 from chdstat.rendering.backend import activate
-from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
 
 __all__ = ["RenderProcess", "serve"]
 

@@ -23,7 +23,7 @@ from chdstat.explorer.sources import (
     tiles,
 )
 from chdstat.explorer.view import Box, Pixel, check_pixel
-from chdstat.rendering.renderer import Job
+from chdstat.rendering.job import Job
 from chdstat.samples.layout import TILE, Chunk
 from chdstat.scenes import Scene
 

@@ -6,13 +6,8 @@ rendered; `render_pixels` renders a few pixels alone.
 
 from __future__ import annotations
 
-from chdstat.rendering.capture import (
-    Rendering,
-    refuse_render,
-    render,
-    render_batches,
-    render_pixels,
-)
+from chdstat.rendering.batches import Rendering, render_batches
+from chdstat.rendering.capture import refuse_render, render, render_pixels
 
 __all__ = ["Rendering", "refuse_render", "render", "render_batches", "render_pixels"]
 

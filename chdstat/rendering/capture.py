@@ -1,8 +1,7 @@
 """Capture: a scene to samples, chunk by chunk.
 
 `render` keeps every sample, in a store or in memory, and can be stopped and resumed at any moment;
-`render_batches` hands samples over as they are drawn, and keeps none; `render_pixels` draws those
-of a few pixels on demand.
+`render_pixels` draws those of a few pixels on demand.
 """
 
 from __future__ import annotations
@@ -10,26 +9,23 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
-from functools import cached_property
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, spans, whole
-from chdstat._core.display import Card
+from chdstat._core.arrays import Seed, whole
 from chdstat._core.executor import track
 from chdstat.errors import InputError, StoreError
 from chdstat.rendering.backend import Backend, activate
-from chdstat.rendering.renderer import Job, Renderer, cut_paths
-from chdstat.rendering.seeds import check_spp
+from chdstat.rendering.job import Crop, IntegratorLike, Job
+from chdstat.rendering.renderer import Renderer, cut_paths
 from chdstat.rendering.workers import rendered
-from chdstat.rendering.writers import MemoryWriter, Writer, check_room, opened_store, provenance
-from chdstat.samples import Samples, description, is_store
-from chdstat.samples.layout import BATCH, Chunk, Image, chunk_grid, depth_folder
+from chdstat.rendering.writers import MemoryWriter, Writer, opened_store, provenance, renderer_of
+from chdstat.samples import Samples, is_store
+from chdstat.samples.layout import Image, depth_folder
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import DIRECT_DEPTH
 from chdstat.scenes import Scene, load_scene
@@ -37,12 +33,9 @@ from chdstat.scenes import Scene, load_scene
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["Rendering", "refuse_render", "render", "render_batches", "render_pixels"]
+__all__ = ["refuse_render", "render", "render_pixels"]
 
 _log = logging.getLogger("chdstat")
-
-_AT_ONCE = 4
-"""Samples that a scalar thread draws of a tile: few tiles shall keep all threads busy."""
 
 
 def render(
@@ -53,6 +46,8 @@ def render(
     seed: Seed = 0,
     max_depth: int | None = None,
     sensor: int = 0,
+    integrator: IntegratorLike | None = None,
+    crop: Crop | None = None,
     direct: bool = False,
     by_depth: int | None = None,
     out: str | Path | None = None,
@@ -80,6 +75,13 @@ def render(
         Longest path in segments; None takes the scene's own.
     sensor
         Which of the scene's sensors sees the image, counted from 0.
+    integrator
+        What draws the samples in place of the scene's own: Mitsuba's name of it, or a dict with its
+        settings, such as ``{"type": "path", "rr_depth": 100}``. Of your own, the name that
+        ``mitsuba.register_integrator`` was given; `max_depth` applies to it.
+    crop
+        (x, y, width, height): render this part of the image only, with random numbers of its own.
+        Where `out` holds a crop, give the same `size` and `crop` again to go on.
     direct
         Render every sample once more with no more than two segments, for what is emission and
         direct light of it: `Samples.direct`. The rest is indirect. This takes a tenth more time in
@@ -131,10 +133,19 @@ def render(
             )
             raise StoreError(message)
         backend = existing.attrs["backend"] if backend == "auto" else backend
-        size = size or tuple(existing.attrs["size"])
-    job = Job.of(loaded, size=size, seed=seed, max_depth=max_depth, sensor=sensor, backend=backend)
+        size = size or (None if crop else tuple(existing.attrs["size"]))
+    job = Job.of(
+        loaded,
+        size=size,
+        seed=seed,
+        max_depth=max_depth,
+        sensor=sensor,
+        integrator=integrator,
+        crop=crop,
+        backend=backend,
+    )
     with activate(job.verdict):
-        renderer = _renderer(job, spp, kept=spp * (1 + len(depths)), out=out)
+        renderer = renderer_of(job, spp, kept=spp * (1 + len(depths)), out=out)
         shorter = cut_paths(job, renderer, depths)
         if existing is not None and spp < existing.complete_spp() == existing.shape[3]:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
@@ -152,57 +163,6 @@ def render(
             return writer.finish(parts)
 
 
-def render_batches(
-    scene: str | Path | dict[str, Any] | Scene,
-    *,
-    spp: int = 256,
-    batch: int = 16,
-    size: tuple[int, int] | None = None,
-    seed: Seed = 0,
-    max_depth: int | None = None,
-    sensor: int = 0,
-    backend: Backend = "auto",
-    progress: bool | None = None,
-) -> Rendering:
-    """Render a scene batch by batch and keep nothing: memory is that of a batch.
-
-    The samples are those of `render` with the same scene, backend and seed, to the bit.
-
-    Parameters
-    ----------
-    scene, size, seed, max_depth, sensor, backend
-        As for `render`.
-    spp
-        Samples per pixel in all.
-    batch
-        Samples per pixel in a batch; the last one may have fewer.
-    progress
-        Show a progress bar while batches are drawn; None shows it on a terminal.
-
-    Returns
-    -------
-    Rendering
-        To loop over: each turn renders a batch, shape (y, x, channel, sample), float32.
-
-    Raises
-    ------
-    InputError
-        If `spp`, `batch`, `size` or `seed` is out of range.
-    SceneError, RenderError
-        If the scene cannot be read, or not be rendered as asked.
-
-    Examples
-    --------
-    >>> rendering = render_batches("cornell-box", spp=40, size=(8, 8), backend="scalar")
-    >>> [batch.shape for batch in rendering]
-    [(8, 8, 3, 16), (8, 8, 3, 16), (8, 8, 3, 8)]
-    """
-    spp, batch = whole("spp", spp, least=1), whole("batch", batch, least=1)
-    job = Job.of(scene, size=size, seed=seed, max_depth=max_depth, sensor=sensor, backend=backend)
-    renderer = _renderer(job, spp, kept=min(spp, batch), out=None)
-    return Rendering(job, renderer, spp=spp, batch=batch, progress=progress)
-
-
 def render_pixels(
     scene: str | Path | dict[str, Any] | Scene,
     pixels: npt.ArrayLike,
@@ -212,13 +172,15 @@ def render_pixels(
     seed: Seed = 0,
     max_depth: int | None = None,
     sensor: int = 0,
+    integrator: IntegratorLike | None = None,
+    crop: Crop | None = None,
     backend: Backend = "scalar",
 ) -> Image:
     """Draw samples of a few pixels, without rendering the rest of the image.
 
     Parameters
     ----------
-    scene, size, seed, max_depth, sensor, backend
+    scene, size, seed, max_depth, sensor, integrator, crop, backend
         As for `render`. The samples are independent of those that `render` draws.
     pixels
         (y, x) of each pixel, shape (pixel, 2); a single pair is taken as one pixel.
@@ -242,113 +204,19 @@ def render_pixels(
     (1, 3, 16)
     """
     spp = whole("spp", spp, least=1)
-    job = Job.of(scene, size=size, seed=seed, max_depth=max_depth, sensor=sensor, backend=backend)
+    job = Job.of(
+        scene,
+        size=size,
+        seed=seed,
+        max_depth=max_depth,
+        sensor=sensor,
+        integrator=integrator,
+        crop=crop,
+        backend=backend,
+    )
     with activate(job.verdict):
         renderer = Renderer(job)
         return renderer.pixels(_checked_pixels(pixels, renderer.size), spp)
-
-
-class Rendering:
-    """A scene that is rendered while one loops over it; made by `chdstat.rendering.render_batches`.
-
-    Each turn of the loop gives the next batch, shape (y, x, channel, sample), linear radiance; each
-    loop starts anew with the same samples. A wavefront (llvm, cuda) draws 64 samples at once,
-    however small the batches.
-
-    Attributes
-    ----------
-    spp
-        Samples per pixel in all.
-    batch
-        Samples per pixel in a batch.
-
-    Examples
-    --------
-    >>> rendering = render_batches("cornell-box", spp=4, size=(8, 8), backend="scalar")
-    >>> rendering
-    <Rendering 'cornell-box' 8 x 8 pixels, 4 spp in batches of 16>
-    >>> sum(batch.sum(axis=-1) for batch in rendering).shape
-    (8, 8, 3)
-    """
-
-    def __init__(
-        self, job: Job, renderer: Renderer, *, spp: int, batch: int, progress: bool | None
-    ) -> None:
-        self._job, self._renderer, self._progress = job, renderer, progress
-        self.spp, self.batch, self._seconds = spp, batch, 0.0
-
-    @property
-    def name(self) -> str:
-        """Name of the scene."""
-        return self._job.scene.name
-
-    @property
-    def shape(self) -> tuple[int, int, int, int]:
-        """(y, x, channel, sample) of all batches together."""
-        width, height = self._renderer.size
-        return height, width, len(self.channels), self.spp
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the channels."""
-        return "R", "G", "B"
-
-    @property
-    def attrs(self) -> dict[str, Any]:
-        """Provenance, as `Samples.attrs`; the seconds of rendering are those until now."""
-        told = provenance(self._job, self._renderer, self.spp)
-        return told | {"render_seconds": round(self._seconds, 3)}
-
-    @cached_property
-    def features(self) -> dict[str, Image]:
-        """First-hit features, as `Samples.features`; rendered when they are first asked for."""
-        with activate(self._job.verdict):
-            return self._renderer.features()
-
-    def _repr_html_(self) -> str:
-        return Card("Rendering", description.provenance(self.attrs, self.shape)).html()
-
-    def __repr__(self) -> str:
-        height, width, _, spp = self.shape
-        return (
-            f"<Rendering {self.name!r} {width} x {height} pixels, {spp} spp in batches of "
-            f"{self.batch}>"
-        )
-
-    def __iter__(self) -> Iterator[Image]:
-        height, width, _, spp = self.shape
-        step = self.batch if self._scalar else BATCH
-        with track(
-            f"rendering {self.name}", height * width * spp, unit="S", show=self._progress
-        ) as advance:
-            yield from _cut((self._draw(ss, advance) for ss in spans(spp, step)), self.batch)
-
-    @property
-    def _scalar(self) -> bool:
-        return self._job.verdict.backend == "scalar"
-
-    def _draw(self, ss: slice, advance: Callable[[float], None]) -> Image:
-        """Draw some samples of all pixels; nothing of the renderer is left at work after it."""
-        start = time.monotonic()
-        block = np.empty((*self.shape[:3], ss.stop - ss.start), np.float32)
-        with activate(self._job.verdict):
-            for chunk, part in rendered(self._job, self._renderer, self._chunks(ss), None):
-                here = slice(chunk.ss.start - ss.start, chunk.ss.stop - ss.start)
-                block[chunk.ys, chunk.xs, :, here] = part
-                advance(chunk.size)
-        self._seconds += time.monotonic() - start
-        return block
-
-    def _chunks(self, ss: slice) -> list[Chunk]:
-        """Return the chunks of some samples: what a sample is does not depend on how they are cut.
-
-        But for a wavefront, which draws chunks as they are stored.
-        """
-        height, width = self.shape[:2]
-        step = _AT_ONCE if self._scalar else BATCH
-        cuts = [slice(k, min(k + step, ss.stop)) for k in range(ss.start, ss.stop, step)]
-        tiles = list(chunk_grid(height, width, 1))
-        return [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]
 
 
 def refuse_render(source: object, settings: Mapping[str, Any]) -> None:
@@ -368,16 +236,6 @@ def refuse_render(source: object, settings: Mapping[str, Any]) -> None:
             "leave it out, or give the scene"
         )
         raise InputError(message)
-
-
-def _renderer(job: Job, spp: int, *, kept: int, out: str | Path | None) -> Renderer:
-    """Return the renderer of a job, if so many samples can be drawn, and those kept be held."""
-    renderer = Renderer(job)
-    check_spp(job.verdict.backend, *renderer.size, spp)
-    check_room(renderer.size, kept, out)
-    for note in renderer.notes:
-        _log.warning("%s", note)
-    return renderer
 
 
 def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray[np.intp]:
@@ -424,15 +282,3 @@ def _fill(
                 advance(chunk.size)
         finally:
             writer.spent(time.monotonic() - start)
-
-
-def _cut(blocks: Iterator[Image], batch: int) -> Iterator[Image]:
-    """Cut blocks of samples into batches of another size; of what is left, fewer."""
-    rest: Image | None = None
-    for block in blocks:
-        rest = block if rest is None else np.concatenate([rest, block], axis=-1)
-        while rest.shape[-1] >= batch:
-            yield rest[..., :batch]
-            rest = rest[..., batch:]
-    if rest is not None and rest.shape[-1]:
-        yield rest

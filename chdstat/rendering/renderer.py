@@ -9,119 +9,30 @@ from __future__ import annotations
 import contextlib
 import gc
 import threading
-from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.executor import Interrupted
 from chdstat.errors import InputError, RenderError, SceneError, brief
-from chdstat.rendering.backend import BACKENDS, Backend, Verdict, activate, resolve
-from chdstat.rendering.seeds import SEEDS, Streams
+from chdstat.rendering.backend import activate
+from chdstat.rendering.job import Job
+from chdstat.rendering.seeds import Streams
 from chdstat.samples.layout import Chunk, Image
 from chdstat.samples.tiles import DIRECT_DEPTH
-from chdstat.scenes import Scene, load_scene
 from chdstat.scenes.files import code_of, plugins_made
-from chdstat.scenes.settings import LONGEST, Asked, asked_for
+from chdstat.scenes.settings import LONGEST
 
-__all__ = ["Job", "Renderer", "cut_paths", "scene_integrator", "scene_size"]
+__all__ = ["Renderer", "cut_paths"]
 
 _BLOCK = 32
 _RUN = 16
 """Samples of a pixel in neighbouring lanes: their paths begin alike, which saves a tenth."""
 _FEATURE_SPP = 16
 _FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
-
-
-@dataclass(frozen=True)
-class Job:
-    """All that the samples depend on, without Mitsuba objects: it can travel to another process."""
-
-    scene: Scene
-    verdict: Verdict
-    size: tuple[int, int] | None = None
-    seed: int = 0
-    max_depth: int | None = None
-    sensor: int = 0
-
-    @classmethod
-    def of(
-        cls,
-        scene: str | Path | dict[str, Any] | Scene,
-        *,
-        size: tuple[int, int] | None = None,
-        seed: Seed = 0,
-        max_depth: int | None = None,
-        sensor: int = 0,
-        backend: Backend = "auto",
-    ) -> Job:
-        """Return a job whose settings are checked, so that no work is done for wrong ones."""
-        if size is not None:
-            pair = isinstance(size, Sequence) and len(size) == 2
-            if not pair:
-                message = f"size must be (width, height) in pixels, got {size!r}"
-                raise InputError(message)
-            size = whole("width", size[0], least=1), whole("height", size[1], least=1)
-            if max(size) > LONGEST:
-                message = f"width and height must be at most {LONGEST} pixels, got {max(size):.4g}"
-                raise InputError(message)
-        if max_depth is not None:
-            max_depth = whole("max_depth", max_depth, least=-1)
-            if max_depth == 0:
-                message = "max_depth must be at least 1 segment, or -1 for no limit, got 0"
-                raise InputError(message)
-        seed = seed_number(seed, span=SEEDS)
-        if seed >= SEEDS:
-            message = f"seed must be below 2^31, which all give different samples, got {seed}"
-            raise InputError(message)
-        sensor = whole("sensor", sensor, least=0)
-        return cls(load_scene(scene), resolve(backend), size, seed, max_depth, sensor)
-
-    @property
-    def settings(self) -> tuple[Any, ...]:
-        """What the samples depend on besides the scene."""
-        return (self.verdict.backend, self.size, self.seed, self.max_depth, self.sensor)
-
-    def asked(self) -> Asked:
-        """Return what the scene asks for, as Mitsuba reads its description.
-
-        Raises
-        ------
-        InputError, SceneError, RenderError
-            If there is no such sensor, or its film or the integrator cannot be used.
-        """
-        state = self.scene.parse(BACKENDS[self.verdict.backend])
-        return asked_for(self.scene.name, state, self.sensor)
-
-
-def scene_size(scene: str | Path | dict[str, Any] | Scene) -> tuple[int, int]:
-    """Return the (width, height) in pixels that a scene's own film has.
-
-    Examples
-    --------
-    >>> scene_size("cornell-box")
-    (256, 256)
-    """
-    job = Job(load_scene(scene), resolve("scalar"))
-    with activate(job.verdict):
-        return job.asked().film.crop_size
-
-
-def scene_integrator(scene: str | Path | dict[str, Any] | Scene) -> str:
-    """Return Mitsuba's name of the integrator that a scene asks for.
-
-    Examples
-    --------
-    >>> scene_integrator("fog")
-    'volpath'
-    """
-    job = Job(load_scene(scene), resolve("scalar"))
-    with activate(job.verdict):
-        return str(job.asked().integrator.plugin_name())
 
 
 class Renderer:
@@ -149,6 +60,8 @@ class Renderer:
             self._sensor_properties = asked.sensor
             self.film, note = asked.film.resized(job.size)
             self.notes += note
+            if job.crop is not None:
+                self.film = self.film.cropped(job.crop)
             self.size = self.film.crop_size
             properties = mi.Properties(asked.integrator)
             for name in ("samples_per_pass", "timeout", "block_size"):
@@ -163,6 +76,7 @@ class Renderer:
             self._local = threading.local()
             with plugins_made(mi, asked.plugins) as plugins:
                 _ = self._integrator  # one that cannot be used is refused before any work
+                self._refuse_unknown(job.integrator or {})
                 self._scene = job.scene.build(asked.state)
             self.code = code_of(plugins)
             self._sensor_medium = self._scene.sensors()[job.sensor].get_medium()
@@ -293,6 +207,22 @@ class Renderer:
                 raise _unusable(name, "does not sample pixel by pixel")
             self._local.integrator = integrator
         return self._local.integrator
+
+    def _refuse_unknown(self, given: Mapping[str, Any]) -> None:
+        """Refuse settings that the integrator given for the scene's own does not look at."""
+        if not given:
+            return
+        properties = self._mi.Properties(given["type"])  # of which nothing was looked at yet
+        for name, value in given.items():
+            if name != "type":
+                properties[name] = value
+        self._mi.PluginManager.instance().create_object(properties)
+        if unknown := properties.unqueried():
+            message = (
+                f"integrator {self.integrator['type']!r} has no setting {', '.join(unknown)}; "
+                "leave it out, or correct its name"
+            )
+            raise InputError(message)
 
     # --- scalar ---------------------------------------------------------------------------------
 

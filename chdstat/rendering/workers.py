@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 from chdstat._core.executor import Interrupts, cores
 from chdstat.errors import RenderError
 from chdstat.rendering.backend import activate
-from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
 from chdstat.samples.layout import Chunk, Image, differing
 
 if TYPE_CHECKING:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,13 +13,14 @@ import numpy as np
 from chdstat._core.executor import check_memory
 from chdstat._core.files import free_disk
 from chdstat.errors import InputError, StoreError
-from chdstat.rendering.renderer import Job, Renderer
-from chdstat.rendering.seeds import STREAMS
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
+from chdstat.rendering.seeds import STREAMS, check_spp
 from chdstat.samples import Samples, is_store
 from chdstat.samples.layout import Chunk, Image, check_appendable, chunk_grid, differing
 from chdstat.samples.store import Store
 
-__all__ = ["MemoryWriter", "Writer", "check_room", "opened_store", "provenance"]
+__all__ = ["MemoryWriter", "Writer", "check_room", "opened_store", "provenance", "renderer_of"]
 
 _MOST_COMPRESSION = 10
 """Stores shrink to between a third and nine tenths; a tenth leaves room for darker scenes."""
@@ -49,6 +51,8 @@ def provenance(job: Job, renderer: Renderer, spp: int) -> dict[str, Any]:
     }
 
 
+_log = logging.getLogger("chdstat")
+
 _IDENTITY: dict[str, Any] = {
     "scene_hash": None,
     "scene_code": {},
@@ -77,6 +81,16 @@ def check_room(size: tuple[int, int], spp: int, out: str | Path | None) -> None:
             "or pixels, or free some space"
         )
         raise InputError(message)
+
+
+def renderer_of(job: Job, spp: int, *, kept: int, out: str | Path | None) -> Renderer:
+    """Return the renderer of a job, if so many samples can be drawn, and those kept be held."""
+    renderer = Renderer(job)
+    check_spp(job.verdict.backend, *renderer.size, spp)
+    check_room(renderer.size, kept, out)
+    for note in renderer.notes:
+        _log.warning("%s", note)
+    return renderer
 
 
 class MemoryWriter:

@@ -46,6 +46,24 @@ class Film:
         """Place of the image on the film: x, y, width and height of the film; None for all."""
         return None if self.size == self.crop_size else [*self.corner, *self.size]
 
+    def cropped(self, crop: tuple[int, int, int, int]) -> Film:
+        """Return the film of a part (x, y, width, height) of the image.
+
+        Raises
+        ------
+        InputError
+            If the part lies outside.
+        """
+        x, y, *extent = crop
+        width, height = self.crop_size
+        if x + extent[0] > width or y + extent[1] > height:
+            message = (
+                f"a crop of {extent[0]} x {extent[1]} pixels at ({x}, {y}) must lie within the "
+                f"image of {width} x {height} pixels"
+            )
+            raise InputError(message)
+        return Film(self.size, (self.corner[0] + x, self.corner[1] + y), (extent[0], extent[1]))
+
     def resized(self, size: tuple[int, int] | None) -> tuple[Film, list[str]]:
         """Return the film at which the image has a size, and a note if the crop moves for it."""
         if size is None or size == self.crop_size:
@@ -89,8 +107,10 @@ class Asked:
     notes: list[str]
 
 
-def asked_for(name: str, state: Any, sensor: int) -> Asked:
+def asked_for(name: str, state: Any, sensor: int, instead: Any = None) -> Asked:
     """Return what a scene asks for, of the sensor of a number.
+
+    The parser state `instead` is of a scene whose integrator takes the place of its own.
 
     Raises
     ------
@@ -120,13 +140,18 @@ def asked_for(name: str, state: Any, sensor: int) -> Asked:
     filters = [f for film in films for f in nodes.within(film, "ReconstructionFilter")]
     notes += _replaced("filter", filters, "box")
     notes += _replaced("sampler", nodes.within(chosen, "Sampler"), "independent")
-    integrator, more = nodes.integrator()
+    if instead is None:
+        integrator, more = nodes.integrator()
+    else:
+        nodes.forget_integrators()
+        integrator, more = _Nodes(instead).integrator(alone=True)
     return Asked(
         state=state,
         sensor=chosen.props,
         integrator=integrator,
         film=_film(name, films[0].props if films else {}),
-        plugins={str(node.props.plugin_name()) for node in state.nodes} - {"", "scene"},
+        plugins={str(node.props.plugin_name()) for node in state.nodes} - {"", "scene"}
+        | {str(integrator.plugin_name())},
         notes=notes + more,
     )
 
@@ -149,9 +174,20 @@ class _Nodes:
         held = (self._nodes[index] for index in self._held(node))
         return [n for n in held if n.type == wanted]
 
-    def integrator(self) -> tuple[Any, list[str]]:
-        """Return the properties of the integrator that draws the samples, and notes on it."""
-        found = [*self.of("Integrator"), *self._of_other_variants()]
+    def integrator(self, *, alone: bool = False) -> tuple[Any, list[str]]:
+        """Return the properties of the integrator that draws the samples, and notes on it.
+
+        One that is `alone` is all of a scene, and must be one.
+        """
+        others = self.of("Unknown") if alone else self._of_other_variants()
+        found = [*self.of("Integrator"), *others]
+        if alone and not found:
+            names = [str(n.props.plugin_name()) for n in self._nodes]
+            message = (
+                f"{names[1]!r} is no integrator; give one that samples pixel by pixel, such as "
+                "path, volpath or direct"
+            )
+            raise RenderError(message)
         inner = {id(i) for node in found for i in self.within(node, "Integrator")}
         outer = [node for node in found if id(node) not in inner]
         if not outer:
@@ -177,6 +213,11 @@ class _Nodes:
             )
             raise RenderError(message)
         return node.props, notes
+
+    def forget_integrators(self) -> None:
+        """Make those integrators usable that this variant does not know, when none is used."""
+        for node in self._of_other_variants():
+            node.props.set_plugin_name(_INTEGRATOR)
 
     def _of_other_variants(self) -> list[Any]:
         """Return integrators of Mitsuba's in Python that this variant does not know."""

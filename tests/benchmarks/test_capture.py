@@ -19,7 +19,8 @@ import pytest
 
 from chdstat.rendering import capture
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.writers import opened_store, provenance
 from chdstat.scenes import Scene, load_scene
 

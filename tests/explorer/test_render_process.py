@@ -9,7 +9,8 @@ import chdstat as chd
 from chdstat.errors import RenderError, SceneError
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.scene_source import SceneSource
-from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
 
 PIXELS = np.array([[8, 12], [3, 5]])
 

@@ -20,7 +20,8 @@ import chdstat as chd
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.rendering import render_batches, render_pixels, writers
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples import layout
 from chdstat.samples.layout import chunk_grid

@@ -21,7 +21,8 @@ import scipy.stats
 import chdstat as chd
 from chdstat.rendering import render_pixels, seeds
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import max_spp
 from chdstat.samples.layout import TILE, chunk_grid
 from chdstat.scenes import load_scene

@@ -18,7 +18,7 @@ import chdstat as chd
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.renderer import scene_integrator, scene_size
+from chdstat.rendering.job import scene_integrator, scene_size
 from chdstat.scenes import load_scene
 
 WHOLE, CROP = (

@@ -17,7 +17,8 @@ import chdstat as chd
 from chdstat.errors import RenderError
 from chdstat.rendering import workers
 from chdstat.rendering.backend import probe
-from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
 from chdstat.samples.layout import chunk_grid
 from chdstat.samples.store import Store
 from chdstat.scenes import load_scene

@@ -15,7 +15,8 @@ import chdstat as chd
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.io import write_exr
 from chdstat.rendering.backend import activate, probe
-from chdstat.rendering.renderer import Job, Renderer
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
 from chdstat.scenes import Scene, load_scene
 
 SETTINGS: dict[str, Any] = {"size": (4, 4), "backend": "scalar"}

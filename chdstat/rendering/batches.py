@@ -1,0 +1,206 @@
+"""Batches: a scene rendered while one looks, batch by batch, and nothing kept."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from chdstat._core.arrays import Seed, spans, whole
+from chdstat._core.display import Card
+from chdstat._core.executor import track
+from chdstat.rendering.backend import Backend, activate
+from chdstat.rendering.job import Crop, IntegratorLike, Job
+from chdstat.rendering.renderer import Renderer
+from chdstat.rendering.workers import rendered
+from chdstat.rendering.writers import provenance, renderer_of
+from chdstat.samples import description
+from chdstat.samples.layout import BATCH, Chunk, Image, chunk_grid
+from chdstat.scenes import Scene
+
+__all__ = ["Rendering", "render_batches"]
+
+_AT_ONCE = 4
+"""Samples that a scalar thread draws of a tile: few tiles shall keep all threads busy."""
+
+
+def render_batches(
+    scene: str | Path | dict[str, Any] | Scene,
+    *,
+    spp: int = 256,
+    batch: int = 16,
+    size: tuple[int, int] | None = None,
+    seed: Seed = 0,
+    max_depth: int | None = None,
+    sensor: int = 0,
+    integrator: IntegratorLike | None = None,
+    crop: Crop | None = None,
+    backend: Backend = "auto",
+    progress: bool | None = None,
+) -> Rendering:
+    """Render a scene batch by batch and keep nothing: memory is that of a batch.
+
+    The samples are those of `render` with the same scene, backend and seed, to the bit.
+
+    Parameters
+    ----------
+    scene, size, seed, max_depth, sensor, integrator, crop, backend
+        As for `render`.
+    spp
+        Samples per pixel in all.
+    batch
+        Samples per pixel in a batch; the last one may have fewer.
+    progress
+        Show a progress bar while batches are drawn; None shows it on a terminal.
+
+    Returns
+    -------
+    Rendering
+        To loop over: each turn renders a batch, shape (y, x, channel, sample), float32.
+
+    Raises
+    ------
+    InputError
+        If `spp`, `batch`, `size` or `seed` is out of range.
+    SceneError, RenderError
+        If the scene cannot be read, or not be rendered as asked.
+
+    Examples
+    --------
+    >>> rendering = render_batches("cornell-box", spp=40, size=(8, 8), backend="scalar")
+    >>> [batch.shape for batch in rendering]
+    [(8, 8, 3, 16), (8, 8, 3, 16), (8, 8, 3, 8)]
+    """
+    spp, batch = whole("spp", spp, least=1), whole("batch", batch, least=1)
+    job = Job.of(
+        scene,
+        size=size,
+        seed=seed,
+        max_depth=max_depth,
+        sensor=sensor,
+        integrator=integrator,
+        crop=crop,
+        backend=backend,
+    )
+    renderer = renderer_of(job, spp, kept=min(spp, batch), out=None)
+    return Rendering(job, renderer, spp=spp, batch=batch, progress=progress)
+
+
+class Rendering:
+    """A scene that is rendered while one loops over it; made by `chdstat.rendering.render_batches`.
+
+    Each turn of the loop gives the next batch, shape (y, x, channel, sample), linear radiance; each
+    loop starts anew with the same samples. A wavefront (llvm, cuda) draws 64 samples at once,
+    however small the batches.
+
+    Attributes
+    ----------
+    spp
+        Samples per pixel in all.
+    batch
+        Samples per pixel in a batch.
+
+    Examples
+    --------
+    >>> rendering = render_batches("cornell-box", spp=4, size=(8, 8), backend="scalar")
+    >>> rendering
+    <Rendering 'cornell-box' 8 x 8 pixels, 4 spp in batches of 16>
+    >>> sum(batch.sum(axis=-1) for batch in rendering).shape
+    (8, 8, 3)
+    """
+
+    def __init__(
+        self, job: Job, renderer: Renderer, *, spp: int, batch: int, progress: bool | None
+    ) -> None:
+        self._job, self._renderer, self._progress = job, renderer, progress
+        self.spp, self.batch, self._seconds = spp, batch, 0.0
+
+    @property
+    def name(self) -> str:
+        """Name of the scene."""
+        return self._job.scene.name
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """(y, x, channel, sample) of all batches together."""
+        width, height = self._renderer.size
+        return height, width, len(self.channels), self.spp
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels."""
+        return "R", "G", "B"
+
+    @property
+    def attrs(self) -> dict[str, Any]:
+        """Provenance, as `Samples.attrs`; the seconds of rendering are those until now."""
+        told = provenance(self._job, self._renderer, self.spp)
+        return told | {"render_seconds": round(self._seconds, 3)}
+
+    @cached_property
+    def features(self) -> dict[str, Image]:
+        """First-hit features, as `Samples.features`; rendered when they are first asked for."""
+        with activate(self._job.verdict):
+            return self._renderer.features()
+
+    def _repr_html_(self) -> str:
+        return Card("Rendering", description.provenance(self.attrs, self.shape)).html()
+
+    def __repr__(self) -> str:
+        height, width, _, spp = self.shape
+        return (
+            f"<Rendering {self.name!r} {width} x {height} pixels, {spp} spp in batches of "
+            f"{self.batch}>"
+        )
+
+    def __iter__(self) -> Iterator[Image]:
+        height, width, _, spp = self.shape
+        step = self.batch if self._scalar else BATCH
+        with track(
+            f"rendering {self.name}", height * width * spp, unit="S", show=self._progress
+        ) as advance:
+            yield from _cut((self._draw(ss, advance) for ss in spans(spp, step)), self.batch)
+
+    @property
+    def _scalar(self) -> bool:
+        return self._job.verdict.backend == "scalar"
+
+    def _draw(self, ss: slice, advance: Callable[[float], None]) -> Image:
+        """Draw some samples of all pixels; nothing of the renderer is left at work after it."""
+        start = time.monotonic()
+        block = np.empty((*self.shape[:3], ss.stop - ss.start), np.float32)
+        with activate(self._job.verdict):
+            for chunk, part in rendered(self._job, self._renderer, self._chunks(ss), None):
+                here = slice(chunk.ss.start - ss.start, chunk.ss.stop - ss.start)
+                block[chunk.ys, chunk.xs, :, here] = part
+                advance(chunk.size)
+        self._seconds += time.monotonic() - start
+        return block
+
+    def _chunks(self, ss: slice) -> list[Chunk]:
+        """Return the chunks of some samples: what a sample is does not depend on how they are cut.
+
+        But for a wavefront, which draws chunks as they are stored.
+        """
+        height, width = self.shape[:2]
+        step = _AT_ONCE if self._scalar else BATCH
+        cuts = [slice(k, min(k + step, ss.stop)) for k in range(ss.start, ss.stop, step)]
+        tiles = list(chunk_grid(height, width, 1))
+        return [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]
+
+
+def _cut(blocks: Iterator[Image], batch: int) -> Iterator[Image]:
+    """Cut blocks of samples into batches of another size; of what is left, fewer."""
+    rest: Image | None = None
+    for block in blocks:
+        rest = block if rest is None else np.concatenate([rest, block], axis=-1)
+        while rest.shape[-1] >= batch:
+            yield rest[..., :batch]
+            rest = rest[..., batch:]
+    if rest is not None and rest.shape[-1]:
+        yield rest
