@@ -292,11 +292,11 @@ def contrast(
         raise InputError(message)
     pair = Pair.of(a, b, seconds)
     seed = seed_number(seed)
-    found = _judged(pair, alpha, seed)
+    found = _contrasted(pair, alpha, seed)
     return replace(found, maps=found.maps.assign(pair.shapes(seed))) if distributions else found
 
 
-def _judged(pair: Pair, alpha: float, seed: int) -> Contrast:
+def _contrasted(pair: Pair, alpha: float, seed: int) -> Contrast:
     """Return the verdict on a pair of renders."""
     found = pair.compare()
     height, width, bands = found.p_value.shape

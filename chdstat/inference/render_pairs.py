@@ -21,7 +21,7 @@ from chdstat._core.reasons import first_of
 from chdstat._core.resampling import q_values
 from chdstat.errors import InputError, Reason
 from chdstat.inference.permutation import Shuffles
-from chdstat.inference.sign_flips import Moments, guarded, p_of_signs
+from chdstat.inference.sign_flips import FlipMoments, guarded, p_of_signs
 from chdstat.io.exr import ExrImage, read_exr
 from chdstat.samples import Samples, samples_of
 
@@ -216,7 +216,7 @@ class Pair:
             "reason": reason,
             "differences": _cells(d, cell),
             "levels": _cells(one + other, cell) / 2,
-            "moments": [Moments.of(d[:, :, i], level[..., i]) for i in bands],
+            "moments": [FlipMoments.of(d[:, :, i], level[..., i]) for i in bands],
         }
 
 
@@ -344,13 +344,13 @@ def _correlation(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> Floats:
         return np.asarray(product / np.sqrt(first * second))
 
 
-def _joined(parts: list[Moments], mean: Floats) -> Moments:
+def _joined(parts: list[FlipMoments], mean: Floats) -> FlipMoments:
     """Return moments of consecutive rows as one."""
     arrays = {
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in ("scale", "total", "square", "central2", "central3", "central6", "rarer")
     }
-    return Moments(n=parts[0].n, mean=np.nan_to_num(mean), **arrays)
+    return FlipMoments(n=parts[0].n, mean=np.nan_to_num(mean), **arrays)
 
 
 def _other(b: Any) -> Samples | Exact:

@@ -19,7 +19,7 @@ from scipy import ndimage, special
 from chdstat._core.arrays import Seed, generator, spans
 from chdstat._core.positive import Floats, Mask
 
-__all__ = ["Moments", "WindowTest", "guarded", "p_of_signs", "scan_windows", "window_sums"]
+__all__ = ["FlipMoments", "WindowTest", "guarded", "p_of_signs", "scan_windows", "window_sums"]
 
 _ENUMERATED = 10
 """Rows with up to so many terms other than 0 have all their sign flips counted."""
@@ -131,7 +131,7 @@ def _saddlepoint(size: npt.NDArray[np.floating[Any]], total: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Moments:
+class FlipMoments:
     """Sums over the terms of each place of a map, all of shape (y, x).
 
     Attributes
@@ -161,7 +161,7 @@ class Moments:
     mean: Floats
 
     @classmethod
-    def of(cls, d: npt.NDArray[np.floating[Any]], mean: Floats) -> Moments:
+    def of(cls, d: npt.NDArray[np.floating[Any]], mean: Floats) -> FlipMoments:
         """Return those of terms (y, x, term)."""
         largest = np.abs(d).max(axis=-1, initial=0)
         scale = np.where(largest > 0, largest, 1).astype(float)
@@ -220,14 +220,14 @@ class Moments:
         return np.asarray(np.nan_to_num(square) * (opposed | (self.rarer < _ONE_SIDED)))
 
 
-def _p_of_moments(moments: Moments, square: Floats) -> Floats:
+def _p_of_moments(moments: FlipMoments, square: Floats) -> Floats:
     """Return two-sided normal p-values of sums whose terms have this mean square."""
     with np.errstate(divide="ignore", invalid="ignore"):
         z = np.abs(moments.total) / np.sqrt(moments.n * square)
     return np.where(square > 0, 2 * special.ndtr(-np.nan_to_num(z)), 0)
 
 
-def guarded(p: Floats, moments: Moments, exact: Mask) -> Floats:
+def guarded(p: Floats, moments: FlipMoments, exact: Mask) -> Floats:
     """Return p-values of a map (y, x) that rare samples which a pixel missed do not make small.
 
     Where the skewness of the neighbours' differences is against that of a pixel, or where nearly
@@ -350,7 +350,7 @@ def _largest(
 ) -> tuple[Any, tuple[int, int]]:
     """Return the largest standardised sum over windows of each flip, None without any term."""
     sums, starts = window_sums(d, edge)
-    moments = Moments.of(sums, window_sums(mean.mean(axis=-1, keepdims=True), edge)[0][..., 0])
+    moments = FlipMoments.of(sums, window_sums(mean.mean(axis=-1, keepdims=True), edge)[0][..., 0])
     known = moments.square > 0
     if not known.any():
         return None, (0, 0)

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat.errors import InputError, StoreError
-from chdstat.io.reading import Asked, Opened
+from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples.axes import ordered, single
 from chdstat.samples.layout import FOREIGN
 from chdstat.samples.tiles import Image
@@ -113,12 +113,12 @@ class Joined:
 
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
         """Return a part of the samples, shape (y, x, channel, sample)."""
-        asked = np.arange(self.shape[3])[ss]
-        place = np.searchsorted(self._ends, asked, side="right")
+        options = np.arange(self.shape[3])[ss]
+        place = np.searchsorted(self._ends, options, side="right")
         parts = []
         for number in np.unique(place):
             source = self._sources[number]
-            own = asked[place == number] - (self._ends[number] - source.shape[3])
+            own = options[place == number] - (self._ends[number] - source.shape[3])
             step = int(own[1] - own[0]) if len(own) > 1 else 1
             parts.append(source.read(ys, xs, slice(int(own[0]), int(own[-1]) + 1, step)))
         return np.concatenate(parts, axis=-1)
@@ -129,7 +129,7 @@ class Joined:
 
 
 class Remapped:
-    """An array in a file that is mapped into memory anew for each part that is asked for.
+    """An array in a file that is mapped into memory anew for each part that is options for.
 
     Pages of a map that stays count as memory of the process, until the whole file does.
     """
@@ -166,28 +166,28 @@ def load_npy(path: Path) -> npt.NDArray[Any]:
     return found
 
 
-def open_npy(paths: Sequence[Path], asked: Asked) -> Opened:
+def open_npy(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open .npy files, whose samples follow each other."""
     sources = []
     for path in paths:
         array = Remapped(partial(load_npy, path))
-        sources.append(ArraySource(array, ordered(array, path.name, asked.axes), path))
+        sources.append(ArraySource(array, ordered(array, path.name, options.axes), path))
     return Opened(joined(sources))
 
 
-def open_npz(paths: Sequence[Path], asked: Asked) -> Opened:
+def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open .npz archives: their largest array, or `variable`, and features by their names."""
     sources = []
     for path in paths:
         arrays = _unpacked(path)
-        name = _variable(path, {n: a.size for n, a in arrays.items()}, asked.variable)
-        features = {n: _named(path, arrays, inside) for n, inside in asked.features.items()}
-        axes = ordered(arrays[name], path.name, asked.axes)
+        name = _variable(path, {n: a.size for n, a in arrays.items()}, options.variable)
+        features = {n: _named(path, arrays, inside) for n, inside in options.features.items()}
+        axes = ordered(arrays[name], path.name, options.axes)
         sources.append(ArraySource(arrays[name], axes, path, features=features))
     return Opened(joined(sources))
 
 
-def open_xarray(paths: Sequence[Path], asked: Asked) -> Opened:
+def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open what xarray opens: the largest variable or `variable`, and features by their names."""
     import xarray as xr
 
@@ -202,14 +202,14 @@ def open_xarray(paths: Sequence[Path], asked: Asked) -> Opened:
             message = f"xarray cannot open {path}: {error}"
             raise StoreError(message) from error
         sizes = {str(n): int(v.size) for n, v in dataset.data_vars.items()}
-        name = _variable(path, sizes, asked.variable)
-        features = {n: _named(path, dataset, inside) for n, inside in asked.features.items()}
+        name = _variable(path, sizes, options.variable)
+        features = {n: _named(path, dataset, inside) for n, inside in options.features.items()}
         array = dataset[name]
         letters = {dim: letter for letter, dim in _DIMS.items()}
-        if asked.axes is None and set(map(str, array.dims)) <= letters.keys():
+        if options.axes is None and set(map(str, array.dims)) <= letters.keys():
             axes = "".join(letters[str(dim)] for dim in array.dims)
         else:
-            axes = ordered(array, path.name, asked.axes)
+            axes = ordered(array, path.name, options.axes)
         sources.append(ArraySource(array.variable, axes, path, features=features))
         attrs = {str(k): v for k, v in dataset.attrs.items() if isinstance(v, str | int | float)}
     return Opened(joined(sources), attrs)
@@ -243,12 +243,12 @@ def _unpacked(path: Path) -> dict[str, Remapped]:
     return arrays
 
 
-def _variable(path: Path, sizes: Mapping[str, int], asked: str | None) -> str:
-    """Return the name of the array of samples: as asked, or the largest."""
+def _variable(path: Path, sizes: Mapping[str, int], options: str | None) -> str:
+    """Return the name of the array of samples: as options, or the largest."""
     if not sizes:
         message = f"{path} holds no array"
         raise StoreError(message)
-    name = asked or max(sizes, key=lambda n: sizes[n])
+    name = options or max(sizes, key=lambda n: sizes[n])
     if name not in sizes:
         message = f"{path} holds no array {name!r}, but {', '.join(sizes)}"
         raise InputError(message)

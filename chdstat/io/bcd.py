@@ -27,7 +27,7 @@ from chdstat._core.files import checked_target
 from chdstat.errors import InputError, StoreError
 from chdstat.io.arrays import ArraySource, Remapped, joined
 from chdstat.io.exr import write_exr
-from chdstat.io.reading import Asked, Opened
+from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples import Samples, samples_of
 from chdstat.samples.tiles import Mapped
 
@@ -41,9 +41,9 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 """Order of covariances (src/core/CovarianceMatrix.h)."""
 
 
-def open_bcd(paths: Sequence[Path], asked: Asked) -> Opened:
+def open_bcd(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open files of raw samples, which follow each other."""
-    if asked.features or asked.variable:
+    if options.features or options.variable:
         message = "raw samples of BCD come without features; give features as files"
         raise InputError(message)
     arrays = [Remapped(partial(_mapped, path)) for path in paths]

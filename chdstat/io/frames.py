@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from chdstat.errors import InputError, StoreError
 from chdstat.io.exr import read_planes
-from chdstat.io.reading import Asked, Opened
+from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples.tiles import BATCH, Image
 
 __all__ = ["Frame", "Frames", "open_exr"]
@@ -75,13 +75,13 @@ class Frames:
 
     def read(self, ys: slice, xs: slice, ss: slice) -> Image:
         """Return a part of the samples, shape (y, x, channel, sample)."""
-        asked = np.arange(self.shape[3])[ss]
-        step = int(asked[1] - asked[0]) if len(asked) > 1 else 1
+        numbers = np.arange(self.shape[3])[ss]
+        step = int(numbers[1] - numbers[0]) if len(numbers) > 1 else 1
         rows, columns = (range(n)[part] for n, part in zip(self.shape, (ys, xs), strict=False))
-        found = np.empty((len(rows), len(columns), self.shape[2], len(asked)), np.float32)
-        for number in np.unique(asked // BATCH):
-            start, stop = np.searchsorted(asked // BATCH, [number, number + 1])
-            first, last = asked[[start, stop - 1]] - number * BATCH
+        found = np.empty((len(rows), len(columns), self.shape[2], len(numbers)), np.float32)
+        for number in np.unique(numbers // BATCH):
+            start, stop = np.searchsorted(numbers // BATCH, [number, number + 1])
+            first, last = numbers[[start, stop - 1]] - number * BATCH
             batch = self._batch(int(number))[first : last + 1 : step, ys, xs]
             found[..., start:stop] = np.moveaxis(batch, 0, -1)
         return found
@@ -142,14 +142,14 @@ def _close(files: Mapping[int, IO[bytes]]) -> None:
         file.close()
 
 
-def open_exr(paths: Sequence[Path], asked: Asked) -> Opened:
+def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open EXR files of one sample, or one average, of each pixel.
 
     The samples are R, G and B, or Y, or the layer `variable`; alpha is left out. Features are
     layers, and averages over all files, for what a pixel sees differs from sample to sample.
     """
     attributes, planes = read_planes(paths[0])
-    shown = asked.variable or next((c for c in ("RGB", "Y") if set(c) <= planes.keys()), None)
+    shown = options.variable or next((c for c in ("RGB", "Y") if set(c) <= planes.keys()), None)
     if shown is None:
         there = sorted({name.rpartition(".")[0] or name for name in planes})
         message = (
@@ -157,8 +157,8 @@ def open_exr(paths: Sequence[Path], asked: Asked) -> Opened:
             f"one of {', '.join(there)}"
         )
         raise InputError(message)
-    names = tuple(shown) if asked.variable is None else _channels(paths[0], planes, shown)
-    layers = {n: _channels(paths[0], planes, inside) for n, inside in asked.features.items()}
+    names = tuple(shown) if options.variable is None else _channels(paths[0], planes, shown)
+    layers = {n: _channels(paths[0], planes, inside) for n, inside in options.features.items()}
     (height, width), averaged = planes[names[0]].shape, _averaged(attributes)
 
     def decode(samples: range) -> Iterator[Frame]:

@@ -26,7 +26,7 @@ from chdstat._core.files import check_claim
 from chdstat.errors import InputError, StoreError
 from chdstat.io.arrays import DAMAGED
 from chdstat.io.frames import Frame, Frames
-from chdstat.io.reading import Asked, Opened
+from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples.tiles import Image
 
 __all__ = ["open_noisebase"]
@@ -34,7 +34,7 @@ __all__ = ["open_noisebase"]
 _FEATURES = {"albedo": "diffuse", "normal": "normal", "position": "position"}
 
 
-def open_noisebase(paths: Sequence[Path], asked: Asked) -> Opened:
+def open_noisebase(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open one frame: that of number `variable`, the first of a sequence if there is none given.
 
     Albedo, normal and position are the averages of what the samples have hit.
@@ -42,15 +42,15 @@ def open_noisebase(paths: Sequence[Path], asked: Asked) -> Opened:
     if len(paths) > 1:
         message = "each file of noisebase is a scene or frame of its own: read them one by one"
         raise InputError(message)
-    path, wanted = paths[0], {**_FEATURES, **asked.features}
+    path, wanted = paths[0], {**_FEATURES, **options.features}
     with _Group(path) as group:
         colour = group.array("color")
-        frame = _frame(path, colour.shape, asked.variable)
+        frame = _frame(path, colour.shape, options.variable)
         height, width, spp = colour.shape[-3:]
         inside = {
             n: name
             for n, name in wanted.items()
-            if n in asked.features or group.has(name, (3, height, width, spp))
+            if n in options.features or group.has(name, (3, height, width, spp))
         }
         for name in inside.values():
             group.array(name, (3, height, width, spp))
@@ -130,17 +130,17 @@ class _Group:
         return StoreError(f"cannot read {self._path} as a sample set of noisebase: {error}")
 
 
-def _frame(path: Path, shape: Sequence[int], asked: str | None) -> tuple[int, ...]:
+def _frame(path: Path, shape: Sequence[int], frame: str | None) -> tuple[int, ...]:
     """Return the index of a frame: none where the file has but one."""
     frames = shape[0] if len(shape) == 5 else 1
-    number = 0 if asked is None else int(asked) if asked.isdecimal() and len(asked) < 10 else -1
+    number = 0 if frame is None else int(frame) if frame.isdecimal() and len(frame) < 10 else -1
     if len(shape) not in (4, 5) or shape[-4] != 4 or 0 in shape:
         message = f"{path} is no sample set of noisebase: its colours have shape {tuple(shape)}"
         raise StoreError(message)
     if not 0 <= number < frames:
         message = (
             f"{path} has the frames 0 to {frames - 1}; give the number of one as variable, not "
-            f"{asked!r}"
+            f"{frame!r}"
         )
         raise InputError(message)
     return (number,) if len(shape) == 5 else ()

@@ -23,7 +23,7 @@ import numpy as np
 
 from chdstat.errors import InputError, StoreError
 from chdstat.io.frames import Frame, Frames
-from chdstat.io.reading import Asked, Opened
+from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples.tiles import Image
 
 __all__ = ["open_rawls"]
@@ -55,9 +55,9 @@ class _Rawls:
         return lines["values"].reshape(self.shape).astype(np.float32)
 
 
-def open_rawls(paths: Sequence[Path], asked: Asked) -> Opened:
+def open_rawls(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open .rawls files, each a sample or an average of some."""
-    if asked.features or asked.variable:
+    if options.features or options.variable:
         message = "rawls files hold no features and one image each; give features as files"
         raise InputError(message)
     files = [_parsed(path) for path in paths]

@@ -1,7 +1,7 @@
 """Reading: samples in the files of other programs, opened as `chdstat.Samples`.
 
 `read` finds the format; nothing but headers is read until samples are asked for. `FORMATS` lists
-what there is: a format is a function from paths and `Asked` to an `Opened`.
+what there is: a format is a function from paths and `ReadOptions` to an `Opened`.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from chdstat.samples.axes import check_counts, check_features
 from chdstat.samples.layout import canonical
 from chdstat.samples.tiles import Image, Source
 
-__all__ = ["FORMATS", "Asked", "Format", "Opened", "read"]
+__all__ = ["FORMATS", "Format", "Opened", "ReadOptions", "read"]
 
 
 @dataclass(frozen=True)
-class Asked:
+class ReadOptions:
     """What a caller says of files.
 
     Attributes
@@ -63,7 +63,7 @@ class Opened:
     counts: npt.NDArray[np.int32] | None = None
 
 
-Opener = Callable[[Sequence[Path], Asked], Opened]
+Opener = Callable[[Sequence[Path], ReadOptions], Opened]
 
 
 @dataclass(frozen=True)
@@ -87,11 +87,11 @@ class Format:
     title: str
     opener: str
 
-    def open(self, paths: Sequence[Path], asked: Asked) -> Opened:
+    def open(self, paths: Sequence[Path], options: ReadOptions) -> Opened:
         """Open files of this format."""
         module, function = self.opener.split(":")
         opener: Opener = getattr(importlib.import_module(f"chdstat.io.{module}"), function)
-        return opener(paths, asked)
+        return opener(paths, options)
 
 
 FORMATS = (
@@ -166,7 +166,7 @@ def read(
     paths = _files([Path(source), *map(Path, more)])
     given = dict(features or {})
     named = {n: str(v) for n, v in given.items() if isinstance(v, str | Path) and not _is_file(v)}
-    opened = _format(paths, format).open(paths, Asked(axes, variable, named))
+    opened = _format(paths, format).open(paths, ReadOptions(axes, variable, named))
     shape = opened.source.shape
     images = {n: _image(v) for n, v in given.items() if n not in named}
     images = {**{n: _image(v) for n, v in opened.source.read_features().items()}, **images}

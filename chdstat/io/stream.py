@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from chdstat._core.executor import check_memory
 from chdstat.errors import InputError, StoreError
-from chdstat.io.reading import Asked, Opened
+from chdstat.io.reading import Opened, ReadOptions
 from chdstat.io.stream_blocks import (
     COMPONENTS,
     EDGE,
@@ -69,13 +69,13 @@ def get_include() -> Path:
     return Path(__file__).parent / "include"
 
 
-def open_stream(paths: Sequence[Path], asked: Asked) -> Opened:
+def open_stream(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open streams of one image, whose samples follow each other in every pixel."""
-    if asked.axes is not None or asked.variable is not None:
+    if options.axes is not None or options.variable is not None:
         message = f"{paths[0]} says itself what is where: leave axes and variable out"
         raise InputError(message)
     source = StreamSource(paths)
-    for name in asked.features.values():
+    for name in options.features.values():
         if name not in source.header.features:
             held = ", ".join(source.header.features) or "none"
             message = f"{paths[0]} holds no feature {name!r}; it has {held}"

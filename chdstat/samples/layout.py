@@ -46,15 +46,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 import zarr
 from zarr.storage import StorePath
 
 from chdstat._core.files import checksum, replacing
 from chdstat.errors import StoreError
 from chdstat.samples.access import is_store
-from chdstat.samples.tiles import DIRECT_DEPTH
+from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Image
 
 __all__ = [
     "BATCH",
@@ -72,10 +70,6 @@ __all__ = [
     "differing",
 ]
 
-TILE = 64
-"""Edge of a tile in pixels; 64 x 64 lanes are one render pass."""
-BATCH = 64
-"""Samples of a pixel in one chunk."""
 BLOCK = 16
 """Edge in pixels of what is compressed separately within a chunk."""
 _DIRECT = "direct"
@@ -90,7 +84,6 @@ _MARK = b"chdstat2"
 _LITTLE = {"name": "bytes", "configuration": {"endian": "little"}}
 _CRC = {"name": "crc32c"}
 
-Image = npt.NDArray[np.float32]
 Shape = tuple[int, int, int, int]
 """(y, x, channel, sample)."""
 

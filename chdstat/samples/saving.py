@@ -125,7 +125,7 @@ def _extended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> tuple[S
         raise InputError(message)
     if not begun:
         _check_other(held.attrs, appended, attrs, path)
-        named = {k: attrs[k] for k in ("content", "seed", "source") if k in attrs}
+        named = {k: attrs[k] for k in ("content", "seed", "scene_source") if k in attrs}
         appended.append({**named, "first": held.shape[3]})
     first = int(appended[-1]["first"])
     store = Store.open(path, writable=True)
@@ -157,9 +157,8 @@ def _check_other(
 def _fill(store: Store, samples: Samples, first: int, progress: bool | None) -> None:
     """Write the chunks that are missing, with the samples that begin at number `first`."""
     chunks = store.pending()
-    if not (
-        samples.source and samples.source.frames
-    ):  # all samples of a pixel lie together: go through them tile by tile
+    by_frame = samples.source is not None and samples.source.frames
+    if not by_frame:  # all samples of a pixel lie together: go through them tile by tile
         chunks.sort(key=lambda c: (c.tile_y, c.tile_x, c.batch))
     description, size = f"writing {store.path.name}", sum(c.size for c in chunks)
     with track(description, size, unit="S", show=progress) as advance:

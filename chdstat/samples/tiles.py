@@ -28,6 +28,7 @@ __all__ = [
     "Source",
     "assemble",
     "attrs_of",
+    "check_single",
     "dataset_of",
     "labelled",
     "lazily",
@@ -35,7 +36,7 @@ __all__ = [
 ]
 
 TILE, BATCH = 64, 64
-"""Edge of the tiles and number of samples of the blocks that samples are walked in."""
+"""Edge in pixels and number of samples of a chunk, in which samples are drawn, kept and read."""
 DIRECT_DEPTH = 2
 """Segments of a path from the camera to a light that shines on what it sees."""
 _MOST_BYTES = 16 * 2**20
