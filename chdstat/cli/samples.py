@@ -11,6 +11,7 @@ import typer
 from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError
+from chdstat.rendering.sequences import SamplerName
 
 __all__ = ["analyze", "convert", "export", "import_samples", "include", "info", "render"]
 
@@ -41,6 +42,21 @@ def render(
             metavar="X,Y,WxH",
             help="Part of the image to render, in pixels.",
             show_default="all of it",
+        ),
+    ] = None,
+    sampler: Annotated[
+        SamplerName,
+        typer.Option(
+            help="Mitsuba's sampler. Of all but independent, samples of a sequence depend on each "
+            "other: only averages of sequences have standard errors."
+        ),
+    ] = "independent",
+    sequence: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Samples that such a sampler spreads together, of which --spp is a multiple.",
+            show_default="16",
         ),
     ] = None,
     direct: Annotated[
@@ -85,6 +101,8 @@ def render(
             sensor=sensor,
             integrator=cli.integrator_of(integrator),
             crop=cli.crop_of(crop),
+            sampler=sampler,
+            sequence=sequence,
             direct=direct,
             by_depth=by_depth,
             out=out,

@@ -17,6 +17,7 @@ from chdstat._core.executor import track
 from chdstat.rendering.backend import Backend, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.renderer import Renderer
+from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import rendered
 from chdstat.rendering.writers import provenance, renderer_of
 from chdstat.samples import description
@@ -40,6 +41,8 @@ def render_batches(
     sensor: int = 0,
     integrator: IntegratorLike | None = None,
     crop: Crop | None = None,
+    sampler: SamplerName = "independent",
+    sequence: int | None = None,
     backend: Backend = "auto",
     progress: bool | None = None,
 ) -> Rendering:
@@ -49,7 +52,7 @@ def render_batches(
 
     Parameters
     ----------
-    scene, size, seed, max_depth, sensor, integrator, crop, backend
+    scene, size, seed, max_depth, sensor, integrator, crop, sampler, sequence, backend
         As for `render`.
     spp
         Samples per pixel in all.
@@ -85,6 +88,8 @@ def render_batches(
         sensor=sensor,
         integrator=integrator,
         crop=crop,
+        sampler=sampler,
+        sequence=sequence,
         backend=backend,
     )
     renderer = renderer_of(job, spp, kept=min(spp, batch), out=None)
@@ -161,6 +166,8 @@ class Rendering:
     def __iter__(self) -> Iterator[Image]:
         height, width, _, spp = self.shape
         step = self.batch if self._scalar else BATCH
+        if self._job.sequences is not None:
+            step = self._job.sequences.span
         with track(
             f"rendering {self.name}", height * width * spp, unit="S", show=self._progress
         ) as advance:
@@ -189,6 +196,8 @@ class Rendering:
         """
         height, width = self.shape[:2]
         step = _AT_ONCE if self._scalar else BATCH
+        if self._job.sequences is not None:
+            step = self._job.sequences.span
         cuts = [slice(k, min(k + step, ss.stop)) for k in range(ss.start, ss.stop, step)]
         tiles = list(chunk_grid(height, width, 1))
         return [replace(t, batch=cut.start // BATCH, ss=cut) for cut in cuts for t in tiles]

@@ -22,6 +22,7 @@ from chdstat.errors import InputError, StoreError
 from chdstat.rendering.backend import Backend, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.renderer import Renderer, cut_paths
+from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import rendered
 from chdstat.rendering.writers import MemoryWriter, Writer, opened_store, provenance, renderer_of
 from chdstat.samples import Samples, is_store
@@ -48,6 +49,8 @@ def render(
     sensor: int = 0,
     integrator: IntegratorLike | None = None,
     crop: Crop | None = None,
+    sampler: SamplerName = "independent",
+    sequence: int | None = None,
     direct: bool = False,
     by_depth: int | None = None,
     out: str | Path | None = None,
@@ -82,6 +85,13 @@ def render(
     crop
         (x, y, width, height): render this part of the image only, with random numbers of its own.
         Where `out` holds a crop, give the same `size` and `crop` again to go on.
+    sampler
+        "independent", whatever the scene names, or one of Mitsuba's that spread the samples of a
+        pixel: "stratified", "multijitter", "orthogonal" or "ldsampler". Then samples depend on each
+        other: `Samples.sequence_means` gives averages that do not.
+    sequence
+        Samples of a pixel that such a sampler spreads together; each sequence has random numbers of
+        its own, and `spp` must be a multiple of it. None takes 16.
     direct
         Render every sample once more with no more than two segments, for what is emission and
         direct light of it: `Samples.direct`. The rest is indirect. This takes a tenth more time in
@@ -107,7 +117,8 @@ def render(
     Raises
     ------
     InputError
-        If `spp`, `size` or `seed` is out of range.
+        If `spp`, `size` or `seed` is out of range, the sampler would round `sequence`, or light by
+        depth is asked of one that spreads samples.
     SceneError, RenderError
         If the scene cannot be read, or not be rendered as asked.
     StoreError
@@ -142,8 +153,16 @@ def render(
         sensor=sensor,
         integrator=integrator,
         crop=crop,
+        sampler=sampler,
+        sequence=sequence,
         backend=backend,
     )
+    if depths and job.sequences is not None:
+        message = (
+            "direct and by_depth cut the paths of the same samples, which only independent ones "
+            f"allow; leave them out, or the sampler {job.sampler!r}"
+        )
+        raise InputError(message)
     with activate(job.verdict):
         renderer = renderer_of(job, spp, kept=spp * (1 + len(depths)), out=out)
         shorter = cut_paths(job, renderer, depths)
@@ -181,7 +200,7 @@ def render_pixels(
     Parameters
     ----------
     scene, size, seed, max_depth, sensor, integrator, crop, backend
-        As for `render`. The samples are independent of those that `render` draws.
+        As for `render`. The samples are independent, also of those that `render` draws.
     pixels
         (y, x) of each pixel, shape (pixel, 2); a single pair is taken as one pixel.
     spp

@@ -13,6 +13,7 @@ from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat.errors import InputError
 from chdstat.rendering.backend import BACKENDS, Backend, Verdict, activate, resolve
 from chdstat.rendering.seeds import SEEDS
+from chdstat.rendering.sequences import SamplerName, Sequences
 from chdstat.scenes import Scene, load_scene
 from chdstat.scenes.settings import LONGEST, Asked, asked_for
 
@@ -36,6 +37,7 @@ class Job:
     sensor: int = 0
     integrator: Mapping[str, Any] | None = None
     crop: Crop | None = None
+    sequences: Sequences | None = None
 
     @classmethod
     def of(
@@ -48,6 +50,8 @@ class Job:
         sensor: int = 0,
         integrator: IntegratorLike | None = None,
         crop: Crop | None = None,
+        sampler: SamplerName = "independent",
+        sequence: int | None = None,
         backend: Backend = "auto",
     ) -> Job:
         """Return a job whose settings are checked, so that no work is done for wrong ones."""
@@ -79,6 +83,7 @@ class Job:
             sensor,
             None if integrator is None else _described(integrator),
             None if crop is None else _checked_crop(crop),
+            Sequences.of(sampler, sequence),
         )
 
     @property
@@ -93,7 +98,13 @@ class Job:
             self.sensor,
             integrator,
             self.crop,
+            self.sequences,
         )
+
+    @property
+    def sampler(self) -> str:
+        """Mitsuba's name of the sampler."""
+        return "independent" if self.sequences is None else self.sequences.sampler
 
     def asked(self) -> Asked:
         """Return what the scene asks for, as Mitsuba reads its description.
@@ -108,7 +119,7 @@ class Job:
         if self.integrator is not None:
             alone = {"type": "scene", "integrator": dict(self.integrator)}
             integrator = Scene("integrator", alone).parse(variant)
-        return asked_for(self.scene.name, state, self.sensor, integrator)
+        return asked_for(self.scene.name, state, self.sensor, integrator, self.sampler)
 
 
 def scene_size(scene: str | Path | dict[str, Any] | Scene) -> tuple[int, int]:

@@ -21,7 +21,8 @@ from chdstat.errors import InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import activate
 from chdstat.rendering.job import Job
 from chdstat.rendering.seeds import Streams
-from chdstat.samples.layout import Chunk, Image
+from chdstat.rendering.sequences import Sequences
+from chdstat.samples.layout import TILE, Chunk, Image
 from chdstat.samples.tiles import DIRECT_DEPTH
 from chdstat.scenes.files import code_of, plugins_made
 from chdstat.scenes.settings import LONGEST
@@ -30,7 +31,8 @@ __all__ = ["Renderer", "cut_paths"]
 
 _BLOCK = 32
 _RUN = 16
-"""Samples of a pixel in neighbouring lanes: their paths begin alike, which saves a tenth."""
+"""Independent samples of a pixel in neighbouring lanes: their paths begin alike, which saves a
+tenth."""
 _FEATURE_SPP = 16
 _FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
 
@@ -72,7 +74,7 @@ class Renderer:
             self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **properties}
             properties["block_size"] = _BLOCK  # the default depends on the number of cores
             self._integrator_properties = properties
-            self._streams = Streams(self.size, job.seed)
+            self._streams, self._sequences = Streams(self.size, job.seed), job.sequences
             self._local = threading.local()
             with plugins_made(mi, asked.plugins) as plugins:
                 _ = self._integrator  # one that cannot be used is refused before any work
@@ -104,6 +106,8 @@ class Renderer:
         `Interrupted` if Mitsuba cancelled a pass.
         """
         with self._telling():
+            if self._sequences is not None:
+                return self._chunk_of_sequences(chunk, self._sequences, before_pass)
             if self._scalar:
                 return self._chunk_scalar(chunk, before_pass)
             before_pass()
@@ -224,6 +228,60 @@ class Renderer:
             )
             raise InputError(message)
 
+    # --- sequences of dependent samples ---------------------------------------------------------
+
+    def _sampler(self) -> Any:
+        """Return a sampler that draws single samples: independent ones, or those of sequences."""
+        if self._sequences is None:
+            return self._mi.load_dict({"type": "independent"})
+        kind, length = self._sequences.sampler, self._sequences.length
+        seed = {} if self._scalar else {"seed": self._streams.of_sampler}
+        sampler = self._mi.load_dict({"type": kind, "sample_count": length, **seed})
+        if not self._scalar:
+            sampler.set_samples_per_wavefront(length)
+        return sampler
+
+    def _chunk_of_sequences(
+        self, chunk: Chunk, sequences: Sequences, before_pass: Callable[[], None]
+    ) -> Image:
+        """Draw whole sequences, and keep those samples of them that belong to the chunk."""
+        (height, width, _), corner = chunk.shape, (chunk.xs.start, chunk.ys.start)
+        step = sequences.length if self._scalar else sequences.drawn_together
+        first, drawn = chunk.ss.start // step, list[Image]()
+        for i in range(first, -(-chunk.ss.stop // step)):
+            samples = min(step, chunk.ss.stop - i * step)
+            if self._scalar:
+                drawn.append(self._sequence_scalar(chunk, i, samples, before_pass))
+                continue
+            before_pass()
+            number = self._streams.of_wavefront(chunk, i, TILE**2 * step)
+            drawn.append(self._wavefront(number, corner, (width, height), samples))
+        start = chunk.ss.start - first * step
+        return np.ascontiguousarray(np.concatenate(drawn, axis=-1)[..., start:])
+
+    def _sequence_scalar(
+        self, chunk: Chunk, sequence: int, samples: int, before_pass: Callable[[], None]
+    ) -> Image:
+        """Draw the first samples of one sequence for each pixel of a tile.
+
+        One by one in Python, for Mitsuba keeps the average of what it draws of a sequence; parts of
+        one cannot be drawn by themselves, as the random numbers of a sample go on from those of the
+        one before.
+        """
+        number = self._streams.of_sequence(chunk, sequence)
+        sampler = self._sampler()
+        sample = self._sampling_scalar(sampler)
+        height, width, _ = chunk.shape
+        block = np.empty((height, width, 3, samples), np.float32)
+        for y in range(height):
+            before_pass()
+            for x in range(width):
+                sampler.seed(number + y * width + x, 1)
+                for i in range(samples):
+                    block[y, x, :, i] = sample(chunk.xs.start + x, chunk.ys.start + y)
+                    sampler.advance()
+        return block
+
     # --- scalar ---------------------------------------------------------------------------------
 
     def _chunk_scalar(self, chunk: Chunk, before_pass: Callable[[], None]) -> Image:
@@ -240,19 +298,25 @@ class Renderer:
         return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
 
     def _pixel_scalar(self, number: int, y: int, x: int, spp: int) -> Image:
-        mi, scene, integrator = self._mi, self._scene, self._integrator
-        sensor = self._sensor((0, 0), self.size)
-        sampler = sensor.sampler()
+        sampler = self._mi.load_dict({"type": "independent"})
         sampler.seed(number, 1)
-        corner, scale = np.array((x, y)), 1 / np.array(self.size)
-        result = np.empty((spp, 3), np.float32)
-        for i in range(spp):
-            position = (corner + np.array(sampler.next_2d())) * scale
+        sample = self._sampling_scalar(sampler)
+        return np.stack([sample(x, y) for _ in range(spp)], axis=-1)
+
+    def _sampling_scalar(self, sampler: Any) -> Callable[[int, int], Any]:
+        """Return a function that draws the next sample of the pixel at (x, y)."""
+        mi, scene, integrator, medium = self._mi, self._scene, self._integrator, self._sensor_medium
+        sensor, (width, height) = self._sensor((0, 0), self.size), self.size
+
+        def sample(x: int, y: int) -> Any:
+            dx, dy = sampler.next_2d()
             time, lens = _time_and_lens(mi, sensor, sampler)
-            ray, weight = sensor.sample_ray_differential(time, 0.0, mi.Point2f(position), lens)
-            color, _, _ = integrator.sample(scene, sampler, ray, self._sensor_medium, True)
-            result[i] = weight * color
-        return result.T
+            position = mi.Point2f((x + dx) / width, (y + dy) / height)
+            ray, weight = sensor.sample_ray_differential(time, 0.0, position, lens)
+            color, _, _ = integrator.sample(scene, sampler, ray, medium, True)
+            return weight * color
+
+        return sample
 
     # --- wavefront (llvm, cuda) -----------------------------------------------------------------
 
@@ -262,17 +326,23 @@ class Renderer:
         """Draw samples of a rectangle of pixels in one wavefront, shape (y, x, channel, sample).
 
         Lanes run over the samples of a run, then pixels, then runs. Whole runs are drawn, so that
-        fewer samples are a prefix of more.
+        fewer samples are a prefix of more; a sequence of dependent samples is a run.
         """
         import drjit as dr
 
         width, height = extent
-        runs = -(-samples // _RUN)
+        run = self._run
+        runs = -(-samples // run)
         inputs = (number, *corner, width, width * height)
         opaque = [dr.opaque(self._mi.UInt32, value) for value in inputs]
-        colors = np.array(self._launch(*opaque, width * height * runs * _RUN), dtype=np.float32)
-        block = colors.reshape(3, runs, height, width, _RUN).transpose(2, 3, 0, 1, 4)
+        colors = np.array(self._launch(*opaque, width * height * runs * run), dtype=np.float32)
+        block = colors.reshape(3, runs, height, width, run).transpose(2, 3, 0, 1, 4)
         return np.ascontiguousarray(block.reshape(height, width, 3, -1)[..., :samples])
+
+    @property
+    def _run(self) -> int:
+        """Samples of a pixel in neighbouring lanes."""
+        return _RUN if self._sequences is None else self._sequences.length
 
     def _launch(self, *inputs: Any) -> Any:
         """Launch the kernel, frozen where it can be: tracing costs up to a third of a launch.
@@ -283,9 +353,9 @@ class Renderer:
         if not hasattr(self._local, "kernel"):
             import drjit as dr
 
-            sensor = self._sensor((0, 0), self.size)
-            objects = (self._scene, sensor, self._integrator)
-            self._local.kernel = self._wavefront_kernel(dr, sensor)
+            sensor, sampler = self._sensor((0, 0), self.size), self._sampler()
+            objects = (self._scene, sensor, self._integrator, sampler)
+            self._local.kernel = self._wavefront_kernel(dr, sensor, sampler)
             self._local.frozen = dr.freeze(self._local.kernel, state_fn=lambda *_, **__: objects)
         try:
             with _uncollected():
@@ -294,14 +364,14 @@ class Renderer:
             self._local.frozen = self._local.kernel
             return self._local.kernel(*inputs)
 
-    def _wavefront_kernel(self, dr: Any, sensor: Any) -> Callable[..., Any]:
+    def _wavefront_kernel(self, dr: Any, sensor: Any, source: Any) -> Callable[..., Any]:
         mi, scene, integrator, medium = self._mi, self._scene, self._integrator, self._sensor_medium
-        size = tuple(map(float, self.size))
+        size, run = tuple(map(float, self.size)), self._run
 
         def kernel(number: Any, left: Any, top: Any, width: Any, pixels: Any, lanes: int) -> Any:
-            sampler = sensor.sampler().clone()
+            sampler = source.clone()
             sampler.seed(number, lanes)
-            index = dr.arange(mi.UInt32, lanes) // _RUN % pixels
+            index = dr.arange(mi.UInt32, lanes) // run % pixels
             pixel = mi.Point2f(mi.Float(index % width + left), mi.Float(index // width + top))
             position = (pixel + sampler.next_2d()) / mi.Point2f(*size)
             time, lens = _time_and_lens(mi, sensor, sampler)

@@ -10,6 +10,10 @@ streams by the birthday rule, so every stream gets an integer of its own:
   too regular for chance, and the variance of a mean of 1024 samples was a quarter off.
 * llvm, cuda: one call draws a whole chunk. Each lane mixes the 32-bit number of the chunk with its
   lane index; chunks are numbered by (batch, tile).
+* sequences of dependent samples: in scalar, one for each pixel of a tile takes the numbers of a
+  pass, of which the last come first; a wavefront of them takes as many numbers as it has lanes, for
+  Mitsuba scrambles a sequence by the number plus the lane. There, the user's seed is a seed of its
+  own, of the sampler.
 * single pixels drawn on demand own the topmost 2^24 numbers, which neither of the above reaches;
   they are permuted, too. In an image of more pixels than that, some share a stream.
 
@@ -27,6 +31,7 @@ import math
 from dataclasses import dataclass
 
 from chdstat.errors import InputError
+from chdstat.rendering.sequences import Sequences
 from chdstat.samples.layout import BATCH, TILE, Chunk
 
 __all__ = ["SEEDS", "STREAMS", "Streams", "check_spp"]
@@ -68,6 +73,23 @@ class Streams:
         index = chunk.batch * _tiles(*self.size) + self._tile(chunk)
         return number_of(self.seed, index, CHUNKS)
 
+    def of_sequence(self, chunk: Chunk, sequence: int) -> int:
+        """Return the first of the numbers, one for each pixel of a tile, of a scalar sequence."""
+        index = sequence * _tiles(*self.size) + self._tile(chunk)
+        return shuffled(PASSES - 1 - index, self.seed) * TILE**2
+
+    def of_wavefront(self, chunk: Chunk, block: int, lanes: int) -> int:
+        """Return the first of the numbers, one for each lane, of a block of sequences of a tile.
+
+        Other numbers belong to another seed of the sampler, `of_sampler`.
+        """
+        return (block * _tiles(*self.size) + self._tile(chunk)) * lanes
+
+    @property
+    def of_sampler(self) -> int:
+        """The seed of the sampler whose wavefronts `of_wavefront` numbers."""
+        return _mixed(self.seed) % 2**32
+
     def of_pixel(self, y: int, x: int) -> int:
         """Return the number of a pixel's own stream, apart from those of chunks."""
         index = y * self.size[0] + x
@@ -78,15 +100,24 @@ class Streams:
         return chunk.tile_y * -(-self.size[0] // TILE) + chunk.tile_x
 
 
-def max_spp(backend: str, width: int, height: int) -> int:
+def max_spp(backend: str, width: int, height: int, sequences: Sequences | None = None) -> int:
     """Return how many samples per pixel a backend can draw before random streams repeat."""
     tiles = _tiles(width, height)
+    if sequences is not None:
+        if backend == "scalar":
+            return PASSES // tiles * sequences.length
+        together = sequences.drawn_together
+        return 2**32 // (TILE**2 * together) // tiles * together
     return PASSES // tiles if backend == "scalar" else CHUNKS // tiles * BATCH
 
 
-def check_spp(backend: str, width: int, height: int, spp: int) -> None:
+def check_spp(
+    backend: str, width: int, height: int, spp: int, sequences: Sequences | None = None
+) -> None:
     """Refuse more samples per pixel than a backend has independent random streams for."""
-    most = max_spp(backend, width, height)
+    if sequences is not None:
+        sequences.check(spp)
+    most = max_spp(backend, width, height, sequences)
     if spp <= most:
         return
     message = (
@@ -95,7 +126,7 @@ def check_spp(backend: str, width: int, height: int, spp: int) -> None:
         if most
         else f"{width} x {height} pixels are more than the {backend} backend has random streams"
     )
-    if backend == "scalar":
+    if backend == "scalar" and sequences is None:
         more = max_spp("llvm", width, height)
         message += f"; the llvm and cuda backends draw up to {more}, see: chdstat doctor"
     raise InputError(message)

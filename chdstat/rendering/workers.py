@@ -16,6 +16,7 @@ from chdstat.errors import RenderError
 from chdstat.rendering.backend import activate
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
+from chdstat.rendering.sequences import grouped
 from chdstat.samples.layout import Chunk, Image, differing
 
 if TYPE_CHECKING:
@@ -36,6 +37,19 @@ def rendered(
 
     Ctrl-C ends it with KeyboardInterrupt once no thread is at work any more.
     """
+    groups = list(grouped(chunks, job.sequences))
+    together = [whole for whole, _ in groups]
+    for number, block in _drawn(job, renderer, together, client):
+        whole, parts = groups[number]
+        for chunk in parts:
+            first = chunk.ss.start - whole.ss.start
+            yield chunk, block[..., first : first + chunk.shape[2]]
+
+
+def _drawn(
+    job: Job, renderer: Renderer, chunks: Sequence[Chunk], client: Client | None
+) -> Iterator[tuple[int, Image]]:
+    """Yield numbers of chunks with their samples, in the order they are done."""
     if client is not None:
         yield from _remotely(job, renderer.identity, chunks, client)
         return
@@ -69,17 +83,17 @@ def _workers(job: Job) -> Iterator[int]:
 
 def _collect(
     submit: Callable[[Chunk], Future[Image]], chunks: Sequence[Chunk], window: int
-) -> Iterator[tuple[Chunk, Image]]:
-    """Keep at most `window` chunks in flight, so that memory stays bounded."""
-    waiting = iter(chunks)
-    running: dict[Future[Image], Chunk] = {submit(c): c for c in itertools.islice(waiting, window)}
+) -> Iterator[tuple[int, Image]]:
+    """Keep at most `window` chunks in flight, so that memory stays bounded; yield their numbers."""
+    waiting = enumerate(chunks)
+    running = {submit(c): number for number, c in itertools.islice(waiting, window)}
     try:
         while running:
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 yield running.pop(future), future.result()
-            for chunk in itertools.islice(waiting, len(done)):
-                running[submit(chunk)] = chunk
+            for number, chunk in itertools.islice(waiting, len(done)):
+                running[submit(chunk)] = number
     finally:
         for future in running:
             future.cancel()
@@ -94,7 +108,7 @@ _REMOTE_LOCK = threading.Lock()
 
 def _remotely(
     job: Job, identity: dict[str, Any], chunks: Sequence[Chunk], client: Client
-) -> Iterator[tuple[Chunk, Image]]:
+) -> Iterator[tuple[int, Image]]:
     """Let the workers of a cluster draw chunks; what happens to it becomes an error that says so.
 
     Futures of Dask raise no error of their own when their scheduler dies; they are cancelled.

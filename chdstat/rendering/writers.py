@@ -43,7 +43,8 @@ def provenance(job: Job, renderer: Renderer, spp: int) -> dict[str, Any]:
         "mitsuba_version": importlib.metadata.version("mitsuba"),
         "chdstat_version": importlib.metadata.version("chdstat"),
         "filter": "box",
-        "sampler": "independent",
+        "sampler": job.sampler,
+        **({"sequence": job.sequences.length} if job.sequences else {}),
         "streams": STREAMS,
         "units": "linear radiance",
         "notes": renderer.notes,
@@ -64,6 +65,8 @@ _IDENTITY: dict[str, Any] = {
     "backend": None,
     "mitsuba_version": None,
     "streams": None,
+    "sampler": "independent",
+    "sequence": None,
 }
 """Attributes that must agree before samples are added to a store, with what older stores mean that
 lack them."""
@@ -86,7 +89,7 @@ def check_room(size: tuple[int, int], spp: int, out: str | Path | None) -> None:
 def renderer_of(job: Job, spp: int, *, kept: int, out: str | Path | None) -> Renderer:
     """Return the renderer of a job, if so many samples can be drawn, and those kept be held."""
     renderer = Renderer(job)
-    check_spp(job.verdict.backend, *renderer.size, spp)
+    check_spp(job.verdict.backend, *renderer.size, spp, job.sequences)
     check_room(renderer.size, kept, out)
     for note in renderer.notes:
         _log.warning("%s", note)
@@ -146,8 +149,8 @@ def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
     """Refuse to mix samples of two scenes, seeds or settings in one store."""
     held = store.attrs
     stored = {name: held.get(name, default) for name, default in _IDENTITY.items()}
-    if names := differing(stored, {name: attrs[name] for name in _IDENTITY}):
-        detail = "; ".join(f"{n}: stored {stored[n]}, asked for {attrs[n]}" for n in names)
+    if names := differing(stored, {name: attrs.get(name) for name in _IDENTITY}):
+        detail = "; ".join(f"{n}: stored {stored[n]}, asked for {attrs.get(n)}" for n in names)
         message = (
             f"{store.path} holds other samples ({_changed(held, attrs)}{detail}). Nothing was "
             "changed; give another output path, or the same settings to resume or append"

@@ -107,10 +107,13 @@ class Asked:
     notes: list[str]
 
 
-def asked_for(name: str, state: Any, sensor: int, instead: Any = None) -> Asked:
+def asked_for(
+    name: str, state: Any, sensor: int, instead: Any = None, sampler: str = "independent"
+) -> Asked:
     """Return what a scene asks for, of the sensor of a number.
 
-    The parser state `instead` is of a scene whose integrator takes the place of its own.
+    The parser state `instead` is of a scene whose integrator takes the place of its own; `sampler`
+    is the one that is used.
 
     Raises
     ------
@@ -139,7 +142,8 @@ def asked_for(name: str, state: Any, sensor: int, instead: Any = None) -> Asked:
     films = nodes.within(chosen, "Film")
     filters = [f for film in films for f in nodes.within(film, "ReconstructionFilter")]
     notes += _replaced("filter", filters, "box")
-    notes += _replaced("sampler", nodes.within(chosen, "Sampler"), "independent")
+    if sampler == "independent":  # another one was chosen by name
+        notes += _replaced("sampler", nodes.within(chosen, "Sampler"), sampler)
     if instead is None:
         integrator, more = nodes.integrator()
     else:

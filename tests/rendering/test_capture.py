@@ -619,7 +619,11 @@ def test_what_renders_takes_one_set_of_options():
     asked = dict(signature(Job.of).parameters)
     for function in (chd.render, render_batches, render_pixels):
         taken = signature(function).parameters
+        # Single pixels have no numbers for several sequences.
+        left_out = {"sampler", "sequence"} if function is render_pixels else set()
         for name, option in asked.items():
+            if name in left_out:
+                continue
             assert taken[name].annotation == option.annotation, name
             single = function is render_pixels and name == "backend"  # too few for a wavefront
             assert taken[name].default == ("scalar" if single else option.default), name

@@ -1,0 +1,308 @@
+"""Samplers that spread the samples of a pixel: within a sequence, and from one to the next.
+
+The radiance of `RANDOM_NUMBERS` is three random numbers, so that what a sampler does to them is
+known. As in `test_renderer`, seeds are fixed, and each statistical test has a negative control.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+
+import chdstat as chd
+from chdstat.errors import InputError, StoreError
+from chdstat.rendering import render_batches, seeds
+from chdstat.rendering.backend import activate, probe
+from chdstat.rendering.job import Job
+from chdstat.rendering.renderer import Renderer
+from chdstat.rendering.seeds import max_spp
+from chdstat.rendering.sequences import Sequences, grouped
+from chdstat.samples.layout import TILE, chunk_grid
+
+ALPHA = 1e-3
+SIZE = (12, 10)
+SEQUENCES = [("stratified", 16), ("multijitter", 15), ("orthogonal", 25), ("ldsampler", 16)]
+NUMBERS: dict[str, Any] = {
+    "type": "scene",
+    "integrator": {"type": "three_random_numbers"},
+    "sensor": {"type": "perspective"},
+}
+"""A scene whose radiance is the three random numbers that follow the film's, in every pixel."""
+
+
+@pytest.fixture(scope="module", params=["scalar", "llvm"])
+def backend(request) -> str:
+    """Make the integrators of these tests known to a backend, and return its name."""
+    name = request.param if request.param == "scalar" else request.getfixturevalue("llvm")
+    with activate(probe(name)) as mi:
+
+        class Numbers(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
+            def sample(self, scene, sampler, ray, medium=None, active=True):
+                return mi.Color3f(*(sampler.next_1d(active) for _ in range(3))), True, []
+
+        class Directions(mi.SamplingIntegrator):  # type: ignore[misc, name-defined]
+            def sample(self, scene, sampler, ray, medium=None, active=True):
+                return mi.Color3f(1 + ray.d.x, 1 + ray.d.y, 1 + ray.d.z), True, []
+
+        mi.register_integrator("three_random_numbers", Numbers)
+        mi.register_integrator("directions", Directions)
+    return name
+
+
+def render(backend: str, scene: Any = NUMBERS, **options: Any) -> chd.Samples:
+    return chd.render(scene, **{"backend": backend, "size": SIZE, **options})
+
+
+def by_sequence(x: np.ndarray, length: int) -> np.ndarray:
+    """Return samples as (y, x, channel, sequence, sample), in double precision."""
+    return x.reshape(*x.shape[:-1], -1, length).astype(np.float64)
+
+
+def variance_ratio(x: np.ndarray, length: int) -> float:
+    """Return the variance of means of consecutive samples over that of independent ones."""
+    means = by_sequence(x, length).mean(axis=-1)
+    return float(length * means.var(axis=-1, ddof=1).mean() / x.var(axis=-1, ddof=1).mean())
+
+
+def p_of_variance(z: np.ndarray) -> float:
+    """Return the p-value that numbers have the variance 1 around 0, from both sides."""
+    p = scipy.stats.chi2.cdf((z**2).sum(), z.size)
+    return float(2 * min(p, 1 - p))
+
+
+# --- within a sequence --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
+def test_each_stratum_holds_one_sample_of_a_sequence(backend, sampler, length):
+    x = render(backend, sampler=sampler, sequence=length, spp=8 * length).read()
+    strata = np.sort(np.floor(by_sequence(x, length) * length).astype(int), axis=-1)
+    assert (strata == np.arange(length)).all()
+    # They do not come in the order of the strata, nor in one order.
+    first = np.floor(by_sequence(x, length)[..., 0] * length).astype(int)
+    assert len(np.unique(first)) == length
+
+
+def test_of_independent_samples_strata_hold_what_chance_gives(backend):
+    x = render(backend, spp=256).read()
+    strata = np.sort(np.floor(by_sequence(x, 16) * 16).astype(int), axis=-1)
+    assert (strata == np.arange(16)).all(axis=-1).mean() < 0.01
+
+
+@pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
+def test_means_of_sequences_vary_far_less_than_means_of_independent_samples(
+    backend, sampler, length
+):
+    """Of one uniform number in each of n strata, the mean has 1/n^2 of the variance.
+
+    Those of the low-discrepancy sampler lie at one place within all strata: 1/n.
+    """
+    expected = length ** (-1 if sampler == "ldsampler" else -2)
+    x = render(backend, sampler=sampler, sequence=length, spp=32 * length).read()
+    assert variance_ratio(x, length) == pytest.approx(expected, rel=0.06)
+    independent = render(backend, spp=32 * length).read()
+    means = by_sequence(independent, length).mean(axis=-1)
+    assert p_of_variance((means - 0.5) * np.sqrt(12 * length)) > ALPHA
+
+
+@pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
+def test_positions_on_the_film_are_spread(backend, sampler, length):
+    """Radiance is linear across a pixel: strata of a fourth leave a sixteenth of the variance."""
+    scene = {**NUMBERS, "integrator": {"type": "directions"}}
+    x = render(backend, scene, sampler=sampler, sequence=length, spp=16 * length).read()[:, :, :2]
+    assert variance_ratio(x, length) < 0.12
+    independent = render(backend, scene, spp=16 * length).read()[:, :, :2]
+    assert abs(variance_ratio(independent, length) - 1) < 0.1
+
+
+@pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
+def test_samples_have_the_distribution_of_independent_ones(backend, sampler, length):
+    """Each number is uniform; those of one sample correlate as Mitsuba's shuffling lets them."""
+    x = render(backend, sampler=sampler, sequence=length, spp=16 * length).read()
+    flat = np.moveaxis(x, 2, 0).reshape(3, -1).astype(np.float64)
+    assert abs(flat.mean(axis=1) - 0.5).max() < 1e-3
+    assert abs(12 * flat.var(axis=1) - 1).max() < 0.01
+    most = {"stratified": 0.06, "multijitter": 0.03, "orthogonal": 0.02, "ldsampler": 0.3}
+    assert abs(np.corrcoef(flat) - np.eye(3)).max() < most[sampler]
+
+
+# --- between sequences --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sampler", "length"), SEQUENCES)
+def test_sequences_are_independent_of_each_other(backend, sampler, length):
+    x = render(backend, sampler=sampler, sequence=length, spp=64 * length).read()
+    means = by_sequence(x, length).mean(axis=-1) - 0.5
+    z = means / means.std()  # (y, x, channel, sequence)
+
+    def p(z: np.ndarray) -> float:
+        """Return the least of p-values that products of neighbours, in four ways, average to 0."""
+        pairs = [
+            z[..., 1:] * z[..., :-1],
+            z[:, 1:] * z[:, :-1],
+            z[1:] * z[:-1],
+            (z.mean(axis=-1) ** 2 * z.shape[-1] - 1) / np.sqrt(2),  # all of a pixel at once
+        ]
+        scores = [pair.mean() * np.sqrt(pair.size) for pair in pairs]
+        return float(2 * scipy.stats.norm.sf(np.abs(scores)).min())
+
+    assert p(z) > ALPHA
+    assert p(np.repeat(z[..., :32], 2, axis=-1)) < ALPHA
+
+
+@pytest.mark.parametrize("sampler", ["stratified", "ldsampler"])
+def test_no_sequence_comes_twice(backend, sampler):
+    """Of the low-discrepancy sampler, whose only chance is the scramble; of others, no sample."""
+    found = np.concatenate(
+        [
+            render(backend, sampler=sampler, spp=32, size=(70, 20), seed=seed).read()
+            for seed in (0, 1)
+        ]
+    )
+    rows = np.moveaxis(by_sequence(found, 16), 2, -1).reshape(4 * 70 * 20, 48)
+    rows = rows if sampler == "ldsampler" else rows.reshape(-1, 3)
+    assert len(np.unique(rows, axis=0)) == len(rows)
+
+
+def test_a_sequence_shares_no_numbers_with_independent_samples(backend):
+    one = render(backend, spp=16).read()
+    other = render(backend, spp=16, sampler="multijitter", sequence=16).read()
+    a, b = (np.moveaxis(x, 2, 0).reshape(3, -1) for x in (one, other))
+    score = ((a - 0.5) * (b - 0.5)).mean(axis=1) * 12 * np.sqrt(a.shape[1])
+    assert abs(score).max() < 4
+
+
+def test_numbers_of_scalar_sequences_are_their_own():
+    streams = seeds.Streams((150, 130), 3)
+    chunks = list(chunk_grid(130, 150, 64))
+    first = {streams.of_sequence(c, q) for c in chunks for q in range(40)}
+    assert len(first) == 9 * 40
+    assert all(number % TILE**2 == 0 for number in first)
+    assert max(first) + TILE**2 <= 2**32 - seeds.PIXELS
+    passes = {
+        streams.of_pass(c, s) * c.shape[0] * c.shape[1] % 2**32 for c in chunks for s in (0, 63)
+    }
+    assert not first & passes
+
+
+def test_wavefronts_of_sequences_share_no_lane():
+    """Mitsuba scrambles a sequence by the number of its wavefront plus its first lane."""
+    size, sequences = (150, 130), Sequences("orthogonal", 25)
+    streams = seeds.Streams(size, 3)
+    lanes = TILE**2 * sequences.drawn_together
+    numbers = [
+        streams.of_wavefront(chunk, block, lanes)
+        for chunk in chunk_grid(130, 150, 64)
+        for block in range(max_spp("llvm", *size, sequences) // sequences.drawn_together)
+    ]
+    assert np.diff(sorted(numbers)).min() >= lanes
+    assert max(numbers) + lanes <= 2**32
+
+
+# --- chunks -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("sampler", "length"), [("stratified", 9), ("ldsampler", 256)])
+def test_samples_do_not_depend_on_how_they_are_cut(backend, sampler, length, tmp_path):
+    """Chunks of a store have 64 samples, of which neither 9 nor 256 are a part or a multiple."""
+    options = {"sampler": sampler, "sequence": length}
+    spp = 512 if length == 256 else 144
+    whole = render(backend, spp=spp, **options).read()
+    path = tmp_path / "s.zarr"
+    render(backend, spp=spp // 2, out=path, **options)
+    assert np.array_equal(render(backend, spp=spp, out=path, **options).read(), whole)
+    batches = render_batches(NUMBERS, spp=spp, batch=50, size=SIZE, backend=backend, **options)
+    assert np.array_equal(np.concatenate(list(batches), axis=-1), whole)
+    with activate(probe(backend)):
+        renderer = Renderer(Job.of(NUMBERS, size=SIZE, backend=backend, **options))
+        chunk = list(chunk_grid(*SIZE[::-1], spp))[1]
+        alone = renderer.chunk(replace(chunk, ss=slice(70, 75)))
+    assert np.array_equal(alone, whole[..., 70:75])
+
+
+def test_chunks_of_one_sequence_are_drawn_together():
+    chunks = list(chunk_grid(70, 8, 512))
+    groups = list(grouped(chunks, Sequences("ldsampler", 256)))
+    assert [len(parts) for _, parts in groups] == [4, 4, 4, 4]
+    assert {id(part) for _, parts in groups for part in parts} == set(map(id, chunks))
+    assert [len(parts) for _, parts in grouped(chunks, None)] == [1] * len(chunks)
+    # Of a render that was stopped, those that are missing.
+    [(together, parts)] = grouped(chunks[4:7:2], Sequences("ldsampler", 256))
+    assert (together.ss, len(parts)) == (slice(128, 256), 2)
+
+
+def test_other_seeds_and_other_lengths_are_other_samples(backend):
+    one, seed, length = (
+        render(backend, spp=16, sampler="stratified", **options).read()
+        for options in ({}, {"seed": 1}, {"sequence": 4})
+    )
+    assert not (one == seed).any()
+    assert (one == length).mean() < 0.01
+
+
+# --- what is kept of it, and what is refused ----------------------------------------------------
+
+
+def test_the_sampler_is_a_part_of_the_provenance(tmp_path):
+    path = tmp_path / "s.zarr"
+    drawn = render("scalar", "cornell-box", spp=32, sampler="stratified", size=(6, 4), out=path)
+    assert (drawn.attrs["sampler"], drawn.attrs["sequence"]) == ("stratified", 16)
+    assert "sequence" not in render("scalar", "cornell-box", spp=1, size=(6, 4)).attrs
+    with pytest.raises(StoreError, match="sampler: stored stratified, asked for independent"):
+        render("scalar", "cornell-box", spp=64, size=(6, 4), out=path)
+    with pytest.raises(StoreError, match="sequence: stored 16, asked for 4"):
+        render(
+            "scalar", "cornell-box", spp=64, size=(6, 4), out=path, sampler="stratified", sequence=4
+        )
+
+
+def test_a_sampler_chosen_by_name_needs_no_note():
+    scene = {**NUMBERS, "integrator": {"type": "path"}}
+    scene["sensor"] = {"type": "perspective", "sampler": {"type": "multijitter"}}
+    noted = [
+        render("scalar", scene, spp=16, sampler=sampler).attrs["notes"]
+        for sampler in ("independent", "multijitter")
+    ]
+    assert [bool(notes) for notes in noted] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"sampler": "sobol"}, "sampler must be one of independent, stratified"),
+        ({"sequence": 16}, "leave it out, or name such a sampler"),
+        ({"sampler": "stratified", "sequence": 20}, "a square.* next to it are 16 and 25"),
+        ({"sampler": "multijitter", "sequence": 17}, "a full grid.* next to it are 16 and 20"),
+        ({"sampler": "orthogonal"}, "the square of a prime.*got 16; next to it are 9 and 25"),
+        ({"sampler": "ldsampler", "sequence": 32}, "a power of 4.* next to it are 16 and 64"),
+        ({"sampler": "ldsampler", "sequence": 4096}, "at most 1024.* next to it are 1024"),
+        ({"sampler": "stratified", "sequence": 1}, "sequence must be"),
+        ({"sampler": "stratified", "spp": 40}, "multiple of 16.* next to it are 32 and 48"),
+        ({"sampler": "stratified", "direct": True}, "leave them out, or the sampler 'stratified'"),
+    ],
+)
+def test_wrong_sequences_are_refused(options, words):
+    with pytest.raises(InputError, match=words):
+        render("scalar", "cornell-box", **{"spp": 64, **options})
+
+
+def test_lengths_are_those_that_mitsuba_takes_as_they_are():
+    with activate(probe("scalar")) as mi:
+        mi.set_log_level(mi.LogLevel.Error)
+        for sampler in ("stratified", "multijitter", "orthogonal", "ldsampler"):
+            for length in (*range(2, 130), 256, 529, 784, 961, 1023, 1024):
+                made = mi.load_dict({"type": sampler, "sample_count": length}).sample_count()
+                if made == length:
+                    assert Sequences.of(sampler, length) == Sequences(sampler, length)
+                else:
+                    with pytest.raises(InputError, match="next to it"):
+                        Sequences.of(sampler, length)
+
+
+def test_more_samples_than_there_are_numbers_are_refused():
+    with pytest.raises(InputError, match="random streams repeat"):
+        render("scalar", "cornell-box", spp=2**24, sampler="stratified", size=(64, 128))
