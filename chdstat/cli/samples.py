@@ -62,6 +62,15 @@ def render(
     direct: Annotated[
         bool, typer.Option("--direct", help="Also store the direct light of each sample.")
     ] = False,
+    light: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Also store what each sample has by this light alone; a pattern such as 'lamp-*' "
+            "is a group of them. Repeat it for several.",
+            show_default="none",
+        ),
+    ] = None,
     by_depth: Annotated[
         int | None,
         typer.Option(
@@ -105,6 +114,7 @@ def render(
             sequence=sequence,
             direct=direct,
             by_depth=by_depth,
+            by_light=light or (),
             out=out,
             backend=backend,
             client=client,
@@ -319,6 +329,10 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
     also = [", ".join(found["features"]) + " of the first hit"] if found["features"] else []
     if found["direct_spp"]:
         also.append(f"direct light of {found['direct_spp']} samples")
+    if len(found["depths"]) > bool(found["direct_spp"]):
+        also.append(f"light by length of path, up to {max(map(int, found['depths']))} segments")
+    if found["lights"]:
+        also.append(f"light from {', '.join(found['lights'])} alone")
     numbers = {}
     if found["counts"]:
         fewest, most = found["counts"]

@@ -44,5 +44,8 @@ HELP = {
     "paths": "Light that comes by paths of each length, known from the same samples with their "
     "paths cut: its share of the mean, of the variance, and of what the samples of each mode and "
     "of the tail carry.",
+    "lights": "Light that comes from each of the lights, known from the same samples with the "
+    "others switched off: its share of the mean, of the variance, and of what the samples of each "
+    "mode and of the tail carry.",
 }
 """Text by the part of the page that it explains."""

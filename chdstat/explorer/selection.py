@@ -5,7 +5,7 @@ Panels come first, as images are looked at first; then tables; then what takes l
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -133,20 +133,25 @@ class SelectionResults:
             "patterns": tables.patterns_table(columns),
             "estimates": self._estimates_table(plots, quick),
         }
-        if light := self._light(plots.key):
-            found["paths"] = self._of(plots, tables.light_table(light))
+        for name, title, rows in self._light(plots.key):
+            found[name] = self._of(plots, tables.light_table(title, rows))
         if self._shared.other is not None:
             apart = self._difference(plots.key, place, plots.others[plots.view.active])
             names = (self._shared.source.name, self._shared.other.name)
             found["compared"] = self._of(plots, tables.compared_table(apart, place.channels, names))
         return found, quick
 
-    def _light(self, key: Pixel | Box) -> list[dict[str, str | float]]:
-        """Return the light of a pixel by the length of paths, where its samples are known so."""
+    def _light(self, key: Pixel | Box) -> Iterator[tuple[str, str, list[dict[str, str | float]]]]:
+        """Yield name, title and rows of a pixel's light by its parts, as far as they are known."""
         source = self._shared.source
-        if len(key) != 2 or not isinstance(source, StoreSource) or not source.samples.depths:
-            return []
-        return source.samples.pixel(*key).light
+        if len(key) != 2 or not isinstance(source, StoreSource):
+            return
+        if source.samples.depths or source.samples.lights:
+            pixel = source.samples.pixel(*key)
+            if pixel.light:
+                yield "paths", "Light by length of path", pixel.light
+            if pixel.lights:
+                yield "lights", "Light by its source", pixel.lights
 
     def slow_estimates(
         self,

@@ -257,14 +257,14 @@ def compared_table(found: Difference, channels: Sequence[str], names: tuple[str,
     return _table(f"{names[1]} against {names[0]}", ["measure", *channels], rows, note)
 
 
-def light_table(rows: Sequence[Mapping[str, str | float]]) -> Table:
-    """Return the shares of light by the length of paths, as `Pixel.light` has them."""
+def light_table(title: str, rows: Sequence[Mapping[str, str | float]]) -> Table:
+    """Return the shares of light by the length of paths or by light, as `Pixel` has them."""
     columns = ["of the luminance", *list(rows[0])[1:]]
     cells = [
         [str(row["of"]), *(percent(float(share)) for share in list(row.values())[1:])]
         for row in rows
     ]
-    return _table("Light by length of path", columns, cells, "")
+    return _table(title, columns, cells, "")
 
 
 # --- cells --------------------------------------------------------------------------------------

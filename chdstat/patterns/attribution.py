@@ -1,13 +1,14 @@
-"""Attribution: which paths make the mean, the variance, a mode or the tail of a distribution.
+"""Attribution: which paths, or lights, make the mean, the variance, a mode or the tail of a CHD.
 
 Samples rendered with ``by_depth`` are known with their paths cut after 2, 3, ... segments: the same
-paths, so that the differences are the light of each sample by the length of its path.
+paths, so that the differences are the light of each sample by the length of its path. Those
+rendered with ``by_light`` are known by some lights alone, and by all others as what remains.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,26 +18,34 @@ from chdstat._core.executor import in_order
 from chdstat._core.reasons import first_of, label_variables
 from chdstat.errors import InputError, Reason
 from chdstat.samples import Image, Mapped, samples_of
-from chdstat.samples.tiles import DIRECT_DEPTH, assemble, tiles
+from chdstat.samples.tiles import DIRECT_DEPTH, Part, assemble, tiles
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["attribute", "by_part", "depth_names", "groups_of", "shares"]
+__all__ = ["By", "attribute", "by_part", "groups_of", "part_names", "shares"]
 
 _BRIGHTEST = 0.01
+_ROUNDING = 1e-5
+_ASKED = {
+    "depth": ("the length of their paths", "by_depth=5 (--by-depth 5)"),
+    "light": ("light", "by_light=['NAME'] (--light NAME)"),
+}
 _SAID = {
-    "mean_share": ("share of the mean that comes by paths of this length", "1"),
-    "variance_share": ("share of the variance that comes by paths of this length", "1"),
+    "mean_share": ("share of the mean", "1"),
+    "variance_share": ("share of the variance", "1"),
     "brightest_share": ("share of the light of the brightest hundredth of the samples", "1"),
     "reason": ("why there are no shares", "1"),
 }
+By = Literal["depth", "light"]
 
 
-def attribute(samples: Image | npt.ArrayLike, *, progress: bool | None = None) -> xr.Dataset:
-    """Say which lengths of paths make the luminance of each pixel, and its variance.
+def attribute(
+    samples: Image | npt.ArrayLike, *, by: By = "depth", progress: bool | None = None
+) -> xr.Dataset:
+    """Say which lengths of paths, or lights, make the luminance of each pixel, and its variance.
 
-    The share of the variance is the covariance of the light of one length with all light, over the
+    The share of the variance is the covariance of the light of one kind with all light, over the
     variance: shares add up to 1, and one is negative where that light is bright when the rest is
     dark. Shares of the variance and of the brightest samples rest on few of them where the tail is
     heavy.
@@ -44,22 +53,26 @@ def attribute(samples: Image | npt.ArrayLike, *, progress: bool | None = None) -
     Parameters
     ----------
     samples
-        Samples that were rendered with ``by_depth=``, or with ``direct=True`` for two lengths.
+        Samples that were rendered with ``by_depth=``, or with ``direct=True`` for two lengths; or
+        with ``by_light=``.
+    by
+        "depth" for lengths of paths, "light" for lights.
     progress
         Show a progress bar; None shows it on a terminal.
 
     Returns
     -------
     xarray.Dataset
-        ``mean_share``, ``variance_share`` and ``brightest_share`` of dims (y, x, segments), the
-        last one of the light in the brightest hundredth of the samples; NaN where ``reason`` (y, x)
-        says why. ``segments`` is the longest path of each group, infinite for the rest, and
-        ``paths`` says it in words.
+        ``mean_share``, ``variance_share`` and ``brightest_share`` of dims (y, x, segments) or (y,
+        x, light), the last one of the light in the brightest hundredth of the samples; NaN where
+        ``reason`` (y, x) says why. ``segments`` is the longest path of each group, infinite for the
+        rest, and ``paths`` says it in words; ``light`` are the names that were asked for, and
+        "other lights".
 
     Raises
     ------
     InputError
-        If the samples are not known by depth, or have neither 1 nor 3 channels.
+        If the samples are not known so, or have neither 1 nor 3 channels.
 
     References
     ----------
@@ -76,40 +89,52 @@ def attribute(samples: Image | npt.ArrayLike, *, progress: bool | None = None) -
     >>> round(float(found["variance_share"].sum("segments").max()), 5)
     1.0
     """
-    image = samples_of(samples)
-    if not image.depths:
-        message = (
-            "these samples are not known by the length of their paths; render them with by_depth=5 "
-            "(chdstat render --by-depth 5) into the same store"
-        )
+    if by not in ("depth", "light"):
+        message = f"by must be 'depth' or 'light', got {by!r}"
         raise InputError(message)
-    cut = image.depths
-    spp = min(part.spp for part in cut.values())
-    parts = [*cut.values(), image]
+    image = samples_of(samples)
+    known = image.depths if by == "depth" else image.lights
+    if not known:
+        kind, advice = _ASKED[by]
+        message = f"these samples are not known by {kind}; render them with {advice}"
+        raise InputError(message)
+    spp = min(part.spp for part in known.values())
+    dim = "segments" if by == "depth" else "light"
 
     def of_tile(tile: tuple[slice, slice]) -> tuple[slice, slice, Mapped]:
-        cumulative = [part.read(*tile, slice(spp)) for part in parts]
-        return (*tile, _variables(cumulative))
+        parts = [part.read(*tile, slice(spp)) for part in (*known.values(), image)]
+        return (*tile, _variables(by_part(parts, by=by), dim))
 
     walk = in_order(of_tile, tiles(image.shape))
     found = assemble(image, walk, description="attributing light", progress=progress)
-    paths = np.array(depth_names(list(cut)), dtype=object)
-    return label_variables(found, _SAID, bounds=False).assign_coords(
-        segments=("segments", [*map(float, cut), np.inf], {"long_name": "longest path"}),
-        paths=("segments", paths),
+    found = label_variables(found, _SAID, bounds=False)
+    names = np.array(part_names(list(known)), dtype=object)
+    if by == "light":
+        return found.assign_coords(light=("light", names, {"long_name": "lights"}))
+    longest = [*map(float, known), np.inf]
+    return found.assign_coords(
+        segments=("segments", longest, {"long_name": "longest path"}), paths=("segments", names)
     )
 
 
-def depth_names(depths: Sequence[int]) -> list[str]:
-    """Return what the light up to each depth, and beyond the last, is called.
+def part_names(parts: Sequence[Part]) -> list[str]:
+    """Return what the light of each part, and the rest of it, is called.
 
     Examples
     --------
-    >>> depth_names([2, 3])
+    >>> part_names([2, 3])
     ['emitted and direct', '3 segments', 'more than 3 segments']
+    >>> part_names(["lamp-*", "sun"])
+    ['lamp-*', 'sun', 'other lights']
     """
-    names = ["emitted and direct" if d == DIRECT_DEPTH else f"{d} segments" for d in depths]
-    return [*names, f"more than {depths[-1]} segments"]
+    names = [
+        part
+        if isinstance(part, str)
+        else ("emitted and direct" if part == DIRECT_DEPTH else f"{part} segments")
+        for part in parts
+    ]
+    last = parts[-1]
+    return [*names, "other lights" if isinstance(last, str) else f"more than {last} segments"]
 
 
 def shares(light: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], ...]:
@@ -179,18 +204,26 @@ def groups_of(
     return {**groups, "tail": positive & (total > threshold)} if threshold > 0 else groups
 
 
-def by_part(cumulative: Sequence[npt.NDArray[np.floating[Any]]]) -> npt.NDArray[np.float64]:
-    """Return the luminance that each cut adds to the one before, (part, ..., sample).
+def by_part(
+    parts: Sequence[npt.NDArray[np.floating[Any]]], *, by: By = "depth"
+) -> npt.NDArray[np.float64]:
+    """Return the luminance of each part, and of the rest, shape (part, ..., sample).
 
-    `cumulative` are samples (..., channel, sample), of rising depth; a bad one is NaN in all parts.
+    `parts` are samples (..., channel, sample), those of all light last. Of rising depth, each holds
+    those before it. A bad sample is NaN in all.
     """
-    bad = np.any([is_bad(part).any(axis=-2) for part in cumulative], axis=0)
-    found = np.stack([luminance(part.astype(np.float64)) for part in cumulative])
-    return np.where(bad, np.nan, np.diff(found, axis=0, prepend=0))
+    bad = np.any([is_bad(part).any(axis=-2) for part in parts], axis=0)
+    found = np.stack([luminance(part.astype(np.float64)) for part in parts])
+    if by == "depth":
+        found = np.diff(found, axis=0, prepend=0)
+    else:
+        rest = found[-1] - found[:-1].sum(axis=0)
+        # Less than rounding leaves is none: where all lights are named, nothing remains.
+        found[-1] = np.where(np.abs(rest) > _ROUNDING * np.abs(found[-1]), rest, 0)
+    return np.where(bad, np.nan, found)
 
 
-def _variables(cumulative: Sequence[npt.NDArray[np.float32]]) -> Mapped:
-    light = by_part(cumulative)
+def _variables(light: npt.NDArray[np.float64], dim: str) -> Mapped:
     total = light.sum(axis=0)
     good = np.isfinite(total)
     mean, variance, brightest = shares(light)
@@ -207,6 +240,6 @@ def _variables(cumulative: Sequence[npt.NDArray[np.float32]]) -> Mapped:
     named = {"mean_share": mean, "variance_share": variance, "brightest_share": brightest}
     found = {name: np.where(usable, value, np.nan) for name, value in named.items()}
     return {
-        **{name: (("segments",), value.astype(np.float32)) for name, value in found.items()},
+        **{name: ((dim,), value.astype(np.float32)) for name, value in found.items()},
         "reason": ((), reason),
     }

@@ -20,10 +20,11 @@ from chdstat.fit.selection import Selection, select
 from chdstat.fit.tail import tail_index
 from chdstat.fit.tail_fits import Tail
 from chdstat.inference.modes import Modality, modality
-from chdstat.patterns.attribution import by_part, depth_names, groups_of, shares
+from chdstat.patterns.attribution import By, by_part, groups_of, part_names, shares
 from chdstat.patterns.classification import Label, Patterns, classify
 from chdstat.patterns.table import PATTERNS
 from chdstat.samples.samples import Samples
+from chdstat.samples.tiles import Part
 from chdstat.summary.bins import Scale
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.summary.statistics import summarize
@@ -51,9 +52,9 @@ class Pixel(Shown):
         Names of the channels.
     scene
         Name of the scene.
-    cut
-        Radiance of the same samples, their paths cut after so many segments, by that number, where
-        they were rendered so (``by_depth=``).
+    parts
+        Radiance of the same samples with a part of their light: by segments, where they were
+        rendered ``by_depth=``, and by names of lights, where ``by_light=``.
 
     Examples
     --------
@@ -71,15 +72,15 @@ class Pixel(Shown):
     radiance: npt.NDArray[np.float32]
     channels: tuple[str, ...]
     scene: str
-    cut: Mapping[int, npt.NDArray[np.float32]] = field(default_factory=dict)
+    parts: Mapping[Part, npt.NDArray[np.float32]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, samples: Samples, y: int, x: int) -> Self:
         """Return a pixel of an image; negative places count from the end."""
         height, width = samples.shape[:2]
         radiance = samples[y, x]
-        cut = {depth: part[y, x] for depth, part in samples.depths.items()}
-        return cls(y % height, x % width, radiance, samples.channels, samples.name, cut)
+        parts = {which: part[y, x] for which, part in samples.parts.items()}
+        return cls(y % height, x % width, radiance, samples.channels, samples.name, parts)
 
     @property
     def spp(self) -> int:
@@ -152,12 +153,22 @@ class Pixel(Shown):
         rendered by depth. A sample belongs to the mode that is nearest in log radiance; the tail
         begins where its fit does.
         """
-        if not self.cut or len(self.channels) not in (1, 3):
+        return self._shares("depth")
+
+    @cached_property
+    def lights(self) -> list[dict[str, str | float]]:
+        """Which lights make them, as `light`; empty where samples were not rendered by light."""
+        return self._shares("light")
+
+    def _shares(self, by: By) -> list[dict[str, str | float]]:
+        kind = int if by == "depth" else str
+        known = {which: part for which, part in self.parts.items() if isinstance(which, kind)}
+        if not known or len(self.channels) not in (1, 3):
             return []
-        spp = min(part.shape[-1] for part in self.cut.values())
-        light = by_part([part[:, :spp] for part in (*self.cut.values(), self.radiance)])
+        spp = min(part.shape[-1] for part in known.values())
+        light = by_part([part[:, :spp] for part in (*known.values(), self.radiance)], by=by)
         total = np.nan_to_num(light.sum(axis=0))
-        names, (mean, variance, _) = depth_names(list(self.cut)), shares(light)
+        names, (mean, variance, _) = part_names(list(known)), shares(light)
         of_luminance = modality(total, null=self.null[:spp])
         places = [float(p) for p in of_luminance.places if np.isfinite(p)]
         threshold = float(tail_index(total, null=self.null[:spp]).threshold)
@@ -220,7 +231,8 @@ class Pixel(Shown):
         facts = {"samples": f"{self.spp}, {percent(self.null_share)} null, {self.bad.sum()} bad"}
         if len(self.channels) in (1, 3):
             facts["label"] = Label(int(self.patterns.label)).name.lower().replace("_", " ")
-        for row in self.light[1:2]:
-            named = [(name, float(share)) for name, share in list(row.items())[2:]]
-            facts["variance"] = ", ".join(f"{percent(s)} {n}" for n, s in named if s >= 0.005)
+        for title, rows_of in (("variance", self.light), ("variance by light", self.lights)):
+            for row in rows_of[1:2]:
+                named = [(name, float(share)) for name, share in list(row.items())[2:]]
+                facts[title] = ", ".join(f"{percent(s)} {n}" for n, s in named if s >= 0.005)
         return Card(f"Pixel y {self.y}, x {self.x} of {self.scene}", facts, rows)

@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,12 +22,13 @@ from chdstat._core.executor import track
 from chdstat.errors import InputError, StoreError
 from chdstat.rendering.backend import Backend, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
+from chdstat.rendering.lights import check_lights
 from chdstat.rendering.renderer import Renderer, cut_paths
 from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import rendered
 from chdstat.rendering.writers import MemoryWriter, Writer, opened_store, provenance, renderer_of
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import Image, depth_folder
+from chdstat.samples.layout import Image, part_folder
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import DIRECT_DEPTH
 from chdstat.scenes import Scene, load_scene
@@ -53,6 +55,7 @@ def render(
     sequence: int | None = None,
     direct: bool = False,
     by_depth: int | None = None,
+    by_light: Sequence[str] = (),
     out: str | Path | None = None,
     backend: Backend = "auto",
     client: Client | None = None,
@@ -100,6 +103,10 @@ def render(
         Render every sample once more with no more than 2, 3, ... and so many segments:
         `Samples.depths`. Their differences are the light of each sample by the length of its path,
         which `chdstat.patterns.attribute` makes shares of the mean, the variance and the tail of.
+    by_light
+        Render every sample once more by some lights alone: `Samples.lights`. Each entry is the name
+        of a light (of its shape, in most scenes) or a pattern such as "lamp-*" that names a group
+        of them. What comes from each is a share of `chdstat.patterns.attribute`, too.
     out
         Where to store the samples; None keeps them in memory.
     backend
@@ -136,7 +143,9 @@ def render(
     depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
     existing = Store.open(Path(out)) if out is not None and is_store(out) else None
     if existing is not None:
-        depths |= existing.depths().keys()  # parts of other samples are refused here
+        held = existing.parts()  # parts of other samples are refused here
+        depths |= {part for part in held if isinstance(part, int)}
+        by_light = [*dict.fromkeys([*by_light, *(p for p in held if isinstance(p, str))])]
         if "scene_hash" not in existing.attrs:
             message = (
                 f"{out} holds samples that were saved or imported, to which no render can be "
@@ -164,21 +173,22 @@ def render(
         )
         raise InputError(message)
     with activate(job.verdict):
-        renderer = renderer_of(job, spp, kept=spp * (1 + len(depths)), out=out)
-        shorter = cut_paths(job, renderer, depths)
+        renderer = renderer_of(job, spp, kept=spp * (1 + len(depths) + len(by_light)), out=out)
+        check_lights(renderer.lights, by_light)
+        partial = cut_paths(job, renderer, depths) | {n: replace(job, light=n) for n in by_light}
         if existing is not None and spp < existing.complete_spp() == existing.shape[3]:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, existing.shape[3], spp)
         with _writer(job, renderer, spp, out) as writer:
             _fill(job, renderer, writer, client, progress)
             parts = {}
-            for depth, cut in shorter.items():
+            for which, of_part in partial.items():
                 del renderer  # kernels are frozen where one scene is alive only
-                renderer = Renderer(cut)
-                folder = None if out is None else Path(out) / depth_folder(depth)
-                with _writer(cut, renderer, spp, folder, features=False) as part:
-                    _fill(cut, renderer, part, client, progress)
-                    parts[depth] = part.finish()
+                renderer = Renderer(of_part)
+                folder = None if out is None else Path(out) / part_folder(which)
+                with _writer(of_part, renderer, spp, folder, features=False) as part:
+                    _fill(of_part, renderer, part, client, progress)
+                    parts[which] = part.finish()
             return writer.finish(parts)
 
 

@@ -13,7 +13,7 @@ from chdstat.errors import StoreError
 from chdstat.rendering.capture import render
 from chdstat.samples import Samples
 from chdstat.samples import open as open_samples
-from chdstat.samples.layout import FIRST_SCHEMA, SCHEMA_VERSION, WriteError, depth_folder
+from chdstat.samples.layout import FIRST_SCHEMA, SCHEMA_VERSION, WriteError, part_folder
 from chdstat.samples.store import Store
 from chdstat.scenes import Scene
 
@@ -68,16 +68,16 @@ def convert(
     if store.attrs["schema_version"] != FIRST_SCHEMA:
         message = f"{store.path} is of schema {SCHEMA_VERSION} already: there is nothing to convert"
         raise StoreError(message)
-    parts = store.depths()
+    parts = store.parts()
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with (
             replacing(unused(target), folder=True) as partial,
             _converted(store, partial, told) as made,
         ):
-            for depth, part in parts.items():
-                _converted(part, partial / depth_folder(depth), told).close()
-            made.update(depths=parts)
+            for which, part in parts.items():
+                _converted(part, partial / part_folder(which), told).close()
+            made.update(parts=parts)
     except (WriteError, OSError) as error:
         cause: Any = error.__cause__ if isinstance(error, WriteError) else error
         message = f"cannot write to {target}: {cause.strerror or cause}; nothing was kept of it"

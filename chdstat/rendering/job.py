@@ -38,6 +38,7 @@ class Job:
     integrator: Mapping[str, Any] | None = None
     crop: Crop | None = None
     sequences: Sequences | None = None
+    light: str | None = None
 
     @classmethod
     def of(
@@ -99,6 +100,7 @@ class Job:
             integrator,
             self.crop,
             self.sequences,
+            self.light,
         )
 
     @property

@@ -20,10 +20,11 @@ from chdstat._core.executor import Interrupted
 from chdstat.errors import InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import activate
 from chdstat.rendering.job import Job
+from chdstat.rendering.lights import darken, flush, light_names
 from chdstat.rendering.seeds import Streams
 from chdstat.rendering.sequences import Sequences
 from chdstat.samples.layout import TILE, Chunk, Image
-from chdstat.samples.tiles import DIRECT_DEPTH
+from chdstat.samples.tiles import DIRECT_DEPTH, Part
 from chdstat.scenes.files import code_of, plugins_made
 from chdstat.scenes.settings import LONGEST
 
@@ -80,6 +81,9 @@ class Renderer:
                 _ = self._integrator  # one that cannot be used is refused before any work
                 self._refuse_unknown(job.integrator or {})
                 self._scene = job.scene.build(asked.state)
+            if job.light is not None:
+                darken(mi, self._scene, job.light)
+            self._darkened = job.light is not None
             self.code = code_of(plugins)
             self._sensor_medium = self._scene.sensors()[job.sensor].get_medium()
             if job.scene.files() != self.files:
@@ -106,14 +110,18 @@ class Renderer:
         `Interrupted` if Mitsuba cancelled a pass.
         """
         with self._telling():
-            if self._sequences is not None:
-                return self._chunk_of_sequences(chunk, self._sequences, before_pass)
-            if self._scalar:
-                return self._chunk_scalar(chunk, before_pass)
-            before_pass()
-            (height, width, samples), corner = chunk.shape, (chunk.xs.start, chunk.ys.start)
-            number = self._streams.of_chunk(chunk)
-            return self._wavefront(number, corner, (width, height), samples)
+            block = self._drawn(chunk, before_pass)
+        return flush(block) if self._darkened else block
+
+    def _drawn(self, chunk: Chunk, before_pass: Callable[[], None]) -> Image:
+        if self._sequences is not None:
+            return self._chunk_of_sequences(chunk, self._sequences, before_pass)
+        if self._scalar:
+            return self._chunk_scalar(chunk, before_pass)
+        before_pass()
+        (height, width, samples), corner = chunk.shape, (chunk.xs.start, chunk.ys.start)
+        number = self._streams.of_chunk(chunk)
+        return self._wavefront(number, corner, (width, height), samples)
 
     def preview(self, longest: int, spp: int) -> Image:
         """Render the image with at most `longest` pixels a side, shape (y, x, channel)."""
@@ -138,6 +146,11 @@ class Renderer:
                 else:
                     drawn.append(self._wavefront(number, (x, y), (1, 1), spp)[0, 0])
         return np.stack(drawn)
+
+    @property
+    def lights(self) -> list[str]:
+        """Names of the scene's lights."""
+        return light_names(self._scene)
 
     @property
     def depth(self) -> int | None:
@@ -382,7 +395,7 @@ class Renderer:
         return kernel
 
 
-def cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[int, Job]:
+def cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[Part, Job]:
     """Return the same job with paths cut after each of some depths, where that cuts any.
 
     A sample of it is that of the whole but for the light that its path meets later: both draw the

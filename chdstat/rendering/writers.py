@@ -17,7 +17,7 @@ from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.seeds import STREAMS, check_spp
 from chdstat.samples import Samples, is_store
-from chdstat.samples.layout import Chunk, Image, check_appendable, chunk_grid, differing
+from chdstat.samples.layout import Chunk, Image, Part, check_appendable, chunk_grid, differing
 from chdstat.samples.store import Store
 
 __all__ = ["MemoryWriter", "Writer", "check_room", "opened_store", "provenance", "renderer_of"]
@@ -37,6 +37,7 @@ def provenance(job: Job, renderer: Renderer, spp: int) -> dict[str, Any]:
         "sensor": job.sensor,
         "size": list(renderer.size),
         "crop": renderer.film.crop,
+        "light": job.light,
         "spp": spp,
         "seed": job.seed,
         "backend": job.verdict.backend,
@@ -61,6 +62,7 @@ _IDENTITY: dict[str, Any] = {
     "sensor": 0,
     "size": None,
     "crop": None,
+    "light": None,
     "seed": None,
     "backend": None,
     "mitsuba_version": None,
@@ -119,9 +121,9 @@ class MemoryWriter:
         """Record how long rendering took."""
         self._attrs["render_seconds"] = round(seconds, 3)
 
-    def finish(self, depths: Mapping[int, Samples] | None = None) -> Samples:
-        """Return the samples, with those of cut paths."""
-        return Samples(self._array, attrs=self._attrs, features=self._features, depths=depths)
+    def finish(self, parts: Mapping[Part, Samples] | None = None) -> Samples:
+        """Return the samples, with the parts of their light."""
+        return Samples(self._array, attrs=self._attrs, features=self._features, parts=parts)
 
 
 Writer = MemoryWriter | Store

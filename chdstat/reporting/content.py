@@ -16,7 +16,7 @@ from chdstat.comparison import Comparison
 from chdstat.comparison.presentation import shown_ratio
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS
-from chdstat.patterns.attribution import attribute
+from chdstat.patterns.attribution import By, attribute
 from chdstat.reporting.claims import finding_content, remake_note
 from chdstat.reporting.figures import Results
 from chdstat.reporting.result_tables import (
@@ -251,10 +251,15 @@ def _where_noise_is(noise: _Noise) -> Iterator[Headline]:
 
 
 def _which_paths(data: SceneData) -> Iterator[Headline]:
-    """Yield which length of paths makes most of the variance, where samples are known by it."""
-    if not data.samples.depths:
-        return
-    light, blocks = attribute(data.samples, progress=False), data.whole().blocks
+    """Yield which paths and lights make most of the variance, where samples are known by them."""
+    if data.samples.depths:
+        yield from _largest_part(data, "depth")
+    if data.samples.lights:
+        yield from _largest_part(data, "light")
+
+
+def _largest_part(data: SceneData, by: By) -> Iterator[Headline]:
+    light, blocks = attribute(data.samples, by=by, progress=False), data.whole().blocks
     known = np.isfinite(light["variance_share"].to_numpy()[..., 0]).ravel()
     if not known.any():
         return
@@ -263,8 +268,11 @@ def _which_paths(data: SceneData) -> Iterator[Headline]:
     most = int(held.mean(axis=0).argmax())
     share = mean_of(held[:, most].astype(np.float64), part)
     mean = float(light["mean_share"].to_numpy().reshape(len(known), -1)[known, most].mean())
-    name = str(light["paths"].to_numpy()[most])
-    who = "Emitted and direct light makes" if most == 0 else f"Paths of {name} make"
+    name = str(light["paths" if by == "depth" else "light"].to_numpy()[most])
+    if by == "light":
+        who = f"Light from {name} makes" if most < held.shape[1] - 1 else "Other light makes"
+    else:
+        who = "Emitted and direct light makes" if most == 0 else f"Paths of {name} make"
     yield Headline(
         f"{who} the largest part of the variance.",
         f"In the average pixel that is {percent(share.value)} of it "

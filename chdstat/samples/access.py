@@ -19,7 +19,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut
 from chdstat.errors import InputError, StoreError
 from chdstat.samples.samples import Samples
-from chdstat.samples.tiles import DIRECT_DEPTH, Mapped, assemble, check_single
+from chdstat.samples.tiles import DIRECT_DEPTH, Mapped, Part, assemble, check_single
 from chdstat.scenes.files import is_file
 
 if TYPE_CHECKING:
@@ -84,23 +84,23 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
             "Run the same 'chdstat render' again to resume it"
         )
         raise StoreError(message)
-    parts = store.depths().items()
-    return of_store(store, {d: of_store(part) for d, part in parts if part.complete_spp()})
+    parts = store.parts().items()
+    return of_store(store, {k: of_store(part) for k, part in parts if part.complete_spp()})
 
 
-def of_store(store: Store, depths: Mapping[int, Samples] | None = None) -> Samples:
-    """Return the samples of an open store that every pixel has, and as many by depth."""
+def of_store(store: Store, parts: Mapping[Part, Samples] | None = None) -> Samples:
+    """Return the samples of an open store that every pixel has, and as many of their parts."""
     height, width, _, _ = store.shape
     part = range(height), range(width), range(store.complete_spp())
     spp = len(part[2])
     known = {
-        depth: shorter if shorter.spp <= spp else shorter.isel(sample=slice(spp))
-        for depth, shorter in (depths or {}).items()
+        which: found if found.spp <= spp else found.isel(sample=slice(spp))
+        for which, found in (parts or {}).items()
     }
     return Samples(
         store,
         attrs=store.attrs,
-        depths=known,
+        parts=known,
         part=part,
         path=store.path,
         counts=store.counts(),
@@ -138,7 +138,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     from chdstat.samples.store import Store
 
     store = Store.open(Path(path))
-    depths, counts = store.depths(), store.counts()
+    parts, counts = store.parts(), store.counts()
     height, width, channels, spp = store.shape
     files = [f for f in store.path.rglob("*") if f.is_file()]
     found = {
@@ -147,8 +147,9 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
         "shape": {"y": height, "x": width, "channel": channels, "sample": spp},
         "complete_spp": store.complete_spp(),
         "pending_chunks": len(store.pending()),
-        "direct_spp": depths[DIRECT_DEPTH].complete_spp() if DIRECT_DEPTH in depths else 0,
-        "depths": {str(depth): part.complete_spp() for depth, part in depths.items()},
+        "direct_spp": parts[DIRECT_DEPTH].complete_spp() if DIRECT_DEPTH in parts else 0,
+        "depths": {str(k): p.complete_spp() for k, p in parts.items() if isinstance(k, int)},
+        "lights": {k: p.complete_spp() for k, p in parts.items() if isinstance(k, str)},
         "features": store.feature_names,
         "counts": None if counts is None else [int(counts.min()), int(counts.max())],
         "bytes": sum(f.stat().st_size for f in files),

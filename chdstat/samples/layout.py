@@ -40,8 +40,9 @@ import itertools
 import json
 import math
 import os
+import re
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,7 @@ from zarr.storage import StorePath
 from chdstat._core.files import checksum, replacing
 from chdstat.errors import StoreError
 from chdstat.samples.access import is_store
-from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Image
+from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Image, Part
 
 __all__ = [
     "BATCH",
@@ -63,17 +64,21 @@ __all__ = [
     "TILE",
     "Chunk",
     "Image",
+    "Part",
     "WriteError",
     "check_appendable",
     "chunk_grid",
-    "depth_folder",
     "differing",
+    "part_folder",
+    "parts_in",
+    "with_parts",
 ]
 
 BLOCK = 16
 """Edge in pixels of what is compressed separately within a chunk."""
 _DIRECT = "direct"
 _DEPTH = "depth-"
+_LIGHT = "light-"
 COUNTS = "counts"
 """Feature that says how many samples each pixel has, where they differ."""
 ALL = slice(None)
@@ -169,18 +174,37 @@ def differing(one: Mapping[str, Any], two: Mapping[str, Any]) -> list[str]:
     return [name for name in {**one, **two} if one.get(name) != two.get(name)]
 
 
-def depth_folder(depth: int) -> str:
-    """Return the folder, within a store, of the same paths cut after so many segments."""
-    return _DIRECT if depth == DIRECT_DEPTH else f"{_DEPTH}{depth}"
+def part_folder(part: Part) -> str:
+    """Return the folder, within a store, of a part of the light of its samples."""
+    if isinstance(part, int):
+        return _DIRECT if part == DIRECT_DEPTH else f"{_DEPTH}{part}"
+    plain, digest = re.sub(r"[^\w-]+", "_", part)[:32], hashlib.sha256(part.encode()).hexdigest()
+    return f"{_LIGHT}{plain}-{digest[:8]}"
 
 
-def depths_in(path: Path, manifest: Mapping[str, Any]) -> list[int]:
-    """Return the depths of which a store has parts, or should have them by its manifest."""
-    there = {DIRECT_DEPTH} if manifest["direct"] or is_store(path / _DIRECT) else set()
+def parts_in(path: Path, manifest: Mapping[str, Any]) -> list[Part]:
+    """Return the parts that a store has, or should have by its manifest, depths first."""
+    depths = {DIRECT_DEPTH} if manifest["direct"] or is_store(path / _DIRECT) else set()
     for folder in path.glob(f"{_DEPTH}*"):
         number = folder.name.removeprefix(_DEPTH)
-        there |= {int(number)} if number.isdecimal() and is_store(folder) else set()
-    return sorted(there | set(manifest.get("depths", [])))
+        depths |= {int(number)} if number.isdecimal() and is_store(folder) else set()
+    lights = {attributes_of(f).get("light") for f in path.glob(f"{_LIGHT}*") if is_store(f)}
+    return [
+        *sorted(depths | set(manifest.get("depths", []))),
+        *sorted(map(str, (lights - {None}) | set(manifest.get("lights", [])))),
+    ]
+
+
+def with_parts(manifest: Mapping[str, Any], parts: Iterable[Part]) -> dict[str, Any]:
+    """Return a manifest that lists parts, too."""
+    made = dict(manifest)
+    for part in parts:
+        if part == DIRECT_DEPTH:
+            made["direct"] = True
+        else:
+            kind = "depths" if isinstance(part, int) else "lights"
+            made[kind] = sorted({*made.get(kind, []), part})
+    return made
 
 
 def feature_file(name: str, shape: Sequence[int]) -> str:

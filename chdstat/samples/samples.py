@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING, Any, SupportsIndex, overload
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LeftOut, spans
-from chdstat._core.executor import check_memory, in_order
+from chdstat._core.arrays import spans
+from chdstat._core.executor import check_memory
 from chdstat.errors import InputError
 from chdstat.samples import tiles
 from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers
-from chdstat.samples.tiles import DIRECT_DEPTH, Image, Mapped, Source
+from chdstat.samples.tiles import DIRECT_DEPTH, Image, Mapped, Part, Source
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -58,14 +58,14 @@ class Samples:
         *,
         attrs: Mapping[str, Any],
         features: Mapping[str, Image] | None = None,
-        depths: Mapping[int, Samples] | None = None,
+        parts: Mapping[Part, Samples] | None = None,
         part: tuple[range, range, range] | None = None,
         path: Path | None = None,
         counts: npt.NDArray[np.int32] | None = None,
     ) -> None:
         height, width, _, spp = held.shape
         self._held, self._attrs, self._counts = held, dict(attrs), counts
-        self._features, self._depths, self._path = features, dict(depths or {}), path
+        self._features, self._parts, self._path = features, dict(parts or {}), path
         # Rows, columns and samples of the whole that these are: of a store, those that are read.
         self.part = part or (range(height), range(width), range(spp))
 
@@ -120,7 +120,7 @@ class Samples:
         parts, found = as_images(array, direct, counts, axes)
         check_features(features or {}, parts[0].shape)
         held = [cls(p, attrs=attrs, features=features or {}, counts=found) for p in parts]
-        held[0]._depths = dict.fromkeys([DIRECT_DEPTH] if direct is not None else [], held[-1])
+        held[0]._parts = dict.fromkeys([DIRECT_DEPTH] if direct is not None else [], held[-1])
         return held[0]
 
     @property
@@ -183,7 +183,7 @@ class Samples:
 
         These are the same paths, cut after their first reflection.
         """
-        return self._depths.get(DIRECT_DEPTH)
+        return self._parts.get(DIRECT_DEPTH)
 
     @property
     def depths(self) -> dict[int, Samples]:
@@ -191,7 +191,17 @@ class Samples:
 
         `chdstat.patterns.attribute` says what light comes from which depth.
         """
-        return dict(self._depths)
+        return {which: part for which, part in self._parts.items() if isinstance(which, int)}
+
+    @property
+    def parts(self) -> dict[Part, Samples]:
+        """The same samples with a part of their light: those of `depths` and of `lights`."""
+        return dict(self._parts)
+
+    @property
+    def lights(self) -> dict[str, Samples]:
+        """The same samples by some lights alone, by the names asked for, as far as known."""
+        return {which: part for which, part in self._parts.items() if isinstance(which, str)}
 
     def shares_numbers_with(self, other: Samples) -> bool:
         """Return whether sample i of a pixel was drawn with the random numbers of the other's.
@@ -285,17 +295,17 @@ class Samples:
         """
         rows, columns, samples = self.part
         ys, xs, ss = cut("y", rows, y), cut("x", columns, x), cut("sample", samples, sample)
-        features, depths = self._features, {}
+        features, parts = self._features, {}
         if features is not None:
             features = {name: image[ys, xs] for name, image in features.items()}
-        for depth, shorter in self._depths.items():
-            if ss.start < shorter.spp:  # it may be rendered for fewer samples
-                depths[depth] = shorter.isel(y=ys, x=xs, sample=ss)
+        for which, part in self._parts.items():
+            if ss.start < part.spp:  # it may be rendered for fewer samples
+                parts[which] = part.isel(y=ys, x=xs, sample=ss)
         return Samples(
             self._held[ys, xs, :, ss] if isinstance(self._held, np.ndarray) else self._held,
             attrs=tiles.attrs_of(self._attrs, self.spp, len(samples[ss])),
             features=features,
-            depths=depths,
+            parts=parts,
             part=(rows[ys], columns[xs], samples[ss]),
             counts=None if self._counts is None else self._counts[ys, xs],
         )
@@ -334,7 +344,7 @@ class Samples:
             return self
         loaded = copy.copy(self)
         loaded._held, loaded._features, loaded._path = self.read(), self.features, None
-        loaded._depths = {depth: shorter.load() for depth, shorter in self._depths.items()}
+        loaded._parts = {which: part.load() for which, part in self._parts.items()}
         return loaded
 
     def save(
@@ -423,18 +433,9 @@ class Samples:
         description, progress
             Label of a progress bar, and whether to show it; None shows it on a terminal.
         """
-        tiles.check_single(self)
-        left_out = LeftOut(logarithms=logarithms)
-
-        def of_tile(tile: tuple[slice, slice]) -> tuple[slice, slice, Mapped]:
-            block = self.read(*tile)
-            left_out.see(block, channel_axis=-2, absent=self.absent(*tile))
-            return (*tile, function(block))
-
-        parts = in_order(of_tile, tiles.tiles(self.shape))
-        dataset = tiles.assemble(self, parts, description=description, progress=progress)
-        left_out.warn()
-        return dataset
+        return tiles.mapped(
+            self, function, logarithms=logarithms, description=description, progress=progress
+        )
 
     def absent(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> int:
         """Return how many samples the pixels of a part lack, where some have fewer than others."""

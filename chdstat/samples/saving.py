@@ -54,8 +54,8 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
         if append:
             return store.finish()
         parts = {
-            depth: save(part, path / layout.depth_folder(depth), append=False, progress=progress)
-            for depth, part in samples.depths.items()
+            which: save(part, path / layout.part_folder(which), append=False, progress=progress)
+            for which, part in samples.parts.items()
         }
         return store.finish(parts)
 

@@ -23,9 +23,18 @@ from chdstat._core.files import Lock, checksum, sweep
 from chdstat.errors import StoreError
 from chdstat.samples import layout
 from chdstat.samples.access import of_store
-from chdstat.samples.layout import ALL, BATCH, FOREIGN, Chunk, DamageError, Image, Shape, brief
+from chdstat.samples.layout import (
+    ALL,
+    BATCH,
+    FOREIGN,
+    Chunk,
+    DamageError,
+    Image,
+    Part,
+    Shape,
+    brief,
+)
 from chdstat.samples.samples import Samples
-from chdstat.samples.tiles import DIRECT_DEPTH
 
 __all__ = ["Store"]
 
@@ -197,32 +206,32 @@ class Store:
         """Return the file that holds a chunk."""
         return self.path / f"radiance/c/{chunk.tile_y}/{chunk.tile_x}/0/{chunk.batch}"
 
-    def depths(self) -> dict[int, Store]:
-        """Open the stores of the same samples whose paths are cut, by their depth in segments.
+    def parts(self) -> dict[Part, Store]:
+        """Open the stores of the same samples with a part of their light: by depth, then by light.
 
         Raises
         ------
         StoreError
             If one cannot be read, or is not of the same samples.
         """
-        return {depth: self._part(depth) for depth in layout.depths_in(self.path, self._manifest)}
+        return {part: self._part(part) for part in layout.parts_in(self.path, self._manifest)}
 
-    def _part(self, depth: int) -> Store:
-        path = self.path / layout.depth_folder(depth)
+    def _part(self, which: Part) -> Store:
+        path = self.path / layout.part_folder(which)
         part = Store.open(path)
         ours, theirs = self._same, part._same
         if names := layout.differing(ours, theirs):
             detail = "; ".join(f"{n}: {theirs[n]}, not {ours[n]}" for n in names)
             message = (
                 f"{path} is not of the same samples as {self.path} ({detail}); move it away, and "
-                "render it with: chdstat render --direct or --by-depth"
+                "render it with: chdstat render --direct, --by-depth or --light"
             )
             raise StoreError(message)
         return part
 
     @property
     def _same(self) -> dict[str, Any]:
-        """What must agree for samples to be the same but for the length of their paths."""
+        """What must agree for samples to be the same but for a part of their light."""
         attrs = self.attrs
         integrator = attrs.get("integrator") or {}
         equal = {name: attrs.get(name) for name in _SAME}
@@ -292,11 +301,11 @@ class Store:
         found = [file for file, content in expected if layout.loaded(file) != content]
         found += [self.path / "features" / name for name in self._damaged_features()]
         found += [self.chunk_file(chunk) for chunk in self._damaged_chunks(content=content)]
-        for depth in layout.depths_in(self.path, self._manifest):
+        for part in layout.parts_in(self.path, self._manifest):
             try:
-                found += self._part(depth).damaged(content=content)
+                found += self._part(part).damaged(content=content)
             except StoreError:
-                found.append(self.path / layout.depth_folder(depth))
+                found.append(self.path / layout.part_folder(part))
         return found
 
     def read_features(self) -> dict[str, Image]:
@@ -374,16 +383,12 @@ class Store:
         if self.complete_spp() > self._manifest["complete"]:
             self.update()
 
-    def update(self, *, depths: Iterable[int] = (), **attrs: Any) -> None:
-        """Change attributes, and note what samples every pixel has, and by which depths."""
+    def update(self, *, parts: Iterable[Part] = (), **attrs: Any) -> None:
+        """Change attributes, and note what samples every pixel has, and of which parts."""
         manifest = self._manifest
         manifest["complete"] = max(manifest["complete"], self.complete_spp())
         manifest["shape"] = list(self.shape)
-        for depth in depths:
-            if depth == DIRECT_DEPTH:
-                manifest["direct"] = True
-            else:
-                manifest["depths"] = sorted({*manifest.get("depths", []), depth})
+        manifest = layout.with_parts(manifest, parts)
         changed = {**self._attributes, **attrs, "manifest": manifest}
         if changed != self._attributes:
             self._attributes = changed
@@ -396,10 +401,10 @@ class Store:
         with contextlib.suppress(StoreError):
             self.update(render_seconds=round(before + seconds, 3))
 
-    def finish(self, depths: Mapping[int, Samples] | None = None) -> Samples:
-        """Return the samples that every pixel has, with those of cut paths."""
-        self.update(depths=depths or ())
-        return of_store(self, depths)
+    def finish(self, parts: Mapping[Part, Samples] | None = None) -> Samples:
+        """Return the samples that every pixel has, with the parts of their light."""
+        self.update(parts=parts or ())
+        return of_store(self, parts)
 
     def extend(self, spp: int) -> None:
         """Make room for more samples per pixel; what is stored stays."""

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import spans
-from chdstat._core.executor import track
+from chdstat._core.arrays import LeftOut, spans
+from chdstat._core.executor import in_order, track
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ __all__ = [
     "TILE",
     "Image",
     "Mapped",
+    "Part",
     "Source",
     "assemble",
     "attrs_of",
@@ -32,6 +33,7 @@ __all__ = [
     "dataset_of",
     "labelled",
     "lazily",
+    "mapped",
     "tiles",
 ]
 
@@ -46,6 +48,8 @@ _OF_BAD = ("bad_count", "nan_count", "n_bad")
 """Counts of bad samples: of those that a pixel lacks, which read as NaN, they are cleared."""
 
 Image = npt.NDArray[np.float32]
+Part = int | str
+"""A part of the light of samples: paths up to so many segments, or the lights of such names."""
 Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
 """Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
 
@@ -89,6 +93,9 @@ class _Image(Protocol):
     def read(
         self, ys: slice = slice(None), xs: slice = slice(None), ss: slice = slice(None)
     ) -> Image: ...
+    def absent(
+        self, ys: slice = slice(None), xs: slice = slice(None), ss: slice = slice(None)
+    ) -> int: ...
 
 
 def check_single(image: _Image) -> None:
@@ -144,6 +151,29 @@ def assemble(
             if name.rpartition("/")[2] in _OF_BAD:
                 found -= absent.reshape(absent.shape + (1,) * (found.ndim - 2)).astype(found.dtype)
     return labelled(image, results)
+
+
+def mapped(
+    image: _Image,
+    function: Callable[[Image], Mapped],
+    *,
+    logarithms: bool,
+    description: str,
+    progress: bool | None,
+) -> xr.Dataset:
+    """Apply a function to tiles with all their samples; see `Samples.map`."""
+    check_single(image)
+    left_out = LeftOut(logarithms=logarithms)
+
+    def of_tile(tile: tuple[slice, slice]) -> tuple[slice, slice, Mapped]:
+        block = image.read(*tile)
+        left_out.see(block, channel_axis=-2, absent=image.absent(*tile))
+        return (*tile, function(block))
+
+    parts = in_order(of_tile, tiles(image.shape))
+    dataset = assemble(image, parts, description=description, progress=progress)
+    left_out.warn()
+    return dataset
 
 
 def labelled(image: _Image, variables: Mapping[str, Any]) -> xr.Dataset:

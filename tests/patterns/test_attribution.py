@@ -17,7 +17,7 @@ def known(*light):
     """Return samples of one channel with parts of light that add up, the first of them direct."""
     cumulative = [Samples.from_array(x) for x in np.cumsum(light, axis=0, dtype=np.float32)]
     depths = {2 + i: part for i, part in enumerate(cumulative[:-1])}
-    return Samples(cumulative[-1].read(), attrs={}, depths=depths)
+    return Samples(cumulative[-1].read(), attrs={}, parts=depths)
 
 
 def test_independent_light_has_its_own_variance():
@@ -89,6 +89,69 @@ def test_shares_are_those_of_independent_renders_of_each_depth(scene):
     weight = samples.read() @ np.ones(512) @ np.array([0.2126, 0.7152, 0.0722])
     shares = (found["mean_share"].to_numpy() * weight[..., np.newaxis]).sum((0, 1)) / weight.sum()
     assert np.allclose(shares, right, atol=0.05)
+
+
+def lit(whole, **lights):
+    """Return samples of one channel of which the light from some lights is known."""
+    parts = {name: Samples.from_array(x) for name, x in lights.items()}
+    return Samples(Samples.from_array(whole).read(), attrs={}, parts=parts)
+
+
+def test_light_of_each_source_has_its_own_variance():
+    one, two = (RNG.gamma(1.0, s, size=(3, 4, 20000)).astype(np.float32) for s in (1.0, 2.0))
+    found = attribute(lit(one + two, lamp=one), by="light")
+    assert found["light"].to_numpy().tolist() == ["lamp", "other lights"]
+    assert np.allclose(found["variance_share"].mean(("y", "x")), [0.2, 0.8], atol=0.01)
+    whole = attribute(lit(one + two, lamp=one, sun=two), by="light")
+    assert float(np.abs(whole["mean_share"][..., 2]).max()) < 1e-6
+
+
+GROUPS = {
+    "bathroom": ["sky", "sun"],
+    "day-room": ["sky-*", "sun"],
+    "fog": ["dawn", "sky", "globe-*"],
+    "many-lights": ["dusk", "bulb-*", "candle-*"],
+}
+
+
+@pytest.mark.parametrize("backend", ["scalar", "llvm"])
+@pytest.mark.parametrize("scene", GROUPS)
+def test_lights_alone_add_up_to_the_samples(scene, backend, request):
+    if backend == "llvm":
+        request.getfixturevalue("llvm")
+    settings = {"size": (8, 8), "spp": 16, "backend": backend, "progress": False}
+    samples = chd.render(scene, **settings, by_light=GROUPS[scene])
+    assert list(samples.lights) == GROUPS[scene]
+    alone = [part.read() for part in samples.lights.values()]
+    assert min(part.min() for part in alone) == 0
+    assert np.allclose(sum(alone), samples.read(), rtol=1e-4, atol=1e-6)
+    found = attribute(samples, by="light")
+    assert (np.abs(found["mean_share"][..., -1].fillna(0)) < 1e-3).all()
+    assert np.array_equal(chd.render(scene, **settings).read(), samples.read())
+
+
+@pytest.mark.parametrize(
+    ("groups", "message"),
+    [(["lamp"], "no light 'lamp'; the scene has sky, sun"), (["s*", "sun"], "several groups")],
+)
+def test_groups_of_lights_are_checked_before_work(groups, message, tmp_path):
+    with pytest.raises(InputError, match=message):
+        chd.render("bathroom", spp=1, size=(4, 4), by_light=groups, out=tmp_path / "a.zarr")
+    assert not (tmp_path / "a.zarr").exists()
+
+
+def test_lights_are_stored_resumed_and_opened(tmp_path):
+    settings = {"size": (8, 8), "backend": "scalar", "progress": False}
+    path = tmp_path / "a.zarr"
+    chd.render("night-room", spp=4, out=path, by_light=["floor*"], **settings)
+    samples = chd.render("night-room", spp=8, out=path, direct=True, **settings)
+    opened = chd.open(path)
+    whole = chd.render("night-room", spp=8, by_light=["floor*"], **settings)
+    for found in (samples, opened.load(), opened.save(tmp_path / "b.zarr")):
+        assert list(found.depths) == [2]
+        assert np.array_equal(found.lights["floor*"].read(), whole.lights["floor*"].read())
+    assert [row["of"] for row in opened.pixel(4, 4).lights[:2]] == ["mean", "variance"]
+    assert chd.samples.inspect(path, verify=True)["lights"] == {"floor*": 8}
 
 
 def test_parts_are_stored_resumed_and_opened(tmp_path):

@@ -132,7 +132,7 @@ def test_the_direct_part_is_cut_alike():
     x = np.random.default_rng(0).exponential(size=(4, 5, 3, 8)).astype(np.float32)
     samples = Samples.from_array(x, direct=x / 2)
     assert np.array_equal(samples.isel(x=2, sample=slice(1, 4)).direct, x[:, 2:3, :, 1:4] / 2)
-    few = Samples(x, attrs={}, depths={2: samples.direct.isel(sample=slice(3))})
+    few = Samples(x, attrs={}, parts={2: samples.direct.isel(sample=slice(3))})
     assert np.array_equal(few.isel(sample=slice(2, 8)).direct, x[..., 2:3] / 2)
     assert few.isel(sample=slice(3, 8)).direct is None
 

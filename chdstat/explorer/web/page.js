@@ -230,7 +230,9 @@ window.chdstat = (() => {
     tables(item) {
       for (const [name, content] of Object.entries(item.tables)) table($(`#${name}`), content);
       if ("compared" in item.tables) $("#compared").hidden = false;
-      if ("statistics" in item.tables) $("#paths").hidden = !("paths" in item.tables);
+      if ("statistics" in item.tables) {
+        for (const name of ["paths", "lights"]) $("#" + name).hidden = !(name in item.tables);
+      }
     },
     goodness(item) {
       const bar = $("#goodness progress");
