@@ -13,10 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from chdstat.samples.tiles import sequence_of
+
 if TYPE_CHECKING:
     from chdstat.samples import Samples
 
 __all__ = [
+    "after_render",
     "print_json",
     "print_rows",
     "print_sentences",
@@ -38,7 +41,13 @@ def say_samples(samples: Samples, *, as_json: bool, quiet: bool) -> None:
     else:
         height, width, _, spp = samples.shape
         typer.echo(f"{path}: {samples.name}, {width} x {height} pixels, {spp} samples per pixel")
-    say_next(quiet, f"chdstat analyze {path}", f"chdstat explore {path}")
+    say_next(quiet, *after_render(samples.attrs, path))
+
+
+def after_render(attrs: Mapping[str, Any], path: Path | None) -> tuple[str, str]:
+    """Return commands that take a store: of samples that depend on each other, not all do."""
+    first = "analyze" if sequence_of(attrs) == 1 else "contrast OTHER.zarr"
+    return f"chdstat {first} {path}", f"chdstat explore {path}"
 
 
 def say_written(path: Path, *, as_json: bool, **numbers: Any) -> None:

@@ -308,7 +308,7 @@ def info(
     if found["pending_chunks"]:
         output.say_next(quiet, "the same 'chdstat render' again, which resumes")
     else:
-        output.say_next(quiet, f"chdstat analyze {store}", f"chdstat explore {store}")
+        output.say_next(quiet, *output.after_render(found, store))
 
 
 def _state(found: Mapping[str, Any]) -> dict[str, str]:

@@ -30,6 +30,7 @@ from chdstat.estimators.registry import check_probability, mean_of_good
 from chdstat.estimators.validation import direct_of
 from chdstat.io import denoise, write_exr
 from chdstat.samples import Image, Samples, check_equal_counts
+from chdstat.samples.tiles import check_independent
 
 if TYPE_CHECKING:
     from chdstat.rendering import Rendering
@@ -270,6 +271,7 @@ class _Image:
     def _of_rendering(cls, rendering: Any, model: AnyModel | None, options: _Options) -> _Image:
         # What could not be estimated after the rendering is refused before it.
         channels = rendering.shape[2]
+        check_independent(rendering)
         if options.spp not in (None, rendering.spp):
             message = (
                 f"spp of a rendering is set where it is made: {rendering.spp}, "

@@ -20,6 +20,7 @@ from chdstat._core.arrays import LeftOut, as_samples, generator, spans
 from chdstat.errors import InputError
 from chdstat.estimators.registry import whole_samples
 from chdstat.samples import Samples, check_equal_counts
+from chdstat.samples.tiles import check_independent
 
 __all__ = [
     "PUBLISHED_PIXELS",
@@ -143,6 +144,7 @@ def check_spp(samples: Samples, n: int) -> None:
     InputError
         If there are fewer than 2 n samples per pixel, or some pixels have more than others.
     """
+    check_independent(samples)
     check_equal_counts(samples)
     if samples.spp < 2 * n:
         message = (

@@ -23,6 +23,7 @@ from chdstat.explorer.view import Box, Pixel, check_pixel
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
 from chdstat.samples.layout import BLOCK
+from chdstat.samples.tiles import sequence_of
 
 __all__ = [
     "KEPT_BYTES",
@@ -181,7 +182,9 @@ class StoreSource:
         depth, integrator = (self.samples.attrs.get(name) for name in ("max_depth", "integrator"))
         kind = integrator.get("type") if isinstance(integrator, dict) else integrator
         deep = "" if depth is None else f"depth {depth}"
-        parts = (f"{width} × {height} px", f"{spp}{of} spp", str(kind or ""), deep)
+        length = sequence_of(self.samples.attrs)
+        spread = "" if length == 1 else f"in sequences of {length}: errors and p-values do not hold"
+        parts = (f"{width} × {height} px", f"{spp}{of} spp", spread, str(kind or ""), deep)
         return " · ".join(part for part in parts if part)
 
     @property

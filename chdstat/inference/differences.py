@@ -27,6 +27,7 @@ from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat.errors import InputError
 from chdstat.samples import Image, Samples, opened
+from chdstat.samples.tiles import check_independent
 
 __all__ = ["Difference", "difference"]
 
@@ -149,6 +150,8 @@ def difference(
     replicates = whole("replicates", replicates, least=1)
     first, second, seed = opened(a), opened(b), seed_number(seed)
     if isinstance(first, Samples) and isinstance(second, Samples):
+        check_independent(first)
+        check_independent(second)
         _check_equal_shapes(first.shape[:3], second.shape[:3])
         return _of_images(first, second, paired, replicates, seed)
     if isinstance(first, Samples) or isinstance(second, Samples):

@@ -24,6 +24,7 @@ from chdstat.inference.permutation import Shuffles
 from chdstat.inference.sign_flips import FlipMoments, guarded, p_of_signs
 from chdstat.io.exr import ExrImage, read_exr
 from chdstat.samples import Samples, samples_of
+from chdstat.samples.tiles import sequence_of
 
 __all__ = ["Compared", "Pair"]
 
@@ -92,13 +93,13 @@ class Pair:
     @classmethod
     def of(cls, one: Any, two: Any, seconds: float | None) -> Pair:
         """Return a pair with as many samples as each renders in some seconds, or has."""
-        a, b = samples_of(one, averages=True), _other(two)
+        a, b = _independent(one), _other(two)
         _check_sizes(a, b)
         names = _name(one, a), _name(two, b)
         times = _seconds_of(a), _seconds_of(b)
         if not isinstance(b, Samples):
             count = a.spp if seconds is None else _count_in(seconds, times[0], a.spp, "A")
-            return cls(a, b, names, (count, count), times, paired=False)
+            return cls(a, b, names, (count, count), _each(times, a, b), paired=False)
         paired = a.shares_numbers_with(b)
         if seconds is not None:
             counts = [
@@ -107,7 +108,7 @@ class Pair:
             ]
         else:
             counts = [min(a.spp, b.spp)] * 2 if paired else [a.spp, b.spp]
-        return cls(a, b, names, (counts[0], counts[1]), times, paired)
+        return cls(a, b, names, (counts[0], counts[1]), _each(times, a, b), paired)
 
     @property
     def terms(self) -> int:
@@ -154,6 +155,12 @@ class Pair:
     def _p_of_shapes(self, seed: int) -> dict[str, Floats]:
         size = self.a.shape[:2]
         found = {name: np.full(size, np.nan) for name in ("variance", "distribution")}
+        if isinstance(self.b, Samples) and _averaged(self.a) != _averaged(self.b):
+            message = (
+                f"distributions of averages of {_averaged(self.a)} and {_averaged(self.b)} samples "
+                "differ whatever is averaged: contrast the means alone, or as many samples in both"
+            )
+            raise InputError(message)
         if not isinstance(self.b, Samples):
             return found
         shuffles = Shuffles.draw(self.spp, seed, paired=self.paired)
@@ -278,7 +285,7 @@ class _Sums:
             total.append(np.broadcast_to(pair.b[ys][..., np.newaxis], shape))
             known = np.asarray(np.isfinite(pair.b[ys]).all(axis=-1), dtype=np.int32)
             counted.append(known[..., np.newaxis])
-        averaged = [int(samples.attrs.get("averaged", 1)) for samples in renders]
+        averaged = [_averaged(samples) for samples in renders]
         return cls(total, counted, first, second, averaged, not isinstance(pair.b, Samples))
 
     def means(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
@@ -360,8 +367,24 @@ def _other(b: Any) -> Samples | Exact:
     if isinstance(b, ExrImage):
         b = b.image
     if isinstance(b, Samples | str | Path) or np.ndim(b) != 3 or "sample" in getattr(b, "dims", ()):
-        return samples_of(b, averages=True)
+        return _independent(b)
     return np.asarray(b, dtype=np.float64)
+
+
+def _independent(source: Any) -> Samples:
+    """Return samples or averages; of samples that depend on each other, averages that do not."""
+    found = samples_of(source, averages=True, dependent=True)
+    return found.sequence_means() if sequence_of(found.attrs) > 1 else found
+
+
+def _each(times: tuple[float, float], a: Samples, b: Any) -> tuple[float, float]:
+    """Return how long a single sample took, from the times of averages of some."""
+    return times[0] / _averaged(a), times[1] / _averaged(b)
+
+
+def _averaged(samples: Any) -> int:
+    """Return how many samples each value is the average of."""
+    return int(samples.attrs.get("averaged", 1)) if isinstance(samples, Samples) else 1
 
 
 def _name(source: Any, samples: Any) -> str:

@@ -24,7 +24,7 @@ from chdstat.patterns.attribution import By, by_part, groups_of, part_names, sha
 from chdstat.patterns.classification import Label, Patterns, classify
 from chdstat.patterns.table import PATTERNS
 from chdstat.samples.samples import Samples
-from chdstat.samples.tiles import Part
+from chdstat.samples.tiles import Part, check_sequences, sequence_of
 from chdstat.summary.bins import Scale
 from chdstat.summary.histograms import Histogram, histogram
 from chdstat.summary.statistics import summarize
@@ -55,6 +55,8 @@ class Pixel(Shown):
     parts
         Radiance of the same samples with a part of their light: by segments, where they were
         rendered ``by_depth=``, and by names of lights, where ``by_light=``.
+    sequence
+        Samples that depend on each other, 1 where they are independent.
 
     Examples
     --------
@@ -73,14 +75,18 @@ class Pixel(Shown):
     channels: tuple[str, ...]
     scene: str
     parts: Mapping[Part, npt.NDArray[np.float32]] = field(default_factory=dict)
+    sequence: int = 1
 
     @classmethod
     def of(cls, samples: Samples, y: int, x: int) -> Self:
         """Return a pixel of an image; negative places count from the end."""
         height, width = samples.shape[:2]
         radiance = samples[y, x]
+        check_sequences(samples)
         parts = {which: part[y, x] for which, part in samples.parts.items()}
-        return cls(y % height, x % width, radiance, samples.channels, samples.name, parts)
+        length = sequence_of(samples.attrs)
+        place = y % height, x % width
+        return cls(*place, radiance, samples.channels, samples.name, parts, length)
 
     @property
     def spp(self) -> int:
@@ -106,7 +112,7 @@ class Pixel(Shown):
     @cached_property
     def statistics(self) -> xr.Dataset:
         """What `chdstat.summarize` says of it: means, moments, counts, by channel."""
-        image = Samples(self.radiance[np.newaxis, np.newaxis], attrs={})
+        image = Samples(self.radiance[np.newaxis, np.newaxis], attrs={"sequence": self.sequence})
         dataset = summarize(image, progress=False)
         return dataset.assign_coords(channel=np.array(self.channels, object)).isel(y=0, x=0)
 
@@ -229,6 +235,11 @@ class Pixel(Shown):
             for i, (channel, family) in enumerate(self.families.items())
         ]
         facts = {"samples": f"{self.spp}, {percent(self.null_share)} null, {self.bad.sum()} bad"}
+        if self.sequence > 1:
+            facts["dependence"] = (
+                f"samples depend on each other in sequences of {self.sequence}; standard errors "
+                "know of it, intervals and p-values do not"
+            )
         if len(self.channels) in (1, 3):
             facts["label"] = Label(int(self.patterns.label)).name.lower().replace("_", " ")
         for title, rows_of in (("variance", self.light), ("variance by light", self.lights)):

@@ -125,7 +125,7 @@ def render(
     ------
     InputError
         If `spp`, `size` or `seed` is out of range, the sampler would round `sequence`, or light by
-        depth is asked of one that spreads samples.
+        depth or by lights is asked of one that spreads samples.
     SceneError, RenderError
         If the scene cannot be read, or not be rendered as asked.
     StoreError
@@ -166,10 +166,10 @@ def render(
         sequence=sequence,
         backend=backend,
     )
-    if depths and job.sequences is not None:
+    if (depths or by_light) and job.sequences is not None:
         message = (
-            "direct and by_depth cut the paths of the same samples, which only independent ones "
-            f"allow; leave them out, or the sampler {job.sampler!r}"
+            "direct, by_depth and by_light draw the same samples again, which only independent "
+            f"ones allow; leave them out, or the sampler {job.sampler!r}"
         )
         raise InputError(message)
     with activate(job.verdict):

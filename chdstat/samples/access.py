@@ -19,7 +19,14 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut
 from chdstat.errors import InputError, StoreError
 from chdstat.samples.samples import Samples
-from chdstat.samples.tiles import DIRECT_DEPTH, Mapped, Part, assemble, check_single
+from chdstat.samples.tiles import (
+    DIRECT_DEPTH,
+    Mapped,
+    Part,
+    assemble,
+    check_independent,
+    check_single,
+)
 from chdstat.scenes.files import is_file
 
 if TYPE_CHECKING:
@@ -165,14 +172,17 @@ def opened(x: Image | npt.ArrayLike) -> Samples | npt.ArrayLike:
     return open(x) if isinstance(x, str | Path) else x
 
 
-def samples_of(source: Image | npt.ArrayLike, *, averages: bool = False) -> Samples:
+def samples_of(
+    source: Image | npt.ArrayLike, *, averages: bool = False, dependent: bool = False
+) -> Samples:
     """Return the samples of an image, be they given as such, in an array or by a store's path.
 
     Raises
     ------
     InputError
         If it is none of these, or `Samples.from_array` refuses the array; or if it holds averages
-        of batches, and the caller does not take `averages`.
+        of batches, and the caller does not take `averages`, or samples that depend on each other,
+        and it does not take `dependent` ones.
     StoreError
         If there is no store at the path, or `open` refuses it.
     """
@@ -180,6 +190,8 @@ def samples_of(source: Image | npt.ArrayLike, *, averages: bool = False) -> Samp
     if isinstance(found, Samples):
         if not averages:
             check_single(found)
+        if not dependent:
+            check_independent(found)
         return found
     if isinstance(found, np.ndarray) or type(found).__name__ == "DataArray":
         return Samples.from_array(found)

@@ -14,8 +14,9 @@ from chdstat._core.display import Card, duration, png
 from chdstat._core.image_scales import tonemap
 from chdstat._core.moments import Moments
 from chdstat.samples.samples import Samples
+from chdstat.samples.tiles import sequence_of
 
-__all__ = ["BIASED", "card", "provenance"]
+__all__ = ["BIASED", "card", "line", "provenance"]
 
 BIASED = "where that number depended on the samples, means and their errors are biased"
 """What follows from pixels with different numbers of samples."""
@@ -52,7 +53,7 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
         "Integrator": f"{kind} ({settings})" if settings else kind,
         "Image": f"{width} × {height} pixels, {channels} channel{'s' * (channels > 1)}, "
         f"{spp} samples per pixel",
-        "Random numbers": f"{attrs['sampler']} sampler, seed {attrs['seed']}"
+        "Random numbers": f"{attrs['sampler']} sampler, seed {attrs['seed']}{_spread(attrs)}"
         if {"sampler", "seed"} <= attrs.keys()
         else "",
         "Filter": str(attrs.get("filter", "")),
@@ -66,6 +67,28 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
         "Note": "; ".join(attrs.get("notes") or []),
     }
     return {name: value for name, value in rows.items() if value}
+
+
+def _spread(attrs: Mapping[str, Any]) -> str:
+    """Return in words how many samples depend on each other; "" where none do."""
+    length = sequence_of(attrs)
+    return f", in sequences of {length} samples that depend on each other" if length > 1 else ""
+
+
+def line(samples: Samples) -> str:
+    """Return what Python shows of samples."""
+    height, width, channels, spp = samples.shape
+    counts, length, source = samples.counts, sequence_of(samples.attrs), samples.source
+    number = f"{spp} spp" if counts is None else f"{counts.min()} to {spp} spp"
+    if length > 1:
+        number += f" in {samples.attrs.get('sampler', '')} sequences of {length}"
+    where = "in memory"
+    if source is not None:
+        where = f"{'at' if samples.path else 'part of'} {source.path}"
+    return (
+        f"<Samples {samples.name!r} {width} x {height} pixels, "
+        f"{channels} channel{'s' if channels > 1 else ''}, {number}, {where}>"
+    )
 
 
 def card(samples: Samples) -> Card:

@@ -1,8 +1,7 @@
 """Samples: every radiance sample of an image, in memory or on disk, with the same methods.
 
-Index it with a pixel, cut it with `Samples.isel`, read parts of it, walk it in constant memory with
-`Samples.blocks`, or map a function over its tiles with `Samples.map`; statistics elsewhere take it
-whole.
+Index it with a pixel, cut it with `Samples.isel`, read parts, walk it with `Samples.blocks`, or map
+a function over its tiles with `Samples.map`; statistics elsewhere take it whole.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import spans
-from chdstat._core.executor import check_memory
 from chdstat.errors import InputError
 from chdstat.samples import tiles
 from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers
@@ -33,8 +31,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Samples"]
 
-_ALWAYS_READ = 2**26
-"""Bytes that are read without a look at how much memory there is."""
 _ALL = slice(None)
 
 
@@ -156,10 +152,7 @@ class Samples:
 
     @property
     def counts(self) -> npt.NDArray[np.int32] | None:
-        """Samples of each pixel, shape (y, x), where they differ; None where each has `spp`.
-
-        Those that a pixel lacks read as NaN, and are not bad.
-        """
+        """Samples of each pixel, shape (y, x), where they differ (others read as NaN); or None."""
         found = None if self._counts is None else counted(self._counts, self.part[2])
         return None if found is None or (found == self.spp).all() else found
 
@@ -179,10 +172,7 @@ class Samples:
 
     @property
     def direct(self) -> Samples | None:
-        """Emission and direct light of the same samples, as far as known; None where it is not.
-
-        These are the same paths, cut after their first reflection.
-        """
+        """Emission and direct light of the same samples, their paths cut; None if not known."""
         return self._parts.get(DIRECT_DEPTH)
 
     @property
@@ -241,15 +231,9 @@ class Samples:
         return card(self).html()
 
     def __repr__(self) -> str:
-        height, width, channels, spp = self.shape
-        where = "in memory"
-        if not isinstance(self._held, np.ndarray):
-            where = f"{'at' if self.path else 'part of'} {self._held.path}"
-        number = str(spp) if self.counts is None else f"{self.counts.min()} to {spp}"
-        return (
-            f"<Samples {self.name!r} {width} x {height} pixels, "
-            f"{channels} channel{'s' if channels > 1 else ''}, {number} spp, {where}>"
-        )
+        from chdstat.samples.description import line
+
+        return line(self)
 
     @overload
     def __getitem__(self, pixel: tuple[SupportsIndex, SupportsIndex]) -> Image: ...
@@ -261,10 +245,7 @@ class Samples:
         self, pixel: tuple[slice | SupportsIndex, slice | SupportsIndex]
     ) -> Image | Samples:
         """Return the samples that one pixel has, shape (channel, sample); of slices, as `isel`."""
-        pair = isinstance(pixel, tuple) and len(pixel) == 2
-        if not pair or not all(isinstance(place, SupportsIndex | slice) for place in pixel):
-            message = f"expected a pixel (y, x) or slices of rows and columns, got {pixel!r}"
-            raise InputError(message)
+        tiles.check_place(pixel)
         part = self.isel(y=pixel[0], x=pixel[1])
         if any(isinstance(i, slice) for i in pixel):
             return part
@@ -323,11 +304,7 @@ class Samples:
         if isinstance(self._held, np.ndarray):
             return self._held[ys, xs, :, ss]
         rows, columns, samples = (r[s] for r, s in zip(self.part, (ys, xs, ss), strict=True))
-        size = 4 * self.shape[2] * len(rows) * len(columns) * len(samples)
-        if size > _ALWAYS_READ:
-            advice = "read them in parts, such as read(ys, xs), or walk through blocks()"
-            check_memory(size, "these samples", advice)
-        return self._held.read(*map(as_slice, (rows, columns, samples)))
+        return tiles.read_part(self._held, rows, columns, samples)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> npt.NDArray[Any]:
         """Return all samples as an array (y, x, channel, sample), for ``np.asarray(samples)``."""
@@ -394,6 +371,29 @@ class Samples:
             raise InputError(message)
         return self.isel(sample=slice(spp)).load()
 
+    def sequence_means(self) -> Samples:
+        """Return the averages of sequences of dependent samples, which are independent, in memory.
+
+        Samplers that spread the samples of a pixel draw them in sequences (`chdstat.render`). Each
+        average is an estimate of the pixel, their variance is that of the estimate. One with a bad
+        sample is bad; an incomplete last sequence is left out.
+
+        Raises
+        ------
+        InputError
+            If samples are independent, or these begin within a sequence, or hold none.
+
+        Examples
+        --------
+        >>> drawn = Samples.from_array(np.ones((4, 6, 3, 32)), sampler="stratified", sequence=16)
+        >>> drawn.sequence_means()
+        <Samples 'samples' 6 x 4 pixels, 3 channels, 2 spp, in memory>
+        """
+        means, length = tiles.sequence_means(self), tiles.sequence_of(self._attrs)
+        attrs = {name: value for name, value in self._attrs.items() if name != "sequence"}
+        attrs |= {"averaged": length, "spp": means.shape[-1]}
+        return Samples(means, attrs=attrs, features=self.features)
+
     def blocks(self) -> Iterator[tuple[slice, slice, slice, Image]]:
         """Walk the samples in constant memory: tile by tile, and batch by batch within a tile.
 
@@ -414,6 +414,7 @@ class Samples:
         function: Callable[[Image], Mapped],
         *,
         logarithms: bool = False,
+        dependent: bool = False,
         description: str = "analysing",
         progress: bool | None = None,
     ) -> xr.Dataset:
@@ -430,12 +431,12 @@ class Samples:
         logarithms
             Whether it leaves negative samples out, as bad ones are in any case; a
             `chdstat.errors.LeftOutWarning` tells of more than 1 %.
+        dependent
+            Whether it takes samples that depend on each other, see `sequence_means`.
         description, progress
             Label of a progress bar, and whether to show it; None shows it on a terminal.
         """
-        return tiles.mapped(
-            self, function, logarithms=logarithms, description=description, progress=progress
-        )
+        return tiles.mapped(self, function, logarithms, dependent, description, progress)
 
     def absent(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> int:
         """Return how many samples the pixels of a part lack, where some have fewer than others."""

@@ -21,6 +21,7 @@ from chdstat.samples.access import is_store
 from chdstat.samples.layout import Chunk, Image
 from chdstat.samples.samples import Samples
 from chdstat.samples.store import Store
+from chdstat.samples.tiles import check_sequences, sequence_of
 
 __all__ = ["save"]
 
@@ -62,6 +63,7 @@ def save(samples: Samples, path: Path, *, append: bool, progress: bool | None) -
 
 def _described(samples: Samples) -> dict[str, Any]:
     """Return what a store says of samples: where they come from, and which they are."""
+    check_sequences(samples)
     attrs = {k: v for k, v in samples.attrs.items() if k not in _OF_A_STORE}
     height, width, _, spp = samples.shape
     moved = any(r.start or r.step != 1 for r in samples.part)
@@ -121,6 +123,14 @@ def _extended(samples: Samples, path: Path, attrs: Mapping[str, Any]) -> tuple[S
         message = (
             "samples can be appended where each pixel has as many as the others; import those of "
             "different numbers together"
+        )
+        raise InputError(message)
+    length = sequence_of(held.attrs)
+    if length != sequence_of(samples.attrs) or held.shape[3] % length:
+        message = (
+            f"{path} holds {held.shape[3]} samples in sequences of {length}, those to append are "
+            f"in sequences of {sequence_of(samples.attrs)} (1: independent); save them to a store "
+            "of their own"
         )
         raise InputError(message)
     if not begun:

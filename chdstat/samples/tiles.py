@@ -7,13 +7,13 @@ import itertools
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import LeftOut, spans
-from chdstat._core.executor import in_order, track
+from chdstat._core.executor import check_memory, in_order, track
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,11 +29,17 @@ __all__ = [
     "Source",
     "assemble",
     "attrs_of",
+    "check_independent",
+    "check_place",
+    "check_sequences",
     "check_single",
     "dataset_of",
     "labelled",
     "lazily",
     "mapped",
+    "read_part",
+    "sequence_means",
+    "sequence_of",
     "tiles",
 ]
 
@@ -44,6 +50,8 @@ DIRECT_DEPTH = 2
 _MOST_BYTES = 16 * 2**20
 """Size of a tile with all its samples at most, unless 16 x 16 pixels are larger."""
 
+_ALWAYS_READ = 2**26
+"""Bytes that are read without a look at how much memory there is."""
 _OF_BAD = ("bad_count", "nan_count", "n_bad")
 """Counts of bad samples: of those that a pixel lacks, which read as NaN, they are cleared."""
 
@@ -75,15 +83,22 @@ class Source(Protocol):
         """Return the first-hit features by name."""
 
 
-class _Image(Protocol):
+class _Attributed(Protocol):
+    """What says where it comes from."""
+
+    @property
+    def attrs(self) -> dict[str, Any]: ...
+
+
+class _Image(_Attributed, Protocol):
     """What a dataset of samples takes its coordinates and attributes from."""
 
     @property
     def shape(self) -> tuple[int, int, int, int]: ...
     @property
-    def channels(self) -> tuple[str, ...]: ...
+    def part(self) -> tuple[range, range, range]: ...
     @property
-    def attrs(self) -> dict[str, Any]: ...
+    def channels(self) -> tuple[str, ...]: ...
     @property
     def features(self) -> dict[str, Image]: ...
     @property
@@ -98,7 +113,7 @@ class _Image(Protocol):
     ) -> int: ...
 
 
-def check_single(image: _Image) -> None:
+def check_single(image: _Attributed) -> None:
     """Refuse averages of batches where single samples are needed.
 
     Raises
@@ -113,6 +128,102 @@ def check_single(image: _Image) -> None:
             "summarize and contrast take them"
         )
         raise InputError(message)
+
+
+def sequence_of(attrs: Mapping[str, Any]) -> int:
+    """Return how many samples of a pixel depend on each other; 1 where they are independent.
+
+    Examples
+    --------
+    >>> sequence_of({"sampler": "stratified", "sequence": 16}), sequence_of({})
+    (16, 1)
+    """
+    return int(attrs.get("sequence") or 1)
+
+
+def check_independent(image: _Attributed) -> None:
+    """Refuse samples that depend on each other where independent ones are needed.
+
+    Raises
+    ------
+    InputError
+        If those of a sequence do; the message says how to go on.
+    """
+    length = sequence_of(image.attrs)
+    if length > 1:
+        sampler = image.attrs.get("sampler", "one that spreads samples")
+        message = (
+            f"expected independent samples, got those of a sampler ({sampler}) that spreads "
+            f"{length} at a time over a pixel: summarize and contrast take them, by the averages "
+            "of these sequences, which samples.sequence_means() returns; for anything else, render "
+            "with the independent sampler"
+        )
+        raise InputError(message)
+
+
+def check_sequences(image: _Image) -> None:
+    """Refuse a part of dependent samples that does not begin with a sequence.
+
+    Raises
+    ------
+    InputError
+        If it does not, or leaves some samples out.
+    """
+    length, places = sequence_of(image.attrs), image.part[2]
+    if length > 1 and (places.start % length or places.step != 1):
+        message = (
+            f"expected whole sequences of {length} samples, got each {places.step} from number "
+            f"{places.start} on: begin at a multiple of {length}, without a step"
+        )
+        raise InputError(message)
+
+
+def sequence_means(image: _Image) -> Image:
+    """Return averages of the whole sequences of samples, shape (y, x, channel, sequence).
+
+    Raises
+    ------
+    InputError
+        If the samples are independent, do not begin with a sequence, or hold none.
+    """
+    length = sequence_of(image.attrs)
+    height, width, channels, spp = image.shape
+    count = spp // length
+    if length == 1 or not count:
+        message = (
+            f"expected samples in sequences, got {spp} of a sequence of {length}"
+            if length > 1
+            else "expected samples in sequences, as samplers that spread them draw, got "
+            "independent ones, which need no averages"
+        )
+        raise InputError(message)
+    check_sequences(image)
+    advice = "take some rows of the image, with isel"
+    check_memory(4 * height * width * channels * count, "averages of these sequences", advice)
+    means = np.empty((height, width, channels, count), np.float32)
+    for ys, xs in tiles(image.shape):
+        block = image.read(ys, xs, slice(0, count * length))
+        sequences = block.reshape(*block.shape[:3], count, length)
+        with np.errstate(invalid="ignore"):  # of infinite samples
+            means[ys, xs] = sequences.mean(axis=-1, dtype=np.float64)
+    return means
+
+
+def check_place(pixel: Any) -> None:
+    """Refuse what is neither a pixel (y, x) nor slices of rows and columns."""
+    pair = isinstance(pixel, tuple) and len(pixel) == 2
+    if not pair or not all(isinstance(place, SupportsIndex | slice) for place in pixel):
+        message = f"expected a pixel (y, x) or slices of rows and columns, got {pixel!r}"
+        raise InputError(message)
+
+
+def read_part(source: Source, rows: range, columns: range, samples: range) -> Image:
+    """Read some samples, unless they are more than the memory of this machine holds."""
+    size = 4 * source.shape[2] * len(rows) * len(columns) * len(samples)
+    if size > _ALWAYS_READ:
+        advice = "read them in parts, such as read(ys, xs), or walk through blocks()"
+        check_memory(size, "these samples", advice)
+    return source.read(*(slice(r.start, r.stop, r.step) for r in (rows, columns, samples)))
 
 
 def tiles(shape: tuple[int, int, int, int]) -> Iterator[tuple[slice, slice]]:
@@ -156,13 +267,15 @@ def assemble(
 def mapped(
     image: _Image,
     function: Callable[[Image], Mapped],
-    *,
     logarithms: bool,
+    dependent: bool,
     description: str,
     progress: bool | None,
 ) -> xr.Dataset:
     """Apply a function to tiles with all their samples; see `Samples.map`."""
     check_single(image)
+    if not dependent:
+        check_independent(image)
     left_out = LeftOut(logarithms=logarithms)
 
     def of_tile(tile: tuple[slice, slice]) -> tuple[slice, slice, Mapped]:

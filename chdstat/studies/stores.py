@@ -25,6 +25,7 @@ from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
 from chdstat.samples import Samples, cache_key, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
+from chdstat.samples.tiles import check_independent
 from chdstat.scenes import BUILTIN, Scene, load_scene
 from chdstat.studies.scene_data import SceneData
 from chdstat.summary.statistics import summarize
@@ -111,6 +112,7 @@ def _scene(source: Source, settings: Mapping[str, Any]) -> StudyScene:
     if is_store(source):
         source = open_samples(source)
     if isinstance(source, Samples):
+        check_independent(source)
         check_equal_counts(source)
         return StudyScene(source.name, source, None, recipes.regions_of(source))
     if isinstance(source, (str, Path)) and Path(source).suffix.lower() == ".toml":

@@ -7,19 +7,20 @@ once, up to rounding.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import as_pixels
+from chdstat._core.arrays import as_pixels, is_bad
 from chdstat._core.display import Shown
 from chdstat._core.moments import Batches, Moments
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
 from chdstat.samples import Blocks, Image, Mapped, reduce_tiles, samples_of
+from chdstat.samples.tiles import check_sequences, sequence_of
 from chdstat.summary.bins import SCALES, GivenSupport, sample_masks, tile_support
 from chdstat.summary.histograms import Histogram, StreamingHistogram, label_histogram
 
@@ -47,6 +48,8 @@ _PER_CHANNEL = {
     "maximum": ("largest sample", _RADIANCE),
     "standard_error": ("standard error of the sample mean", _RADIANCE),
 }
+_SEQUENCES = 256
+"""Means of sequences of dependent samples that are kept: of more, neighbours become one."""
 _FLAGS = ("null_count", "bad_count", "nan_count", "inf_count", "negative_count")
 
 
@@ -253,6 +256,10 @@ def summarize(
 ) -> xr.Dataset:
     """Return the statistics of every pixel, walking the samples in constant memory.
 
+    Of samples that depend on each other within sequences (see `chdstat.render`), the standard error
+    is that of independent averages of whole sequences, of which there must be two, and batches are
+    of whole sequences.
+
     Parameters
     ----------
     samples
@@ -274,7 +281,8 @@ def summarize(
     Raises
     ------
     InputError
-        If an option is out of range, or an array is none of an image.
+        If an option is out of range, or an array is none of an image, or dependent samples begin
+        within a sequence.
     StoreError
         If there is no store at the path, or it is damaged.
 
@@ -285,16 +293,26 @@ def summarize(
     >>> dataset["mean"].dims, dataset["batch_means"].shape
     (('y', 'x', 'channel'), (2, 3, 3, 2))
     """
-    image = samples_of(samples, averages=True)
+    image = samples_of(samples, averages=True, dependent=True)
+    check_sequences(image)
+    length = sequence_of(image.attrs)
+    batch_size = -(-batch_size // length) * length
 
     def of_tile(ys: slice, xs: slice, blocks: Blocks) -> Mapped:
         support = tile_support(image, ys, xs)
         summary = Summary(
             batch_size=batch_size, max_batches=max_batches, bins=bins, support=support
         )
+        sequences = Batches((), size=length, limit=_SEQUENCES)
         for block in blocks:
             summary.update(block)
-        return _variables(summary.read())
+            if length > 1:
+                sequences = sequences if sequences.total else sequences.empty(block.shape[:-1])
+                sequences.update(block, np.asarray(~is_bad(block).any(axis=-2, keepdims=True)))
+        found = summary.read()
+        if length > 1:
+            found = replace(found, standard_error=_error_of_sequences(sequences, found))
+        return _variables(found)
 
     # A run of the batches alone says how they will end, and refuses wrong options at once.
     batches = Batches((), size=batch_size, limit=max_batches)
@@ -305,6 +323,19 @@ def summarize(
         complete = (ends <= image.counts[..., np.newaxis]) | (ends == ends[0])
         dataset["batch_means"] = dataset["batch_means"].where(complete[:, :, np.newaxis])
     return _label(dataset, batches)
+
+
+def _error_of_sequences(sequences: Batches, found: Statistics) -> Floats:
+    """Return the standard error of the mean from means of whole sequences, which are independent.
+
+    NaN where there is one only.
+    """
+    means, draws = sequences.read()
+    count = int((draws >= sequences.size).sum())
+    if count < 2:
+        return np.full(found.mean.shape, np.nan)
+    variance = means.var(axis=-1, ddof=1)
+    return np.asarray(np.sqrt(variance * sequences.size / found.draws))
 
 
 def _count_flags(x: npt.NDArray[Any], null: Mask, bad: Mask | None) -> dict[str, Counts]:

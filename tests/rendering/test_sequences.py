@@ -282,6 +282,7 @@ def test_a_sampler_chosen_by_name_needs_no_note():
         ({"sampler": "ldsampler", "sequence": 4096}, "at most 1024.* next to it are 1024"),
         ({"sampler": "stratified", "sequence": 1}, "sequence must be"),
         ({"sampler": "stratified", "spp": 40}, "multiple of 16.* next to it are 32 and 48"),
+        ({"sampler": "stratified", "by_light": ["light"]}, "leave them out, or the sampler"),
         ({"sampler": "stratified", "direct": True}, "leave them out, or the sampler 'stratified'"),
     ],
 )

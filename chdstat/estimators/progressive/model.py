@@ -33,6 +33,7 @@ from chdstat.estimators.registry import mean_of_good
 from chdstat.estimators.training import TrainedModel, check_iterations
 from chdstat.estimators.validation import reordered, training_pixels
 from chdstat.samples import Samples
+from chdstat.samples.tiles import check_independent
 
 __all__ = ["Progressive"]
 
@@ -178,6 +179,8 @@ class Progressive(TrainedModel[training.Learned]):
         """
         check_iterations(iterations)
         images = [samples] if isinstance(samples, Samples) else list(samples)
+        for image in images:
+            check_independent(image)
         supervised = not self.inputs.neighbours if reference is None else reference
         if not images:
             message = "training needs at least one image, got none"
