@@ -9,6 +9,7 @@ import typer
 
 from chdstat.cli import output
 from chdstat.cli import program as cli
+from chdstat.rendering.sequences import SamplerName
 
 __all__ = ["doctor", "explore", "list_names", "report", "study"]
 
@@ -116,6 +117,13 @@ def study(
         ),
     ] = None,
     max_depth: cli.Depth = None,
+    sampler: Annotated[
+        SamplerName,
+        typer.Option(
+            help="Sampler of one more render of each scene, for the claim on correlated samples; "
+            "of independent ones, there is none."
+        ),
+    ] = "independent",
     backend: cli.BackendName = "auto",
     estimator: Annotated[list[str], cli.compared()] = [  # noqa: B006 - Typer takes lists
         "mean",
@@ -139,6 +147,7 @@ def study(
         seed=seed,
         max_depth=max_depth,
         estimators=estimator,
+        sampler=sampler,
         backend=backend,
         progress=not quiet,
     )

@@ -138,5 +138,8 @@ def _renders(scene: SceneStudy) -> Iterator[str]:
         yield f"paths of up to {depth} segments, {shorter.spp} spp"
     if other is not None:
         yield f"Russian roulette from segment {ROULETTE} on, {other.spp} spp"
+    if scene.data.spread is not None:
+        attrs = scene.data.spread.attrs
+        yield f"{attrs['sampler']} sequences of {attrs['sequence']}, {scene.data.spread.spp} spp"
     if again is not None:
         yield f"seed {again.attrs['seed']}, {again.spp} spp"

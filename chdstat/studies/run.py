@@ -27,9 +27,10 @@ from chdstat.patterns import Atlas, atlas
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.recipes import choose_regions
+from chdstat.rendering.sequences import SamplerName, Sequences
 from chdstat.samples import Samples, cache_key
 from chdstat.studies.claims import FINDINGS, Finding, SceneData
-from chdstat.studies.stores import Source, Stores, StudyScene, scenes_of
+from chdstat.studies.stores import SPREAD, Source, Stores, StudyScene, scenes_of
 
 __all__ = ["ACROSS", "SceneStudy", "Study", "study"]
 
@@ -40,8 +41,9 @@ Findings = tuple[Finding, ...]
 
 ACROSS = "all scenes"
 """Name of the column of claims that compare scenes."""
-_ONCE = frozenset({14, 15, 16})
-"""Claims that need the whole analysis or a training: they are not repeated with another seed."""
+_ONCE = frozenset({14, 15, 16, 17})
+"""Claims that need the whole analysis, a training or a render of their own: they are not repeated
+with another seed."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -106,6 +108,7 @@ class SceneStudy(Shown):
             "image": self.data.samples,
             "shorter_paths": self.data.shorter,
             "another_integrator": self.data.integrator,
+            "spread_samples": self.data.spread,
             "another_seed": self.again,
         }
         return {
@@ -230,6 +233,7 @@ def study(
     seed: int | None = None,
     max_depth: int | None = None,
     estimators: Sequence[str] = ("mean", "elek2019"),
+    sampler: SamplerName = "independent",
     backend: Backend = "auto",
     progress: bool | None = None,
 ) -> Study:
@@ -237,8 +241,9 @@ def study(
 
     For each scene there are up to four renders: the image; the same with paths of at most three
     segments, and with another seed, each at half the samples; and by another integrator, which
-    plays Russian roulette from the first segment on, at a quarter, where the scene is not a file. A
-    finding that another seed contradicts becomes "cannot tell".
+    plays Russian roulette from the first segment on, at a quarter, where the scene is not a file.
+    There is a fifth where a `sampler` is named. A finding that another seed contradicts becomes
+    "cannot tell".
 
     Parameters
     ----------
@@ -258,6 +263,10 @@ def study(
         Names of the estimators to compare; those that learn are trained on each scene. The claim on
         learning is about "elek2019"; other learned estimators are tested separately.
         "progressive" trains for about a minute on each scene.
+    sampler
+        A sampler that spreads samples over pixels, as for `chdstat.render`: each scene is rendered
+        once more with it, 256 or 400 samples, for the claim on correlated samples. Of
+        "independent" ones, nothing is rendered, and that claim stays open.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -286,7 +295,7 @@ def study(
     >>> samples = chd.simulate("gamma", shape=(8, 8), spp=128)
     >>> found = study(samples, estimators=["mean"])
     >>> found.table()[0]["claim"], len(found.scenes[0].findings)
-    ('nulls', 14)
+    ('nulls', 15)
     """
     options = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     for name in estimators:
@@ -294,8 +303,10 @@ def study(
     settings = {name: value for name, value in options.items() if value is not None}
     chosen = scenes_of(scenes, settings)
     if all(isinstance(scene.source, Samples) for scene in chosen):
-        refuse_render("what is studied", options | {"backend": backend})
-    stores = Stores(None if folder is None else Path(folder), backend, progress)
+        asked = None if sampler == "independent" else sampler
+        refuse_render("what is studied", options | {"sampler": asked, "backend": backend})
+    Sequences.of(sampler, SPREAD.get(sampler))  # an unknown one is refused before the work
+    stores = Stores(None if folder is None else Path(folder), backend, progress, sampler)
     if stores.folder is not None:
         try:
             stores.folder.mkdir(parents=True, exist_ok=True)
@@ -372,12 +383,12 @@ def _findings(
 ) -> Findings:
     """Test the claims about one scene, but for some."""
     claims = [c for c in FINDINGS if not c.across and c.number not in left_out]
-    shorter = "" if data.shorter is None else cache_key(data.shorter)
+    others = ["" if s is None else cache_key(s) for s in (data.shorter, data.spread)]
     return stores.cache(data.samples).record(
         "findings",
         Findings,
         lambda: tuple(claim.find(data) for claim in claims),
-        inputs=(data.name, data.regions, shorter, [c.number for c in claims], *inputs),
+        inputs=(data.name, data.regions, *others, [c.number for c in claims], *inputs),
     )
 
 
@@ -385,7 +396,7 @@ def _repeated(data: SceneData, again: Samples | None, stores: Stores) -> dict[in
     """Return what another seed says, by number of the claim."""
     if again is None:
         return {}
-    other = replace(data, samples=again, given=None, integrator=None, comparison=None)
+    other = replace(data, samples=again, given=None, integrator=None, spread=None, comparison=None)
     return {f.number: f for f in _findings(other, stores, left_out=_ONCE)}
 
 

@@ -196,6 +196,8 @@ class SceneData:
         The same scene and view at a smaller path length.
     integrator
         The same scene and view by another integrator.
+    spread
+        The same scene and view by a sampler that spreads samples, in sequences.
     given_shorter
         What `chdstat.summarize` returned for `shorter`; None to compute it when it is needed.
     comparison
@@ -220,6 +222,7 @@ class SceneData:
     given: xr.Dataset | None = None
     shorter: Samples | None = None
     integrator: Samples | None = None
+    spread: Samples | None = None
     given_shorter: xr.Dataset | None = None
     comparison: Comparison | None = None
     complexity: float | None = None

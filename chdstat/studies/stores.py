@@ -23,6 +23,7 @@ from chdstat.estimators.registry import Model
 from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
+from chdstat.rendering.sequences import SamplerName
 from chdstat.samples import Samples, cache_key, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.tiles import check_independent
@@ -33,7 +34,7 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ROULETTE", "Source", "Stores", "StudyScene", "scenes_of"]
+__all__ = ["ROULETTE", "SPREAD", "Source", "Stores", "StudyScene", "scenes_of"]
 
 _SPP = 1024
 _N = 32
@@ -49,6 +50,9 @@ those of `path`.
 _LEAST = 128
 """Samples of the renders to compare with, at least; else a half or a quarter of those of the image.
 """
+SPREAD = {"stratified": 16, "multijitter": 16, "orthogonal": 25, "ldsampler": 16}
+"""Samples of a sequence, by sampler."""
+_SEQUENCES = 16
 _IN_MEMORY = 2**29
 """Bytes of samples that are read once, as they are walked several times."""
 
@@ -153,11 +157,15 @@ class Stores:
         Where they lie; None keeps them in memory.
     backend, progress
         As for `chdstat.render`.
+    sampler
+        The sampler of one more render, of samples that are spread over pixels; "independent" for
+        none.
     """
 
     folder: Path | None
     backend: Backend = "auto"
     progress: bool | None = None
+    sampler: SamplerName = "independent"
 
     def renders(self, scene: StudyScene) -> tuple[SceneData, Samples | None]:
         """Return the renders of a scene, and of another seed; what is not there yet is rendered.
@@ -182,20 +190,39 @@ class Stores:
             integrator=None
             if other is None
             else self._rendered(other, replace(recipe, spp=quarter, seed=seed + 2)),
+            spread=self._spread(source, replace(recipe, seed=seed + 4)),
         )
         return data, self._rendered(source, replace(recipe, spp=half, seed=seed + 1))
 
-    def _rendered(self, scene: Scene, recipe: recipes.Recipe) -> Samples:
+    def _spread(self, scene: Scene, recipe: recipes.Recipe) -> Samples | None:
+        """Return replications of the average of a few samples that are spread over the pixel."""
+        if self.sampler == "independent":
+            return None
+        length = SPREAD[self.sampler]
+        return self._rendered(scene, replace(recipe, spp=_SEQUENCES * length), sequence=length)
+
+    def _rendered(
+        self, scene: Scene, recipe: recipes.Recipe, *, sequence: int | None = None
+    ) -> Samples:
+        sampler = "independent" if sequence is None else self.sampler
         out = None
         if self.folder is not None:
             settings = {n: getattr(recipe, n) for n in ("max_depth", "seed", "size")}
+            if sequence is not None:
+                settings |= {"sampler": sampler, "sequence": sequence}
             digest = hashlib.sha256(repr((scene.hash, list(settings.items()))).encode()).hexdigest()
             out = self.folder / f"{scene.name}-{digest[:12]}.zarr"
             done = _finished(out, scene, recipe.spp)
             if done is not None:
                 return done
         return render(
-            scene, **recipe.settings(), out=out, backend=self.backend, progress=self.progress
+            scene,
+            **recipe.settings(),
+            sampler=sampler,
+            sequence=sequence,
+            out=out,
+            backend=self.backend,
+            progress=self.progress,
         )
 
     def cache(self, samples: Samples) -> Cache:

@@ -87,7 +87,7 @@ def test_each_scene_is_asked_for_every_claim_that_is_about_one(found):
 
 def test_the_table_has_a_row_for_each_claim_and_a_verdict_where_one_was_asked(found):
     table = found.table()
-    assert [row["number"] for row in table] == [str(i) for i in range(1, 17)]
+    assert [row["number"] for row in table] == [str(i) for i in range(1, 18)]
     for row in table:
         across = row["number"] in {"11", "12"}
         assert bool(row["all scenes"]) == across
@@ -104,6 +104,28 @@ def test_a_scene_is_rendered_in_four_ways_and_given_samples_in_none(found):
     renders = (data.samples, cornell.again, data.shorter, data.integrator)
     assert len({samples.attrs["seed"] for samples in renders if samples is not None}) == 4
     assert given.data.shorter is given.data.integrator is given.again is None
+
+
+def test_a_sampler_is_one_more_render_and_decides_on_correlated_samples(found, folder, tmp_path):
+    assert found.finding(17, "cornell-box").verdict == "cannot tell"
+    copy = tmp_path / "renders"
+    shutil.copytree(folder, copy)
+    more = study("cornell-box", folder=copy, sampler="multijitter", **TINY)
+    spread = more.scenes[0].data.spread
+    assert (spread.attrs["sampler"], spread.spp) == ("multijitter", 256)
+    assert len(list(copy.glob("*.zarr"))) == 5
+    assert more.finding(17, "cornell-box").verdict == "supported"
+    assert more.finding(17, "cornell-box").test.interval.high < 0.9
+    assert 17 not in more.scenes[0].repeated
+    renders = more.to_dict()["scenes"][0]["renders"]
+    assert renders["spread_samples"]["sequence"] == 16
+
+
+def test_a_wrong_sampler_or_one_for_samples_is_refused_before_the_work():
+    with pytest.raises(InputError, match="sampler must be one of"):
+        study("cornell-box", sampler="sobol", **TINY)
+    with pytest.raises(InputError, match="sampler: a setting of a render"):
+        study(noise("noise"), sampler="multijitter", estimators=["mean"])
 
 
 def test_what_is_rendered_and_analysed_is_not_done_again(found, folder, monkeypatch):

@@ -9,6 +9,7 @@ from typing import Any
 from chdstat.rendering.recipes import remake_of
 from chdstat.studies.claims import (
     assumptions,
+    correlated,
     learning,
     modes,
     neighbours,
@@ -35,7 +36,7 @@ class Claim:
     Attributes
     ----------
     number, name
-        1 to 16, and a few words.
+        1 to 17, and a few words.
     claim
         One sentence.
     measure
@@ -224,6 +225,16 @@ FINDINGS = (
         spp=32,
         about=_NETWORK,
     ),
+    Claim(
+        17,
+        "correlated samples",
+        "The average of samples that a sampler spreads over the pixel varies no more than that of "
+        "as many independent samples.",
+        correlated.measure,
+        spp=32,
+        paired=True,
+        about=_TWO_RENDERS,
+    ),
 )
 """The claims of Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte
 Carlo variance reduction", in the order of the study."""
@@ -271,6 +282,6 @@ def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
     >>> samples = chd.simulate("gamma", shape=(8, 8), spp=16)
     >>> found = find(SceneData("simulated", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),)))
     >>> len(found), found[1].verdict, found[1].reason
-    (16, 'cannot tell', 'Needs 128 spp, has 16.')
+    (17, 'cannot tell', 'Needs 128 spp, has 16.')
     """
     return [claim.find(data, others) for claim in FINDINGS]

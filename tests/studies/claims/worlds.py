@@ -342,6 +342,29 @@ def reduced(power: float) -> World:
     return world
 
 
+def sequences(covariance: float, *, length: int = 16) -> World:
+    """Return samples of which those of a sequence depend on each other.
+
+    Their average lies nearer the mean than that of independent ones for a covariance below 0, and
+    farther from it above; in between, they are independent.
+    """
+
+    def world(rng, spp):
+        shape = (24, 24, 16, length)
+        own = rng.gamma(2, size=shape)
+        if covariance < 0:
+            order = rng.permuted(np.broadcast_to(np.arange(length), shape), axis=-1)
+            own = -np.log1p(-(order + rng.random(shape)) / length)  # exponential, stratified
+        if covariance > 0:
+            own = own + np.sqrt(covariance) * rng.gamma(2, size=(*shape[:-1], 1))
+        x = image(own.reshape(24, 24, -1))
+        told = {"sampler": "stratified", "sequence": length}
+        scene = evidence(image(rng.gamma(2, size=(24, 24, spp))), "direct", "shadow")
+        return [replace(scene, spread=chd.Samples.from_array(x, **told))]
+
+    return world
+
+
 TRUE: dict[int, World] = {
     1: nulls(0.6),
     2: diffuse(8),
@@ -359,6 +382,7 @@ TRUE: dict[int, World] = {
     14: families("gamma", 2),
     15: learned(True),
     16: reduced(1),
+    17: sequences(-1),
 }
 FALSE: dict[int, World] = {
     1: nulls(0.2),
@@ -377,6 +401,7 @@ FALSE: dict[int, World] = {
     14: families("lognormal", 0, 0.8),
     15: learned(False),
     16: reduced(0.99),
+    17: sequences(0.5),
 }
 
 # --- one part false at a time -------------------------------------------------------------------
