@@ -54,6 +54,7 @@ def train(
     max_depth: cli.Depth = None,
     backend: cli.BackendName = "auto",
     define: cli.Defines = None,
+    plugin: cli.Plugins = None,
     store: cli.StoreKept = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
@@ -63,6 +64,7 @@ def train(
     from chdstat.estimators.models import check_choice, train_model
     from chdstat.estimators.progressive.inputs import Input
 
+    cli.load_plugins(plugin)
     target = checked_target(out, ".safetensors")  # refused before the work, not after
     wanted: dict[Input, bool] = {"features": features, "direct": direct}
     inputs = [name for name, chosen in wanted.items() if chosen]
@@ -124,6 +126,7 @@ def estimate(
     max_depth: cli.Depth = None,
     backend: cli.BackendName = "auto",
     define: cli.Defines = None,
+    plugin: cli.Plugins = None,
     store: cli.StoreKept = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
@@ -141,6 +144,7 @@ def estimate(
     from chdstat.rendering import Rendering, render_batches
     from chdstat.samples import Samples, is_store
 
+    cli.load_plugins(plugin)
     target = checked_target(out, ".exr")  # refused before the work, not after
     trained = None if model is None else load_model(model)
     samples: Samples | Rendering
@@ -215,6 +219,7 @@ def compare(
             "--out", "-o", help="New folder for figures and numbers.", show_default="none"
         ),
     ] = None,
+    plugin: cli.Plugins = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
@@ -224,6 +229,7 @@ def compare(
     from chdstat.comparison.candidates import DEFAULT
     from chdstat.reporting.figures import save_comparison
 
+    cli.load_plugins(plugin)
     if out is not None:
         unused(out)  # refused before the work, not after
     samples, estimators = chdstat.open(store), estimator or DEFAULT

@@ -39,6 +39,7 @@ __all__ = [
     "Depth",
     "Iterations",
     "Json",
+    "Plugins",
     "Quiet",
     "RecipeSize",
     "SceneName",
@@ -53,6 +54,7 @@ __all__ = [
     "compared",
     "crop_of",
     "integrator_of",
+    "load_plugins",
     "main",
     "samples_of",
     "scene_of",
@@ -139,6 +141,16 @@ Defines = Annotated[
     list[str] | None,
     typer.Option("-D", metavar="KEY=VALUE", help="Parameter of an XML scene; can be repeated."),
 ]
+Plugins = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--plugin",
+        metavar="FILE",
+        help="Python file that registers integrators or materials with Mitsuba, or estimators; can "
+        "be repeated.",
+        show_default="none",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show no progress, and not what to do next.")
@@ -166,6 +178,14 @@ def compared(default: str | bool = True) -> Any:
         show_default=default,
         autocompletion=_estimator_names,
     )
+
+
+def load_plugins(files: list[Path] | None) -> None:
+    """Load plugins, so that scenes and options may name what they register."""
+    from chdstat.scenes import load_plugin
+
+    for file in files or ():
+        load_plugin(file)
 
 
 def scene_of(name: str, define: list[str] | None) -> Scene:

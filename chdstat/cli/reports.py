@@ -38,6 +38,7 @@ def report(
     max_depth: cli.Depth = None,
     backend: cli.BackendName = "auto",
     define: cli.Defines = None,
+    plugin: cli.Plugins = None,
     recipe: Annotated[
         Path | None,
         typer.Option(help="Recipe with the regions to show.", show_default="the scene's own"),
@@ -58,6 +59,7 @@ def report(
     from chdstat.comparison.candidates import DEFAULT
     from chdstat.reporting.typst import pages_of
 
+    cli.load_plugins(plugin)
     given = cli.source_of(source, define)
     if as_published and not isinstance(given, Path):
         from chdstat.reporting.scene_report import published_seconds
@@ -129,6 +131,7 @@ def study(
         "mean",
         "elek2019",
     ],
+    plugin: cli.Plugins = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
@@ -137,6 +140,7 @@ def study(
     from chdstat._core.files import checked_target
     from chdstat.reporting.typst import pages_of
 
+    cli.load_plugins(plugin)
     if out:
         checked_target(out, ".pdf")  # refused before the work, not after
     found = chdstat.study(
@@ -191,10 +195,12 @@ def explore(
     seed: cli.Seed = 0,
     max_depth: cli.Depth = None,
     define: cli.Defines = None,
+    plugin: cli.Plugins = None,
 ) -> None:
     """Show the distribution of any pixel on a page in the browser, served on localhost only."""
     import chdstat
 
+    cli.load_plugins(plugin)
     explorer = chdstat.explore(
         cli.source_of(source, define),
         other=other,

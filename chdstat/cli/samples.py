@@ -81,6 +81,7 @@ def render(
     ] = None,
     backend: cli.BackendName = "auto",
     define: cli.Defines = None,
+    plugin: cli.Plugins = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
@@ -98,6 +99,7 @@ def render(
     """
     import chdstat
 
+    cli.load_plugins(plugin)
     if not out.parent.exists():
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
     with cli.client_of(scheduler) as client:
@@ -360,6 +362,7 @@ def convert(
         ),
     ] = None,
     define: cli.Defines = None,
+    plugin: cli.Plugins = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
@@ -369,6 +372,7 @@ def convert(
     """
     from chdstat.rendering.conversion import convert as converted
 
+    cli.load_plugins(plugin)
     of = None if scene is None else cli.scene_of(scene, define)
     samples = converted(store, out, scene=of, progress=not quiet)
     output.say_samples(samples, as_json=as_json, quiet=quiet)

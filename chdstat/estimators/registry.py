@@ -28,6 +28,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import all_good, as_pixels, as_samples, is_bad, spans, warn_left_out
 from chdstat._core.display import Shown
 from chdstat.errors import InputError
+from chdstat.scenes.plugins import owns_estimator
 
 __all__ = [
     "ENTRIES",
@@ -296,7 +297,7 @@ def lookup(name: str) -> Estimator | LearnedEstimator:
 
 
 def _enter(entry: Estimator | LearnedEstimator) -> None:
-    if entry.name in ENTRIES:
+    if not owns_estimator(entry.name, held=entry.name in ENTRIES):
         message = f"an estimator called {entry.name!r} is registered already; choose another name"
         raise InputError(message)
     ENTRIES[entry.name] = entry

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import logging
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,19 +19,20 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, whole
 from chdstat._core.executor import track
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.rendering.backend import Backend, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.lights import check_lights
-from chdstat.rendering.renderer import Renderer, cut_paths
+from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import rendered
 from chdstat.rendering.writers import MemoryWriter, Writer, opened_store, provenance, renderer_of
 from chdstat.samples import Samples, is_store
 from chdstat.samples.layout import Image, part_folder
 from chdstat.samples.store import Store
-from chdstat.samples.tiles import DIRECT_DEPTH
+from chdstat.samples.tiles import DIRECT_DEPTH, Part
 from chdstat.scenes import Scene, load_scene
+from chdstat.scenes.settings import LONGEST
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -83,8 +84,8 @@ def render(
         Which of the scene's sensors sees the image, counted from 0.
     integrator
         What draws the samples in place of the scene's own: Mitsuba's name of it, or a dict with its
-        settings, such as ``{"type": "path", "rr_depth": 100}``. Of your own, the name that
-        ``mitsuba.register_integrator`` was given; `max_depth` applies to it.
+        settings, such as ``{"type": "path", "rr_depth": 100}``. Of your own, the name that a plugin
+        registers it by (see `chdstat.scenes.load_plugin`); `max_depth` applies to it.
     crop
         (x, y, width, height): render this part of the image only, with random numbers of its own.
         Where `out` holds a crop, give the same `size` and `crop` again to go on.
@@ -175,7 +176,7 @@ def render(
     with activate(job.verdict):
         renderer = renderer_of(job, spp, kept=spp * (1 + len(depths) + len(by_light)), out=out)
         check_lights(renderer.lights, by_light)
-        partial = cut_paths(job, renderer, depths) | {n: replace(job, light=n) for n in by_light}
+        partial = _cut_paths(job, renderer, depths) | {n: replace(job, light=n) for n in by_light}
         if existing is not None and spp < existing.complete_spp() == existing.shape[3]:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, existing.shape[3], spp)
@@ -279,6 +280,28 @@ def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray
         message = f"pixel (y={y}, x={x}) is outside the image of {width} x {height} pixels"
         raise InputError(message)
     return array.astype(np.intp)
+
+
+def _cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[Part, Job]:
+    """Return the same job with paths cut after each of some depths, where that cuts any.
+
+    A sample of it is that of the whole but for the light that its path meets later: both draw the
+    same random numbers in the same order.
+    """
+    longest = renderer.depth
+    if depths and longest is None:
+        message = (
+            f"integrator {renderer.integrator['type']!r} has no max_depth, so that light cannot be "
+            "told apart by depth; use one that has, such as path or volpath, or neither direct nor "
+            "by_depth"
+        )
+        raise RenderError(message)
+    most = LONGEST if longest is None or longest < 0 else longest
+    return {
+        depth: replace(job, max_depth=min(depth, most))
+        for depth in sorted(depths)
+        if depth < most or depth == DIRECT_DEPTH
+    }
 
 
 @contextlib.contextmanager

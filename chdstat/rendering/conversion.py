@@ -21,7 +21,7 @@ __all__ = ["convert"]
 
 _PROOF = 16
 """Samples of each pixel by which a store is known to be of a scene."""
-_OF_SCENE = ("scene_hash", "scene_files", "scene_code", "sensor", "crop")
+_OF_SCENE = ("scene_hash", "scene_files", "scene_code", "plugins", "sensor", "crop")
 """Attributes by which the same scene is known."""
 
 

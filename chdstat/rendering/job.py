@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from chdstat.rendering.backend import BACKENDS, Backend, Verdict, activate, reso
 from chdstat.rendering.seeds import SEEDS
 from chdstat.rendering.sequences import SamplerName, Sequences
 from chdstat.scenes import Scene, load_scene
+from chdstat.scenes.plugins import Plugin, loaded, register
 from chdstat.scenes.settings import LONGEST, Asked, asked_for
 
 __all__ = ["Crop", "IntegratorLike", "Job", "scene_integrator", "scene_size"]
@@ -39,6 +40,7 @@ class Job:
     crop: Crop | None = None
     sequences: Sequences | None = None
     light: str | None = None
+    plugins: tuple[Plugin, ...] = field(default_factory=loaded)
 
     @classmethod
     def of(
@@ -101,6 +103,7 @@ class Job:
             self.crop,
             self.sequences,
             self.light,
+            self.plugins,
         )
 
     @property
@@ -109,14 +112,15 @@ class Job:
         return "independent" if self.sequences is None else self.sequences.sampler
 
     def asked(self) -> Asked:
-        """Return what the scene asks for, as Mitsuba reads its description.
+        """Return what the scene asks for, as Mitsuba reads its description with the plugins.
 
         Raises
         ------
         InputError, SceneError, RenderError
-            If there is no such sensor, or its film or the integrator cannot be used.
+            If there is no such sensor, or its film, the integrator or a plugin cannot be used.
         """
         variant = BACKENDS[self.verdict.backend]
+        register(self.plugins, variant)
         state, integrator = self.scene.parse(variant), None
         if self.integrator is not None:
             alone = {"type": "scene", "integrator": dict(self.integrator)}
@@ -159,7 +163,7 @@ def _described(integrator: IntegratorLike) -> dict[str, Any]:
         message = (
             "integrator must be a name such as 'path', or a dict such as "
             f"{{'type': 'path', 'rr_depth': 100}}, got {_brief(integrator, kind)}; register a "
-            "class of your own with mitsuba.register_integrator, and give its name"
+            "class of your own in a plugin (chdstat.scenes.load_plugin), and give its name"
         )
         raise InputError(message)
     for name, value in integrator.items():

@@ -9,8 +9,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import threading
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -24,11 +23,10 @@ from chdstat.rendering.lights import darken, flush, light_names
 from chdstat.rendering.seeds import Streams
 from chdstat.rendering.sequences import Sequences
 from chdstat.samples.layout import TILE, Chunk, Image
-from chdstat.samples.tiles import DIRECT_DEPTH, Part
 from chdstat.scenes.files import code_of, plugins_made
-from chdstat.scenes.settings import LONGEST
+from chdstat.scenes.plugins import failure, used
 
-__all__ = ["Renderer", "cut_paths"]
+__all__ = ["Renderer"]
 
 _BLOCK = 32
 _RUN = 16
@@ -47,8 +45,9 @@ class Renderer:
         (width, height) of the image in pixels.
     film
         The film, of which the image may be a crop.
-    files, code
-        Digests of the files that the scene reads and of the code of its Python plugins, by name.
+    files, code, plugins
+        Digests of the files that the scene reads, of the code of its classes in Python, and of the
+        files of plugins that it uses, by name.
     notes
         What the scene asks for and does not get.
     """
@@ -56,7 +55,7 @@ class Renderer:
     def __init__(self, job: Job) -> None:
         with activate(job.verdict) as mi:
             self._mi = mi
-            self._scalar = job.verdict.backend == "scalar"
+            self._scalar, self._plugins = job.verdict.backend == "scalar", job.plugins
             self.files, self.scene_hash = job.scene.files(), job.scene.hash
             asked = job.asked()
             self.notes = list(asked.notes)
@@ -77,14 +76,15 @@ class Renderer:
             self._integrator_properties = properties
             self._streams, self._sequences = Streams(self.size, job.seed), job.sequences
             self._local = threading.local()
-            with plugins_made(mi, asked.plugins) as plugins:
+            with self._telling(), plugins_made(mi, asked.plugins) as made:
                 _ = self._integrator  # one that cannot be used is refused before any work
                 self._refuse_unknown(job.integrator or {})
                 self._scene = job.scene.build(asked.state)
             if job.light is not None:
                 darken(mi, self._scene, job.light)
             self._darkened = job.light is not None
-            self.code = code_of(plugins)
+            self.code = code_of(made)
+            self.plugins = used(job.plugins, str(mi.variant()), asked.plugins, made)
             self._sensor_medium = self._scene.sensors()[job.sensor].get_medium()
             if job.scene.files() != self.files:
                 message = f"files of scene {job.scene.name!r} changed while they were read; again"
@@ -101,6 +101,7 @@ class Renderer:
             "scene_hash": self.scene_hash,
             "scene_files": {name: digest[:16] for name, digest in self.files.items()},
             "scene_code": self.code,
+            "plugins": self.plugins,
         }
 
     def chunk(self, chunk: Chunk, *, before_pass: Callable[[], None] = lambda: None) -> Image:
@@ -175,8 +176,13 @@ class Renderer:
         """Turn what Mitsuba says of samples that it cannot draw into an error that names why."""
         try:
             yield
-        except RuntimeError as error:
-            raise _unusable(self.integrator["type"], error) from error
+        except Exception as error:
+            told = failure(self._plugins, error)
+            if isinstance(error, RuntimeError) and told is error:
+                told = _unusable(self.integrator["type"], error)
+            if told is error:
+                raise
+            raise told from error
 
     # --- Mitsuba objects ------------------------------------------------------------------------
 
@@ -348,7 +354,9 @@ class Renderer:
         runs = -(-samples // run)
         inputs = (number, *corner, width, width * height)
         opaque = [dr.opaque(self._mi.UInt32, value) for value in inputs]
-        colors = np.array(self._launch(*opaque, width * height * runs * run), dtype=np.float32)
+        lanes = width * height * runs * run
+        colors = np.asarray(self._launch(*opaque, lanes), dtype=np.float32)
+        colors = np.broadcast_to(colors, (3, lanes))  # of one value for all lanes, there is one
         block = colors.reshape(3, runs, height, width, run).transpose(2, 3, 0, 1, 4)
         return np.ascontiguousarray(block.reshape(height, width, 3, -1)[..., :samples])
 
@@ -393,28 +401,6 @@ class Renderer:
             return weight * color
 
         return kernel
-
-
-def cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[Part, Job]:
-    """Return the same job with paths cut after each of some depths, where that cuts any.
-
-    A sample of it is that of the whole but for the light that its path meets later: both draw the
-    same random numbers in the same order.
-    """
-    longest = renderer.depth
-    if depths and longest is None:
-        message = (
-            f"integrator {renderer.integrator['type']!r} has no max_depth, so that light cannot be "
-            "told apart by depth; use one that has, such as path or volpath, or neither direct nor "
-            "by_depth"
-        )
-        raise RenderError(message)
-    most = LONGEST if longest is None or longest < 0 else longest
-    return {
-        depth: replace(job, max_depth=min(depth, most))
-        for depth in sorted(depths)
-        if depth < most or depth == DIRECT_DEPTH
-    }
 
 
 @contextlib.contextmanager

@@ -58,6 +58,7 @@ _log = logging.getLogger("chdstat")
 _IDENTITY: dict[str, Any] = {
     "scene_hash": None,
     "scene_code": {},
+    "plugins": {},
     "integrator": None,
     "sensor": 0,
     "size": None,
@@ -152,15 +153,24 @@ def _check_identity(store: Store, attrs: dict[str, Any]) -> None:
     held = store.attrs
     stored = {name: held.get(name, default) for name, default in _IDENTITY.items()}
     if names := differing(stored, {name: attrs.get(name) for name in _IDENTITY}):
-        detail = "; ".join(f"{n}: stored {stored[n]}, asked for {attrs.get(n)}" for n in names)
+        why = _changed(held, attrs)
+        why += [
+            f"{n}: stored {stored[n]}, asked for {attrs.get(n)}"
+            for n in names
+            if n not in _CHANGES or held.get(n) is None
+        ]
         message = (
-            f"{store.path} holds other samples ({_changed(held, attrs)}{detail}). Nothing was "
+            f"{store.path} holds other samples ({'; '.join(why)}). Nothing was "
             "changed; give another output path, or the same settings to resume or append"
         )
         raise StoreError(message)
 
 
-def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> str:
+_CHANGES = {"scene_files": "files", "scene_code": "code of plugins", "plugins": "plugins"}
+"""Attributes of which the names that differ are told, and what they are the names of."""
+
+
+def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> list[str]:
     """Return which files and plugins of a scene differ from those that a store was rendered with.
 
     Stores of earlier versions do not say which files they were rendered with.
@@ -169,10 +179,10 @@ def _changed(held: Mapping[str, Any], attrs: Mapping[str, Any]) -> str:
     if "scene_files" not in held and held.get("scene_hash") != attrs["scene_hash"]:
         parts.append(
             "rendered by an earlier version, which tells scenes apart by other files: "
-            "'chdstat convert --scene' shows whether they are of this scene; "
+            "'chdstat convert --scene' shows whether they are of this scene"
         )
-    for key, word in (("scene_files", "files"), ("scene_code", "code of plugins")):
+    for key, word in _CHANGES.items():
         if held.get(key) is not None and (names := sorted(differing(held[key], attrs[key]))):
             more = f" and {len(names) - 5} more" if len(names) > 5 else ""
-            parts.append(f"changed {word}: {', '.join(names[:5])}{more}; ")
-    return "".join(parts)
+            parts.append(f"changed {word}: {', '.join(names[:5])}{more}")
+    return parts

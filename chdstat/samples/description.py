@@ -50,6 +50,7 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
     rows = {
         "Scene": f"{attrs.get('scene', 'samples')} ({source})",
         "Scene hash": str(attrs.get("scene_hash", ""))[:16],
+        "Plugins": ", ".join(f"{n} ({digest})" for n, digest in attrs.get("plugins", {}).items()),
         "Integrator": f"{kind} ({settings})" if settings else kind,
         "Image": f"{width} × {height} pixels, {channels} channel{'s' * (channels > 1)}, "
         f"{spp} samples per pixel",

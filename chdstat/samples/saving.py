@@ -26,7 +26,7 @@ from chdstat.samples.tiles import check_sequences, sequence_of
 __all__ = ["save"]
 
 _OF_A_STORE = (
-    *("scene_hash", "scene_code", "scene_files"),
+    *("scene_hash", "scene_code", "scene_files", "plugins"),
     *("appended", "manifest", "schema_version"),
 )
 """Attributes of a store itself: by the first, samples of a scene are appended to a render."""

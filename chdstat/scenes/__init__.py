@@ -14,9 +14,10 @@ from typing import Any
 
 from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import is_file
+from chdstat.scenes.plugins import load_plugin
 from chdstat.scenes.scene import Scene
 
-__all__ = ["BUILTIN", "REMAKES", "Scene", "load_scene"]
+__all__ = ["BUILTIN", "REMAKES", "Scene", "load_plugin", "load_scene"]
 
 BUILTIN: dict[str, str] = {
     "bathroom": "A closed room lit through one window: nulls, long tails, a penumbra, a mirror.",

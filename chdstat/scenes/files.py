@@ -30,6 +30,7 @@ from xml.parsers import expat
 import numpy as np
 
 from chdstat.errors import SceneError
+from chdstat.scenes.plugins import own_names
 
 __all__ = ["Description", "code_of", "described", "digest_of", "is_file", "plugins_made"]
 
@@ -216,11 +217,10 @@ def plugins_made(mi: Any, names: set[str]) -> Iterator[list[Any]]:
 
     Mitsuba does not say which class a name was registered for, and its own objects do not lead to
     all that they hold, so these are looked for among all objects of the process; not where every
-    plugin is one of the compiled ones.
+    plugin is one of Mitsuba's own.
     """
     made: list[Any] = []
-    compiled = {path.stem for path in (Path(mi.__file__).parent / "plugins").iterdir()}
-    if names <= compiled:
+    if names <= own_names(mi):
         yield made
         return
     before = list(_plugins(mi))
@@ -265,10 +265,13 @@ class _Content:
 
     def add_module(self, kind: type) -> None:
         """Add the file of a class's module; that of a script changes with what it asks for."""
-        file = getattr(sys.modules.get(kind.__module__), "__file__", None)
+        module = sys.modules.get(kind.__module__)
+        file = getattr(module, "__file__", None)
         if file and kind.__module__ != "__main__":
+            loader: Any = getattr(module, "__loader__", None)
             with contextlib.suppress(OSError):
-                self._hash.update(Path(file).read_bytes())
+                known = hasattr(loader, "get_data")  # there, though its file may not be
+                self._hash.update(loader.get_data(file) if known else Path(file).read_bytes())
 
     def add(self, value: Any) -> None:
         """Add a value, and what it leads to."""

@@ -304,7 +304,7 @@ def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:
     except StoreError:
         return None  # `render` resumes it, or says what is wrong
     # The code of plugins is known to the renderer only, which compares it before it appends.
-    plugins = samples.attrs.get("scene_code")
+    plugins = samples.attrs.get("scene_code") or samples.attrs.get("plugins")
     same = samples.attrs.get("scene_hash") == scene.hash and not plugins
     return samples if same and samples.spp >= spp else None
 
