@@ -183,7 +183,9 @@ class StoreSource:
         kind = integrator.get("type") if isinstance(integrator, dict) else integrator
         deep = "" if depth is None else f"depth {depth}"
         length = sequence_of(self.samples.attrs)
-        spread = "" if length == 1 else f"in sequences of {length}: errors and p-values do not hold"
+        sampler = self.samples.attrs.get("sampler", "")
+        said = f"{sampler} sequences of {length}: errors and p-values do not hold".lstrip()
+        spread = said if length > 1 else ""
         parts = (f"{width} × {height} px", f"{spp}{of} spp", spread, str(kind or ""), deep)
         return " · ".join(part for part in parts if part)
 

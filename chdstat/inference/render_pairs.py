@@ -388,10 +388,11 @@ def _averaged(samples: Any) -> int:
 
 
 def _name(source: Any, samples: Any) -> str:
+    of = f", averages of {_averaged(samples)}" if _averaged(samples) > 1 else ""
     if isinstance(source, str | Path):
-        return str(source)
+        return f"{source}{of}"
     if isinstance(samples, Samples):
-        return str(samples.path or samples.name)
+        return f"{samples.path or samples.name}{of}"
     return "image"
 
 

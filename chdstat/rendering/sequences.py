@@ -111,8 +111,8 @@ class Sequences:
         if rest := spp % self.length:
             near = [n for n in (spp - rest, spp - rest + self.length) if n]
             message = (
-                f"spp must be a multiple of {self.length}, the samples of a {self.sampler} "
-                f"sequence, got {spp}; next to it are {' and '.join(map(str, near))}"
+                f"spp must be a multiple of {self.length}, the samples of a sequence of "
+                f"{self.sampler!r}, got {spp}; next to it are {' and '.join(map(str, near))}"
             )
             raise InputError(message)
 

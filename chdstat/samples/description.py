@@ -83,6 +83,8 @@ def line(samples: Samples) -> str:
     number = f"{spp} spp" if counts is None else f"{counts.min()} to {spp} spp"
     if length > 1:
         number += f" in {samples.attrs.get('sampler', '')} sequences of {length}"
+    elif samples.attrs.get("averaged", 1) > 1:
+        number += f" (averages of {samples.attrs['averaged']})"
     where = "in memory"
     if source is not None:
         where = f"{'at' if samples.path else 'part of'} {source.path}"

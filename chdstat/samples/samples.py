@@ -387,7 +387,7 @@ class Samples:
         --------
         >>> drawn = Samples.from_array(np.ones((4, 6, 3, 32)), sampler="stratified", sequence=16)
         >>> drawn.sequence_means()
-        <Samples 'samples' 6 x 4 pixels, 3 channels, 2 spp, in memory>
+        <Samples 'samples' 6 x 4 pixels, 3 channels, 2 spp (averages of 16), in memory>
         """
         means, length = tiles.sequence_means(self), tiles.sequence_of(self._attrs)
         attrs = {name: value for name, value in self._attrs.items() if name != "sequence"}

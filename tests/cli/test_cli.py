@@ -67,6 +67,25 @@ REPEATED = {"define", "threshold", "model", "scene"}
 """Options that add something where they are given, and have no default."""
 
 
+def test_samples_that_depend_on_each_other_are_named_contrasted_and_refused(run, store, tmp_path):
+    path = tmp_path / "spread.zarr"
+    size = ("--size", "12x10", "--backend", "scalar", "--seed", "5")
+    code, _, err = run(
+        "render", "cornell-box", "-o", path, "--spp", "64", *size, "--sampler=stratified"
+    )
+    assert code == 0
+    assert f"next: chdstat contrast OTHER.zarr {path}" in err
+    assert "in sequences of 16 samples that depend on each other" in run("info", path)[1]
+    assert json.loads(run("info", path, "--json")[1])["sequence"] == 16
+    code, out, _ = run("contrast", store, path)
+    assert code in (0, 3, 4)
+    assert "averages of 16" in out
+    for command in (("analyze",), ("compare",), ("report", "-o", tmp_path / "r.pdf")):
+        code, _, err = run(command[0], path, *command[1:])
+        assert code == 1
+        assert "expected independent samples" in err
+
+
 @pytest.mark.parametrize("name", sorted(COMMANDS.keys() - {"explore"}))
 def test_scripts_get_json_from_every_command_by_the_same_flag(name):
     (flag,) = (option for option in COMMANDS[name].params if "--json" in option.opts)

@@ -11,6 +11,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import Progressive, train_model
+from chdstat.explorer.sources import StoreSource
 from chdstat.inference import difference
 from chdstat.rendering import render_batches
 
@@ -200,6 +201,8 @@ def test_what_looks_at_single_samples_takes_them():
 
 def test_what_is_shown_names_the_sequences():
     samples = stratified()
+    assert "stratified sequences of 16: errors" in StoreSource(samples).describe()
+    assert "(averages of 16)" in repr(samples.sequence_means())
     assert "1024 spp in stratified sequences of 16" in repr(samples)
     assert "sequence" not in repr(samples.sequence_means())
     drawn = chd.Samples.from_array(spread(), sampler="stratified", sequence=N, seed=3)

@@ -69,7 +69,7 @@ def measure(data: SceneData) -> Outcome:
         p_value=tested.pop("p_value"),
         details={
             "null_hypothesis": "samples of a sequence are independent in every pixel (shuffled "
-            "within pixels; Simes over pixels)",
+            "within pixels, alike in all)",
             "sequences": count,
             **tested,
             "ratio_by_region": {n: _plain(i) for n, i in by_region.items()},
@@ -125,11 +125,12 @@ def variances(spread: Samples) -> Floats:
     return np.where(np.isfinite(found), found, np.nan).reshape(2, -1)
 
 
-def p_of_independence(x: Floats, *, seed: int = 0) -> Floats:
+def p_of_independence(x: Floats, *, seed: int = 0) -> tuple[Floats, float]:
     """Return p-values that samples of a sequence are independent, from both sides.
 
     Independent samples may be put into sequences in any order: the variance of the averages is
     compared with that of shuffled samples, which makes the p-value exact, with any tail and nulls.
+    All pixels are shuffled alike, so that the p-value of their sum is exact, too.
 
     Parameters
     ----------
@@ -140,8 +141,9 @@ def p_of_independence(x: Floats, *, seed: int = 0) -> Floats:
 
     Returns
     -------
-    ndarray
-        Shape (pixel,); NaN where all samples are equal or one is bad.
+    ndarray, float
+        Of each pixel, shape (pixel,), NaN where all samples are equal or one is bad; and of the sum
+        over pixels of the variances of averages over those of samples.
 
     References
     ----------
@@ -152,27 +154,33 @@ def p_of_independence(x: Floats, *, seed: int = 0) -> Floats:
     --------
     >>> rng = np.random.default_rng(0)
     >>> strata = rng.permuted(np.tile(np.arange(16), (2, 8, 1)), axis=-1)
-    >>> p_of_independence(np.stack([strata[0] / 16, rng.random((8, 16))])) < 0.01
+    >>> p_of_independence(np.stack([strata[0] / 16, rng.random((8, 16))]))[0] < 0.01
     array([ True, False])
     """
     rng, flat = generator(seed), x.reshape(len(x), -1)
-    with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         flat = flat - flat.mean(axis=1, keepdims=True)
-        scale = np.abs(flat).max(axis=1, initial=0)
-        flat = flat / np.where(scale > 0, scale, 1)[:, np.newaxis]
+        flat = flat / np.abs(flat).max(axis=1, keepdims=True, initial=0)  # no square is too large
+        flat = flat / np.sqrt((flat**2).sum(axis=1, keepdims=True))
+    known = np.isfinite(flat).all(axis=1)
+    flat, shape = flat[known], x[known].shape
 
     def spread_of(values: Floats) -> Floats:
-        return np.asarray((values.reshape(x.shape).sum(axis=-1) ** 2).sum(axis=-1))
+        """Return what each pixel has, and behind it their sum."""
+        found = (values.reshape(shape).sum(axis=-1) ** 2).sum(axis=-1)
+        return np.append(found, found.sum())
 
     own = spread_of(flat)
     room = _ROUNDING * np.maximum(own, 1)
-    lower, higher = np.ones((2, len(x)))
+    lower, higher = np.ones((2, len(own)))
     for _ in range(_SHUFFLES):
         other = spread_of(flat[:, rng.permutation(flat.shape[1])])
         lower += other <= own + room
         higher += other >= own - room
-    p = np.minimum(2 * np.minimum(lower, higher) / (_SHUFFLES + 1), 1)
-    return np.where(np.isfinite(own) & (scale > 0), p, np.nan)
+    p = np.full(len(x), np.nan)
+    both = np.minimum(2 * np.minimum(lower, higher) / (_SHUFFLES + 1), 1)
+    p[known] = both[:-1]
+    return p, float(both[-1]) if known.any() else np.nan
 
 
 def _sequences(block: npt.NDArray[np.float32], length: int) -> Floats:
@@ -199,7 +207,7 @@ def _tested(data: SceneData, spread: Samples, length: int) -> dict[str, Any]:
             for y, x in zip(patch.y.tolist(), patch.x.tolist(), strict=True)
         ]
     )
-    p = p_of_independence(x)
+    p, of_all = p_of_independence(x)
     q = q_values(p[:, np.newaxis])[:, 0]
     means = x.mean(axis=-1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -210,7 +218,7 @@ def _tested(data: SceneData, spread: Samples, length: int) -> dict[str, Any]:
     for side, differs in (("lower", ratio < 1), ("higher", ratio > 1)):
         rejected = np.where(known, (q <= _ALPHA) & differs, np.nan)
         shares[f"share_{side}"] = _plain(mean_of(rejected, blocks))
-    return {"p_value": float(np.nanmin(q)) if known.any() else None, **shares}
+    return {"p_value": of_all if known.any() else None, **shares}
 
 
 def _by_pattern(data: SceneData, found: Floats, pixels: PixelSet) -> dict[str, Interval[float]]:

@@ -94,19 +94,24 @@ def test_a_firefly_adds_as_much_to_both_variances():
 @pytest.mark.parametrize("name", DRAWS)
 def test_p_values_of_independent_samples_are_uniform(name):
     x = DRAWS[name](np.random.default_rng(2), (2000, 12, 8))
-    p = p_of_independence(x)
+    p, of_all = p_of_independence(x)
+    assert 0.01 < of_all <= 1
     assert (p <= 0.05).mean() < 0.07
     if name != "nulls":  # with ties, p-values are too large
         assert scipy.stats.kstest(p, "uniform").pvalue > 1e-3
     spread = stratified(np.random.default_rng(2), (500, 12), 8)
-    assert (p_of_independence(spread) <= 0.05).mean() > 0.95
+    p, of_all = p_of_independence(spread)
+    assert (p <= 0.05).mean() > 0.95
+    assert of_all == 0.002
 
 
 def test_pixels_without_a_spread_of_samples_are_not_tested():
     x = np.ones((3, 12, 8))
     x[1, 0, 0] = np.nan
     x[2] = 0
-    assert np.isnan(p_of_independence(x)).all()
+    p, of_all = p_of_independence(x)
+    assert np.isnan(p).all()
+    assert np.isnan(of_all)
 
 
 def test_patterns_have_ratios_of_their_own():
