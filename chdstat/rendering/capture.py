@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import pickle
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -85,7 +86,9 @@ def render(
     integrator
         What draws the samples in place of the scene's own: Mitsuba's name of it, or a dict with its
         settings, such as ``{"type": "path", "rr_depth": 100}``. Of your own, the name that a plugin
-        registers it by (see `chdstat.scenes.load_plugin`); `max_depth` applies to it.
+        registers it by (see `chdstat.scenes.load_plugin`); `max_depth` applies to it. Or an object
+        of Mitsuba's, such as one of a class of your own: it renders in this process, with the
+        backend of its variant.
     crop
         (x, y, width, height): render this part of the image only, with random numbers of its own.
         Where `out` holds a crop, give the same `size` and `crop` again to go on.
@@ -173,6 +176,8 @@ def render(
             f"ones allow; leave them out, or the sampler {job.sampler!r}"
         )
         raise InputError(message)
+    if client is not None:
+        pickle.dumps(job)  # one that cannot travel is refused before any work
     with activate(job.verdict):
         renderer = renderer_of(job, spp, kept=spp * (1 + len(depths) + len(by_light)), out=out)
         check_lights(renderer.lights, by_light)
@@ -291,9 +296,9 @@ def _cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[Pa
     longest = renderer.depth
     if depths and longest is None:
         message = (
-            f"integrator {renderer.integrator['type']!r} has no max_depth, so that light cannot be "
-            "told apart by depth; use one that has, such as path or volpath, or neither direct nor "
-            "by_depth"
+            f"integrator {renderer.integrator['type']!r} has no max_depth that can be set, so that "
+            "light cannot be told apart by depth; give one that has, by name or as a dict, such as "
+            "'path', or neither direct nor by_depth"
         )
         raise RenderError(message)
     most = LONGEST if longest is None or longest < 0 else longest

@@ -7,11 +7,12 @@ import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat.errors import InputError
 from chdstat.rendering.backend import BACKENDS, Backend, Verdict, activate, resolve
+from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.seeds import SEEDS
 from chdstat.rendering.sequences import SamplerName, Sequences
 from chdstat.scenes import Scene, load_scene
@@ -20,8 +21,8 @@ from chdstat.scenes.settings import LONGEST, Asked, asked_for
 
 __all__ = ["Crop", "IntegratorLike", "Job", "scene_integrator", "scene_size"]
 
-IntegratorLike = str | Mapping[str, Any]
-"""An integrator by Mitsuba's name, or as a dict with its settings."""
+IntegratorLike = str | Mapping[str, Any] | Any
+"""An integrator by Mitsuba's name, as a dict with its settings, or as an object of Mitsuba's."""
 Crop = tuple[int, int, int, int]
 """(x, y, width, height) in pixels of the image."""
 
@@ -36,7 +37,7 @@ class Job:
     seed: int = 0
     max_depth: int | None = None
     sensor: int = 0
-    integrator: Mapping[str, Any] | None = None
+    integrator: Mapping[str, Any] | IntegratorObject | None = None
     crop: Crop | None = None
     sequences: Sequences | None = None
     light: str | None = None
@@ -77,6 +78,11 @@ class Job:
             message = f"seed must be below 2^31, which all give different samples, got {seed}"
             raise InputError(message)
         sensor = whole("sensor", sensor, least=0)
+        if IntegratorObject.fits(integrator):
+            integrator = IntegratorObject.of(integrator, backend, max_depth)
+            backend = cast("Backend", integrator.backend)
+        elif integrator is not None:
+            integrator = _described(integrator)
         return cls(
             load_scene(scene),
             resolve(backend),
@@ -84,7 +90,7 @@ class Job:
             seed,
             max_depth,
             sensor,
-            None if integrator is None else _described(integrator),
+            integrator,
             None if crop is None else _checked_crop(crop),
             Sequences.of(sampler, sequence),
         )
@@ -92,7 +98,8 @@ class Job:
     @property
     def settings(self) -> tuple[Any, ...]:
         """What the samples depend on besides the scene."""
-        integrator = None if self.integrator is None else repr(sorted(self.integrator.items()))
+        given = self.integrator
+        integrator = repr(sorted(given.items())) if isinstance(given, Mapping) else given
         return (
             self.verdict.backend,
             self.size,
@@ -123,7 +130,8 @@ class Job:
         register(self.plugins, variant)
         state, integrator = self.scene.parse(variant), None
         if self.integrator is not None:
-            alone = {"type": "scene", "integrator": dict(self.integrator)}
+            given = self.integrator if isinstance(self.integrator, Mapping) else {"type": "path"}
+            alone = {"type": "scene", "integrator": dict(given)}
             integrator = Scene("integrator", alone).parse(variant)
         return asked_for(self.scene.name, state, self.sensor, integrator, self.sampler)
 

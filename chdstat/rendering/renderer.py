@@ -18,6 +18,7 @@ import numpy.typing as npt
 from chdstat._core.executor import Interrupted
 from chdstat.errors import InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import activate
+from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.job import Job
 from chdstat.rendering.lights import darken, flush, light_names
 from chdstat.rendering.seeds import Streams
@@ -74,16 +75,23 @@ class Renderer:
             self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **properties}
             properties["block_size"] = _BLOCK  # the default depends on the number of cores
             self._integrator_properties = properties
+            self._given = job.integrator if isinstance(job.integrator, IntegratorObject) else None
+            if self._given is not None:
+                self.integrator = self._given.description
             self._streams, self._sequences = Streams(self.size, job.seed), job.sequences
             self._local = threading.local()
             with self._telling(), plugins_made(mi, asked.plugins) as made:
                 _ = self._integrator  # one that cannot be used is refused before any work
-                self._refuse_unknown(job.integrator or {})
+                if isinstance(job.integrator, Mapping):
+                    self._refuse_unknown(job.integrator)
                 self._scene = job.scene.build(asked.state)
             if job.light is not None:
                 darken(mi, self._scene, job.light)
             self._darkened = job.light is not None
             self.code = code_of(made)
+            if self._given is not None:
+                self.code |= self._given.code
+                made.append(self._given.value)
             self.plugins = used(job.plugins, str(mi.variant()), asked.plugins, made)
             self._sensor_medium = self._scene.sensors()[job.sensor].get_medium()
             if job.scene.files() != self.files:
@@ -155,7 +163,12 @@ class Renderer:
 
     @property
     def depth(self) -> int | None:
-        """Longest path in segments, below 0 for no limit; None where the integrator has none."""
+        """Longest path in segments, below 0 for no limit; None where the integrator has none.
+
+        Of an integrator that is an object, it cannot be changed.
+        """
+        if self._given is not None:
+            return None
         properties = self._mi.Properties(self._integrator_properties)
         properties["max_depth"] = longest = int(properties.get("max_depth", -1))
         self._mi.PluginManager.instance().create_object(properties)
@@ -223,7 +236,8 @@ class Renderer:
             create = self._mi.PluginManager.instance().create_object
             name = self.integrator["type"]
             try:
-                integrator = create(self._mi.Properties(self._integrator_properties))
+                properties = self._mi.Properties(self._integrator_properties)
+                integrator = self._given.value if self._given else create(properties)
             except RuntimeError as error:
                 raise _unusable(name, error) from error
             if not isinstance(integrator, self._mi.SamplingIntegrator):
@@ -233,8 +247,6 @@ class Renderer:
 
     def _refuse_unknown(self, given: Mapping[str, Any]) -> None:
         """Refuse settings that the integrator given for the scene's own does not look at."""
-        if not given:
-            return
         properties = self._mi.Properties(given["type"])  # of which nothing was looked at yet
         for name, value in given.items():
             if name != "type":

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from chdstat._core.executor import Interrupts, cores
 from chdstat.errors import RenderError
 from chdstat.rendering.backend import activate
+from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import grouped
@@ -76,7 +77,8 @@ def _workers(job: Job) -> Iterator[int]:
     before = dr.thread_count()
     dr.set_thread_count(1)
     try:
-        yield cores()
+        alone = isinstance(job.integrator, IntegratorObject) and job.integrator.in_python
+        yield 1 if alone else cores()  # a class in Python may keep what it draws with
     finally:
         dr.set_thread_count(before)
 

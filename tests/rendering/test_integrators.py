@@ -6,6 +6,7 @@ import pytest
 import chdstat as chd
 from chdstat.errors import ChdstatError, InputError, RenderError, StoreError
 from chdstat.rendering import render_batches, render_pixels
+from chdstat.rendering.backend import activate, probe
 
 VIEW = {"spp": 4, "size": (12, 8), "backend": "scalar", "progress": False}
 
@@ -98,3 +99,80 @@ def test_the_command_takes_both(tmp_path, monkeypatch):
     assert found.shape == (6, 8, 3, 4)
     direct = render(integrator={"type": "path", "max_depth": 3}, crop=(2, 1, 8, 6))
     assert np.array_equal(found.read(), direct.read())
+
+
+# --- objects of Mitsuba's -----------------------------------------------------------------------
+
+
+@pytest.fixture
+def mi():
+    with activate(probe("scalar")) as module:
+        yield module
+
+
+def own(mi, value):
+    """Return an integrator of a class that no plugin registers."""
+
+    class Constant(mi.SamplingIntegrator):
+        def __init__(self, value):
+            super().__init__(mi.Properties())
+            self.value = value
+
+        def sample(self, scene, sampler, ray, medium=None, active=True):
+            return mi.Color3f(self.value), True, []
+
+    return Constant(value)
+
+
+def test_an_object_of_mitsuba_draws_what_its_settings_draw(mi):
+    path = mi.load_dict({"type": "path", "max_depth": 3})
+    few, pixels = {"spp": 70, "size": (12, 8)}, [(2, 3), (6, 6)]
+    given = render_pixels("cornell-box", pixels, **few, integrator=path)
+    settings = {"type": "path", "max_depth": 3}
+    expected = render_pixels("cornell-box", pixels, **few, integrator=settings)
+    assert np.array_equal(given, expected)
+    given = render(integrator=path)
+    assert np.array_equal(given.read(), render(integrator=path).read())
+    assert given.attrs["integrator"] == {"type": "PathIntegrator", "max_depth": 3, "rr_depth": 5}
+    assert given.attrs["scene_code"] == {}
+
+
+def test_an_object_of_one_s_own_class_renders_with_the_backend_of_its_variant(mi, tmp_path):
+    out = tmp_path / "a.zarr"
+    samples = render(integrator=own(mi, 2.0), backend="auto", out=out)
+    assert samples.attrs["backend"] == "scalar"
+    assert samples.attrs["integrator"] == {"type": samples.attrs["integrator"]["type"], "value": 2}
+    assert [name.split(".")[-1] for name in samples.attrs["scene_code"]] == ["Constant"]
+    assert (samples.read() == 2).all()
+    assert render(integrator=own(mi, 2.0), spp=6, out=out).spp == 6
+    with pytest.raises(StoreError, match="changed code of plugins: .*Constant"):
+        render(integrator=own(mi, 3.0), spp=8, out=out)
+    few = {"size": (4, 4), "spp": 3}
+    assert (render_pixels("cornell-box", (1, 1), integrator=own(mi, 2.0), **few) == 2).all()
+
+
+def test_an_object_renders_in_a_wavefront():
+    if not probe("llvm").works:
+        pytest.skip("no LLVM")
+    with activate(probe("llvm")) as mi:
+        integrator = own(mi, mi.Float(2.0))
+        samples = render(integrator=integrator, backend="auto")
+        with pytest.raises(InputError, match=r"llvm_ad_rgb, which cannot render with the scalar"):
+            render(integrator=integrator)
+    assert samples.attrs["backend"] == "llvm"
+    assert (samples.read() == 2).all()
+    assert samples.attrs["integrator"]["value"] == [2.0]
+
+
+def test_what_an_object_cannot_do_is_told(mi):
+    path = mi.load_dict({"type": "path"})
+    with pytest.raises(InputError, match="max_depth=3 cannot be given to a PathIntegrator"):
+        render(integrator=path, max_depth=3)
+    with pytest.raises(RenderError, match="no max_depth that can be set"):
+        render(integrator=path, by_depth=3)
+    with pytest.raises(InputError, match="can only render in this process"):
+        chd.render("cornell-box", **VIEW, integrator=path, client=object())
+    with pytest.raises(RenderError, match="does not sample pixel by pixel"):
+        render(integrator=mi.load_dict({"type": "ptracer"}))
+    with pytest.raises(RenderError, match="does not sample pixel by pixel"):
+        render(integrator=mi.load_dict({"type": "diffuse"}))

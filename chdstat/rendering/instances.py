@@ -1,0 +1,145 @@
+"""Integrators that are given as objects of Mitsuba's, for renders in this process."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import re
+import sys
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+
+from chdstat.errors import InputError
+from chdstat.rendering.backend import BACKENDS
+from chdstat.scenes.files import code_of
+
+__all__ = ["IntegratorObject"]
+
+_UNLIMITED = 2**32 - 1
+"""What Mitsuba's integrators print of a max_depth of -1."""
+_LONGEST = 16
+"""Numbers of an array that are told; of longer ones, a digest is."""
+_PLAIN = (str, bool, int, float)
+_ELSEWHERE = (
+    "an integrator that is an object can only render in this process; for other ones, give it as a "
+    "dict, and register a class of your own in a plugin (chdstat.scenes.load_plugin)"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class IntegratorObject:
+    """An integrator that was made by Mitsuba, or of a class of the user's own.
+
+    It is pickled to no other process.
+
+    Attributes
+    ----------
+    value
+        The object.
+    """
+
+    value: Any
+
+    @staticmethod
+    def fits(value: object) -> bool:
+        """Return whether a value is an object of Mitsuba's."""
+        mi: Any = sys.modules.get("mitsuba")
+        return mi is not None and mi.variant() is not None and isinstance(value, mi.Object)
+
+    @classmethod
+    def of(cls, value: Any, backend: str, max_depth: int | None) -> IntegratorObject:
+        """Return an integrator that can render with a backend, "auto" for its own.
+
+        Raises
+        ------
+        InputError
+            If it is of another variant, or its path length is asked to be changed.
+        """
+        made = cls(value)
+        if backend not in ("auto", made.backend):
+            message = (
+                f"integrator is a {made.kind} of the variant {value.variant_name()}, which cannot "
+                f"render with the {backend} backend; make it after mitsuba.set_variant"
+                f"({BACKENDS.get(backend, backend)!r}), or give it as a dict"
+            )
+            raise InputError(message)
+        if max_depth is not None:
+            message = (
+                f"max_depth={max_depth} cannot be given to a {made.kind} that is there already; "
+                "make the integrator with it, or give it as a dict"
+            )
+            raise InputError(message)
+        return made
+
+    @property
+    def kind(self) -> str:
+        """Name of its class."""
+        return type(self.value).__qualname__ if self.in_python else str(self.value.class_name())
+
+    @property
+    def in_python(self) -> bool:
+        """Whether its class is written in Python."""
+        return not type(self.value).__module__.startswith("mitsuba")
+
+    @property
+    def backend(self) -> str:
+        """The backend of its variant, or the name of one that has none."""
+        variant = str(self.value.variant_name())
+        return next((name for name, of in BACKENDS.items() if of == variant), variant)
+
+    @property
+    def code(self) -> dict[str, str]:
+        """Digest of its code by the name of its class, where that is written in Python."""
+        return code_of([self.value]) if self.in_python else {}
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """Its class and settings, ready for JSON: those that it prints, traverses and holds."""
+        import mitsuba as mi
+
+        settings: dict[str, Any] = {"type": self.kind}
+        if self.in_python:
+            settings |= vars(self.value)
+        else:
+            settings |= {name: _number(text) for name, text in _printed(str(self.value))}
+        with contextlib.suppress(RuntimeError, TypeError):  # a class that does not say
+            settings |= dict(mi.traverse(self.value))
+        told = {name: _told(value) for name, value in settings.items()}
+        return {name: value for name, value in told.items() if value is not None}
+
+    def __reduce__(self) -> NoReturn:
+        raise InputError(_ELSEWHERE)
+
+
+def _printed(text: str) -> list[tuple[str, str]]:
+    r"""Return the settings that an object of Mitsuba's prints.
+
+    Examples
+    --------
+    >>> _printed("PathIntegrator[\n  max_depth = 4,\n  rr_depth = 5\n]")
+    [('max_depth', '4'), ('rr_depth', '5')]
+    """
+    return re.findall(r"^\s*(\w+) = (.*?),?$", text, re.MULTILINE)
+
+
+def _number(text: str) -> str | int | float:
+    if text.isdecimal():
+        return -1 if int(text) == _UNLIMITED else int(text)
+    with contextlib.suppress(ValueError):
+        return float(text)
+    return text
+
+
+def _told(value: Any) -> Any:
+    """Return a value for JSON, or None of what is neither text nor numbers."""
+    if isinstance(value, _PLAIN):
+        return value
+    with contextlib.suppress(TypeError, ValueError, RuntimeError):
+        array = np.asarray(value)
+        if array.dtype.kind in "biuf":
+            if array.size <= _LONGEST:
+                return array.tolist()
+            return "SHA-256 " + hashlib.sha256(array.tobytes()).hexdigest()[:16]
+    return None
