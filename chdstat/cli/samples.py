@@ -177,6 +177,15 @@ def import_samples(
             min=1, help="Samples that each value is the average of.", show_default="the files' own"
         ),
     ] = None,
+    sequence: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            min=1,
+            help="Samples of a pixel that depend on each other, as stratified ones do.",
+            show_default="none: independent",
+        ),
+    ] = None,
     scene: Annotated[
         str | None, typer.Option(help="Name of the scene.", show_default="that of the first file")
     ] = None,
@@ -208,6 +217,7 @@ def import_samples(
         "seed": seed,
         "unit": unit,
         "averaged": averaged,
+        "sequence": sequence,
     }
     samples = chdstat.io.read(
         *sources,

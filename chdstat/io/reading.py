@@ -141,7 +141,8 @@ def read(
         Samples of each pixel, shape (y, x), where they differ, or a .npy file of them.
     **attrs
         Provenance: ``scene="name"``, ``renderer="mine 1.2"``, ``seed=7``, ``unit`` of radiance, or
-        ``averaged=16`` where each value is the average of 16 samples.
+        ``averaged=16`` where each value is the average of 16 samples, or ``sequence=16`` where 16
+        at a time depend on each other, as stratified ones do.
 
     Returns
     -------

@@ -54,9 +54,7 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
         "Integrator": f"{kind} ({settings})" if settings else kind,
         "Image": f"{width} × {height} pixels, {channels} channel{'s' * (channels > 1)}, "
         f"{spp} samples per pixel",
-        "Random numbers": f"{attrs['sampler']} sampler, seed {attrs['seed']}{_spread(attrs)}"
-        if {"sampler", "seed"} <= attrs.keys()
-        else "",
+        "Random numbers": _random_numbers(attrs),
         "Filter": str(attrs.get("filter", "")),
         "Renderer": f"Mitsuba {attrs['mitsuba_version']}, {attrs['backend']}"
         if "mitsuba_version" in attrs
@@ -70,10 +68,17 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
     return {name: value for name, value in rows.items() if value}
 
 
-def _spread(attrs: Mapping[str, Any]) -> str:
-    """Return in words how many samples depend on each other; "" where none do."""
-    length = sequence_of(attrs)
-    return f", in sequences of {length} samples that depend on each other" if length > 1 else ""
+def _random_numbers(attrs: Mapping[str, Any]) -> str:
+    """Return sampler and seed in words, and how many samples depend on each other; "" if unknown.
+
+    A seed alone tells nothing.
+    """
+    parts, length = list[str](), sequence_of(attrs)
+    if {"sampler", "seed"} <= attrs.keys():
+        parts.append(f"{attrs['sampler']} sampler, seed {attrs['seed']}")
+    if length > 1:
+        parts.append(f"in sequences of {length} samples that depend on each other")
+    return ", ".join(parts)
 
 
 def line(samples: Samples) -> str:
@@ -82,7 +87,8 @@ def line(samples: Samples) -> str:
     counts, length, source = samples.counts, sequence_of(samples.attrs), samples.source
     number = f"{spp} spp" if counts is None else f"{counts.min()} to {spp} spp"
     if length > 1:
-        number += f" in {samples.attrs.get('sampler', '')} sequences of {length}"
+        sampler = samples.attrs.get("sampler", "")
+        number += f" in {sampler} sequences of {length}".replace("  ", " ")
     elif samples.attrs.get("averaged", 1) > 1:
         number += f" (averages of {samples.attrs['averaged']})"
     where = "in memory"

@@ -97,7 +97,8 @@ class Samples:
             beyond them is ignored. Where they depended on the samples themselves, as in adaptive
             sampling, means are biased.
         **attrs
-            Provenance: ``scene="name"``, ``renderer="mine 1.2"``, ``seed=7``, ``unit`` of radiance.
+            Provenance: ``scene="name"``, ``seed=7``, ``unit`` of radiance; ``sequence=16`` where so
+            many samples depend on each other.
 
         Raises
         ------
@@ -374,9 +375,8 @@ class Samples:
     def sequence_means(self) -> Samples:
         """Return the averages of sequences of dependent samples, which are independent, in memory.
 
-        Samplers that spread the samples of a pixel draw them in sequences (`chdstat.render`). Each
-        average is an estimate of the pixel, their variance is that of the estimate. One with a bad
-        sample is bad; an incomplete last sequence is left out.
+        Samplers that spread the samples of a pixel draw them in sequences (`chdstat.render`). An
+        average with a bad sample is bad; an incomplete last sequence is left out.
 
         Raises
         ------

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import LeftOut, spans
+from chdstat._core.arrays import LeftOut, spans, whole
 from chdstat._core.executor import check_memory, in_order, track
 from chdstat.errors import InputError
 
@@ -133,12 +133,18 @@ def check_single(image: _Attributed) -> None:
 def sequence_of(attrs: Mapping[str, Any]) -> int:
     """Return how many samples of a pixel depend on each other; 1 where they are independent.
 
+    Raises
+    ------
+    InputError
+        If it is no integer from 1.
+
     Examples
     --------
     >>> sequence_of({"sampler": "stratified", "sequence": 16}), sequence_of({})
     (16, 1)
     """
-    return int(attrs.get("sequence") or 1)
+    length = attrs.get("sequence")
+    return 1 if length is None else whole("sequence", length, least=1)
 
 
 def check_independent(image: _Attributed) -> None:
@@ -151,12 +157,12 @@ def check_independent(image: _Attributed) -> None:
     """
     length = sequence_of(image.attrs)
     if length > 1:
-        sampler = image.attrs.get("sampler", "one that spreads samples")
+        named = f"the {image.attrs['sampler']} sampler" if "sampler" in image.attrs else "a sampler"
         message = (
-            f"expected independent samples, got those of a sampler ({sampler}) that spreads "
-            f"{length} at a time over a pixel: summarize and contrast take them, by the averages "
-            "of these sequences, which samples.sequence_means() returns; for anything else, render "
-            "with the independent sampler"
+            f"expected independent samples, got those of {named}, which spreads {length} at a time "
+            "over a pixel: summarize and contrast take them, by the averages of these sequences, "
+            "which samples.sequence_means() returns; for anything else, render with the "
+            "independent sampler"
         )
         raise InputError(message)
 

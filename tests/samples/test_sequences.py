@@ -167,6 +167,20 @@ def test_what_assumes_independence_refuses_and_says_how_to_go_on(name):
         REFUSED[name](stratified())
 
 
+@pytest.mark.parametrize("length", ["x", 0, -3, 2.5])
+def test_a_sequence_that_is_no_number_is_refused(length):
+    samples = chd.Samples.from_array(np.ones((2, 2, 3, 32)), sequence=length)
+    with pytest.raises(InputError, match="sequence must be"):
+        chd.summarize(samples)
+
+
+def test_samples_of_another_renderer_are_marked(tmp_path):
+    np.save(tmp_path / "x.npy", spread())
+    samples = chd.io.read(tmp_path / "x.npy", sequence=N)
+    assert samples.sequence_means().spp == SEQUENCES
+    assert "in sequences of 16 samples that depend on each other" in samples._repr_html_()
+
+
 def test_a_report_and_an_export_refuse(tmp_path):
     for call in (
         lambda: chd.report(stratified(), tmp_path / "r.pdf"),
