@@ -11,6 +11,7 @@ import dataclasses
 import html
 import io
 import math
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -257,7 +258,18 @@ class Card:
         """Return at most ten lines: the facts, then the rows of the table."""
         facts = self._known()
         width = max(map(len, facts), default=0)
-        lines = [f"{name:{width}}  {text}" for name, text in facts.items()]
+        indent = " " * (width + 2)
+        lines = [
+            line
+            for name, text in facts.items()
+            for line in textwrap.wrap(
+                f"{name:{width}}  {text}",
+                _WIDTH,
+                subsequent_indent=indent,
+                max_lines=3,
+                placeholder="...",
+            )
+        ]
         if self.table:
             rows = [[*self.table[0]], *([*row.values()] for row in self.table)]
             widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -7,6 +7,7 @@ render against a converged image: per pixel, and over regions, which show what n
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -193,10 +194,10 @@ class Contrast(Shown):
             name: f"{source}, {'taken as exact' if spp is None else f'{spp} spp'}"
             for name, source, spp in zip("AB", self.names, self.spp, strict=True)
         }
-        ends = self.loss.value, self.loss.low, self.loss.high
+        ends = -self.loss.value, -self.loss.high, -self.loss.low
         found = {
             **of_both,
-            "B is darker by": with_interval(*ends, percent),
+            "B − A over A": with_interval(*ends, partial(percent, sign=True)),
             "efficiency of B over A": str(self.efficiency_ratio),
         }
         if self.spp[1] is not None:

@@ -109,8 +109,8 @@ def render(
         which `chdstat.patterns.attribute` makes shares of the mean, the variance and the tail of.
     by_light
         Render every sample once more by some lights alone: `Samples.lights`. Each entry is the name
-        of a light (of its shape, in most scenes) or a pattern such as "lamp-*" that names a group
-        of them. What comes from each is a share of `chdstat.patterns.attribute`, too.
+        of a light (of its shape, in most scenes) or a pattern such as ``"lamp-*"`` that names a
+        group of them. What comes from each is a share of `chdstat.patterns.attribute`, too.
     out
         Where to store the samples; None keeps them in memory.
     backend

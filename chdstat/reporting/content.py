@@ -245,8 +245,9 @@ def _where_noise_is(noise: _Noise) -> Iterator[Headline]:
     if math.isfinite(noise.share):
         yield Headline(
             f"The largest part of the noise is in {_pixels(noise.label)}.",
-            f"They are {percent(noise.pixels)} of the image and hold {percent(noise.share)} of its "
-            f"relative variance: {_MEANING.get(noise.label, 'no pattern of the table applies')}.",
+            f"By the first pattern of each, they are {percent(noise.pixels)} of the image and "
+            f"hold {percent(noise.share)} of its relative variance: "
+            f"{_MEANING.get(noise.label, 'no pattern of the table applies')}.",
         )
 
 
