@@ -11,6 +11,7 @@ import typer
 from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError
+from chdstat.rendering.backend import Color
 from chdstat.rendering.sequences import SamplerName
 
 __all__ = ["analyze", "convert", "export", "import_samples", "include", "info", "render"]
@@ -44,6 +45,13 @@ def render(
             show_default="all of it",
         ),
     ] = None,
+    color: Annotated[
+        Color,
+        typer.Option(
+            help="How light is transported: rgb, at random wavelengths, or in one channel. Samples "
+            "are linear sRGB."
+        ),
+    ] = "rgb",
     sampler: Annotated[
         SamplerName,
         typer.Option(
@@ -112,6 +120,7 @@ def render(
             sensor=sensor,
             integrator=cli.integrator_of(integrator),
             crop=cli.crop_of(crop),
+            color=color,
             sampler=sampler,
             sequence=sequence,
             direct=direct,

@@ -15,7 +15,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,12 +23,25 @@ from chdstat._core.cache import Cache, installed, user_cache
 from chdstat._core.executor import cores, memory
 from chdstat.errors import InputError, RenderError
 
-__all__ = ["BACKENDS", "Backend", "Verdict", "activate", "examine", "probe", "resolve"]
+__all__ = [
+    "BACKENDS",
+    "COLORS",
+    "Backend",
+    "Color",
+    "Verdict",
+    "activate",
+    "examine",
+    "probe",
+    "resolve",
+]
 
 Backend = Literal["auto", "scalar", "llvm", "cuda"]
+Color = Literal["rgb", "spectral", "mono"]
 
 BACKENDS = {"scalar": "scalar_rgb", "llvm": "llvm_ad_rgb", "cuda": "cuda_ad_rgb"}
-"""Mitsuba variant of each backend."""
+"""Mitsuba variant of each backend that renders in RGB."""
+COLORS = ("rgb", "spectral", "mono")
+"""How light is represented while it is transported: what Mitsuba's variants end with."""
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _LIBRARY_FOLDERS = (
@@ -50,26 +63,46 @@ class Verdict:
     works: bool
     detail: str
     library: str | None = None
+    color: str = "rgb"
+
+    @property
+    def variant(self) -> str:
+        """Name of Mitsuba's variant."""
+        return BACKENDS[self.backend].removesuffix("rgb") + self.color
 
 
-def resolve(backend: Backend = "auto") -> Verdict:
+def resolve(backend: Backend = "auto", color: Color = "rgb") -> Verdict:
     """Return the backend to use: the one asked for, or the fastest that has proved itself.
 
     Raises
     ------
     InputError
-        If the name is none of "auto", "scalar", "llvm", "cuda".
+        If the name is none of "auto", "scalar", "llvm", "cuda", the colour none of `COLORS`, or
+        Mitsuba has no such variant.
     RenderError
         If the backend asked for does not work here.
     """
+    if color not in COLORS:
+        message = f"color must be one of {', '.join(COLORS)}; got {color!r}"
+        raise InputError(message)
+    if color == "mono" and backend == "scalar":
+        message = "Mitsuba has no scalar variant in mono; use the llvm or cuda backend"
+        raise InputError(message)
     if backend == "auto":
         verdicts = (probe(name) for name in ("cuda", "llvm", "scalar"))
-        return next(v for v in verdicts if v.works)
+        verdict = next(v for v in verdicts if v.works)
+        if color == "mono" and verdict.backend == "scalar":
+            message = (
+                "color='mono' needs the llvm or cuda backend, of which none works here, see: "
+                "chdstat doctor"
+            )
+            raise RenderError(message)
+        return replace(verdict, color=color)
     verdict = probe(backend)
     if not verdict.works:
         message = f"the {backend} backend does not work here: {verdict.detail}. Use scalar or auto"
         raise RenderError(message)
-    return verdict
+    return replace(verdict, color=color)
 
 
 def probe(backend: str, *, fresh: bool = False) -> Verdict:
@@ -89,8 +122,8 @@ def probe(backend: str, *, fresh: bool = False) -> Verdict:
     """
     if backend not in BACKENDS:
         message = (
-            f"backend must be one of auto, {', '.join(BACKENDS)}; got {backend!r}. All render in "
-            "RGB: spectral, mono and polarized variants of Mitsuba are not supported"
+            f"backend must be one of auto, {', '.join(BACKENDS)}; got {backend!r}. Spectral "
+            "and mono variants of Mitsuba are chosen by color; polarized ones are not supported"
         )
         raise InputError(message)
     if backend == "scalar":
@@ -118,7 +151,7 @@ def activate(verdict: Verdict) -> Iterator[Any]:
     import mitsuba as mi
 
     previous = mi.variant()
-    mi.set_variant(BACKENDS[verdict.backend])
+    mi.set_variant(verdict.variant)
     mi.set_log_level(mi.LogLevel.Error)
     try:
         yield mi

@@ -14,7 +14,7 @@ import numpy as np
 from chdstat._core.arrays import Seed, spans, whole
 from chdstat._core.display import Card
 from chdstat._core.executor import track
-from chdstat.rendering.backend import Backend, activate
+from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import SamplerName
@@ -41,6 +41,7 @@ def render_batches(
     sensor: int = 0,
     integrator: IntegratorLike | None = None,
     crop: Crop | None = None,
+    color: Color = "rgb",
     sampler: SamplerName = "independent",
     sequence: int | None = None,
     backend: Backend = "auto",
@@ -52,7 +53,7 @@ def render_batches(
 
     Parameters
     ----------
-    scene, size, seed, max_depth, sensor, integrator, crop, sampler, sequence, backend
+    scene, size, seed, max_depth, sensor, integrator, crop, color, sampler, sequence, backend
         As for `render`.
     spp
         Samples per pixel in all.
@@ -88,6 +89,7 @@ def render_batches(
         sensor=sensor,
         integrator=integrator,
         crop=crop,
+        color=color,
         sampler=sampler,
         sequence=sequence,
         backend=backend,

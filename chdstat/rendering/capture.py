@@ -21,7 +21,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, whole
 from chdstat._core.executor import track
 from chdstat.errors import InputError, RenderError, StoreError
-from chdstat.rendering.backend import Backend, activate
+from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.lights import check_lights
 from chdstat.rendering.renderer import Renderer
@@ -53,6 +53,7 @@ def render(
     sensor: int = 0,
     integrator: IntegratorLike | None = None,
     crop: Crop | None = None,
+    color: Color = "rgb",
     sampler: SamplerName = "independent",
     sequence: int | None = None,
     direct: bool = False,
@@ -92,6 +93,10 @@ def render(
     crop
         (x, y, width, height): render this part of the image only, with random numbers of its own.
         Where `out` holds a crop, give the same `size` and `crop` again to go on.
+    color
+        "rgb", or how light is transported before it becomes linear sRGB: "spectral", each sample at
+        four random wavelengths, or "mono", of one channel that all three are equal to. Mitsuba has
+        the latter with llvm and cuda only.
     sampler
         "independent", whatever the scene names, or one of Mitsuba's that spread the samples of a
         pixel: "stratified", "multijitter", "orthogonal" or "ldsampler". Then samples depend on each
@@ -166,6 +171,7 @@ def render(
         sensor=sensor,
         integrator=integrator,
         crop=crop,
+        color=color,
         sampler=sampler,
         sequence=sequence,
         backend=backend,
@@ -209,13 +215,14 @@ def render_pixels(
     sensor: int = 0,
     integrator: IntegratorLike | None = None,
     crop: Crop | None = None,
+    color: Color = "rgb",
     backend: Backend = "scalar",
 ) -> Image:
     """Draw samples of a few pixels, without rendering the rest of the image.
 
     Parameters
     ----------
-    scene, size, seed, max_depth, sensor, integrator, crop, backend
+    scene, size, seed, max_depth, sensor, integrator, crop, color, backend
         As for `render`. The samples are independent, also of those that `render` draws.
     pixels
         (y, x) of each pixel, shape (pixel, 2); a single pair is taken as one pixel.
@@ -247,6 +254,7 @@ def render_pixels(
         sensor=sensor,
         integrator=integrator,
         crop=crop,
+        color=color,
         backend=backend,
     )
     with activate(job.verdict):

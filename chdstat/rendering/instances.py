@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from chdstat.errors import InputError
-from chdstat.rendering.backend import BACKENDS
+from chdstat.rendering.backend import BACKENDS, Verdict
 from chdstat.scenes.files import code_of
 
 __all__ = ["IntegratorObject"]
@@ -49,7 +49,7 @@ class IntegratorObject:
         return mi is not None and mi.variant() is not None and isinstance(value, mi.Object)
 
     @classmethod
-    def of(cls, value: Any, backend: str, max_depth: int | None) -> IntegratorObject:
+    def of(cls, value: Any, backend: str, color: str, max_depth: int | None) -> IntegratorObject:
         """Return an integrator that can render with a backend, "auto" for its own.
 
         Raises
@@ -57,12 +57,13 @@ class IntegratorObject:
         InputError
             If it is of another variant, or its path length is asked to be changed.
         """
-        made = cls(value)
-        if backend not in ("auto", made.backend):
+        made, own = cls(value), str(value.variant_name())
+        wanted = Verdict(made.backend if backend == "auto" else backend, True, "", color=color)
+        if wanted.backend not in BACKENDS or own != wanted.variant:
             message = (
-                f"integrator is a {made.kind} of the variant {value.variant_name()}, which cannot "
-                f"render with the {backend} backend; make it after mitsuba.set_variant"
-                f"({BACKENDS.get(backend, backend)!r}), or give it as a dict"
+                f"integrator is a {made.kind} of the variant {own}, which cannot render with the "
+                f"{wanted.backend} backend in {color}; make it in the variant of these (see "
+                "mitsuba.set_variant), give backend and color of its own, or give it as a dict"
             )
             raise InputError(message)
         if max_depth is not None:
@@ -85,9 +86,8 @@ class IntegratorObject:
 
     @property
     def backend(self) -> str:
-        """The backend of its variant, or the name of one that has none."""
-        variant = str(self.value.variant_name())
-        return next((name for name, of in BACKENDS.items() if of == variant), variant)
+        """The backend of its variant."""
+        return str(self.value.variant_name()).partition("_")[0]
 
     @property
     def code(self) -> dict[str, str]:

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat.errors import InputError
-from chdstat.rendering.backend import BACKENDS, Backend, Verdict, activate, resolve
+from chdstat.rendering.backend import Backend, Color, Verdict, activate, resolve
 from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.seeds import SEEDS
 from chdstat.rendering.sequences import SamplerName, Sequences
@@ -56,6 +56,7 @@ class Job:
         crop: Crop | None = None,
         sampler: SamplerName = "independent",
         sequence: int | None = None,
+        color: Color = "rgb",
         backend: Backend = "auto",
     ) -> Job:
         """Return a job whose settings are checked, so that no work is done for wrong ones."""
@@ -79,13 +80,13 @@ class Job:
             raise InputError(message)
         sensor = whole("sensor", sensor, least=0)
         if IntegratorObject.fits(integrator):
-            integrator = IntegratorObject.of(integrator, backend, max_depth)
+            integrator = IntegratorObject.of(integrator, backend, color, max_depth)
             backend = cast("Backend", integrator.backend)
         elif integrator is not None:
             integrator = _described(integrator)
         return cls(
             load_scene(scene),
-            resolve(backend),
+            resolve(backend, color),
             size,
             seed,
             max_depth,
@@ -101,7 +102,7 @@ class Job:
         given = self.integrator
         integrator = repr(sorted(given.items())) if isinstance(given, Mapping) else given
         return (
-            self.verdict.backend,
+            self.verdict.variant,
             self.size,
             self.seed,
             self.max_depth,
@@ -126,7 +127,7 @@ class Job:
         InputError, SceneError, RenderError
             If there is no such sensor, or its film, the integrator or a plugin cannot be used.
         """
-        variant = BACKENDS[self.verdict.backend]
+        variant = self.verdict.variant
         register(self.plugins, variant)
         state, integrator = self.scene.parse(variant), None
         if self.integrator is not None:

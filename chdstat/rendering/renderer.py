@@ -21,6 +21,7 @@ from chdstat.rendering.backend import activate
 from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.job import Job
 from chdstat.rendering.lights import darken, flush, light_names
+from chdstat.rendering.rays import drawn
 from chdstat.rendering.seeds import Streams
 from chdstat.rendering.sequences import Sequences
 from chdstat.samples.layout import TILE, Chunk, Image
@@ -336,16 +337,13 @@ class Renderer:
 
     def _sampling_scalar(self, sampler: Any) -> Callable[[int, int], Any]:
         """Return a function that draws the next sample of the pixel at (x, y)."""
-        mi, scene, integrator, medium = self._mi, self._scene, self._integrator, self._sensor_medium
-        sensor, (width, height) = self._sensor((0, 0), self.size), self.size
+        mi, (width, height), sensor = self._mi, self.size, self._sensor((0, 0), self.size)
+        objects = self._scene, sensor, self._integrator, sampler, self._sensor_medium
 
         def sample(x: int, y: int) -> Any:
             dx, dy = sampler.next_2d()
-            time, lens = _time_and_lens(mi, sensor, sampler)
             position = mi.Point2f((x + dx) / width, (y + dy) / height)
-            ray, weight = sensor.sample_ray_differential(time, 0.0, position, lens)
-            color, _, _ = integrator.sample(scene, sampler, ray, medium, True)
-            return weight * color
+            return drawn(mi, position, *objects)
 
         return sample
 
@@ -407,10 +405,7 @@ class Renderer:
             index = dr.arange(mi.UInt32, lanes) // run % pixels
             pixel = mi.Point2f(mi.Float(index % width + left), mi.Float(index // width + top))
             position = (pixel + sampler.next_2d()) / mi.Point2f(*size)
-            time, lens = _time_and_lens(mi, sensor, sampler)
-            ray, weight = sensor.sample_ray_differential(time, 0.0, position, lens)
-            color, _, _ = integrator.sample(scene, sampler, ray, medium, True)
-            return weight * color
+            return drawn(mi, position, scene, sensor, integrator, sampler, medium)
 
         return kernel
 
@@ -433,16 +428,3 @@ def _unusable(integrator: str, why: str | Exception) -> RenderError:
         f"integrator {integrator!r} {reason}; "
         "use one that samples pixel by pixel, such as path, volpath or direct"
     )
-
-
-def _time_and_lens(mi: Any, sensor: Any, sampler: Any) -> tuple[Any, Any]:
-    """Draw the time within the shutter interval and the point on the lens, where needed.
-
-    Not a method: a kernel that held its renderer would keep the scene alive in a circle, and the
-    next scene's kernel could not be frozen.
-    """
-    time = sensor.shutter_open()
-    if sensor.shutter_open_time() > 0:
-        time = time + sampler.next_1d() * sensor.shutter_open_time()
-    lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
-    return time, lens

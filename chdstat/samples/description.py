@@ -55,6 +55,9 @@ def provenance(attrs: Mapping[str, Any], shape: Sequence[int]) -> dict[str, str]
         "Image": f"{width} × {height} pixels, {channels} channel{'s' * (channels > 1)}, "
         f"{spp} samples per pixel",
         "Random numbers": _random_numbers(attrs),
+        "Light": {"spectral": "spectral, samples in linear sRGB", "mono": "of one channel"}.get(
+            attrs.get("color", ""), ""
+        ),
         "Filter": str(attrs.get("filter", "")),
         "Renderer": f"Mitsuba {attrs['mitsuba_version']}, {attrs['backend']}"
         if "mitsuba_version" in attrs
