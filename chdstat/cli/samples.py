@@ -46,11 +46,7 @@ def render(
         ),
     ] = None,
     color: Annotated[
-        Color,
-        typer.Option(
-            help="How light is transported: rgb, at random wavelengths, or in one channel. Samples "
-            "are linear sRGB."
-        ),
+        Color, typer.Option(help="What light is transported as; samples are linear sRGB.")
     ] = "rgb",
     sampler: Annotated[
         SamplerName,
