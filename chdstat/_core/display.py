@@ -39,6 +39,8 @@ __all__ = [
 
 _LINES, _WIDTH = 10, 100
 """Largest size of a representation as text."""
+_SENTENCE = 84
+"""Letters after which sentences wrap."""
 _LONG = 400
 """Largest number of letters of a value."""
 _IN_FULL = 12
@@ -264,7 +266,7 @@ class Card:
             for name, text in facts.items()
             for line in textwrap.wrap(
                 f"{name:{width}}  {text}",
-                _WIDTH,
+                _SENTENCE,
                 subsequent_indent=indent,
                 max_lines=3,
                 placeholder="...",
