@@ -364,9 +364,39 @@ def _largest(
         square = np.maximum(square, moments.n * near)
     unit = sums[known] / (moments.scale * np.sqrt(moments.square))[known][:, np.newaxis]
     z = np.abs(flips @ unit.astype(np.float32).T)
-    z[0] *= np.sqrt(moments.square / np.where(square > 0, square, 1))[known]
+    missed = _missed(d, edge, starts, moments.total > 0) / moments.scale
+    least = np.maximum(np.abs(moments.total) - missed, 0)
+    z[0] = (least / np.sqrt(np.where(square > 0, square + missed**2, 1)))[known]
     at = np.argwhere(known)[int(z[0].argmax())]
     return z.max(axis=1).astype(float), (int(starts[0][at[0]]), int(starts[1][at[1]]))
+
+
+def _missed(d: npt.NDArray[Any], edge: int, starts: list[Any], up: Mask) -> Floats:
+    """Return how much of the sign against the sum of each window may have been missed.
+
+    Of rare events, one more as large as the largest may as well have been seen, as in bounds of
+    weighted sums of Poisson counts. They are rare where the terms that oppose the sum are worth
+    half as many terms of one size, or fewer, as those that make it; where both are worth as many,
+    as of one distribution, nothing is missing.
+
+    References
+    ----------
+    Fay and Feuer, "Confidence intervals for directly standardized rates: a method based on the
+    gamma distribution", 1997, doi:10.1002/(SICI)1097-0258(19970415)16:7<791::AID-SIM500>3.0.CO;2-#.
+    """
+    scale = max(float(np.abs(d).max()), 1e-300)
+    shape = tuple(min(edge, size) for size in d.shape[:2])
+    worth, largest = [], []
+    for sign in (1, -1):
+        x = np.maximum(d.astype(float) * (sign / scale), 0)
+        of_cells = np.stack([x.sum(axis=-1), np.square(x).sum(axis=-1)], axis=-1)
+        total, square = np.moveaxis(np.maximum(window_sums(of_cells, edge)[0], 0), -1, 0)
+        worth.append(total**2 / np.maximum(square, 1e-300))
+        highest = np.lib.stride_tricks.sliding_window_view(x.max(axis=-1), shape)
+        largest.append(highest[np.ix_(*starts)].max(axis=(2, 3)) * scale)
+    with_it, against = np.where(up, worth, worth[::-1])
+    share = np.clip(2 - 2 * against / np.maximum(with_it, 1e-300), 0, 1)
+    return np.asarray(share * np.where(up, largest[1], largest[0]))
 
 
 def _independent(largest: Floats) -> float:

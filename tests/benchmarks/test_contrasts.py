@@ -1,6 +1,7 @@
 """Contrasts: levels of p-values on renders, power against a test that knows the place, and time.
 
-Run with ``pytest tests/benchmarks/test_contrasts.py --benchmark-only -s``: about five minutes.
+Run with ``pytest tests/benchmarks/test_contrasts.py --benchmark-only -s``: about eight minutes, of
+which simulated pairs, ``-k simulated``, take three.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import chdstat as chd
 from chdstat.scenes import load_scene
@@ -50,6 +52,79 @@ def test_levels_of_renders_with_equal_means(as_benchmark, name):
             line = "".join(f"{share:10.4f}" for share in shares)
             print(f"{kind:34}{spp:4}{line}   {verdicts} of {len(found)}", flush=True)
             assert (shares <= LEVELS + 0.01).all()
+
+
+EDGE, DRAWN = 16, 32
+
+
+def _level():
+    y, x = np.mgrid[:EDGE, :EDGE] / EDGE
+    return (0.2 + y + 2 * x * y)[:, :, np.newaxis, np.newaxis]
+
+
+CHDS = {
+    "gamma": lambda rng, size: rng.gamma(0.5, size=size),
+    "log-normal, sigma 2": lambda rng, size: rng.lognormal(0, 2, size),
+    "Pareto, infinite variance": lambda rng, size: 1 + rng.pareto(1.5, size),
+    "95 % nulls": lambda rng, size: rng.lognormal(size=size) * (rng.random(size) < 0.05),
+    "fireflies, 1 of 10,000": lambda rng, size: (
+        rng.gamma(1.0, size=size) + 1e4 * (rng.random(size) < 1e-4)
+    ),
+    "negative": lambda rng, size: rng.gamma(1.0, size=size) - 0.9,
+}
+MEANS = {"gamma": 0.5, "log-normal, sigma 2": np.exp(2.0)}
+
+
+def _independent(rng, chd_of, a):
+    return chd_of(rng, a.shape) * _level()
+
+
+def _longer(rng, chd_of, a):
+    return chd_of(rng, (*a.shape[:3], 9 * DRAWN)) * _level()
+
+
+def _roulette(q, share=1.0, fresh=False):
+    """Return samples of which a share is drawn again: x / q with probability q, or 0."""
+
+    def of(rng, chd_of, a):
+        x = chd_of(rng, a.shape) * _level() if fresh else a
+        return np.where(rng.random(x.shape) < share, x * (rng.random(x.shape) < q) / q, x)
+
+    return of
+
+
+PAIRS = {
+    **{(name, "independent"): _independent for name in CHDS},
+    ("gamma", "9 times the spp"): _longer,
+    **{(n, "exact image"): lambda _, __, ___, m=m: m * _level()[..., 0] for n, m in MEANS.items()},
+    ("gamma", "order of 3 samples"): lambda _, __, a: a[..., [2, 0, 1, *range(3, DRAWN)]],
+    ("gamma", "roulette, q .5"): _roulette(0.5),
+    ("gamma", "roulette, q .1"): _roulette(0.1),
+    ("gamma", "roulette of 2 %, q .1"): _roulette(0.1, 0.02),
+    ("log-normal, sigma 2", "roulette, q .1"): _roulette(0.1),
+    ("log-normal, sigma 2", "roulette, q .1, other seed"): _roulette(0.1, fresh=True),
+}
+
+
+@pytest.mark.parametrize(("chds", "kind"), PAIRS)
+def test_levels_of_simulated_pairs(as_benchmark, chds, kind):
+    """Shares of p-values up to a, and of false verdicts with their interval: printed, not held."""
+    p, verdicts = [], []
+    for seed in range(200):
+        rng = np.random.default_rng([seed, *map(ord, chds + kind)])
+        a = CHDS[chds](rng, (EDGE, EDGE, 1, DRAWN)) * _level()
+        found = chd.contrast(a, PAIRS[chds, kind](rng, CHDS[chds], a), seed=seed)
+        p.append(found.p_value.to_numpy().ravel())
+        verdicts.append(found.outcome)
+    p = np.concatenate(p)
+    shares = (p[np.isfinite(p), np.newaxis] <= LEVELS[1:]).mean(axis=0)
+    false = verdicts.count("differ")
+    ends = stats.binomtest(false, len(verdicts)).proportion_ci(method="exact")
+    line = "".join(f"{share:8.4f}" for share in shares)
+    print(
+        f"\n{chds:26} {kind:27}{line}  false {false / len(verdicts):.3f} "
+        f"[{ends.low:.3f}, {ends.high:.3f}], cannot tell {verdicts.count('cannot tell')}"
+    )
 
 
 def _best(mean, variance, block, spp):
