@@ -395,7 +395,8 @@ def _missed(d: npt.NDArray[Any], edge: int, starts: list[Any], up: Mask) -> Floa
         highest = np.lib.stride_tricks.sliding_window_view(x.max(axis=-1), shape)
         largest.append(highest[np.ix_(*starts)].max(axis=(2, 3)) * scale)
     with_it, against = np.where(up, worth, worth[::-1])
-    share = np.clip(2 - 2 * against / np.maximum(with_it, 1e-300), 0, 1)
+    # Where terms are 0, both are worth what rounding left of sums over the image.
+    share = np.clip(2 - 2 * against / np.maximum(np.maximum(with_it, against / 2), 1e-300), 0, 1)
     return np.asarray(share * np.where(up, largest[1], largest[0]))
 
 

@@ -134,6 +134,16 @@ def test_windows_that_missed_rare_bright_samples_are_not_darker():
     assert np.sum(np.array(p) <= 0.05) <= 16
 
 
+@pytest.mark.filterwarnings("error")
+def test_windows_without_light_beside_bright_ones_say_nothing():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        d = rng.lognormal(0, 2, (1, 12, 12, 16)) * rng.choice([-1, 1], (1, 12, 12, 16))
+        d[:, 3:9, 2:10] = 0
+        d *= rng.random(d.shape) < 0.2
+        assert 0 < scan_windows(d, np.ones(d.shape)).p_value <= 1
+
+
 # --- power --------------------------------------------------------------------------------------
 
 
