@@ -103,8 +103,12 @@ def estimate(
     source: cli.SceneOrStore,
     out: Annotated[Path, typer.Option("--out", "-o", help="The image to write, .exr.")],
     model: Annotated[
-        Path | None,
-        typer.Option(help="A trained model, as 'train' writes it.", show_default="trained here"),
+        str | None,
+        typer.Option(
+            metavar="FILE|self_trained",
+            help="A trained model, as 'train' writes it, or self_trained to train one here.",
+            show_default="candidates are combined",
+        ),
     ] = None,
     loss_weight: Annotated[
         float, typer.Option(help="From 0, least MSE, to 1, least relMSE.")
@@ -133,9 +137,10 @@ def estimate(
 ) -> None:
     """Estimate the radiance of every pixel, with its certainty and its interval.
 
-    Trains on these very samples, without a reference; with --while-rendering between the batches
-    of a render, in memory that does not grow with --spp. The file holds the estimate, and as layers
-    its certainty, the ends of its interval, and the mean of the samples.
+    Combines the mean and denoised images, pixel by pixel as the samples themselves say; with
+    --model self_trained, --iterations or --while-rendering, trains on these very samples, without a
+    reference, the last in memory that does not grow with --spp. The file holds the estimate, and as
+    layers its certainty, the ends of its interval, and the mean of the samples.
     """
     from chdstat._core.files import checked_target
     from chdstat.estimators import Progressive
@@ -146,7 +151,7 @@ def estimate(
 
     cli.load_plugins(plugin)
     target = checked_target(out, ".exr")  # refused before the work, not after
-    trained = None if model is None else load_model(model)
+    trained = model if model in (None, "self_trained") else load_model(model)
     samples: Samples | Rendering
     if while_rendering and (is_store(source) or store is not None):
         message = (

@@ -37,11 +37,13 @@ from chdstat.estimators.registry import (
 )
 from chdstat.estimators.shrinkage import james_stein
 from chdstat.estimators.training import History
+from chdstat.estimators.weighting import Combination, combine
 
 __all__ = [
     "MLP",
     "PRESETS",
     "Cascade",
+    "Combination",
     "Estimates",
     "Estimator",
     "Fireflies",
@@ -52,6 +54,7 @@ __all__ = [
     "Profile",
     "Progressive",
     "Stream",
+    "combine",
     "estimate",
     "james_stein",
     "load_model",

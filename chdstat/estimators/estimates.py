@@ -1,14 +1,17 @@
 """Estimates: a better image from the samples that are there, and a file of it.
 
-`estimate` is the one call from samples to radiance: by default it trains on the very samples that
-it estimates from, and needs no reference. Given a rendering in place of samples, it learns while
-the batches arrive, and keeps none of them. `write_estimates` puts the image in an EXR file, with
-the certainty, the interval and the mean beside it. `chdstat.estimators` has the parts.
+`estimate` is the one call from samples to radiance. By default it combines the mean, an
+outlier-free mean and denoised images of both, as the samples themselves say; it can also train a
+network on the very samples that it estimates from. Neither needs a reference. Given a rendering in
+place of samples, it learns while the batches arrive, and keeps none of them. `write_estimates` puts
+the image in an EXR file, with the certainty, the interval and the mean beside it.
+`chdstat.estimators` has the parts.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,6 +31,7 @@ from chdstat.estimators.progressive import Estimates, Progressive, Stream
 from chdstat.estimators.progressive.stream import follow
 from chdstat.estimators.registry import check_probability, mean_of_good
 from chdstat.estimators.validation import direct_of
+from chdstat.estimators.weighting import LEAST, Combination, combine
 from chdstat.io import denoise, write_exr
 from chdstat.samples import Image, Samples, check_equal_counts
 from chdstat.samples.tiles import check_independent
@@ -37,8 +41,14 @@ if TYPE_CHECKING:
 
 __all__ = ["check_denoiser", "estimate", "through_denoiser", "write_estimates"]
 
-_COPIES = 1.6
-"""Memory that an estimate takes, over that of its samples (measured: 1.55)."""
+_log = logging.getLogger("chdstat")
+
+_COPIES = 2.2
+"""Memory that an estimate takes, over that of its samples (measured)."""
+_SIGNED = 0.01
+"""Share of negative radiance from which a denoiser, to which it counts as 0, would add light."""
+_TRAINED = "self_trained"
+"""Stands for a model that is trained on the samples."""
 _USUAL_CHANNELS = (1, 3)
 """Numbers of channels that EXR has names for."""
 
@@ -57,9 +67,11 @@ def estimate(
 ) -> Estimates:
     """Estimate the radiance of every pixel.
 
-    Without a model, `Progressive` is trained on these very samples, without a reference, and looks
-    at first-hit features where there are any and at the pixels around (not while rendering, since
-    that needs the samples).
+    Without a model, `chdstat.estimators.combine` weights candidates, which takes less time than
+    rendering the samples did. Where Open Image Denoise is not installed, where more than 1 % of the
+    radiance is negative, and where `iterations` are given, `Progressive` is trained on these very
+    samples, without a reference, in some seconds to minutes; it looks at first-hit features where
+    there are any and at the pixels around (not while rendering, since that needs the samples).
 
     Parameters
     ----------
@@ -68,8 +80,9 @@ def estimate(
         rendering, as `chdstat.rendering.render_batches` makes it: then nothing is kept of its
         batches but what the estimate needs, in memory that does not grow with `spp`.
     model
-        A trained estimator, or the file that one was saved to; None trains one. One of another
-        scene is followed as far as it pays, which is measured on these samples.
+        A trained estimator, or the file that one was saved to; "self_trained" trains one; None
+        combines candidates, or trains. A model of another scene is followed as far as it pays,
+        which is measured on these samples.
     spp
         Use the first so many samples; None uses all.
     loss_weight
@@ -81,15 +94,16 @@ def estimate(
         Put the image through Open Image Denoise, with first-hit features where there are any.
         Certainty and interval remain those of the estimate before it.
     seed, iterations
-        Of the training, as for `chdstat.estimators.models.train_model`; no iterations with a model.
+        Of a training, as for `chdstat.estimators.models.train_model`; no iterations with a model.
     progress
         Show progress bars; None shows them on a terminal. A rendering shows its own.
 
     Returns
     -------
     Estimates
-        Shape (y, x, channel), in the unit of the samples. `MLP` says neither certainty nor
-        interval: these are NaN.
+        Shape (y, x, channel), in the unit of the samples; a `Combination` with the weight of each
+        candidate, where candidates were combined. `MLP` says neither certainty nor interval: these
+        are NaN.
 
     Raises
     ------
@@ -131,8 +145,9 @@ def write_estimates(
 ) -> Path:
     """Estimate the radiance of every pixel and write it to an EXR file.
 
-    The image is the estimate. The layers are ``certainty``, ``low``, ``high`` and ``mean``, and
-    ``estimate`` where the image was denoised after it. The header says where all this comes from.
+    The image is the estimate. The layers are ``certainty``, ``low``, ``high`` and ``mean``, the
+    ``weight`` of each candidate where candidates were combined, and ``estimate`` where the image
+    was denoised after it. The header says where all this comes from.
 
     Parameters
     ----------
@@ -196,7 +211,7 @@ class _Image:
     source, options
         The samples or the rendering, and how they were estimated from.
     model, about, training
-        The estimator, its provenance, and what it was trained on.
+        The estimator, None for a combination, its provenance, and what it was trained on.
     first
         Before the denoiser.
     mean
@@ -205,7 +220,7 @@ class _Image:
 
     source: Samples | Rendering
     options: _Options
-    model: AnyModel
+    model: AnyModel | None
     about: Mapping[str, Any]
     training: str
     first: Estimates
@@ -219,27 +234,41 @@ class _Image:
             )
             raise InputError(message)
         check_probability(level=options.level)
-        if model is not None and options.iterations is not None:
+        if model not in (None, _TRAINED) and options.iterations is not None:
             message = (
                 f"iterations={options.iterations} is for training; with a model, nothing is trained"
             )
             raise InputError(message)
-        own = load_model(model) if isinstance(model, str | Path) else model
+        trains = model == _TRAINED or options.iterations is not None
+        own = None if trains else model
+        own = load_model(own) if isinstance(own, str | Path) else own
         # A rendering has batches; to test for its class would load Mitsuba here.
-        of = cls._of_rendering if hasattr(source, "batch") else cls._of_samples
-        return of(source, own, options)
-
-    @classmethod
-    def _of_samples(cls, source: Any, model: AnyModel | None, options: _Options) -> _Image:
+        if hasattr(source, "batch"):
+            return cls._of_rendering(source, own, options)
         samples = first_samples(source, options.spp)
         check_equal_counts(samples)
         if options.denoise:
-            check_denoiser(samples.shape[2])  # refused before the training, not after
+            check_denoiser(samples.shape[2])  # refused before the work, not after
         check_memory(
             _COPIES * samples.nbytes,
             f"the {samples.spp} spp of an estimate and what it computes of them",
             "use fewer, by spp or --spp, or estimate from render_batches or with --while-rendering",
         )
+        if own is None and not trains and _can_combine(samples):
+            return cls._combined(samples, options)
+        return cls._of_samples(samples, own, options)
+
+    @classmethod
+    def _combined(cls, samples: Samples, options: _Options) -> _Image:
+        x = samples.read()
+        found = combine(x, features=samples.features, level=options.level)
+        about = {"bias": found.bias, "bias_error": found.bias_error}
+        training = "before, on built-in scenes with references"
+        mean = mean_of_good(x).astype(np.float32)
+        return cls(samples, options, None, about, training, found, mean)
+
+    @classmethod
+    def _of_samples(cls, samples: Samples, model: AnyModel | None, options: _Options) -> _Image:
         own = model or train_model(
             samples,
             inputs=["features"] if samples.features else [],
@@ -321,6 +350,9 @@ class _Image:
         found: dict[str, npt.NDArray[Any]] = {"mean": self.mean}
         if not np.isnan(self.first.level):
             found |= {name: getattr(self.first, name) for name in ("certainty", "low", "high")}
+        if isinstance(self.first, Combination):
+            weights = self.first.weights.items()
+            found |= {f"weight_{name.replace(' ', '_')}": image for name, image in weights}
         return found | ({"estimate": self.first.radiance} if self.options.denoise else {})
 
     def header(self) -> dict[str, str]:
@@ -329,7 +361,7 @@ class _Image:
             "software": f"chdstat {__version__}",
             "scene": self.source.name,
             "spp": self.source.spp,
-            "estimator": self.model.name,
+            "estimator": "combination" if self.model is None else self.model.name,
             "training": self.training,
             "loss_weight": self.options.loss_weight if mixes else "none",
             "level": "none" if np.isnan(self.first.level) else self.first.level,
@@ -357,6 +389,26 @@ def through_denoiser(
     albedo = features.get("albedo")
     normal = None if albedo is None else features.get("normal")
     return denoise(start, albedo=albedo, normal=normal, certainty=certainty)
+
+
+def _can_combine(samples: Samples) -> bool:
+    """Return whether candidates can be made; if only the denoiser is missing, log it."""
+    if samples.shape[2] not in _USUAL_CHANNELS or samples.spp < LEAST:
+        return False
+    try:
+        check_denoiser(samples.shape[2])
+    except InputError:
+        _log.warning(
+            "Open Image Denoise is not installed: a network is trained in place of combining "
+            "candidates; pip install 'chdstat[denoise]' makes estimates faster and better"
+        )
+        return False
+    negative = total = 0.0
+    for *_, block in samples.blocks():
+        known = np.nan_to_num(block, posinf=0, neginf=0)
+        negative += float(np.minimum(known, 0).sum(dtype=np.float64))
+        total += float(np.abs(known).sum(dtype=np.float64))
+    return -negative <= _SIGNED * total
 
 
 def check_denoiser(channels: int) -> None:

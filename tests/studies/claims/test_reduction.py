@@ -141,7 +141,7 @@ def test_bad_samples_in_some_pixels_do_not_decide(ask, samples):
 def trained(samples):
     """Return all learned estimators of the registry, trained a little, and the paper's network."""
     models, by_training = {}, {}
-    for name in set(names("learned")) - {"self_trained"}:
+    for name in set(names("learned")) - {"combination", "self_trained"}:
         train = lookup(name).train
         if train not in by_training:  # those of the same inputs share one
             options = (

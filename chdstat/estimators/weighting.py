@@ -1,0 +1,418 @@
+"""Combination: the mean, an outlier-free mean and denoised images of both, weighted per pixel.
+
+No single estimate is the best everywhere: a denoiser loses what is small and bright, the mean is
+noisy, and which of them is nearer to the truth differs from pixel to pixel. `combine` weights
+candidates by what the samples themselves say of them: candidates are made of one half of the
+samples and compared with the mean of the other half, whose noise is independent and unbiased (van
+der Laan, Polley and Hubbard 2007, "Super learner", doi:10.2202/1544-6115.1309). A small network
+turns these comparisons into weights and into the width of an interval. It was trained once, on
+built-in scenes against converged images (``tools/train_combination.py``), and sees ratios only:
+nothing of a scene but how its candidates compare.
+
+Weights per pixel for candidates follow Back et al. 2020, "Deep combiner for independent and
+correlated pixel estimates", doi:10.1145/3414685.3417847, and Firmino et al. 2022, "Progressive
+denoising of Monte Carlo rendered images", doi:10.1111/cgf.14454, which mixes by an estimated error;
+both train on the error of two estimates, here it is any number of them.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage, special
+
+from chdstat._core.arrays import as_pixels, is_null, spans
+from chdstat._core.executor import cores
+from chdstat.errors import InputError
+from chdstat.estimators.neighbourhood import shared_shape
+from chdstat.estimators.progressive.inputs import Estimates
+from chdstat.estimators.registry import check_probability, mean_of_good, register
+from chdstat.estimators.training import read_model
+from chdstat.estimators.validation import reordered
+from chdstat.io.denoiser import denoise
+
+__all__ = [
+    "LEAST",
+    "LEVELS",
+    "Combination",
+    "Weighting",
+    "candidates",
+    "combination",
+    "combine",
+    "compare_halves",
+]
+
+Image = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
+
+LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
+"""Probabilities of which the width of an interval was measured."""
+_SHIPPED = Path(__file__).with_name("combination.safetensors")
+_SCALES = (1.5, 4.0, 12.0)
+"""Standard deviations in pixels of the windows that comparisons are averaged over."""
+_FAINT = 0.01
+"""Share of the image's mean radiance that is added to a pixel's own, as unit of its errors."""
+_ROWS_READ = 16
+"""Rows of an image whose samples are copied at once."""
+_ROWS = 2**16
+"""Pixels whose weights are computed at once."""
+_BELOW = 0.001
+"""Probability, for normal samples, that radiance is less than its floor."""
+LEAST = 4
+"""Samples of a pixel, of which each half needs two."""
+
+
+@dataclass(frozen=True, repr=False)
+class Combination(Estimates):
+    """Estimates from several candidates, with what each of them was given.
+
+    Attributes
+    ----------
+    weights
+        Weight of each candidate by its name, shape (y, x), adding up to 1. The certainty is what
+        the mean was not given. Where the weighted sum is significantly darker than the mean of the
+        samples, the estimate is the lower end of the mean's interval instead.
+    bias
+        How much brighter the image is than the mean of all samples, which has no bias, as a share
+        of it.
+    bias_error
+        Standard error of that mean, as a share of it: a bias below twice this may be none.
+    """
+
+    weights: Mapping[str, Image] = field(default_factory=dict)
+    bias: float = np.nan
+    bias_error: float = np.nan
+
+
+def combine(
+    samples: npt.ArrayLike,
+    *,
+    features: Mapping[str, npt.NDArray[Any]] | None = None,
+    level: float = 0.9,
+) -> Combination:
+    """Estimate radiance by weighting candidates as the samples themselves say.
+
+    Parameters
+    ----------
+    samples
+        Samples, shape (y, x, channel, sample) of 1 or 3 channels, at least 4 of each pixel.
+    features
+        First-hit features by name, of which ``albedo`` and ``normal`` guide the denoiser.
+    level
+        Probability of the interval.
+
+    Returns
+    -------
+    Combination
+        Shape (y, x, channel), in the unit of the samples; NaN where no sample is good.
+
+    Raises
+    ------
+    InputError
+        If Open Image Denoise is not installed, there are less than 4 samples, or no 1 or 3
+        channels.
+
+    Examples
+    --------
+    >>> import chdstat as chd
+    >>> samples = chd.render("cornell-box", spp=16, size=(16, 16), progress=False)
+    >>> found = combine(samples.read(), features=samples.features)
+    >>> found.radiance.shape, sorted(found.weights)[:2]
+    ((16, 16, 3), ['denoised', 'denoised shared_shape'])
+    """
+    check_probability(level=level)
+    x = np.asarray(samples, np.float32)
+    if x.ndim != 4 or x.shape[2] not in (1, 3) or x.shape[3] < LEAST:
+        message = (
+            f"expected samples (y, x, channel, sample) of 1 or 3 channels, at least {LEAST} of a "
+            f"pixel, got shape {x.shape}"
+        )
+        raise InputError(message)
+    known = features or {}
+    names, full, inputs, unit = compare_halves(x, known)
+    weighting = Weighting.shipped(with_features="albedo" in known)
+    weights, width = weighting(inputs)
+    mean, error = _mean_and_error(x)
+    radiance = np.maximum(np.einsum("yxj,jyxc->yxc", weights, full), _floor(mean, error, x))
+    half = (weighting.quantile(level) * width * unit)[..., np.newaxis]
+    lost = ~np.isfinite(x).any(axis=-1)
+    radiance = np.where(lost, np.nan, radiance).astype(np.float32)
+    low, high = radiance - half, radiance + half
+    if not (x < 0).any():
+        low = np.maximum(low, 0)
+    bias, doubt = _bias(radiance, mean, error)
+    return Combination(
+        radiance,
+        1 - weights[..., names.index("mean")],
+        low.astype(np.float32),
+        high.astype(np.float32),
+        level,
+        weights={name: weights[..., j] for j, name in enumerate(names)},
+        bias=bias,
+        bias_error=doubt,
+    )
+
+
+@register(
+    "combination",
+    source="this library, after van der Laan, Polley and Hubbard 2007",
+    place=9,
+    minimum_samples=LEAST,
+    uses_neighbours=True,
+    joint_channels=True,
+    uses_features=True,
+    learns=True,
+)
+def combination(
+    x: npt.ArrayLike, *, features: Mapping[str, npt.NDArray[Any]] | None = None
+) -> Image:
+    """Weight the mean, an outlier-free mean and denoised images of both, pixel by pixel.
+
+    The radiance of `combine`, whose network was trained once, on built-in scenes.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (y, x, channel, sample) of 1 or 3 channels, at least 4.
+    features
+        First-hit features of the image, as of `Samples.features`.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (y, x, channel), in the unit of `x`.
+
+    Raises
+    ------
+    InputError
+        As for `combine`.
+
+    References
+    ----------
+    M. J. van der Laan, E. C. Polley and A. E. Hubbard, "Super learner", Statistical Applications in
+    Genetics and Molecular Biology 6(1), 2007, doi:10.2202/1544-6115.1309.
+
+    Examples
+    --------
+    >>> image = np.random.default_rng(0).exponential(size=(16, 16, 3, 16))
+    >>> combination(image).shape
+    (16, 16, 3)
+    """
+    samples = as_pixels(x, minimum=LEAST, image=True)
+    return combine(reordered(samples)[0], features=features).radiance
+
+
+def _floor(mean: Floats, error: Floats, x: Image) -> Floats:
+    """Return what a pixel's radiance is at least, so that no lamp is taken for fireflies.
+
+    The lower end of Student's interval. One bright sample of n makes mean and standard error
+    alike, k of them a standard error of about mean / sqrt(k): only light that many samples found
+    is kept by it. Skewness to the bright, as of radiance, makes this end the more certain.
+    """
+    certain = special.stdtrit(x.shape[-1] - 1, 1 - _BELOW)
+    return np.asarray(mean - certain * error)
+
+
+def _bias(radiance: Image, mean: Floats, error: Floats) -> tuple[float, float]:
+    """Return by how much an image is brighter than the mean, and the standard error of that."""
+    whole = float(mean.sum())
+    if not whole:
+        return np.nan, np.nan
+    # Channels of a sample vary together: their errors add up as if they were the same.
+    of_image = np.sqrt(np.square(error.sum(axis=-1)).sum())
+    return float(np.nansum(radiance, dtype=np.float64) / whole - 1), float(of_image / abs(whole))
+
+
+def candidates(x: Image, features: Mapping[str, npt.NDArray[Any]]) -> dict[str, Image]:
+    """Return the images that are weighted, by name, each (y, x, channel); the first is the base.
+
+    Where no sample of a pixel is good, they are 0.
+    """
+    starts = {"mean": mean_of_good(x), "shared_shape": shared_shape(x)}
+    starts = {name: np.nan_to_num(image, posinf=0, neginf=0) for name, image in starts.items()}
+    albedo = features.get("albedo")
+    normal = None if albedo is None else features.get("normal")
+    found = {}
+    for name, image in starts.items():
+        of, start = "" if name == "mean" else f" {name}", np.maximum(image, 0)
+        if albedo is not None:
+            found[f"denoised with features{of}"] = _denoised(start, albedo, normal)
+        found[f"denoised{of}"] = _denoised(start)
+    return {name: image.astype(np.float32) for name, image in (found | starts).items()}
+
+
+def _denoised(
+    image: Floats,
+    albedo: npt.NDArray[Any] | None = None,
+    normal: npt.NDArray[Any] | None = None,
+) -> Floats:
+    """Return an image denoised; a black one, in which the denoiser sees light, as it is."""
+    return denoise(image, albedo=albedo, normal=normal) if image.any() else image
+
+
+def compare_halves(
+    x: Image, features: Mapping[str, npt.NDArray[Any]]
+) -> tuple[list[str], Image, Image, Image]:
+    """Return candidates, and how those of half the samples compare with the other half.
+
+    Returns
+    -------
+    names : list of str
+    full : ndarray
+        The candidates from all samples, shape (candidate, y, x, channel).
+    inputs : ndarray
+        What the network sees, shape (y, x, number).
+    unit : ndarray
+        Radiance that errors are measured in, shape (y, x).
+    """
+    halves = [np.ascontiguousarray(x[..., i::2]) for i in (0, 1)]
+    with ThreadPoolExecutor(cores()) as pool:
+        made = list(pool.map(lambda part: candidates(part, features), [x, *halves]))
+    names = list(made[0])
+    full, *parts = (np.stack(list(found.values())) for found in made)
+    targets = np.stack([np.nan_to_num(mean_of_good(half)) for half in reversed(halves)])
+    mean, error = _mean_and_error(x)
+    inputs, unit = _inputs(
+        full,
+        np.stack(parts),
+        targets.astype(np.float32),
+        np.square(error),
+        is_null(x).mean(axis=-1),
+        mean,
+    )
+    return names, full, inputs, unit
+
+
+def _mean_and_error(x: Image) -> tuple[Floats, Floats]:
+    """Return the mean of the samples that are good in all channels, and its standard error."""
+    mean, error = np.zeros((2, *x.shape[:3]))
+    for ys in spans(len(x), _ROWS_READ):
+        good = np.isfinite(x[ys]).all(axis=2, keepdims=True)
+        n = np.maximum(good.sum(axis=-1), 1)
+        kept = np.where(good, x[ys], 0)
+        mean[ys] = kept.sum(axis=-1, dtype=np.float64) / n
+        apart = np.where(good, kept - mean[ys][..., np.newaxis], 0)
+        error[ys] = np.sqrt(np.square(apart).sum(axis=-1) / (n * np.maximum(n - 1, 1)))
+    return mean, error
+
+
+def _inputs(
+    full: Image, parts: Image, targets: Image, variance: Floats, null: Floats, mean: Floats
+) -> tuple[Image, Image]:
+    """Return what the network sees: logarithms, ratios and standard scores, without a unit.
+
+    Of each candidate against the first: which mixture of the two the other half of the samples asks
+    for (the slope of a regression without constant) and its standard error, in three windows; how
+    far they are apart, and on which side. Of each candidate: how far those of the two halves are
+    apart, and how many standard errors of the mean it is from the mean.
+    """
+    overall = float(np.abs(full[0]).mean(dtype=np.float64)) or 1.0
+    unit = _smooth(np.abs(full).mean(axis=(0, 3)), _SCALES[0]) + _FAINT * overall
+    error = np.sqrt(variance.mean(axis=-1))
+    noise = [_smooth(variance.mean(axis=-1), s) for s in _SCALES[:2]]
+    found = [
+        _log(error / unit, 1e-4),
+        _log(np.sqrt(noise[0]) / unit, 1e-4),
+        _log(np.sqrt(noise[1]) / _smooth(unit, _SCALES[1]), 1e-4),
+        _smooth(null, _SCALES[0]),
+        np.log(unit / overall),
+    ]
+    scale = unit[..., np.newaxis]
+    parts, targets, doubt = parts / scale, targets / scale, 2 * variance / scale**2
+    for j in range(1, len(full)):
+        apart = parts[:, j] - parts[:, 0]
+        towards = (apart * (targets - parts[:, 0])).mean(axis=(0, 3))
+        squared = np.square(apart).mean(axis=(0, 3))
+        of_noise = (np.square(apart) * doubt).mean(axis=(0, 3)) / 2
+        for s in _SCALES:
+            whole = _smooth(squared, s) + 1e-8
+            slope = _smooth(towards, s) / whole
+            spread = np.sqrt(_smooth(of_noise, s) / (4 * np.pi * s * s)) / whole
+            found += [np.clip(slope, -1, 2), np.clip(_log(spread, 1e-3), -7, 3)]
+        found.append(_log(np.sqrt(_smooth(squared, _SCALES[0])), 1e-4))
+        moved = (full[j] - full[0]) / scale
+        found.append(np.arcsinh(3 * moved.mean(axis=-1)))
+        size = _smooth(np.square(moved).mean(axis=-1), _SCALES[0])
+        found.append(_log(np.sqrt(size), 1e-4))
+    for j in range(len(full)):
+        between = _smooth(np.var(parts[:, j], axis=0).mean(axis=-1), _SCALES[0])
+        score = (full[j] - mean).mean(axis=-1) / (error + 1e-3 * unit)
+        around = _smooth(np.minimum(np.square(score), 1e6), _SCALES[0])
+        found += [_log(np.sqrt(between), 1e-4), np.arcsinh(score), _log(np.sqrt(around), 1e-2)]
+    return np.stack(found, axis=-1).astype(np.float32), unit.astype(np.float32)
+
+
+def _smooth(image: Floats, scale: float) -> Floats:
+    smooth = ndimage.gaussian_filter(image.astype(np.float32), scale, mode="nearest", truncate=3)
+    return np.asarray(np.maximum(smooth, 0) if (image >= 0).all() else smooth)
+
+
+def _log(x: Floats, least: float) -> Floats:
+    return np.asarray(np.log(x + least))
+
+
+@dataclass(frozen=True)
+class Weighting:
+    """The network from comparisons to weights and to the width of an interval.
+
+    Attributes
+    ----------
+    layers
+        Matrices and offsets, each (out, in) and (out,): the last one gives a score for each
+        candidate, and the logarithm of the width.
+    centre, spread
+        By which inputs are standardised.
+    quantiles
+        Widths of intervals of the probabilities `LEVELS`.
+    """
+
+    layers: Sequence[tuple[Floats, Floats]]
+    centre: Floats
+    spread: Floats
+    quantiles: Floats
+
+    @classmethod
+    @functools.cache
+    def shipped(cls, *, with_features: bool) -> Weighting:
+        """Return the network that comes with the library."""
+        arrays, _ = read_model(_SHIPPED)
+        kind = "features" if with_features else "plain"
+        found = {k.removeprefix(f"{kind}."): v for k, v in arrays.items() if k.startswith(kind)}
+        depth = sum(name.startswith("matrix") for name in found)
+        layers = [(found[f"matrix{i}"], found[f"offset{i}"]) for i in range(depth)]
+        return cls(layers, found["centre"], found["spread"], found["quantiles"])
+
+    def __call__(self, inputs: Image) -> tuple[Image, Image]:
+        """Return weights (..., candidate) and widths (...) in the unit of a pixel's errors."""
+        rows = inputs.reshape(-1, inputs.shape[-1])
+        outputs = np.concatenate(
+            [self._outputs(rows[i : i + _ROWS]) for i in range(0, len(rows), _ROWS)]
+        ).reshape(*inputs.shape[:-1], -1)
+        scores = outputs[..., :-1]
+        weights = np.exp(scores - scores.max(axis=-1, keepdims=True))
+        weights /= weights.sum(axis=-1, keepdims=True)
+        return weights, np.exp(outputs[..., -1])
+
+    def _outputs(self, rows: Image) -> Image:
+        x = (rows - self.centre) / self.spread
+        for i, (matrix, offset) in enumerate(self.layers):
+            x = x @ matrix.T + offset
+            if i < len(self.layers) - 1:
+                x = np.where(x > 0, x, 0.01 * x)
+        return np.asarray(x, np.float32)
+
+    def quantile(self, level: float) -> float:
+        """Return how many widths an interval of this probability reaches to each side."""
+        # Between those measured, and beyond, errors fall off about exponentially.
+        places = -np.log1p(-np.array((0, *LEVELS)))
+        widths = np.concatenate([[0], self.quantiles])
+        place = -np.log1p(-level)
+        beyond = max(0, place - places[-1]) * (widths[-1] - widths[-2]) / (places[-1] - places[-2])
+        return float(np.interp(place, places, widths) + beyond)

@@ -1,0 +1,162 @@
+"""Combination: weights of candidates per pixel, their intervals, and what is told of them."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError
+from chdstat.estimators import combine, estimate, write_estimates
+from chdstat.estimators.weighting import LEVELS, Weighting, candidates, compare_halves
+from chdstat.io import read_exr
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("pyoidn") is None, reason="Open Image Denoise is not installed"
+)
+
+
+@pytest.fixture(scope="module")
+def samples():
+    return chd.render("bathroom", spp=64, size=(64, 64), seed=3, backend="scalar", progress=False)
+
+
+@pytest.fixture(scope="module")
+def found(samples):
+    return estimate(samples)
+
+
+@pytest.fixture(scope="module")
+def reference():
+    rendered = chd.render(
+        "bathroom", spp=512, size=(64, 64), seed=4, backend="scalar", progress=False
+    )
+    return rendered.read().mean(axis=-1, dtype=np.float64)
+
+
+def test_it_is_the_default_and_each_candidate_has_its_share(samples, found):
+    total = sum(weight.astype(np.float64) for weight in found.weights.values())
+    assert np.allclose(total, 1, atol=1e-5)
+    assert min(weight.min() for weight in found.weights.values()) >= 0
+    assert np.allclose(found.certainty, 1 - found.weights["mean"], atol=1e-6)
+    made = candidates(samples.read(), samples.features)
+    assert made.keys() == found.weights.keys()
+    mixed = sum(found.weights[name][..., np.newaxis] * made[name] for name in made)
+    lifted = found.radiance > mixed + 1e-5
+    assert np.allclose(mixed[~lifted], found.radiance[~lifted], rtol=1e-4, atol=1e-5)
+    assert lifted.mean() < 0.05
+
+
+def test_it_is_better_than_the_mean_and_than_a_denoiser(samples, found, reference):
+    made = candidates(samples.read(), samples.features)
+    weight = 1 / (reference**2 + 0.01 * reference.mean() ** 2)
+
+    def errors(image):
+        squared = (image - reference) ** 2
+        return np.array([squared.mean(), (squared * weight).mean()])
+
+    denoised = min((errors(made[n]) for n in ("denoised", "denoised with features")), key=np.prod)
+    assert (errors(found.radiance) < 0.6 * errors(made["mean"])).all()
+    assert (errors(found.radiance) < 1.1 * denoised).all()
+
+
+def test_intervals_hold_the_reference_and_are_wider_for_more(samples, found, reference):
+    inside = (found.low <= reference) & (reference <= found.high)
+    assert 0.8 < inside.mean() < 0.97
+    widths = [
+        np.mean(combine(samples.read(), features=samples.features, level=level).high)
+        for level in (0.4, *LEVELS, 0.995)
+    ]
+    assert (np.diff(widths) > 0).all()
+
+
+def test_bias_stands_beside_it(samples, found):
+    mean = samples.read().mean(axis=-1, dtype=np.float64)
+    assert found.bias == pytest.approx(
+        found.radiance.mean(dtype=np.float64) / mean.mean() - 1, rel=1e-3
+    )
+    # The standard error of the image's mean, of independent pixels.
+    luminance = samples.read().mean(axis=2, dtype=np.float64)
+    right = np.sqrt((luminance.var(axis=-1, ddof=1) / 64).sum()) / luminance.mean(axis=-1).sum()
+    assert right <= found.bias_error < 1.2 * right
+
+
+def test_the_unit_of_radiance_and_the_order_of_samples_make_no_difference(samples):
+    x = samples.read()
+    first = combine(x, features=samples.features)
+    scaled = combine(x * np.float32(1024), features=samples.features)
+    assert np.allclose(scaled.radiance, 1024 * first.radiance, rtol=1e-3, atol=1e-4)
+    shuffled = chd.estimators.combination(x[..., ::-1])
+    assert np.array_equal(chd.estimators.combination(x), shuffled)
+
+
+def test_bad_pixels_stay_bad_and_touch_no_other(samples):
+    x = samples.read().copy()
+    x[5, 6], x[9, 9, 0, 3], x[20, 20] = np.nan, np.inf, 0
+    found = combine(x)
+    assert np.isnan(found.radiance[5, 6]).all()
+    assert np.isfinite(np.delete(found.radiance.reshape(-1, 3), 5 * 64 + 6, axis=0)).all()
+    black = combine(np.zeros((8, 8, 3, 16)))
+    assert (black.radiance == 0).all()
+    assert np.isnan(black.bias)
+
+
+def test_a_lamp_that_many_samples_find_is_no_firefly():
+    rng = np.random.default_rng(0)
+    x = rng.exponential(0.02, size=(48, 48, 3, 64)).astype(np.float32)
+    x[20, 20, :, rng.random(64) < 0.3] = 500  # the edge of a lamp
+    x[30, 30, :, 5] = 500  # a firefly
+    found = combine(x).radiance
+    assert (found[20, 20] > 40).all()
+    assert (found[30, 30] < 4).all()
+
+
+def test_one_channel_is_taken():
+    x = np.random.default_rng(0).gamma(0.3, size=(24, 24, 1, 16))
+    assert abs(combine(x).radiance.mean() - 0.3) < 0.03
+
+
+def test_signed_samples_train_a_network_since_a_denoiser_takes_no_negative_radiance():
+    x = np.random.default_rng(0).normal(0.2, 3, size=(16, 16, 1, 16))
+    found = estimate(chd.Samples.from_array(x, axes="yxcs"), progress=False)
+    assert not hasattr(found, "weights")
+    assert abs(found.radiance.mean() - x.mean()) < 0.15
+
+
+@pytest.mark.parametrize("shape", [(8, 8, 3, 3), (8, 8, 2, 16), (8, 3, 16)])
+def test_what_cannot_be_combined_is_refused(shape):
+    with pytest.raises(InputError, match=r"1 or 3 channels, at least 4"):
+        combine(np.ones(shape))
+
+
+def test_other_ways_to_an_estimate_remain(samples, monkeypatch):
+    trained = estimate(samples, "self_trained", iterations=5, progress=False)
+    assert not hasattr(trained, "weights")
+    again = estimate(samples, iterations=5, progress=False)
+    assert np.array_equal(trained.radiance, again.radiance)
+
+
+def test_without_a_denoiser_a_network_is_trained_and_that_is_said(monkeypatch, caplog):
+    monkeypatch.setitem(__import__("sys").modules, "pyoidn", None)
+    x = np.random.default_rng(0).exponential(size=(8, 8, 3, 8))
+    found = estimate(chd.Samples.from_array(x), progress=False)
+    assert not hasattr(found, "weights")
+    assert "pip install 'chdstat[denoise]'" in caplog.text
+
+
+def test_the_file_holds_what_each_candidate_was_given(samples, found, tmp_path):
+    held = read_exr(write_estimates(tmp_path / "a.exr", samples))
+    assert held.attributes["estimator"] == "combination"
+    assert np.array_equal(
+        held.extra["weight_denoised_shared_shape"], found.weights["denoised shared_shape"]
+    )
+    assert np.allclose(held.image, found.radiance)
+
+
+def test_a_network_sees_ratios_only(samples):
+    x = samples.read(slice(0, 32), slice(0, 32))
+    inputs = compare_halves(x, {})[2]
+    scaled = compare_halves(x * np.float32(256), {})[2]
+    assert np.allclose(inputs, scaled, atol=0.05)
+    assert np.isfinite(inputs).all()
+    assert Weighting.shipped(with_features=False).centre.shape == inputs.shape[-1:]
