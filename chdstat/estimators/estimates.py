@@ -127,7 +127,7 @@ def estimate(
     ((16, 16, 3), (16, 16))
     """
     options = _Options(spp, loss_weight, level, denoise, seed_number(seed), iterations, progress)
-    return _Image.of(samples, model, options).final
+    return _Estimated.of(samples, model, options).final
 
 
 def write_estimates(
@@ -179,7 +179,7 @@ def write_estimates(
     """
     target = checked_target(path, ".exr")
     options = _Options(spp, loss_weight, level, denoise, seed_number(seed), iterations, progress)
-    image = _Image.of(samples, model, options)
+    image = _Estimated.of(samples, model, options)
     return write_exr(
         target,
         image.final.radiance,
@@ -203,7 +203,7 @@ class _Options:
 
 
 @dataclass(frozen=True)
-class _Image:
+class _Estimated:
     """An estimate with all that a file of it holds.
 
     Attributes
@@ -227,7 +227,7 @@ class _Image:
     mean: npt.NDArray[np.float32]
 
     @classmethod
-    def of(cls, source: Any, model: AnyModel | str | Path | None, options: _Options) -> _Image:
+    def of(cls, source: Any, model: AnyModel | str | Path | None, options: _Options) -> _Estimated:
         if not 0 <= options.loss_weight <= 1:
             message = (
                 f"loss_weight must lie between 0 (MSE) and 1 (relMSE), got {options.loss_weight}"
@@ -259,7 +259,7 @@ class _Image:
         return cls._of_samples(samples, own, options)
 
     @classmethod
-    def _combined(cls, samples: Samples, options: _Options) -> _Image:
+    def _combined(cls, samples: Samples, options: _Options) -> _Estimated:
         x = samples.read()
         found = combine(x, features=samples.features, level=options.level)
         about = {"bias": found.bias, "bias_error": found.bias_error}
@@ -268,7 +268,7 @@ class _Image:
         return cls(samples, options, None, about, training, found, mean)
 
     @classmethod
-    def _of_samples(cls, samples: Samples, model: AnyModel | None, options: _Options) -> _Image:
+    def _of_samples(cls, samples: Samples, model: AnyModel | None, options: _Options) -> _Estimated:
         own = model or train_model(
             samples,
             inputs=["features"] if samples.features else [],
@@ -297,7 +297,7 @@ class _Image:
         return cls(samples, options, own, own.provenance, training, found, mean)
 
     @classmethod
-    def _of_rendering(cls, rendering: Any, model: AnyModel | None, options: _Options) -> _Image:
+    def _of_rendering(cls, rendering: Any, model: AnyModel | None, options: _Options) -> _Estimated:
         # What could not be estimated after the rendering is refused before it.
         channels = rendering.shape[2]
         check_independent(rendering)
