@@ -11,7 +11,8 @@
 - `shared`: state that all pages have in common, with the threads;
 - `selection`, `exports`: all that is shown of a selection, and its export as a file;
 - `plots`, `help`, `page`: the Bokeh document of a page;
-- `session`, `server`: one page and its commands, and the server of all pages.
+- `session`: one page and its commands;
+- `opening`, `server`: the notice until there is an image, and the server of all pages.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from functools import cache, partial
@@ -63,6 +63,8 @@ class Page:
         What the page shows; `other` beside it, or None.
     given
         Maps that were computed before.
+    coarse
+        PNG images in base64 of what is shown, seen until Bokeh has drawn; none for nothing.
     gone
         Called once, when the page turns out to be gone.
 
@@ -78,6 +80,7 @@ class Page:
         source: Source,
         other: Source | None,
         given: Mapping[str, Map],
+        coarse: Sequence[str],
         gone: Callable[[], None],
     ) -> None:
         self._document, self._gone, self._closed = document, gone, False
@@ -105,7 +108,8 @@ class Page:
             document.title = f"{heading} · chdstat"
             document.template = _template()
             variables = self._variables(given, in_store=isinstance(source, StoreSource))
-            document.template_variables.update({"heading": heading, **variables})
+            variables |= {"heading": heading, "coarse": coarse}
+            document.template_variables.update(variables)
             self._connect()
         document.on_session_destroyed(lambda _: self.close())
 
@@ -127,8 +131,8 @@ class Page:
             sizing_mode="stretch_both",
             min_border=0,
             outline_line_color=None,
-            background_fill_color="#000000",
-            border_fill_color="#000000",
+            background_fill_color=None,  # the coarse image is seen through it until there is one
+            border_fill_color=None,
         )
         plot.axis.visible = plot.grid.visible = False
         place = {"x": 0, "y": 0, "dw": self._size[1], "dh": self._size[0]}

@@ -1,7 +1,8 @@
 """A renderer in a process of its own: while Mitsuba loads or renders, the page's server goes on.
 
 The child is a fresh interpreter, not a `multiprocessing` one, which would run the user's script
-again. Requests and results are pickles on its standard input and output.
+again. Requests and results are pickles on its standard input and output. It loads nothing but the
+renderer, and begins while this process still imports what the page needs.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import threading
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 from chdstat.errors import RenderError
@@ -26,6 +27,7 @@ from chdstat.rendering.renderer import Renderer
 __all__ = ["RenderProcess", "serve"]
 
 _CODE = "from chdstat.explorer.render_process import serve; serve()"
+_ENDED = "the process that renders the scene has ended; explore the scene again"
 
 
 class RenderProcess:
@@ -41,59 +43,77 @@ class RenderProcess:
 
     Attributes
     ----------
-    size
-        (width, height) in pixels.
-    integrator
-        Mitsuba's name of the integrator.
+    job
+        What it renders.
 
-    Raises
-    ------
-    SceneError, RenderError
-        If the scene cannot be loaded or rendered.
+    Notes
+    -----
+    The scene is loaded meanwhile: who asks for its size waits for it.
     """
 
     def __init__(self, job: Job) -> None:
         self._lock = threading.Lock()
-        child = subprocess.Popen(  # noqa: S603 - our own code in our own interpreter
+        self.job = job
+        self._child: subprocess.Popen[bytes] | None = subprocess.Popen(  # noqa: S603 - our own code
             [sys.executable, "-c", _CODE], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
-        self._child: subprocess.Popen[bytes] | None = child
-        self._end = weakref.finalize(self, _killed, child)
+        self._end = weakref.finalize(self, _killed, self._child)
         try:
-            self.size, self.integrator = self._asked(pickle.dumps(job))
-        except Exception:  # noqa: BLE001 - what is wrong with the scene is raised here again
-            self.close()
-            self._child, self._job, self._renderer = None, job, Renderer(job)
-            self.size, self.integrator = _described(self._renderer)
+            self._send(job)
+        except Exception:  # noqa: BLE001 - it is built here
+            self._child = None
+
+    @cached_property
+    def described(self) -> tuple[tuple[int, int], str]:
+        """(width, height) in pixels, and Mitsuba's name of the integrator.
+
+        Raises
+        ------
+        SceneError, RenderError
+            If the scene cannot be loaded or rendered.
+        """
+        if self._child is not None:
+            with suppress(Exception):  # what is wrong with the scene is raised below
+                size, integrator = self._received()
+                return size, integrator
+        if not self._end.alive:
+            raise RenderError(_ENDED)
+        self.close()
+        self._child, self._renderer = None, Renderer(self.job)
+        return _described(self._renderer)
 
     def __call__(self, method: str, *arguments: Any, **options: Any) -> Any:
         """Return what a method of the renderer returns.
 
         Raises
         ------
-        RenderError
-            If the process has ended.
+        SceneError, RenderError
+            If the scene cannot be loaded, or the process has ended.
         """
         with self._lock:
+            _ = self.described
             if self._child is None:
-                with activate(self._job.verdict):
+                with activate(self.job.verdict):
                     return getattr(self._renderer, method)(*arguments, **options)
             try:
-                return self._asked(pickle.dumps((method, arguments, options)))
+                self._send((method, arguments, options))
+                return self._received()
             except (OSError, EOFError, ValueError) as error:
-                message = "the process that renders the scene has ended; explore the scene again"
-                raise RenderError(message) from error
+                raise RenderError(_ENDED) from error
 
     def close(self) -> None:
         """End the process."""
         self._end()
 
-    def _asked(self, request: bytes) -> Any:
+    def _send(self, request: Any) -> None:
         assert self._child is not None
         assert self._child.stdin is not None
-        assert self._child.stdout is not None
-        self._child.stdin.write(request)
+        self._child.stdin.write(pickle.dumps(request))
         self._child.stdin.flush()
+
+    def _received(self) -> Any:
+        assert self._child is not None
+        assert self._child.stdout is not None
         done, result = pickle.load(self._child.stdout)  # noqa: S301 - of our own process
         if not done:
             raise result
@@ -115,8 +135,6 @@ def _described(renderer: Renderer) -> tuple[tuple[int, int], str]:
 def serve() -> None:
     """Do what is read from standard input until it ends; for the child process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent, which ends this
-    with suppress(AttributeError, OSError):
-        os.nice(5)  # the page goes first
     results = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what Mitsuba prints must not come between
 
@@ -125,11 +143,13 @@ def serve() -> None:
             found = True, work()
         except Exception as error:  # noqa: BLE001 - raised again in the parent
             found = False, error
-        results.write(pickle.dumps(found))
-        results.flush()
+        with suppress(BrokenPipeError):  # the parent has ended, and the next request is the end
+            results.write(pickle.dumps(found))
+            results.flush()
 
     job: Job = pickle.load(sys.stdin.buffer)  # noqa: S301 - of our own parent
     built: list[Renderer] = []
+    yields = False
 
     def build() -> tuple[tuple[int, int], str]:
         built.append(Renderer(job))
@@ -142,4 +162,8 @@ def serve() -> None:
                 method, arguments, options = pickle.load(sys.stdin.buffer)  # noqa: S301
             except EOFError:
                 return
+            if method != "preview" and not yields:
+                yields = True
+                with suppress(AttributeError, OSError):
+                    os.nice(5)  # once there is an image, the page goes first
             reply(partial(getattr(built[0], method), *arguments, **options))

@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat.errors import SceneError
+from chdstat.explorer.opening import COARSE
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.sources import (
     KEPT_BYTES,
@@ -23,9 +24,7 @@ from chdstat.explorer.sources import (
     tiles,
 )
 from chdstat.explorer.view import Box, Pixel, check_pixel
-from chdstat.rendering.job import Job
 from chdstat.samples.layout import TILE, Chunk
-from chdstat.scenes import Scene
 
 __all__ = ["FIRST_SPP", "MOST_SPP", "SceneSource", "Source"]
 
@@ -35,8 +34,8 @@ FIRST_SPP = 2048
 MOST_SPP = 10**6
 _PIECE = 4096
 """Samples drawn at once while a pixel is selected: a tenth of a second, which a click waits for."""
-_COARSE, _COARSE_SPP = 128, 4
-"""Pixels of the longer side of the first image, and its samples."""
+_COARSE_SPP = 4
+"""Samples per pixel of the coarse image in the end."""
 _PASSES = (1, 1, 2, 2, 2, 2, 2, 2, 2)
 """Samples per pixel of the passes over the image."""
 
@@ -46,28 +45,24 @@ class SceneSource:
 
     Parameters
     ----------
-    scene
-        What `chdstat.load_scene` returns.
-    size, seed, max_depth
-        As for `chdstat.render`.
+    render
+        The process that renders it.
+    coarse
+        The image with at most `COARSE` pixels a side, shape (y, x, channel), to be seen until it is
+        drawn; None for none.
     """
 
     channels = ("R", "G", "B")
 
-    def __init__(
-        self,
-        scene: Scene,
-        *,
-        size: tuple[int, int] | None = None,
-        seed: int = 0,
-        max_depth: int | None = None,
-    ) -> None:
-        job = Job.of(scene, size=size, seed=seed, max_depth=max_depth, backend="scalar")
-        self._seed, self._render = job.seed, RenderProcess(job)
-        width, height = self._render.size
+    def __init__(self, render: RenderProcess, coarse: Image | None = None) -> None:
+        self._seed, self._render = render.job.seed, render
+        (width, height), self._integrator = self._render.described
         self.size: tuple[int, int] = (height, width)
-        self.name = self.title = scene.name
+        self.name = self.title = render.job.scene.name
+        self._coarse = coarse
         self._preview = np.full((height, width, len(self.channels)), np.nan, np.float32)
+        if coarse is not None:
+            self._preview = self._enlarged(coarse)
         self._pixels: dict[Pixel, Image] = {}
         self._tiles = [
             (ys, xs, ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start))
@@ -78,19 +73,12 @@ class SceneSource:
     def describe(self) -> str:
         """Return size and integrator in one line."""
         height, width = self.size
-        kind = self._render.integrator
-        return f"{width} × {height} px · {kind} · sampled where you click"
+        return f"{width} × {height} px · {self._integrator} · sampled where you click"
 
     @property
     def origin(self) -> dict[str, str | int]:
         """Scene and seed."""
         return {"scene": self.name, "seed": self._seed}
-
-    def preview(self) -> None:
-        """Draw the image coarsely, at most 128 pixels a side, to be seen until it is drawn."""
-        coarse: Image = self._render("preview", _COARSE, _COARSE_SPP)
-        ys, xs = (np.arange(n) * m // n for n, m in zip(self.size, coarse.shape[:2], strict=True))
-        self._preview = coarse[ys[:, np.newaxis], xs].astype(np.float32)
 
     def close(self) -> None:
         """End the process that renders."""
@@ -124,6 +112,12 @@ class SceneSource:
 
     def passes(self) -> Iterator[float]:
         """Draw the image better and better; yield the share that is done after each tile."""
+        if self._coarse is not None:
+            rest = _COARSE_SPP - 1
+            further: Image = self._render("preview", COARSE, rest, seed=1)
+            self._coarse += rest / _COARSE_SPP * (further - self._coarse)
+            self._preview = self._enlarged(self._coarse)
+            yield 0.0
         columns, total = -(-self.size[1] // TILE), len(self._tiles) * len(_PASSES)
         start = 0
         for spp in _PASSES:
@@ -144,6 +138,10 @@ class SceneSource:
         for ys, xs, sums in self._tiles[: self._drawn]:
             whole.put(ys, xs, sums.overall())
         return whole
+
+    def _enlarged(self, coarse: Image) -> Image:
+        ys, xs = (np.arange(n) * m // n for n, m in zip(self.size, coarse.shape[:2], strict=True))
+        return np.asarray(coarse[ys[:, np.newaxis], xs], np.float32)
 
     def _draw(self, y: int, x: int, spp: int) -> None:
         there = self._pixels.get((y, x))

@@ -1,4 +1,9 @@
-"""Server: the explorer on the loopback interface, from start to stop."""
+"""Server: the explorer on the loopback interface, from start to stop.
+
+It serves before there is anything to show: until the scene or store is open and its first image
+drawn, the page says how far that is. So this module imports what the page needs only where it is
+used, while another process loads the scene.
+"""
 
 from __future__ import annotations
 
@@ -12,15 +17,16 @@ import socket
 import threading
 import webbrowser
 from collections.abc import Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from chdstat.errors import InputError
-from chdstat.estimators.models import AnyModel
-from chdstat.explorer.shared import Explored, Shared, opened
-from chdstat.explorer.sources import StoreSource
-from chdstat.samples import Samples
+from chdstat.explorer.opening import Opening, opening_handler
+from chdstat.explorer.render_process import RenderProcess
+from chdstat.rendering.job import Job
+from chdstat.samples import Samples, is_store
+from chdstat.scenes import Scene
 
 if TYPE_CHECKING:
     from bokeh.application.handlers.handler import Handler
@@ -28,11 +34,16 @@ if TYPE_CHECKING:
     from bokeh.server.server import Server
     from tornado.httputil import HTTPServerRequest
 
+    from chdstat.estimators.models import AnyModel
+    from chdstat.explorer.shared import Shared
+
 __all__ = ["DEFAULT_PORT", "Explorer", "explore"]
 
 DEFAULT_PORT = 5006
 """Of the command line, so that an address stays the same from day to day."""
 _ADDRESS = "127.0.0.1"
+Explored = str | Path | dict[str, Any] | Scene | Samples
+"""A store or its path, samples in memory, or a scene."""
 _HOSTS = (_ADDRESS, "localhost", "[::1]", "::1")
 """What this machine calls itself in the header of a request."""
 _EVERY = 3000
@@ -52,27 +63,30 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
         Address of the page.
     """
 
-    def __init__(self, shared: Shared, port: int) -> None:
-        self._shared = shared
+    def __init__(self, port: int, name: str) -> None:
+        self._opening = Opening(name)
         started: Future[tuple[Any, Any]] = Future()
         self._thread = threading.Thread(
-            target=_serve, args=(shared, port, started), name="chdstat-explorer", daemon=True
+            target=_serve, args=(self._opening, port, started), name="chdstat-explorer", daemon=True
         )
         self._thread.start()
-        try:
-            self._loop, self._server = started.result()
-        except BaseException:
-            shared.stop()
-            raise
+        self._loop, self._server = started.result()
         self.port = int(self._server.port)
         self.url = f"http://{_ADDRESS}:{self.port}/"
+
+    def _show(self, shared: Shared) -> None:
+        """Serve pages in the place of the notice."""
+        self._opening.shared = shared
+        shared.start()
+        self._opening.done = True
 
     def stop(self) -> None:
         """Stop serving and end all threads; a second call does nothing."""
         if self._thread.is_alive():
             self._loop.add_callback(self._end)
             self._thread.join(timeout=10)
-        self._shared.stop()
+        if self._opening.shared is not None:
+            self._opening.shared.stop()
 
     def wait(self) -> None:
         """Serve until Ctrl-C or SIGTERM, which end it cleanly; for the main thread."""
@@ -97,7 +111,7 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
 
     def __repr__(self) -> str:
         state = f"at {self.url}" if self._thread.is_alive() else "stopped"
-        return f"<Explorer of {self._shared.source.name!r} {state}>"
+        return f"<Explorer of {self._opening.name!r} {state}>"
 
     def _repr_html_(self) -> str:
         return (
@@ -112,14 +126,14 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
         self._loop.call_later(0.1, self._loop.stop)
 
 
-def _serve(shared: Shared, port: int, started: Future[tuple[Any, Any]]) -> None:
+def _serve(opening: Opening, port: int, started: Future[tuple[Any, Any]]) -> None:
     """Own the loop of the server from its start to its end."""
     from tornado.ioloop import IOLoop
 
     try:
         asyncio.set_event_loop(asyncio.new_event_loop())
         loop = IOLoop.current()
-        server = _bound(shared, port)
+        server = _bound(opening, port)
         server.start()
     except BaseException as error:  # noqa: BLE001 - handed to the thread that waits
         started.set_exception(error)
@@ -196,20 +210,43 @@ def explore(
     ...     print(explorer.url)
     http://127.0.0.1:38671/
     """
-    shared = opened(
-        source, other, reference, models, maps=maps, size=size, seed=seed, max_depth=max_depth
-    )
-    shared.start()
-    explorer = Explorer(shared, port)
-    if browser:
-        webbrowser.open(explorer.url)
+    render = explorer = coarse = None
+    if isinstance(source, Samples) or is_store(source):
+        stored = source
+        name = source.name if isinstance(source, Samples) else Path(source).name
+    else:
+        job = Job.of(source, size=size, seed=seed, max_depth=max_depth, backend="scalar")
+        render, name, stored = RenderProcess(job), job.scene.name, None
+    drawing = ThreadPoolExecutor(1, thread_name_prefix="chdstat-opening")
+    try:
+        explorer = Explorer(port, name)
+        if browser:
+            webbrowser.open(explorer.url)
+        if render is not None:
+            coarse = drawing.submit(explorer._opening.draw, render)
+        # It takes seconds, in which the scene is loaded and its first image drawn.
+        from chdstat.explorer.scene_source import SceneSource
+        from chdstat.explorer.shared import opened
+
+        first: Any = stored
+        if render is not None and coarse is not None:
+            first = SceneSource(render, coarse.result())
+        explorer._show(opened(first, other, reference, models, maps=maps))
+    except BaseException:
+        if render is not None:
+            render.close()
+        if explorer is not None:
+            explorer.stop()
+        raise
+    finally:
+        drawing.shutdown(wait=False)
     return explorer
 
 
 # --- Bokeh --------------------------------------------------------------------------------------
 
 
-def _bound(shared: Shared, port: int) -> Server:
+def _bound(opening: Opening, port: int) -> Server:
     """Return a server that is bound to its port.
 
     Only pages that it served itself may open a websocket: Bokeh refuses every other origin.
@@ -220,7 +257,7 @@ def _bound(shared: Shared, port: int) -> Server:
     logging.getLogger("bokeh").setLevel(logging.ERROR)
     _check_port(port)
     server = Server(
-        {"/": Application(_pages(shared))},
+        {"/": Application(_pages(opening))},
         port=port,
         address=_ADDRESS,
         check_unused_sessions_milliseconds=5000,
@@ -231,11 +268,11 @@ def _bound(shared: Shared, port: int) -> Server:
     server._tornado.websocket_origins.update(
         {f"{_ADDRESS}:{server.port}", f"localhost:{server.port}"}
     )
-    _refuse_other_hosts(server._tornado)
+    _answer_first(server._tornado, opening)
     return server
 
 
-def _pages(shared: Shared) -> Handler:
+def _pages(opening: Opening) -> Handler:
     """Return what fills new pages one at a time, in a thread: the pages that are there go on."""
     from bokeh.application.handlers.handler import Handler
 
@@ -246,7 +283,7 @@ def _pages(shared: Shared) -> Handler:
 
         async def on_session_created(self, session_context: Any) -> None:
             async with self._turn:
-                await asyncio.to_thread(_open, session_context._document, shared)
+                await asyncio.to_thread(_open, session_context._document, opening.shared)
 
         def modify_document(self, doc: Document) -> None:
             """Do nothing: it is filled by now."""
@@ -254,8 +291,8 @@ def _pages(shared: Shared) -> Handler:
     return Pages()
 
 
-def _refuse_other_hosts(application: Any) -> None:
-    """Respond only to names of this machine.
+def _answer_first(application: Any, opening: Opening) -> None:
+    """Respond only to names of this machine, and with a notice while there is nothing to show.
 
     A page elsewhere may let its own name point here (DNS rebinding): to its browser, what is read
     from here is then its own.
@@ -263,12 +300,14 @@ def _refuse_other_hosts(application: Any) -> None:
     from tornado.httputil import split_host_and_port
     from tornado.web import ErrorHandler
 
-    find = application.find_handler
+    find, notice = application.find_handler, opening_handler(opening)
 
     def find_here(request: HTTPServerRequest) -> Any:
-        if split_host_and_port(request.host.lower())[0] in _HOSTS:
-            return find(request)
-        return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+        if split_host_and_port(request.host.lower())[0] not in _HOSTS:
+            return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
+        if request.path == "/progress" or (request.path == "/" and not opening.done):
+            return application.get_handler_delegate(request, notice)
+        return find(request)
 
     application.find_handler = find_here
 
@@ -288,10 +327,12 @@ def _check_port(port: int) -> None:
             raise InputError(message) from error
 
 
-def _open(document: Document, shared: Shared) -> None:
+def _open(document: Document, shared: Shared | None) -> None:
     """Fill the document of a new page."""
     from chdstat.explorer.session import Session
+    from chdstat.explorer.sources import StoreSource
 
+    assert shared is not None, "no page is opened before there is something to show"
     # What Bokeh hands out has more than its type says.
     context: Any = document.session_context
     request = context.request if context else None

@@ -33,7 +33,7 @@ from chdstat.explorer.shared import Shared, Stopped
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.suggestions import first_pixel
 from chdstat.explorer.tables import Table, headline
-from chdstat.explorer.tones import isolated, rgba
+from chdstat.explorer.tones import coarse_png, isolated, rgba
 from chdstat.explorer.traces import PIXEL_COLORS
 from chdstat.explorer.view import View, box_between, check_pixel, parse_view
 
@@ -82,7 +82,9 @@ class Session:
         self.view, self._notes = parse_view(arguments, *self._size)
         if not self.view.pixels and self.view.region is None:
             self.view = self.view.pick(*first_pixel(shared.overall))
-        self._page = Page(document, shared.source, shared.other, shared.given, self._gone)
+        # A map or a part of the image has another look: then there is nothing to be seen at first.
+        coarse = [] if self.view.map != "image" or "z" in arguments else self._coarse()
+        self._page = Page(document, shared.source, shared.other, shared.given, coarse, self._gone)
         self._page.inbox.on_change("value", self._received)
         self._end = shared.listen(lambda what: self._page.next(partial(self._heard, what)))
 
@@ -266,6 +268,20 @@ class Session:
         exposure = self.view.exposure
         return self._shared.overall.exposure if exposure is None else exposure
 
+    @property
+    def _means(self) -> list[Any]:
+        """Mean radiance of the image, or of both, shape (y, x, channel)."""
+        means = [self._shared.overall.mean]
+        if self._shared.other is not None:
+            means.append(self._shared.other_overall.mean)
+        # Where nothing is drawn yet there is no error.
+        return [m if np.isfinite(m).any() else np.zeros_like(m) for m in means]
+
+    def _coarse(self) -> list[str]:
+        """Return what the page has of its images in its HTML, as PNG files in base64."""
+        exposure, tone, channel = self._exposure, self.view.tone, self.view.channel
+        return [coarse_png(isolated(m, channel), exposure, tone) for m in self._means]
+
     def _show_image(self) -> None:
         """Show the image, or both; while one is made, only the latest request is kept."""
         self._image_is_old = True
@@ -273,13 +289,10 @@ class Session:
             return
         self._image_is_old, self._makes_image = False, True
         shared, exposure, tone = self._shared, self._exposure, self.view.tone
-        means = [shared.overall.mean, shared.other_overall.mean][: 1 + (shared.other is not None)]
-        channel = self.view.channel
+        means, channel = self._means, self.view.channel
 
         def work() -> list[tuple[Any, Any]]:
-            # Where nothing is drawn yet there is no error.
-            known = [m if np.isfinite(m).any() else np.zeros_like(m) for m in means]
-            return [(rgba(isolated(mean, channel), exposure, tone), mean) for mean in known]
+            return [(rgba(isolated(mean, channel), exposure, tone), mean) for mean in means]
 
         self._page.run(shared.images, work, self._made_image)
 

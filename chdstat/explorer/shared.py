@@ -14,7 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,11 +37,10 @@ from chdstat.explorer.scene_source import SceneSource, Source
 from chdstat.explorer.sources import Overall, StoreSource, stream
 from chdstat.explorer.suggestions import suggest
 from chdstat.explorer.view import Pixel
-from chdstat.samples import Samples, cache_key, is_store
+from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
-from chdstat.scenes import Scene, load_scene
 
-__all__ = ["Explored", "Shared", "Stopped", "kept", "opened"]
+__all__ = ["Shared", "Stopped", "kept", "opened"]
 
 _MOST_FILES = 64
 _FIRST_SPP = 64
@@ -52,8 +51,6 @@ _SHOWN_EVERY = 0.5
 """Of the time since drawing began, between two times that the image is shown."""
 
 T = TypeVar("T")
-Explored = str | Path | dict[str, Any] | Scene | Samples
-"""A store or its path, samples in memory, or a scene."""
 Listener = Callable[[str], None]
 
 
@@ -74,17 +71,14 @@ def kept(samples: Samples, name: str, kind: type[T], compute: Callable[[], T]) -
 
 
 def opened(
-    source: Explored,
+    source: str | Path | Samples | SceneSource,
     other: str | Path | Samples | None = None,
     reference: str | Path | Samples | None = None,
     models: Sequence[AnyModel | str | Path] = (),
     *,
     maps: str | Path | None = None,
-    size: tuple[int, int] | None = None,
-    seed: int = 0,
-    max_depth: int | None = None,
 ) -> Shared:
-    """Open what `chdstat.explore` is given.
+    """Open what `chdstat.explore` is given; of a scene, what it made of it.
 
     Raises
     ------
@@ -94,11 +88,7 @@ def opened(
         If something cannot be read or rendered.
     """
     trained = learners(models)
-    first: Source
-    if isinstance(source, Samples) or is_store(source):
-        first = _store(source)
-    else:
-        first = SceneSource(load_scene(source), size=size, seed=seed, max_depth=max_depth)
+    first: Source = source if isinstance(source, SceneSource) else _store(source)
     second, truth = (None if s is None else _store(s) for s in (other, reference))
     for store in (second, truth):
         if store is not None and (store.size, store.channels) != (first.size, first.channels):
@@ -189,15 +179,14 @@ class Shared:
 
     def start(self) -> None:
         """Show the first image, then begin to improve it."""
-        quick_names()
         if isinstance(self.source, SceneSource):
-            self.source.preview()
             self.overall = self.source.overall()
         if isinstance(self.source, StoreSource):
             # The first samples take a second where all take minutes.
             self.overall = stream(self.source, spp=_FIRST_SPP)
             if self.other is not None:
                 self.other_overall = stream(self.other, spp=_FIRST_SPP)
+        self.clicks.submit(quick_names)  # before the first click
         self._passes.submit(self._guarded, self._begin)
 
     def stop(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from functools import cache
 
 import numpy as np
@@ -9,8 +10,10 @@ import numpy.typing as npt
 
 from chdstat import viz
 from chdstat._core.arrays import luminance
+from chdstat._core.display import png
+from chdstat.explorer.opening import COARSE
 
-__all__ = ["isolated", "ramp", "rgba"]
+__all__ = ["coarse_png", "isolated", "ramp", "rgba"]
 
 _FILMIC = (0.15, 0.50, 0.10, 0.20, 0.02, 0.30)
 _WHITE = 11.2
@@ -70,6 +73,14 @@ def rgba(mean: Image, exposure: float, tone: str) -> npt.NDArray[np.uint32]:
     packed = np.full((*shown.shape[:2], 4), 255, np.uint8)
     packed[..., :3] = np.round(255 * shown)
     return packed.view(np.uint32)[..., 0]
+
+
+def coarse_png(mean: Image, exposure: float, tone: str) -> str:
+    """Return an image with few pixels, as a PNG file in base64; parameters as for `rgba`."""
+    step = -(-max(mean.shape[:2]) // COARSE)
+    packed = np.ascontiguousarray(rgba(mean[::step, ::step], exposure, tone))
+    colors = packed.view(np.uint8).reshape(*packed.shape, 4)[..., :3]
+    return base64.b64encode(png(colors / 255)).decode("ascii")
 
 
 def _hable(v: npt.NDArray[np.float32] | np.float32) -> npt.NDArray[np.float32]:

@@ -13,9 +13,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.cluster import KMeans
-from sklearn.exceptions import ConvergenceWarning
-from sklearn.metrics import adjusted_rand_score, pairwise_distances_argmin_min, silhouette_score
 from threadpoolctl import threadpool_limits
 
 from chdstat._core.positive import Counts, Floats
@@ -109,6 +106,8 @@ def find_groups(
     InputError
         If only one number is given, and it is larger than the number of different points.
     """
+    import sklearn.cluster  # noqa: F401 - its threads can be limited once it is there
+
     learnt = rng.permutation(len(whole))[:_LEARNT]
     seed = int(rng.integers(2**31 - _STARTS))
     parts = [whole[learnt], *(half[learnt] for half in halves)]
@@ -156,6 +155,8 @@ def _try(points: Points, one: Points, two: Points, number: int, seed: int) -> _C
     labels = _k_means(points, number, seed, starts=_STARTS)
     of_one, errors_two = _best_prediction(one, two, number, seed)
     of_two, errors_one = _best_prediction(two, one, number, seed)
+    from sklearn.metrics import adjusted_rand_score
+
     count = np.bincount(labels, minlength=number)
     return _Candidate(
         number=number,
@@ -181,6 +182,9 @@ def _best_prediction(here: Points, there: Points, number: int, seed: int) -> tup
 
 
 def _k_means(points: Points, number: int, seed: int, *, starts: int) -> Labels:
+    from sklearn.cluster import KMeans  # takes a third of a second
+    from sklearn.exceptions import ConvergenceWarning
+
     with warnings.catch_warnings():
         # Points that differ by rounding alone: empty groups are left out further down.
         warnings.simplefilter("ignore", ConvergenceWarning)
@@ -204,6 +208,8 @@ def _means(points: Points, labels: Labels) -> Points:
 def _silhouette(points: Points, labels: Labels) -> float:
     if not 1 < len(np.unique(labels)) < len(points):
         return np.nan
+    from sklearn.metrics import silhouette_score
+
     return float(silhouette_score(points, labels))
 
 
@@ -231,6 +237,8 @@ def _assign(whole: Points, centers: Points) -> dict[str, Any]:
     if not len(centers):
         nothing = np.empty(0, dtype=np.intp)
         return {"number": 0, "labels": nothing, "distance": np.empty(0), "medoids": nothing}
+    from sklearn.metrics import pairwise_distances_argmin_min
+
     labels, distance = pairwise_distances_argmin_min(whole, centers)
     found, labels, count = np.unique(labels, return_inverse=True, return_counts=True)
     order = np.argsort(-count, kind="stable")

@@ -133,13 +133,22 @@ class Renderer:
         number = self._streams.of_chunk(chunk)
         return self._wavefront(number, corner, (width, height), samples)
 
-    def preview(self, longest: int, spp: int) -> Image:
-        """Render the image with at most `longest` pixels a side, shape (y, x, channel)."""
+    def preview(
+        self, longest: int, spp: int, *, seed: int = 0, band: tuple[int, int] = (0, 1)
+    ) -> Image:
+        """Render the image with at most `longest` pixels a side, shape (y, x, channel).
+
+        `band` (i, n) renders the i-th of n bands of its rows, of which some may be empty.
+        """
         scale = min(1.0, longest / max(self.size))
-        size = max(1, round(scale * self.size[0])), max(1, round(scale * self.size[1]))
+        width, height = (max(1, round(scale * length)) for length in self.size)
+        top, bottom = (height * i // band[1] for i in (band[0], band[0] + 1))
+        if top == bottom:
+            return np.empty((0, width, 3), np.float32)
         with self._telling():
-            sensor = self._sensor((0, 0), size, scale)
-            return np.array(self._integrator.render(self._scene, sensor, seed=0, spp=spp))
+            sensor = self._sensor((0, top), (width, bottom - top), scale)
+            drawn = self._integrator.render(self._scene, sensor, seed=seed, spp=spp)
+            return np.array(drawn, np.float32)
 
     def pixels(self, pixels: npt.NDArray[np.intp], spp: int, *, seed: int | None = None) -> Image:
         """Draw samples of single pixels (n, 2) of (y, x); shape (pixel, channel, sample).

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+import base64
+import io
+import subprocess
+import sys
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import chdstat as chd
 from chdstat.errors import RenderError, SceneError
+from chdstat.explorer.opening import Opening
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.scene_source import SceneSource
 from chdstat.rendering.job import Job
@@ -23,8 +31,7 @@ def job():
 def test_it_draws_what_the_renderer_draws(job):
     render = RenderProcess(job)
     try:
-        assert render.size == (24, 16)
-        assert render.integrator == "path"
+        assert render.described == ((24, 16), "path")
         drawn = [render("pixels", PIXELS, 8, seed=seed) for seed in (None, 3)]
     finally:
         render.close()
@@ -43,17 +50,57 @@ def test_a_process_that_has_ended_says_so(job):
 def test_a_scene_that_cannot_be_read_is_an_error_here():
     wrong = chd.load_scene({"type": "scene", "shape": {"type": "no such shape"}})
     with pytest.raises((SceneError, RenderError)):
-        RenderProcess(Job.of(wrong, backend="scalar"))
+        _ = RenderProcess(Job.of(wrong, backend="scalar")).described
 
 
-def test_the_first_image_of_a_scene_is_coarse_and_whole():
-    source = SceneSource(chd.load_scene("cornell-box"), size=(300, 200))
+def test_the_coarse_image_is_whole_and_told_as_it_is_drawn(job):
+    """From one sample per pixel, then four: both have the mean of the image within 6 errors."""
+    job = replace(job, size=(300, 200))
+    render, opening = RenderProcess(job), Opening("box")
+    assert opening.text == "loading box"
+    texts = []
+
+    class Told:
+        described = render.described
+
+        def __call__(self, *arguments, **options):
+            texts.append(opening.text)
+            return render(*arguments, **options)
+
     try:
-        source.preview()
+        coarse = opening.draw(Told())
+        source = SceneSource(render, coarse)
         seen = source.overall().mean
+        next(source.passes())
+        better = source.overall().mean
     finally:
-        source.close()
-    assert seen.shape == (200, 300, 3)
-    assert np.isfinite(seen).all()
-    colors = np.unique(seen.reshape(-1, 3), axis=0)
-    assert 100 < len(colors) <= 128 * 85
+        render.close()
+    assert coarse.shape == (85, 128, 3)
+    assert texts == [f"drawing box: {share} % of the coarse image" for share in (0, 25, 50, 75)]
+    picture = imread(io.BytesIO(base64.b64decode(opening.picture)))
+    assert picture.shape == (85, 128, 4)
+    for image in (seen, better):
+        assert image.shape == (200, 300, 3)
+        assert np.isfinite(image).all()
+        assert 100 < len(np.unique(image.reshape(-1, 3), axis=0)) <= 128 * 85
+    assert (seen != better).any()
+    error = 6 * coarse.std() / np.sqrt(128 * 85)
+    assert abs(seen.mean() - better.mean()) < error
+
+
+def test_the_bands_of_a_preview_are_the_rows_of_the_image(job):
+    """An image of six rows in eight bands: two of them are empty."""
+    renderer = Renderer(replace(job, size=(24, 6)))
+    bands = [renderer.preview(24, 1, band=(i, 8)) for i in range(8)]
+    assert sorted(len(band) for band in bands) == [0, 0, 1, 1, 1, 1, 1, 1]
+    whole, drawn = renderer.preview(24, 64), np.concatenate(bands)
+    assert drawn.shape == whole.shape == (6, 24, 3)
+    assert np.isfinite(drawn).all()
+
+
+def test_the_child_loads_the_renderer_and_little_else():
+    code = "import sys, chdstat.explorer.render_process; print(*sys.modules)"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert not {"bokeh", "torch", "scipy", "matplotlib", "sklearn", "tornado"} & set(loaded)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import http.client
+import io
+import json
 import os
 import re
 import signal
@@ -14,13 +17,16 @@ import threading
 import urllib.request
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import chdstat as chd
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.explorer import explore, server
+from chdstat.explorer.opening import Opening
 from chdstat.explorer.plots import FAINT, GROUND, TEXT
 from chdstat.explorer.traces import BLENDED, CHANNEL_COLORS, LIGHT, PIXEL_COLORS
 from chdstat.samples.store import Store
@@ -51,7 +57,11 @@ def handshake(explorer, origin):
 
 
 def status(explorer, host):
-    connection = http.client.HTTPConnection("127.0.0.1", explorer.port, timeout=120)
+    return answered(explorer.port, host)
+
+
+def answered(port, host):
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
     with contextlib.closing(connection):
         connection.request("GET", "/", headers={"Host": host})
         return connection.getresponse().status
@@ -111,10 +121,66 @@ def test_a_page_that_is_built_holds_up_no_other(explored, store_path, monkeypatc
         assert "<title>box.zarr" in waiting.result()
 
 
+def test_until_there_is_an_image_the_page_says_how_far_it_is(monkeypatch):
+    """The notice has the name as text, gives way to the page, and is not kept by the browser."""
+    begun, go_on, draw = threading.Event(), threading.Event(), Opening.draw
+
+    def slow(self, render):
+        begun.set()
+        assert go_on.wait(60)
+        return draw(self, render)
+
+    monkeypatch.setattr(Opening, "draw", slow)
+    opened = []
+    monkeypatch.setattr(server.webbrowser, "open", opened.append)
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(explore, "cornell-box", size=(16, 12), browser=True)
+        assert begun.wait(60)
+        (url,) = opened
+        with urllib.request.urlopen(url, timeout=60) as answer:
+            assert answer.headers["Cache-Control"] == "no-store"
+            assert "loading cornell-box</p>" in answer.read().decode()
+        expected = {"text": "loading cornell-box", "picture": "", "drawn": False, "done": False}
+        assert json.loads(page(url + "progress")) == expected
+        assert answered(urlsplit(url).port, "evil.example") == 403
+        go_on.set()
+        with waiting.result() as explorer:
+            state = json.loads(page(url + "progress"))
+            assert state["done"]
+            assert state["drawn"]
+            assert state["picture"]
+            assert '"token":"' in page(explorer.url)
+
+
+def test_a_source_that_cannot_be_opened_frees_the_port(store_path):
+    before = set(threading.enumerate())
+    with pytest.raises(StoreError):
+        explore(store_path, other="no such store")
+    with pytest.raises((SceneError, RenderError)):
+        explore({"type": "scene", "shape": {"type": "no such shape"}})
+    left = [t for t in set(threading.enumerate()) - before if "chdstat-explorer" in t.name]
+    assert not left
+
+
 def test_a_page_needs_nothing_from_the_net(explored, store_path):
     found = page(explored(store_path).url)
     assert "https://" not in found.replace("https://bokeh", "")
     assert "cdn" not in found
+
+
+def test_the_page_has_a_coarse_image_before_its_socket(explored):
+    """Left black, right bright; none for a part of the image or a map, which look different."""
+    x = np.zeros((100, 200, 3, 2), np.float32)
+    x[:, 100:] = 1
+    url = explored(chd.Samples.from_array(x, axes="yxcs")).url
+    coarse = page(url).split("url(data:image/png;base64,")
+    assert len(coarse) == 2
+    image = imread(io.BytesIO(base64.b64decode(coarse[1].split(")")[0])))
+    assert image.shape == (50, 100, 4)
+    assert image[:, :50, :3].max() == 0
+    assert image[:, 50:].min() > 0.8
+    for query in ("?z=0,0,10,10", "?map=null_share"):
+        assert "url(data:image/png" not in page(url + query)
 
 
 def test_names_cannot_become_markup(explored):
@@ -190,7 +256,7 @@ def test_an_incomplete_store_tells_how_much_there_is(tmp_path):
     chd.render("cornell-box", spp=64, size=(16, 16), out=path, backend="scalar", progress=False)
     Store.open(path, writable=True).extend(128)
     with explore(path) as explorer:
-        assert explorer._shared.source.describe().startswith(
+        assert explorer._opening.shared.source.describe().startswith(
             "16 × 16 px · 64 of 128 (not finished)"
         )
 

@@ -17,6 +17,7 @@ from chdstat._core.arrays import luminance
 from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
 from chdstat.explorer.maps import MAPS, Map, map_kind, of_overall, walk
+from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.scene_source import FIRST_SPP, SceneSource
 from chdstat.explorer.sources import (
     ImageAccumulator,
@@ -30,6 +31,7 @@ from chdstat.fit.tail import tail_of_part
 from chdstat.patterns import classify
 from chdstat.patterns.classification import luminance_part
 from chdstat.rendering import render_pixels
+from chdstat.rendering.job import Job
 
 ARRAYS = dict[str, npt.NDArray[Any]]
 
@@ -252,7 +254,7 @@ def test_exposure_brings_an_image_near_white():
 
 @pytest.fixture(scope="module")
 def scene():
-    return SceneSource(chd.load_scene("cornell-box"), size=(24, 16))
+    return SceneSource(RenderProcess(Job.of("cornell-box", size=(24, 16), backend="scalar")))
 
 
 def test_more_samples_of_a_pixel_are_new_ones(scene):
@@ -287,7 +289,7 @@ def test_a_region_of_a_scene_is_sampled(scene):
 
 def test_a_scene_without_emitters_says_so():
     dark = {"type": "scene", "shape": {"type": "sphere"}, "sensor": {"type": "perspective"}}
-    source = SceneSource(chd.load_scene(dark), size=(8, 8))
+    source = SceneSource(RenderProcess(Job.of(dark, size=(8, 8), backend="scalar")))
     with pytest.raises(SceneError, match="emitter"):
         list(source.passes())
 

@@ -482,7 +482,11 @@ window.chdstat = (() => {
       models.y_range.setv({ start: asked[3], end: asked[1] });
     }
     for (const range of [models.x_range, models.y_range]) range.change.connect(zoomed);
-    for (const source of models.radiances) source.properties.data.change.connect(zoomed);
+    for (const [i, source] of models.radiances.entries()) source.properties.data.change.connect(() => {
+      // Two frames later Bokeh has drawn it over the coarse one, which then would show beside it.
+      requestAnimationFrame(() => requestAnimationFrame(() => { all(".image")[i].style.backgroundImage = ""; }));
+      zoomed();
+    });
     $("#theme").addEventListener("click", switchTheme);
     $("#keys").addEventListener("click", () => explain("keys", $("#keys")));
     if ($("#stack")) {
