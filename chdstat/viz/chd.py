@@ -158,8 +158,10 @@ def chd_axes(
     """
     rows = by_channel(found, channels)
     colors = _colors(rows)
+    kept = ax is not None and ax.spines["left"].get_visible()
     ax = axes_in(ax, 1.8)
     draw_histograms(ax, rows, colors=colors)
+    ax.spines["left"].set_visible(kept)  # those of one's own stay as they are
     for counted, density, color in zip(rows.values(), fits, colors, strict=False):
         if density is not None:
             _draw_fit(ax, counted, density, color=color, linewidth=1.3)

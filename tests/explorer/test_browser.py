@@ -312,6 +312,12 @@ def test_maps_have_ranges_and_opacity_and_come_from_files(person, store_path, tm
     one.page.locator("#opacity").fill("0.5")
     alpha = "Bokeh.documents[0].get_model_by_name('image0').renderers[1].glyph.global_alpha"
     one.page.wait_for_function(f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()")
+    one.page.wait_for_function("location.search.includes('o=0.5')")
+    again = person(store_path, maps=path).open(one.page.evaluate("location.search"))
+    again.page.wait_for_function(
+        f"(() => {{ const a = {alpha}; return (a.value ?? a) === 0.5; }})()"
+    )
+    assert again.page.locator("#opacity").input_value() == "0.5"
     one.page.locator("select[data-option=map]").select_option("variance")
     one.page.wait_for_function("!location.search.includes('lim=')")
 

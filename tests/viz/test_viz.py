@@ -6,6 +6,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 from scipy import stats
 
 from chdstat import viz
@@ -73,6 +74,9 @@ def test_chd_axes_draws_what_histogram_returns(scale):
     gray = viz.chd_axes(histogram(x[0], scale=scale), channels=["G"])
     np.testing.assert_allclose(gray.patches[0].get_data().values, found.density[0])
     assert to_hex(gray.patches[1].get_edgecolor()) == CHANNELS["G"].lower()
+    assert not ax.spines["left"].get_visible()
+    own = Figure().subplots()
+    assert viz.chd_axes(found, ax=own).spines["left"].get_visible()
     with pytest.raises(InputError, match="one pixel, .* got"):
         viz.chd_axes(histogram(x[np.newaxis], scale=scale))
     with pytest.raises(InputError, match="2 channels, got one of shape"):

@@ -128,8 +128,10 @@ window.chdstat = (() => {
   function address() {
     const parts = query ? [query] : [], now = seen().map((v) => Math.round(10 * v) / 10);
     if (String(now) !== String(whole())) parts.push(`z=${now}`);
+    if ($("#opacity").value !== "1") parts.push(`o=${$("#opacity").value}`);
     history.replaceState(null, "", parts.length ? `?${parts.join("&")}` : location.pathname);
   }
+  const fade = () => models.over.setv({ global_alpha: Number($("#opacity").value) }, { sync: false });
   let resized = 0;
   function zoomed() {
     clearTimeout(resized);
@@ -481,6 +483,11 @@ window.chdstat = (() => {
       models.x_range.setv({ start: asked[0], end: asked[2] });
       models.y_range.setv({ start: asked[3], end: asked[1] });
     }
+    const opacity = new URLSearchParams(location.search).get("o");
+    if (opacity !== null) {
+      $("#opacity").value = opacity;  // what is no number between its ends becomes one
+      fade();
+    }
     for (const range of [models.x_range, models.y_range]) range.change.connect(zoomed);
     for (const [i, source] of models.radiances.entries()) source.properties.data.change.connect(() => {
       // Two frames later Bokeh has drawn it over the coarse one, which then would show beside it.
@@ -508,7 +515,7 @@ window.chdstat = (() => {
     });
     $("#exposure").addEventListener("input", (e) => send("set", { option: "exposure", value: Number(e.target.value) }));
     $("#auto").addEventListener("click", () => send("set", { option: "exposure", value: null }));
-    $("#opacity").addEventListener("input", (e) => models.over.setv({ global_alpha: Number(e.target.value) }, { sync: false }));
+    $("#opacity").addEventListener("input", () => { fade(); zoomed(); });
     for (const e of all("#limits input")) e.addEventListener("change", () => {
       const value = all("#limits input").map((i) => i.valueAsNumber);
       if (value.every(Number.isFinite)) send("set", { option: "limits", value });
