@@ -24,24 +24,28 @@ STAGES = {
     "typesetting": (scene_report, "typeset"),
 }
 
-seconds = {}
+
+def main(scene: str, backend: str, target: str) -> None:
+    """Write a report, and print the seconds of each stage."""
+    seconds = {}
+
+    def timed(stage, function):
+        def call(*arguments, **options):
+            start = time.perf_counter()
+            try:
+                return function(*arguments, **options)
+            finally:
+                seconds[stage] = time.perf_counter() - start
+
+        return call
+
+    for stage, (owner, name) in STAGES.items():
+        setattr(owner, name, timed(stage, getattr(owner, name)))
+    start = time.perf_counter()
+    scene_report.report(scene, target, backend=backend, progress=False)
+    seconds["all"] = time.perf_counter() - start
+    print(json.dumps(seconds))
 
 
-def timed(stage, function):
-    def call(*arguments, **options):
-        start = time.perf_counter()
-        try:
-            return function(*arguments, **options)
-        finally:
-            seconds[stage] = time.perf_counter() - start
-
-    return call
-
-
-for stage, (owner, name) in STAGES.items():
-    setattr(owner, name, timed(stage, getattr(owner, name)))
-scene, backend, target = sys.argv[1:]
-start = time.perf_counter()
-scene_report.report(scene, target, backend=backend, progress=False)
-seconds["all"] = time.perf_counter() - start
-print(json.dumps(seconds))
+if __name__ == "__main__":
+    main(*sys.argv[1:])
