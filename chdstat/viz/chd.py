@@ -158,10 +158,10 @@ def chd_axes(
     """
     rows = by_channel(found, channels)
     colors = _colors(rows)
-    kept = ax is not None and ax.spines["left"].get_visible()
+    spine = ax is not None and ax.spines["left"].get_visible()  # those of one's own stay
     ax = axes_in(ax, 1.8)
     draw_histograms(ax, rows, colors=colors)
-    ax.spines["left"].set_visible(kept)  # those of one's own stay as they are
+    ax.spines["left"].set_visible(spine)
     for counted, density, color in zip(rows.values(), fits, colors, strict=False):
         if density is not None:
             _draw_fit(ax, counted, density, color=color, linewidth=1.3)
@@ -441,8 +441,7 @@ def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None
         lower.hist(means, bins=_BINS // 2, color=color)
         for ax in (upper, lower):
             ax.axvline(expected, color="black", linewidth=0.9, linestyle="--")
-            ax.set(yticks=[])
-            ax.set_xlim(left=min(0.0, float(means.min())))
+            ax.set(yticks=[], xlim=(min(0.0, float(means.min())), None))
             ax.locator_params(axis="x", nbins=3)
             ax.spines["left"].set_visible(False)
     axes[0].set_ylabel(f"{len(x)} batches\nof {x.shape[1]} samples")
