@@ -36,6 +36,7 @@ SERVE = (
     "print(explorer.url, flush=True)\nexplorer.wait()\n"
 )
 CLICKS, CLICKS_ON_DEMAND = 200, 60
+PAGES, CLICKS_EACH = 20, 5
 
 
 @pytest.fixture(scope="module")
@@ -90,23 +91,38 @@ def clicked(
     Returns milliseconds to the last panel, those until the server had its answer, and those of
     processor time that the server took per click.
     """
+    opened(page, url)
+    before = sum(process.cpu_times()[:2])
+    for place in np.random.default_rng(1).uniform(0.01, 0.99, (count, 2)):
+        click(page, *place)
+    spent = sum(process.cpu_times()[:2]) - before
+    return *timings(page), 1000 * spent / count
+
+
+def opened(page, url: str) -> None:
+    """Open a page and wait until it has drawn all that it draws by itself."""
     page.goto(url)
     page.wait_for_selector("body[data-shown]", timeout=60000)
     page.wait_for_function("document.querySelector('#working').innerText === ''", timeout=300000)
+
+
+def click(page, y: float, x: float) -> None:
+    """Click a place of the image, and wait for the last panel."""
     box = page.locator(".image").bounding_box()
-    before = sum(process.cpu_times()[:2])
-    for i, (y, x) in enumerate(np.random.default_rng(1).uniform(0.01, 0.99, (count, 2))):
-        page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
-        page.wait_for_function(
-            "(i) => window.chdstat.timings.length > i && window.chdstat.timings[i].end",
-            arg=i,
-            polling=20,  # not at each frame, which would make the browser paint
-        )
-    spent = sum(process.cpu_times()[:2]) - before
-    timings = page.evaluate("window.chdstat.timings")
-    shown = np.array([t["end"] - t["start"] for t in timings])
-    server = np.array([t["server"] for t in timings])
-    return shown, 1000 * server, 1000 * spent / count
+    clicks = page.evaluate("window.chdstat.timings.length")
+    page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
+    page.wait_for_function(
+        "(i) => window.chdstat.timings.length > i && window.chdstat.timings[i].end",
+        arg=clicks,
+        polling=20,  # not at each frame, which would make the browser paint
+    )
+
+
+def timings(page) -> tuple[np.ndarray, np.ndarray]:
+    """Return milliseconds of each click to the last panel, and until the server had its answer."""
+    found = page.evaluate("window.chdstat.timings")
+    shown = np.array([t["end"] - t["start"] for t in found])
+    return shown, 1000 * np.array([t["server"] for t in found])
 
 
 def report(what: str, shown: np.ndarray, server: np.ndarray, cpu: float, target: float) -> None:
@@ -191,6 +207,32 @@ def test_click_on_a_store(benchmark, page, tile, tmp_path):
         found = benchmark.pedantic(lambda: clicked(page, url, CLICKS, process), rounds=1)
         memory = process.memory_info().rss / 2**20
     report("click on a store of 256 x 256 x 2048", *found, 150)
+    print(f"memory of the server: {memory:.0f} MiB")
+
+
+def test_twenty_pages_at_once(benchmark, page, tile, tmp_path):
+    path = write(tmp_path / "bathroom.zarr", tile, 256, 2048)
+    places = np.random.default_rng(2).uniform(0.01, 0.99, (PAGES, CLICKS_EACH, 2))
+
+    def all_pages() -> tuple[np.ndarray, np.ndarray]:
+        pages = [page.context.new_page() for _ in range(PAGES)]
+        for one in pages:
+            opened(one, url)
+        for i in range(CLICKS_EACH):
+            for one, there in zip(pages, places, strict=True):
+                one.bring_to_front()
+                click(one, *there[i])
+        found = [timings(one) for one in pages]
+        for one in pages:
+            one.close()
+        return tuple(np.concatenate(part) for part in zip(*found, strict=True))
+
+    with served(str(path)) as (url, process):
+        before = sum(process.cpu_times()[:2])
+        shown, server = benchmark.pedantic(all_pages, rounds=1)
+        spent = sum(process.cpu_times()[:2]) - before
+        memory = process.memory_info().rss / 2**20
+    report(f"click with {PAGES} pages open", shown, server, 1000 * spent / shown.size, 150)
     print(f"memory of the server: {memory:.0f} MiB")
 
 

@@ -50,7 +50,6 @@ IN_PYTHON = {
     "spp=256, size=(128, 128)": "spp=64, size=(16, 16)",
     "[64, 64]": "[8, 8]",
     "chd.compare(samples)": "chd.compare(samples, ['mean', 'median_of_means'])",
-    "features=samples.features)": "features=samples.features, iterations=2)",
     ".train(samples)": ".train(samples, iterations=2)",
     '["bathroom", "caustic"], spp=256, size=(64, 64)': (
         '["bathroom"], spp=32, size=(12, 12), estimators=["mean"]'
