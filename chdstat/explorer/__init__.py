@@ -12,7 +12,7 @@
 - `selection`, `exports`: all that is shown of a selection, and its export as a file;
 - `plots`, `help`, `page`: the Bokeh document of a page;
 - `session`: one page and its commands;
-- `opening`, `server`: the notice until there is an image, and the server of all pages.
+- `startup`, `server`: the notice until there is an image, and the server of all pages.
 """
 
 from __future__ import annotations

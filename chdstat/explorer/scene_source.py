@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat.errors import SceneError
-from chdstat.explorer.opening import COARSE
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.sources import (
     KEPT_BYTES,
@@ -23,6 +22,7 @@ from chdstat.explorer.sources import (
     pooled,
     tiles,
 )
+from chdstat.explorer.startup import COARSE
 from chdstat.explorer.view import Box, Pixel, check_pixel
 from chdstat.samples.layout import TILE, Chunk
 

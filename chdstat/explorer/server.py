@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from chdstat.errors import InputError
-from chdstat.explorer.opening import Opening, opening_handler
 from chdstat.explorer.render_process import RenderProcess
+from chdstat.explorer.startup import Startup, startup_handler
 from chdstat.rendering.job import Job
 from chdstat.samples import Samples, is_store
 from chdstat.scenes import Scene
@@ -64,10 +64,10 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
     """
 
     def __init__(self, port: int, name: str) -> None:
-        self._opening = Opening(name)
+        self._startup = Startup(name)
         started: Future[tuple[Any, Any]] = Future()
         self._thread = threading.Thread(
-            target=_serve, args=(self._opening, port, started), name="chdstat-explorer", daemon=True
+            target=_serve, args=(self._startup, port, started), name="chdstat-explorer", daemon=True
         )
         self._thread.start()
         self._loop, self._server = started.result()
@@ -76,17 +76,17 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
 
     def _show(self, shared: Shared) -> None:
         """Serve pages in the place of the notice."""
-        self._opening.shared = shared
+        self._startup.shared = shared
         shared.start()
-        self._opening.done = True
+        self._startup.done = True
 
     def stop(self) -> None:
         """Stop serving and end all threads; a second call does nothing."""
         if self._thread.is_alive():
             self._loop.add_callback(self._end)
             self._thread.join(timeout=10)
-        if self._opening.shared is not None:
-            self._opening.shared.stop()
+        if self._startup.shared is not None:
+            self._startup.shared.stop()
 
     def wait(self) -> None:
         """Serve until Ctrl-C or SIGTERM, which end it cleanly; for the main thread."""
@@ -111,7 +111,7 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
 
     def __repr__(self) -> str:
         state = f"at {self.url}" if self._thread.is_alive() else "stopped"
-        return f"<Explorer of {self._opening.name!r} {state}>"
+        return f"<Explorer of {self._startup.name!r} {state}>"
 
     def _repr_html_(self) -> str:
         return (
@@ -126,14 +126,14 @@ class Explorer(contextlib.AbstractContextManager["Explorer"]):
         self._loop.call_later(0.1, self._loop.stop)
 
 
-def _serve(opening: Opening, port: int, started: Future[tuple[Any, Any]]) -> None:
+def _serve(startup: Startup, port: int, started: Future[tuple[Any, Any]]) -> None:
     """Own the loop of the server from its start to its end."""
     from tornado.ioloop import IOLoop
 
     try:
         asyncio.set_event_loop(asyncio.new_event_loop())
         loop = IOLoop.current()
-        server = _bound(opening, port)
+        server = _bound(startup, port)
         server.start()
     except BaseException as error:  # noqa: BLE001 - handed to the thread that waits
         started.set_exception(error)
@@ -217,13 +217,13 @@ def explore(
     else:
         job = Job.of(source, size=size, seed=seed, max_depth=max_depth, backend="scalar")
         render, name, stored = RenderProcess(job), job.scene.name, None
-    drawing = ThreadPoolExecutor(1, thread_name_prefix="chdstat-opening")
+    drawing = ThreadPoolExecutor(1, thread_name_prefix="chdstat-startup")
     try:
         explorer = Explorer(port, name)
         if browser:
             webbrowser.open(explorer.url)
         if render is not None:
-            coarse = drawing.submit(explorer._opening.draw, render)
+            coarse = drawing.submit(explorer._startup.draw, render)
         # It takes seconds, in which the scene is loaded and its first image drawn.
         from chdstat.explorer.scene_source import SceneSource
         from chdstat.explorer.shared import opened
@@ -246,7 +246,7 @@ def explore(
 # --- Bokeh --------------------------------------------------------------------------------------
 
 
-def _bound(opening: Opening, port: int) -> Server:
+def _bound(startup: Startup, port: int) -> Server:
     """Return a server that is bound to its port.
 
     Only pages that it served itself may open a websocket: Bokeh refuses every other origin.
@@ -257,7 +257,7 @@ def _bound(opening: Opening, port: int) -> Server:
     logging.getLogger("bokeh").setLevel(logging.ERROR)
     _check_port(port)
     server = Server(
-        {"/": Application(_pages(opening))},
+        {"/": Application(_pages(startup))},
         port=port,
         address=_ADDRESS,
         check_unused_sessions_milliseconds=5000,
@@ -268,11 +268,11 @@ def _bound(opening: Opening, port: int) -> Server:
     server._tornado.websocket_origins.update(
         {f"{_ADDRESS}:{server.port}", f"localhost:{server.port}"}
     )
-    _answer_first(server._tornado, opening)
+    _serve_startup(server._tornado, startup)
     return server
 
 
-def _pages(opening: Opening) -> Handler:
+def _pages(startup: Startup) -> Handler:
     """Return what fills new pages one at a time, in a thread: the pages that are there go on."""
     from bokeh.application.handlers.handler import Handler
 
@@ -283,7 +283,7 @@ def _pages(opening: Opening) -> Handler:
 
         async def on_session_created(self, session_context: Any) -> None:
             async with self._turn:
-                await asyncio.to_thread(_open, session_context._document, opening.shared)
+                await asyncio.to_thread(_open, session_context._document, startup.shared)
 
         def modify_document(self, doc: Document) -> None:
             """Do nothing: it is filled by now."""
@@ -291,7 +291,7 @@ def _pages(opening: Opening) -> Handler:
     return Pages()
 
 
-def _answer_first(application: Any, opening: Opening) -> None:
+def _serve_startup(application: Any, startup: Startup) -> None:
     """Respond only to names of this machine, and with a notice while there is nothing to show.
 
     A page elsewhere may let its own name point here (DNS rebinding): to its browser, what is read
@@ -300,12 +300,12 @@ def _answer_first(application: Any, opening: Opening) -> None:
     from tornado.httputil import split_host_and_port
     from tornado.web import ErrorHandler
 
-    find, notice = application.find_handler, opening_handler(opening)
+    find, notice = application.find_handler, startup_handler(startup)
 
     def find_here(request: HTTPServerRequest) -> Any:
         if split_host_and_port(request.host.lower())[0] not in _HOSTS:
             return application.get_handler_delegate(request, ErrorHandler, {"status_code": 403})
-        if request.path == "/progress" or (request.path == "/" and not opening.done):
+        if request.path == "/progress" or (request.path == "/" and not startup.done):
             return application.get_handler_delegate(request, notice)
         return find(request)
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from chdstat import viz
 from chdstat._core.arrays import luminance
 from chdstat._core.display import png
-from chdstat.explorer.opening import COARSE
+from chdstat.explorer.startup import COARSE
 
 __all__ = ["coarse_png", "isolated", "ramp", "rgba"]
 

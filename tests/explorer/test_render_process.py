@@ -14,9 +14,9 @@ from matplotlib.image import imread
 
 import chdstat as chd
 from chdstat.errors import RenderError, SceneError
-from chdstat.explorer.opening import Opening
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.scene_source import SceneSource
+from chdstat.explorer.startup import Startup
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 
@@ -56,19 +56,19 @@ def test_a_scene_that_cannot_be_read_is_an_error_here():
 def test_the_coarse_image_is_whole_and_told_as_it_is_drawn(job):
     """From one sample per pixel, then four: both have the mean of the image within 6 errors."""
     job = replace(job, size=(300, 200))
-    render, opening = RenderProcess(job), Opening("box")
-    assert opening.text == "loading box"
+    render, startup = RenderProcess(job), Startup("box")
+    assert startup.text == "loading box"
     texts = []
 
     class Told:
         described = render.described
 
         def __call__(self, *arguments, **options):
-            texts.append(opening.text)
+            texts.append(startup.text)
             return render(*arguments, **options)
 
     try:
-        coarse = opening.draw(Told())
+        coarse = startup.draw(Told())
         source = SceneSource(render, coarse)
         seen = source.overall().mean
         next(source.passes())
@@ -77,8 +77,8 @@ def test_the_coarse_image_is_whole_and_told_as_it_is_drawn(job):
         render.close()
     assert coarse.shape == (85, 128, 3)
     assert texts == [f"drawing box: {share} % of the coarse image" for share in (0, 25, 50, 75)]
-    picture = imread(io.BytesIO(base64.b64decode(opening.picture)))
-    assert picture.shape == (85, 128, 4)
+    image = imread(io.BytesIO(base64.b64decode(startup.image)))
+    assert image.shape == (85, 128, 4)
     for image in (seen, better):
         assert image.shape == (200, 300, 3)
         assert np.isfinite(image).all()

@@ -26,8 +26,8 @@ from matplotlib.image import imread
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.explorer import explore, server
-from chdstat.explorer.opening import Opening
 from chdstat.explorer.plots import FAINT, GROUND, TEXT
+from chdstat.explorer.startup import Startup
 from chdstat.explorer.traces import BLENDED, CHANNEL_COLORS, LIGHT, PIXEL_COLORS
 from chdstat.samples.store import Store
 
@@ -123,14 +123,14 @@ def test_a_page_that_is_built_holds_up_no_other(explored, store_path, monkeypatc
 
 def test_until_there_is_an_image_the_page_says_how_far_it_is(monkeypatch):
     """The notice has the name as text, gives way to the page, and is not kept by the browser."""
-    begun, go_on, draw = threading.Event(), threading.Event(), Opening.draw
+    begun, go_on, draw = threading.Event(), threading.Event(), Startup.draw
 
     def slow(self, render):
         begun.set()
         assert go_on.wait(60)
         return draw(self, render)
 
-    monkeypatch.setattr(Opening, "draw", slow)
+    monkeypatch.setattr(Startup, "draw", slow)
     opened = []
     monkeypatch.setattr(server.webbrowser, "open", opened.append)
     with ThreadPoolExecutor(1) as pool:
@@ -140,7 +140,7 @@ def test_until_there_is_an_image_the_page_says_how_far_it_is(monkeypatch):
         with urllib.request.urlopen(url, timeout=60) as answer:
             assert answer.headers["Cache-Control"] == "no-store"
             assert "loading cornell-box</p>" in answer.read().decode()
-        expected = {"text": "loading cornell-box", "picture": "", "drawn": False, "done": False}
+        expected = {"text": "loading cornell-box", "image": "", "drawn": False, "done": False}
         assert json.loads(page(url + "progress")) == expected
         assert answered(urlsplit(url).port, "evil.example") == 403
         go_on.set()
@@ -148,7 +148,7 @@ def test_until_there_is_an_image_the_page_says_how_far_it_is(monkeypatch):
             state = json.loads(page(url + "progress"))
             assert state["done"]
             assert state["drawn"]
-            assert state["picture"]
+            assert state["image"]
             assert '"token":"' in page(explorer.url)
 
 
@@ -256,7 +256,7 @@ def test_an_incomplete_store_tells_how_much_there_is(tmp_path):
     chd.render("cornell-box", spp=64, size=(16, 16), out=path, backend="scalar", progress=False)
     Store.open(path, writable=True).extend(128)
     with explore(path) as explorer:
-        assert explorer._opening.shared.source.describe().startswith(
+        assert explorer._startup.shared.source.describe().startswith(
             "16 × 16 px · 64 of 128 (not finished)"
         )
 

@@ -1,4 +1,4 @@
-"""Opening: what the server responds with until a source is open, its coarse image included.
+"""Startup: what the server responds with until a source is open, its coarse image included.
 
 The notice is HTML without Bokeh. It asks every moment how far the source is, shows as much of the
 coarse image as is drawn, and gives way to the page itself. What it needs is imported in a moment,
@@ -21,7 +21,7 @@ from chdstat.explorer.render_process import RenderProcess
 if TYPE_CHECKING:
     from chdstat.explorer.shared import Shared
 
-__all__ = ["COARSE", "Opening", "opening_handler"]
+__all__ = ["COARSE", "Startup", "startup_handler"]
 
 
 COARSE = 128
@@ -31,7 +31,7 @@ _BANDS = 4
 Image = npt.NDArray[np.float32]
 
 
-class Opening:
+class Startup:
     """How far a source is.
 
     Parameters
@@ -43,7 +43,7 @@ class Opening:
     ----------
     text
         What is being done.
-    picture
+    image
         As much of the coarse image as is drawn, as the file of a PNG image in base64; empty for
         nothing.
     shared
@@ -55,12 +55,12 @@ class Opening:
 
     Examples
     --------
-    >>> Opening("fog").text
+    >>> Startup("fog").text
     'loading fog'
     """
 
     def __init__(self, name: str) -> None:
-        self.name, self.text, self.picture = name, f"loading {name}", ""
+        self.name, self.text, self.image = name, f"loading {name}", ""
         self.drawn = self.done = False
         self.shared: Shared | None = None
 
@@ -80,29 +80,29 @@ class Opening:
             seen = np.concatenate(drawn)
             whole = np.zeros((max(1, round(height / width * seen.shape[1])), *seen.shape[1:]))
             whole[: len(seen)] = seen[: len(whole)]
-            image = png(tonemap(whole, exposure=display_stops(seen)))
-            self.picture = base64.b64encode(image).decode("ascii")
+            file = png(tonemap(whole, exposure=display_stops(seen)))
+            self.image = base64.b64encode(file).decode("ascii")
         self.drawn = True
         self.text = f"opening the page of {self.name}"
         return seen
 
 
-def opening_handler(opening: Opening) -> type[Any]:
+def startup_handler(startup: Startup) -> type[Any]:
     """Return Tornado's handler of the notice, and of ``/progress``, which it asks."""
     from bokeh.core.templates import get_env
     from tornado.web import RequestHandler
 
     web = resources.files("chdstat.explorer") / "web"
-    page, style = ((web / name).read_text("utf-8") for name in ("opening.html", "page.css"))
+    page, style = ((web / name).read_text("utf-8") for name in ("startup.html", "page.css"))
     template = get_env().from_string(page)
 
     class Notice(RequestHandler):
         def get(self) -> None:
             self.set_header("Cache-Control", "no-store")
             if self.request.path == "/progress":
-                names = ("text", "picture", "drawn", "done")
-                self.finish({name: getattr(opening, name) for name in names})
+                names = ("text", "image", "drawn", "done")
+                self.finish({name: getattr(startup, name) for name in names})
             else:
-                self.finish(template.render(style=style, name=opening.name, text=opening.text))
+                self.finish(template.render(style=style, name=startup.name, text=startup.text))
 
     return Notice
