@@ -156,7 +156,9 @@ def _labels(
     note = f"{_percent(s.place.null_share)} null"
     if span is not None:
         note = " – ".join(dict.fromkeys(number(end) for end in span))
-    return [("left", base, str(s.pixel), s.color), ("right", base, note, s.color)]
+    # Above the upper tail, where there is room.
+    above = base + 0.7 * _ROW_HEIGHT
+    return [("left", base, str(s.pixel), s.color), ("right", above, note, s.color)]
 
 
 def _histogram(view: View, scale: str, s: Series) -> Density:

@@ -43,6 +43,8 @@ _LOG_TICKS = """
 const low = Math.min(cb_data.start, cb_data.end), high = Math.max(cb_data.start, cb_data.end);
 if (!(low > 0 && high < Infinity)) return [];
 const span = Math.log10(high / low);
+const { inner_width: width, inner_height: height } = plot.properties;
+const room = width.is_unset ? few : across ? width.get_value() / 6.4 : height.get_value() / 16;
 const size = (tick) => across ? 1 + Math.min(String(tick).length, longest) : 1;
 const apart = (ticks) => ticks.slice(1).every((tick, i) =>
   Math.log10(tick / ticks[i]) / span * room >= Math.max(size(tick), size(ticks[i])));
@@ -61,15 +63,16 @@ if (ticks.length < few) {
   return apart(ticks) ? ticks : ticks.filter((_, i) => i % 2 === 0);
 }
 if (!apart(ticks)) ticks = decades([1, 3], 1);
-for (let every = 1; !apart(ticks); every++) ticks = decades([1], every);
+for (const every of [1, 2, 5, 10, 20, 50, 100, 200, 500])
+  if (!apart(ticks)) ticks = decades([1], every);
 return ticks;
 """
 _FEW = 3
 """Labels that a logarithmic axis has at least."""
 _LONGEST = 6
 """Characters of a label of a logarithmic axis, such as 0.0015; longer ones become 1e-4."""
-_LETTERS, _ROWS = 42, 10
-"""What there is room for along a horizontal and a vertical axis."""
+_LETTERS = 42
+"""Characters that there is room for at most along a horizontal axis."""
 _LABEL_WIDTH = 7
 """Characters of the labels of a vertical axis."""
 
@@ -146,10 +149,8 @@ def _style(plot: Any) -> None:
             axis.ticker.desired_num_ticks = ticks
             if isinstance(axis, models.LogAxis):
                 across = axis in plot.xaxis
-                room = {"room": _LETTERS if across else _ROWS, "few": _FEW, "longest": _LONGEST}
-                axis.ticker = models.CustomJSTicker(
-                    major_code=_LOG_TICKS, args={"across": across, **room}
-                )
+                args = {"across": across, "plot": plot, "few": _FEW, "longest": _LONGEST}
+                axis.ticker = models.CustomJSTicker(major_code=_LOG_TICKS, args=args)
                 axis.formatter.args |= {"most": _LETTERS}
 
 

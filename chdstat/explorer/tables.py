@@ -171,7 +171,7 @@ def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> 
     interval = found.intervals.get(pattern.name) if alone else None
     hidden = place.constant[-1] and pattern.name not in {"null_heavy", "constant"}
     shown = "—" if hidden else _with_interval(value, interval, text)
-    return f"{'●' if found.flags[pattern.name] else '○'} {shown}"
+    return f"{'●' if found.flags[pattern.name] else '○'}\N{NO-BREAK SPACE}{shown}"
 
 
 def estimates_table(
