@@ -59,6 +59,8 @@ PHENOMENA = (
     "shadow",
     "virtual-source",
     "albedo-contrast",
+    "multi-bounce",
+    "fireplace",
     "multi-light",
     "caustic",
     "volume",

@@ -295,7 +295,7 @@ def study(
     >>> samples = chd.simulate("gamma", shape=(8, 8), spp=128)
     >>> found = study(samples, estimators=["mean"])
     >>> found.table()[0]["claim"], len(found.scenes[0].findings)
-    ('nulls', 15)
+    ('nulls', 26)
     """
     options = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     for name in estimators:

@@ -52,5 +52,5 @@ viz.claim_intervals({"caustic": penumbrae.tests}).figure
 
 # %%
 # **Next:** ``chdstat study bathroom fog caustic -o study.pdf`` renders several scenes, again with
-# another seed and with shorter paths, and typesets the answers to all seventeen claims. `Bring your
+# another seed and with shorter paths, and typesets the answers to all claims. `Bring your
 # own samples <plot_27_own_samples.html>`_ brings samples of another renderer.

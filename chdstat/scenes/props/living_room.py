@@ -211,12 +211,12 @@ def _side_table(place: Matrix) -> Entry:
 
 
 def _bookshelf(place: Matrix) -> Entry:
-    """Return an open shelf full of books, 0.38 m a storey, with a jar on one of them."""
+    """Return an open shelf full of books over a fireplace, 0.38 m a storey, with a jar on it."""
     rng = np.random.default_rng(4)
-    half, shelves, storey, depth, top = 0.5, 5, 0.38, 0.3, 1.96
+    half, first, shelves, storey, depth, top = 0.5, 2, 5, 0.38, 0.3, 1.96
     boards = [
         box((-half, -depth, z), (half, -0.012, z + 0.025), bevel=0.002)
-        for z in 0.05 + storey * np.arange(shelves + 1)
+        for z in 0.05 + storey * np.arange(first, shelves + 1)
     ]
     sides = [
         box((a, -depth, 0), (a + 0.025, -0.012, top + 0.05), bevel=0.002, grain="z")
@@ -225,15 +225,39 @@ def _bookshelf(place: Matrix) -> Entry:
     back = box((-half, -0.012, 0), (half, 0.0, top + 0.05))
     books = [
         book.moved(translate(-half, -0.02, 0.075 + k * storey))
-        for k in range(shelves)
-        for book in _books(rng, 0.62 if k == 2 else 1.0)
+        for k in range(first, shelves)
+        for book in _books(rng, 0.62 if k == first else 1.0)
     ]
-    jar = revolve(_JAR).moved(translate(half - 0.17, -0.16, 2 * storey + 0.075))
+    jar = revolve(_JAR).moved(translate(half - 0.17, -0.16, first * storey + 0.075))
     spines = textures.bitmap(textures.panes([_SPINES]), sharp=True)
     return {
         "shelf": join(*boards, *sides, back).moved(place).shape(walnut(2)),
         "books": join(*books).moved(place).shape(matte(spines)),
         "jar": jar.moved(place).shape(glossy(rgb(0.06, 0.2, 0.25), roughness=0.06)),
+        **_fireplace(place, width=2 * half, height=0.05 + first * storey),
+    }
+
+
+def _fireplace(place: Matrix, *, width: float, height: float) -> Entry:
+    """Return an open fireplace, swept and unlit: a stone surround, a sooty firebox, three logs."""
+    a, b, sill, lintel = width / 2, width / 2 - 0.13, 0.05, height - 0.16
+    surround = [
+        box((-a, -0.42, 0), (a, -0.03, sill), bevel=0.006),
+        box((-a, -0.33, lintel), (a, -0.03, height), bevel=0.006),
+        *[box((min(s * a, s * b), -0.33, sill), (max(s * a, s * b), -0.03, lintel), bevel=0.006)
+          for s in (-1, 1)],
+    ]  # fmt: skip
+    lining = box((-b, -0.03, sill), (b, -0.014, lintel))
+    ends = [(-0.24, -0.2, 0.1), (0.2, -0.13, 0.1)], [(-0.2, -0.1, 0.1), (0.24, -0.21, 0.1)]
+    logs = [
+        tube(np.array(log), 0.045) for log in (*ends, [(-0.22, -0.15, 0.18), (0.2, -0.17, 0.18)])
+    ]
+    return {
+        "fireplace": join(*surround)
+        .moved(place)
+        .shape(glossy(rgb(0.5, 0.47, 0.43), roughness=0.3)),
+        "firebox": lining.moved(place).shape(matte(rgb(0.05, 0.04, 0.035))),
+        "logs": join(*logs).moved(place).shape(matte(rgb(0.3, 0.21, 0.13))),
     }
 
 

@@ -1,4 +1,4 @@
-"""Neighbours: fireflies, and CHDs that are continuous, and blends across edges (findings 8, 10)."""
+"""Neighbours: fireflies, continuous CHDs, blends across edges, symmetry (findings 8, 10, 27)."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ import numpy as np
 
 from chdstat._core.arrays import generator, luminance
 from chdstat._core.positive import Counts, Floats
-from chdstat._core.resampling import interval_of, median_of
+from chdstat._core.resampling import interval_of, largest_of, median_of
+from chdstat.rendering.recipes import Region
 from chdstat.studies.log_chds import SAME_SHAPE, LogChds, same_shape, squared_distance
-from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require
-from chdstat.studies.scene_data import SceneData, ratio_of
+from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require, required
+from chdstat.studies.scene_data import PixelSet, SceneData, ratio_of
 
-__all__ = ["brightest_firefly", "measure_fireflies", "measure_neighbours"]
+__all__ = ["brightest_firefly", "measure_fireflies", "measure_neighbours", "measure_symmetry"]
 
 
 # --- fireflies ------------------------------------------------------------------------------------
@@ -247,3 +248,68 @@ def _edges(chds: LogChds) -> tuple[Floats, Floats, Counts]:
         edges.append((left[mixed], nearest[mixed], number[here][edge][mixed]))
     left, nearest, pixels = (np.concatenate(v) for v in zip(*edges, strict=True))
     return left, nearest, pixels
+
+
+# --- symmetry -------------------------------------------------------------------------------------
+
+_DEPTH, _ALBEDO = 0.05, 0.05
+"""Differences of log depth and of albedo up to which two halves of an image show the same."""
+_HALVES = 0.5
+"""Share of pixels that must show the same in both, else a view is not symmetric."""
+_CELLS = (4, 2)
+"""Parts of half of an image, down and across."""
+
+
+def measure_symmetry(data: SceneData) -> Outcome:
+    """Compare CHDs of pixels with those of their mirror images, where geometry is symmetric."""
+    depth, albedo = (
+        required(data.feature(n), "first-hit depth, albedo") for n in ("depth", "albedo")
+    )
+    height, width = data.samples.shape[:2]
+    half = width // 2
+    require(half, "two columns of pixels")
+    left, right = np.s_[:, :half], np.s_[:, : width - half - 1 : -1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        farther = np.abs(np.log(depth[left]) - np.log(depth[right]))
+    same = (farther <= _DEPTH) & (np.abs(albedo[left] - albedo[right]).max(axis=-1) <= _ALBEDO)
+    share = float(same.mean())
+    require(
+        share >= _HALVES,
+        f"a view whose halves mirror each other in depth and albedo in {_HALVES:.0%} of the "
+        f"pixels, here {share:.0%}",
+    )
+    chds = data.chds
+    square = squared_distance(chds[left], chds[right], width=_BIN)
+    square = np.where(same, square, np.nan)
+    down, across = _CELLS
+    cells = tuple(
+        Region(f"cell {i} {j}", "", (j / across, i / down, (j + 1) / across, (i + 1) / down))
+        for i in range(min(down, height))
+        for j in range(min(across, half))
+    )
+    patch = PixelSet.of(cells, height, half)
+    values = patch.take(square)
+    shares = np.array([np.isfinite(values[patch.region == i]).mean() for i in range(len(cells))])
+    used = np.isfinite(values) & (shares >= _HALVES)[patch.region]
+    require(used.any(), "a part of the image whose halves mirror each other")
+    blocks = patch.blocks[used]
+    sums, count = blocks.sums(values[used]), blocks.sums(np.ones(np.count_nonzero(used)))
+    member = (blocks.region[:, np.newaxis] == np.unique(blocks.region)).astype(np.float64)
+
+    def of_cells(weights: Floats) -> Floats:
+        return np.asarray(((weights * sums) @ member) / ((weights * count) @ member))
+
+    largest = largest_of(of_cells, blocks).root()
+    image = np.sqrt(np.maximum(square, 0))
+    return Outcome(
+        (
+            ClaimTest(
+                "largest distance between CHDs of mirrored parts of the image",
+                largest,
+                least=SAME_SHAPE,
+                unit="decade^1/2",
+            ),
+        ),
+        details={"symmetric_share": share, "parts": int(member.shape[1])},
+        plot_data=PlotData("map", {"distance to the mirror image": (image, image)}),
+    )

@@ -1,4 +1,4 @@
-"""Paths: null samples, indirect light, and longer paths (findings 1, 5 and 9)."""
+"""Paths: null samples, indirect light, and longer paths (findings 1, 5, 9 and 28)."""
 
 from __future__ import annotations
 
@@ -7,20 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from chdstat._core.arrays import luminance
 from chdstat._core.positive import Floats
-from chdstat._core.resampling import mean_of, median_of
+from chdstat._core.resampling import Interval, mean_of, median_of
 from chdstat.fit import tail_index
 from chdstat.patterns import Thresholds
 from chdstat.samples import Samples
 from chdstat.studies.claims.assumptions import growing, with_room
 from chdstat.studies.claims.surfaces import log_skewness
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require, required
-from chdstat.studies.scene_data import PixelSet, SceneData, logs
+from chdstat.studies.scene_data import PixelSet, SceneData, logs, ratio_of
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["measure_indirect", "measure_lengths", "measure_nulls"]
+__all__ = ["measure_cost", "measure_indirect", "measure_lengths", "measure_nulls"]
 
 
 # --- nulls and indirect light ---------------------------------------------------------------------
@@ -216,3 +217,43 @@ def _seconds_per_sample(samples: Samples) -> float | None:
         return None
     height, width, _, spp = samples.shape
     return float(seconds) / (height * width * spp)
+
+
+# --- cost of longer paths -------------------------------------------------------------------------
+
+_VISIBLE = 1.02
+"""Ratio of radiance that is visible, after Weber's law."""
+_TIMING = 1.25
+"""Factor by which the time of a render differs when it is repeated on a machine that does other
+things, too, at most: one time has no interval of its own."""
+
+
+def measure_cost(data: SceneData) -> Outcome:
+    """Compare mean radiance and time with those of the same view with shorter paths."""
+    needed = "the same scene rendered with shorter paths"
+    shorter, short = required(data.shorter, needed), required(data.shorter_summary, needed)
+    long, pixels, level = data.summary, data.whole(), level_of(2)
+    require(long["null_share"].shape == short["null_share"].shape, "shorter paths in the same size")
+    after, before = (
+        np.asarray(
+            luminance(summary["mean"].to_numpy().astype(np.float64)[..., np.newaxis])
+        ).ravel()
+        for summary in (long, short)
+    )
+    ratio = ratio_of(after, before, pixels.blocks, level=level)
+    tests = [ClaimTest("mean radiance over that of shorter paths", ratio, least=_VISIBLE)]
+    seconds = [_seconds_per_sample(samples) for samples in (data.samples, shorter)]
+    missing = list[str]()
+    if seconds[0] and seconds[1]:
+        slower = seconds[0] / seconds[1]
+        time = Interval(slower, slower / _TIMING, slower * _TIMING, level)
+        tests.append(ClaimTest("time per sample over that of shorter paths", time, least=1.0))
+    else:
+        missing.append("needs times of the renders, by the scalar backend")
+    values = {test.name.split(" over")[0]: test.interval.value for test in tests}
+    return Outcome(
+        tuple(tests),
+        tuple(missing),
+        details={"seconds_per_sample": seconds},
+        plot_data=PlotData.bars(values, "over that of shorter paths"),
+    )

@@ -9,6 +9,7 @@ from typing import Any
 from chdstat.rendering.recipes import remake_of
 from chdstat.studies.claims import (
     assumptions,
+    case_study,
     correlated,
     learning,
     modes,
@@ -36,7 +37,7 @@ class Claim:
     Attributes
     ----------
     number, name
-        1 to 17, and a few words.
+        1 to 28, and a few words.
     claim
         One sentence.
     measure
@@ -235,6 +236,81 @@ FINDINGS = (
         paired=True,
         about=_TWO_RENDERS,
     ),
+    Claim(
+        18,
+        "direct light",
+        "CHDs of directly lit surfaces have several modes, a colour cast, and long tails.",
+        case_study.measure_direct,
+    ),
+    Claim(
+        19,
+        "resolved direct light",
+        "CHDs of directly lit surfaces are well resolved in spite of their spread and long tail.",
+        case_study.statement("resolved direct light"),
+    ),
+    Claim(
+        20,
+        "direct and diffuse",
+        "CHDs of diffuse objects that get more indirect light are less spiky in the log domain "
+        "than those of directly lit surfaces, and have longer tails in the linear one.",
+        case_study.statement("direct and diffuse"),
+    ),
+    Claim(
+        21,
+        "distant indirect light",
+        "CHDs of indirect light have one shape all over a room, and vary more than those of "
+        "direct light.",
+        case_study.measure_alike,
+    ),
+    Claim(
+        22,
+        "shadows",
+        "CHDs in a shadow are skewed further to the dark in the log domain than in direct light, "
+        "and vary more.",
+        case_study.statement("shadows"),
+    ),
+    Claim(
+        23,
+        "several bounces",
+        "CHDs of light that comes by several bounces have several modes and one shape in all "
+        "channels, in spite of a colour cast.",
+        case_study.measure_bounces,
+    ),
+    Claim(
+        24,
+        "virtual sources",
+        "CHDs of translucent lamp shades have a very long, faint tail, and yet a low variance.",
+        case_study.statement("virtual sources"),
+    ),
+    Claim(
+        25,
+        "fireplace",
+        "The fireplace looks dull, but its CHD is wild in the log domain.",
+        case_study.statement("fireplace"),
+    ),
+    Claim(
+        26,
+        "hidden modes",
+        "Most of a CHD of indirect light is one spike of the linear histogram; the log histogram "
+        "shows several modes.",
+        case_study.statement("hidden modes"),
+    ),
+    Claim(
+        27,
+        "symmetry",
+        "In a scene of symmetric geometry, CHDs are not symmetric everywhere.",
+        neighbours.measure_symmetry,
+        spp=32,
+    ),
+    Claim(
+        28,
+        "cost of longer paths",
+        "Images of longer paths are visibly brighter, and take longer to render.",
+        paths.measure_cost,
+        spp=32,
+        paired=True,
+        about=_TWO_RENDERS,
+    ),
 )
 """The claims of Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte
 Carlo variance reduction", in the order of the study."""
@@ -282,6 +358,6 @@ def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
     >>> samples = chd.simulate("gamma", shape=(8, 8), spp=16)
     >>> found = find(SceneData("simulated", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),)))
     >>> len(found), found[1].verdict, found[1].reason
-    (17, 'cannot tell', 'Needs 128 spp, has 16.')
+    (28, 'cannot tell', 'Needs 128 spp, has 16.')
     """
     return [claim.find(data, others) for claim in FINDINGS]

@@ -25,11 +25,15 @@ from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, req
 from chdstat.studies.scene_data import PixelSet, SceneData, logs, ratio_of, slope_of
 
 __all__ = [
+    "SHIFT",
+    "between_channels",
+    "channel_shift",
     "log_skewness",
     "measure_diffuse",
     "measure_glossy",
     "measure_reflections",
     "measure_textures",
+    "pooled_distance",
 ]
 
 
@@ -156,7 +160,7 @@ def _distance(counts: Floats, distribution: Floats) -> Floats:
 
 # --- glossy objects -------------------------------------------------------------------------------
 
-_SHIFT = 0.1
+SHIFT = 0.1
 """Decades between the channels' log CHDs that count as a shift: a factor of 1.26 in radiance, the
 width of a bin of the paper's log histograms."""
 _FOLLOWS = 0.5
@@ -173,14 +177,14 @@ def measure_glossy(data: SceneData) -> Outcome:
     x = data.radiance(glossy)
     shapes = {name: aligned(data.light(patch)) for name, patch in patches.items()}
     blocks = [patch.blocks for patch in patches.values()]
-    distance = _pooled_distance(list(shapes.values()), blocks, level=level)
-    shift, slope = (f(x, glossy.blocks, level=level) for f in (_channel_shift, _spread_slope))
+    distance = pooled_distance(list(shapes.values()), blocks, level=level)
+    shift, slope = (f(x, glossy.blocks, level=level) for f in (channel_shift, _spread_slope))
     log_mean = logs(_moments(x).mean)
     known = {name: chds[chds.known].whole for name, chds in shapes.items() if chds.known.any()}
     return Outcome(
         (
             same_shape("distance between glossy and diffuse shapes", distance),
-            ClaimTest("shift between channels", shift, least=_SHIFT, unit="decade"),
+            ClaimTest("shift between channels", shift, least=SHIFT, unit="decade"),
             ClaimTest("slope of log deviation on log mean over channels", slope, least=_FOLLOWS),
         ),
         details={
@@ -193,7 +197,7 @@ def measure_glossy(data: SceneData) -> Outcome:
     )
 
 
-def _pooled_distance(
+def pooled_distance(
     shapes: Sequence[LogChds], blocks: Sequence[Blocks], *, level: float
 ) -> Interval[float]:
     """Return the distance between the mean shapes of two patches, with halves against noise."""
@@ -217,7 +221,7 @@ def _pooled_distance(
     return interval_of(distance, both, level=level, bounds=(0.0, np.inf))
 
 
-def _channel_shift(x: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
+def channel_shift(x: Floats, blocks: Blocks, *, level: float) -> Interval[float]:
     """Return the range of the channels' mean log10 radiance, over samples positive in all."""
     lit = np.asarray((x > 0).all(axis=1))
     log = np.log10(np.where(lit[:, np.newaxis], x, 1)).sum(axis=-1)
@@ -331,12 +335,12 @@ def measure_textures(data: SceneData) -> Outcome:
     moments = _moments(x)
     relative_variance = logs(moments.variance) - 2 * logs(np.abs(moments.mean))
     log_variance = _less_region(patch, relative_variance)
-    shift = _channel_shift(x, patch.blocks, level=level)
+    shift = channel_shift(x, patch.blocks, level=level)
     # Albedo has next to no noise that could flatten the slope.
     slope = slope_of(log_albedo, log_variance, patch.blocks, level=level)
-    channels = _between_channels(aligned(x), patch.blocks, level)
+    channels = between_channels(aligned(x), patch.blocks, level)
     tests = [
-        ClaimTest("shift between channels", shift, least=_SHIFT, unit="decade"),
+        ClaimTest("shift between channels", shift, least=SHIFT, unit="decade"),
         same_shape("distance between the shapes of channels", channels),
         ClaimTest(
             "slope of log relative variance on log albedo", slope, least=-_NO_SLOPE, most=_NO_SLOPE
@@ -344,7 +348,7 @@ def measure_textures(data: SceneData) -> Outcome:
     ]
     if pair:
         shapes, blocks = [aligned(data.light(side)) for side in pair], [p.blocks for p in pair]
-        distance = _pooled_distance(shapes, blocks, level=level)
+        distance = pooled_distance(shapes, blocks, level=level)
         tests.append(same_shape("distance between the shapes of dark and pale", distance))
     return Outcome(
         tuple(tests),
@@ -395,7 +399,7 @@ def _less_region(patch: PixelSet, values: Floats) -> Floats:
     return np.asarray(values - means[patch.region, np.newaxis])
 
 
-def _between_channels(shapes: LogChds, blocks: Blocks, level: float) -> Interval[float]:
+def between_channels(shapes: LogChds, blocks: Blocks, level: float) -> Interval[float]:
     """Return the largest distance between the mean shapes of two channels."""
     known = shapes.known.all(axis=1)
     kept = blocks[known]

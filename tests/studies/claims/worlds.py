@@ -365,6 +365,84 @@ def sequences(covariance: float, *, length: int = 16) -> World:
     return world
 
 
+# --- 18 to 28 -----------------------------------------------------------------------------------
+
+
+def parts(*named: tuple[str, Callable[[np.random.Generator, tuple[int, ...]], np.ndarray]],
+          color: np.ndarray = BROWN) -> World:  # fmt: skip
+    """Return regions side by side, each of draws of its own."""
+
+    def world(rng, spp):
+        x = np.concatenate([draw(rng, size(spp)) for _, draw in named], axis=1)
+        return [evidence(image(x, color), *(name for name, _ in named))]
+
+    return world
+
+
+def lognormal(sigma: float, mean: float = 0.0):
+    return lambda rng, shape: rng.lognormal(mean, sigma, shape)
+
+
+def sun(tail: float, rest: float = 0.3):
+    """Return a narrow peak of most of the samples, and a wide one far below it."""
+    return lambda rng, shape: np.where(
+        rng.random(shape) < rest, rng.lognormal(-3, tail, shape), rng.lognormal(2, 0.1, shape)
+    )
+
+
+def mostly_null(sigma: float):
+    return lambda rng, shape: nulled(rng.lognormal(0, sigma, shape), 0.7, rng)
+
+
+def leaning(scale: float):
+    """Return radiance whose logarithms lean to the dark side."""
+    return lambda rng, shape: np.exp(-rng.exponential(scale, shape))
+
+
+def glowing_dust(rng, shape):
+    """Return three peaks over six decades, the highest and rarest of which is the widest."""
+    peak = rng.choice(3, p=[0.75, 0.22, 0.03], size=shape)
+    return 10.0 ** (np.choose(peak, [-2.0, -0.5, 4.0]) + 0.15 * rng.normal(size=shape))
+
+
+def bounces(sigmas: Sequence[float], color: np.ndarray = BROWN, low: float = -4) -> World:
+    """Return two modes in each channel, with the deviations of the channels."""
+
+    def world(rng, spp):
+        high = rng.random(size(spp))[:, :, np.newaxis] < 0.5
+        wide = np.asarray(sigmas)[:, np.newaxis]
+        x = rng.lognormal(np.where(high, 0, low), wide, (EDGE, EDGE, 3, spp))
+        return [evidence(x * color[:, np.newaxis], "multi-bounce")]
+
+    return world
+
+
+def mirrored(factor: float) -> World:
+    """Return a symmetric view whose right half has a lower right quarter that is brighter."""
+
+    def world(rng, spp):
+        x = rng.lognormal(0, 1, size(spp, 2 * EDGE))
+        x[EDGE:, EDGE:] *= factor
+        flat = np.ones((2 * EDGE, 2 * EDGE), dtype=np.float32)
+        features = {"depth": flat, "albedo": np.repeat(flat[..., None] / 2, 3, axis=-1)}
+        return [evidence(image(x), features=features)]
+
+    return world
+
+
+def cost(brighter: float, seconds: float) -> World:
+    def world(rng, spp):
+        long, short = (
+            chd.Samples.from_array(
+                image(scale * rng.gamma(2, size=size(spp))), backend="scalar", render_seconds=s
+            )
+            for scale, s in ((brighter, seconds), (1, 1.0))
+        )
+        return [SceneData("simulated", long, shorter=short)]
+
+    return world
+
+
 TRUE: dict[int, World] = {
     1: nulls(0.6),
     2: diffuse(8),
@@ -383,6 +461,19 @@ TRUE: dict[int, World] = {
     15: learned(True),
     16: reduced(1),
     17: sequences(-1),
+    18: parts(("direct", glowing_dust)),
+    19: parts(
+        ("direct", lognormal(1.6)), ("indirect", mostly_null(1.5)), ("shadow", mostly_null(1.5))
+    ),
+    20: parts(("diffuse", lognormal(1)), ("direct", sun(0.5))),
+    21: parts(("indirect", lognormal(1)), ("indirect", lognormal(1, 2)), ("direct", sun(0.2))),
+    22: parts(("shadow", leaning(2)), ("direct", lognormal(0.5))),
+    23: bounces((0.5, 0.5, 0.5)),
+    24: parts(("virtual-source", leaning(3)), ("indirect", lognormal(2)), ("shadow", lognormal(2))),
+    25: parts(("fireplace", glowing_dust), ("diffuse", lognormal(0.5))),
+    26: parts(("indirect", glowing_dust)),
+    27: mirrored(3),
+    28: cost(1.5, 2),
 }
 FALSE: dict[int, World] = {
     1: nulls(0.2),
@@ -402,6 +493,19 @@ FALSE: dict[int, World] = {
     15: learned(False),
     16: reduced(0.99),
     17: sequences(0.5),
+    18: parts(("direct", lognormal(0.5)), color=WHITE),
+    19: parts(
+        ("direct", mostly_null(0.5)), ("indirect", lognormal(0.5)), ("shadow", lognormal(0.5))
+    ),
+    20: parts(("diffuse", sun(0.5)), ("direct", lognormal(1))),
+    21: parts(("indirect", lognormal(0.5)), ("indirect", lognormal(1)), ("direct", lognormal(2))),
+    22: parts(("shadow", lognormal(0.5)), ("direct", leaning(2))),
+    23: bounces((0.5, 0.5, 1.5), WHITE, low=0),
+    24: parts(("virtual-source", mostly_null(0.5)), ("indirect", lognormal(0.5))),
+    25: parts(("fireplace", lognormal(0.5)), ("diffuse", glowing_dust)),
+    26: parts(("indirect", lognormal(0.5))),
+    27: mirrored(1),
+    28: cost(1, 0.5),
 }
 
 # --- one part false at a time -------------------------------------------------------------------
@@ -516,6 +620,24 @@ REFUTED: list[tuple[int, str, World]] = [
     (10, "blend", moved_seam),
     (12, "integrators", same_integrator),
     *((13, part, kept_assumptions) for part in ("slope", "skewness", "steps", "features")),
+    *(
+        (number, part, FALSE[number])
+        for number, parts_ in {
+            18: ("multimodal", "median", "channels"),
+            19: ("noise", "1 % and", "median to"),
+            20: ("fullest", "median"),
+            21: ("largest", "deviation"),
+            22: ("skewness", "deviation"),
+            23: ("multimodal", "shapes of channels"),
+            24: ("tail", "deviation"),
+            25: ("modes less", "multimodal"),
+            26: ("linear bin", "multimodal"),
+            27: ("mirrored",),
+            28: ("radiance", "time"),
+        }.items()
+        for part in parts_
+    ),
+    (23, "shift", bounces((0.5, 0.5, 0.5), WHITE)),
     *((15, part, learned(False)) for part in ("improved", "fireflies", "gain", "denoised")),
 ]
 """Claim, a part of it by words of its name, and a world in which that part is false."""
