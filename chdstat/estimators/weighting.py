@@ -65,6 +65,8 @@ _ROWS = 2**16
 """Pixels whose weights are computed at once."""
 _BELOW = 0.001
 """Probability, for normal samples, that radiance is less than its floor."""
+_AGREES = 1.5
+"""Standard errors that the sum of an image is left away from that of the mean."""
 LEAST = 4
 """Samples of a pixel, of which each half needs two."""
 
@@ -78,7 +80,8 @@ class Combination(Estimates):
     weights
         Weight of each candidate by its name, shape (y, x), adding up to 1. The certainty is what
         the mean was not given. Where the weighted sum is significantly darker than the mean of the
-        samples, the estimate is the lower end of the mean's interval instead.
+        samples, the estimate is the lower end of the mean's interval instead; and where the image
+        as a whole is, it is made brighter (or darker) in proportion, but for what is certain.
     bias
         How much brighter the image is than the mean of all samples, which has no bias, as a share
         of it.
@@ -141,6 +144,7 @@ def combine(
     weights, width = weighting(inputs)
     mean, error = _mean_and_error(x)
     radiance = np.maximum(np.einsum("yxj,jyxc->yxc", weights, full), _floor(mean, error, x))
+    radiance = _balanced(radiance, mean, error)
     half = (weighting.quantile(level) * width * unit)[..., np.newaxis]
     lost = ~np.isfinite(x).any(axis=-1)
     radiance = np.where(lost, np.nan, radiance).astype(np.float32)
@@ -220,14 +224,32 @@ def _floor(mean: Floats, error: Floats, x: Image) -> Floats:
     return np.asarray(mean - certain * error)
 
 
+def _balanced(radiance: Floats, mean: Floats, error: Floats) -> Floats:
+    """Return an image whose sum agrees with that of the mean, which has no bias.
+
+    What denoised images lose or add beyond `_AGREES` standard errors of that sum is given back in
+    proportion to radiance, at most to twice the standard error of a pixel, so that what is certain
+    stays; by no more than one standard error.
+    """
+    apart = float(radiance.sum(dtype=np.float64) - mean.sum())
+    lost = np.sign(apart) * max(abs(apart) - _AGREES * _error_of_sum(error), 0)
+    share = np.clip(radiance, 0, 2 * error)
+    return np.asarray(radiance - np.clip(lost / (share.sum() or 1), -0.5, 0.5) * share)
+
+
+def _error_of_sum(error: Floats) -> float:
+    """Return the standard error of an image's sum, of those of its pixels."""
+    # Channels of a sample vary together: their errors add up as if they were the same.
+    return float(np.sqrt(np.square(error.sum(axis=-1)).sum()))
+
+
 def _bias(radiance: Image, mean: Floats, error: Floats) -> tuple[float, float]:
     """Return by how much an image is brighter than the mean, and the standard error of that."""
     whole = float(mean.sum())
     if not whole:
         return np.nan, np.nan
-    # Channels of a sample vary together: their errors add up as if they were the same.
-    of_image = np.sqrt(np.square(error.sum(axis=-1)).sum())
-    return float(np.nansum(radiance, dtype=np.float64) / whole - 1), float(of_image / abs(whole))
+    of_radiance = float(np.nansum(radiance, dtype=np.float64))
+    return of_radiance / whole - 1, _error_of_sum(error) / abs(whole)
 
 
 def candidates(x: Image, features: Mapping[str, npt.NDArray[Any]]) -> dict[str, Image]:
