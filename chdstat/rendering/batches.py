@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from chdstat.rendering.workers import rendered
 from chdstat.rendering.writers import provenance, renderer_of
 from chdstat.samples import description
 from chdstat.samples.layout import BATCH, Chunk, Image, chunk_grid
-from chdstat.scenes import Scene
+from chdstat.scenes import SceneLike
 
 __all__ = ["Rendering", "render_batches"]
 
@@ -31,7 +30,7 @@ _AT_ONCE = 4
 
 
 def render_batches(
-    scene: str | Path | dict[str, Any] | Scene,
+    scene: SceneLike,
     *,
     spp: int = 256,
     batch: int = 16,

@@ -32,7 +32,8 @@ from chdstat.samples import Samples, is_store
 from chdstat.samples.layout import Image, part_folder
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import DIRECT_DEPTH, Part
-from chdstat.scenes import Scene, load_scene
+from chdstat.scenes import SceneLike, load_scene
+from chdstat.scenes.live import LiveScene
 from chdstat.scenes.settings import LONGEST
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ _log = logging.getLogger("chdstat")
 
 
 def render(
-    scene: str | Path | dict[str, Any] | Scene,
+    scene: SceneLike,
     *,
     spp: int = 256,
     size: tuple[int, int] | None = None,
@@ -89,7 +90,8 @@ def render(
         settings, such as ``{"type": "path", "rr_depth": 100}``. Of your own, the name that a plugin
         registers it by (see `chdstat.scenes.load_plugin`); `max_depth` applies to it. Or an object
         of Mitsuba's, such as one of a class of your own: it renders in this process, with the
-        backend of its variant.
+        backend of its variant (with "scalar", which random numbers are a pixel's depends on how
+        many threads Mitsuba has).
     crop
         (x, y, width, height): render this part of the image only, with random numbers of its own.
         Where `out` holds a crop, give the same `size` and `crop` again to go on.
@@ -182,6 +184,12 @@ def render(
             f"ones allow; leave them out, or the sampler {job.sampler!r}"
         )
         raise InputError(message)
+    if by_light and isinstance(loaded.source, LiveScene):
+        message = (
+            "by_light switches lights off, which would change the scene that Mitsuba has built; "
+            "give the file or dict that it was made of"
+        )
+        raise InputError(message)
     if client is not None:
         pickle.dumps(job)  # one that cannot travel is refused before any work
     with activate(job.verdict):
@@ -205,7 +213,7 @@ def render(
 
 
 def render_pixels(
-    scene: str | Path | dict[str, Any] | Scene,
+    scene: SceneLike,
     pixels: npt.ArrayLike,
     *,
     spp: int = 2048,

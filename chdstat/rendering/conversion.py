@@ -15,7 +15,7 @@ from chdstat.samples import Samples
 from chdstat.samples import open as open_samples
 from chdstat.samples.layout import FIRST_SCHEMA, SCHEMA_VERSION, WriteError, part_folder
 from chdstat.samples.store import Store
-from chdstat.scenes import Scene
+from chdstat.scenes import SceneLike
 
 __all__ = ["convert"]
 
@@ -29,7 +29,7 @@ def convert(
     old: str | Path,
     new: str | Path,
     *,
-    scene: str | Path | dict[str, Any] | Scene | None = None,
+    scene: SceneLike | None = None,
     progress: bool | None = None,
 ) -> Samples:
     """Write the samples of a store of an earlier schema into a new one, with its direct part.
@@ -85,9 +85,7 @@ def convert(
     return open_samples(target)
 
 
-def _proved(
-    samples: Samples, scene: str | Path | dict[str, Any] | Scene, progress: bool | None
-) -> dict[str, Any]:
+def _proved(samples: Samples, scene: SceneLike, progress: bool | None) -> dict[str, Any]:
     """Return what stores keep of a scene that gives these samples again, to the bit."""
     attrs = samples.attrs
     again = render(

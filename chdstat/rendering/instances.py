@@ -7,15 +7,15 @@ import hashlib
 import re
 import sys
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any, NoReturn, cast
 
 import numpy as np
 
 from chdstat.errors import InputError
-from chdstat.rendering.backend import BACKENDS, Verdict
+from chdstat.rendering.backend import BACKENDS, Backend, Verdict
 from chdstat.scenes.files import code_of
 
-__all__ = ["IntegratorObject"]
+__all__ = ["IntegratorObject", "own_backend"]
 
 _UNLIMITED = 2**32 - 1
 """What Mitsuba's integrators print of a max_depth of -1."""
@@ -57,15 +57,8 @@ class IntegratorObject:
         InputError
             If it is of another variant, or its path length is asked to be changed.
         """
-        made, own = cls(value), str(value.variant_name())
-        wanted = Verdict(made.backend if backend == "auto" else backend, True, "", color=color)
-        if wanted.backend not in BACKENDS or own != wanted.variant:
-            message = (
-                f"integrator is a {made.kind} of the variant {own}, which cannot render with the "
-                f"{wanted.backend} backend in {color}; make it in the variant of these (see "
-                "mitsuba.set_variant), give backend and color of its own, or give it as a dict"
-            )
-            raise InputError(message)
+        made = cls(value)
+        own_backend(f"integrator is a {made.kind}", value, backend, color)
         if max_depth is not None:
             message = (
                 f"max_depth={max_depth} cannot be given to a {made.kind} that is there already; "
@@ -111,6 +104,26 @@ class IntegratorObject:
 
     def __reduce__(self) -> NoReturn:
         raise InputError(_ELSEWHERE)
+
+
+def own_backend(what: str, value: Any, backend: str, color: str) -> Backend:
+    """Return the backend of the variant in which an object of Mitsuba's was made.
+
+    Raises
+    ------
+    InputError
+        If another one than that is asked for, or another colour.
+    """
+    own = str(value.variant_name())
+    wanted = Verdict(own.partition("_")[0] if backend == "auto" else backend, True, "", color=color)
+    if wanted.backend not in BACKENDS or own != wanted.variant:
+        message = (
+            f"{what} of the variant {own}, which cannot render with the {wanted.backend} backend "
+            f"in {color}; make it in the variant of these (see mitsuba.set_variant), give backend "
+            "and color of its own, or give it as a dict"
+        )
+        raise InputError(message)
+    return cast("Backend", wanted.backend)
 
 
 def _printed(text: str) -> list[tuple[str, str]]:

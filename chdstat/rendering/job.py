@@ -6,16 +6,16 @@ import math
 import numbers
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, cast
 
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat.errors import InputError
 from chdstat.rendering.backend import Backend, Color, Verdict, activate, resolve
-from chdstat.rendering.instances import IntegratorObject
+from chdstat.rendering.instances import IntegratorObject, own_backend
 from chdstat.rendering.seeds import SEEDS
 from chdstat.rendering.sequences import SamplerName, Sequences
-from chdstat.scenes import Scene, load_scene
+from chdstat.scenes import Scene, SceneLike, load_scene
+from chdstat.scenes.live import LiveScene
 from chdstat.scenes.plugins import Plugin, loaded, register
 from chdstat.scenes.settings import LONGEST, Asked, asked_for
 
@@ -46,7 +46,7 @@ class Job:
     @classmethod
     def of(
         cls,
-        scene: str | Path | dict[str, Any] | Scene,
+        scene: SceneLike,
         *,
         size: tuple[int, int] | None = None,
         seed: Seed = 0,
@@ -79,13 +79,18 @@ class Job:
             message = f"seed must be below 2^31, which all give different samples, got {seed}"
             raise InputError(message)
         sensor = whole("sensor", sensor, least=0)
+        found = load_scene(scene)
+        if isinstance(found.source, LiveScene):
+            live = found.source.value
+            backend = own_backend("scene is one", live, backend, color)
+            integrator = live.integrator() if integrator is None else integrator
         if IntegratorObject.fits(integrator):
             integrator = IntegratorObject.of(integrator, backend, color, max_depth)
             backend = cast("Backend", integrator.backend)
         elif integrator is not None:
             integrator = _described(integrator)
         return cls(
-            load_scene(scene),
+            found,
             resolve(backend, color),
             size,
             seed,
@@ -137,7 +142,7 @@ class Job:
         return asked_for(self.scene.name, state, self.sensor, integrator, self.sampler)
 
 
-def scene_size(scene: str | Path | dict[str, Any] | Scene) -> tuple[int, int]:
+def scene_size(scene: SceneLike) -> tuple[int, int]:
     """Return the (width, height) in pixels that a scene's own film has.
 
     Examples
@@ -150,7 +155,7 @@ def scene_size(scene: str | Path | dict[str, Any] | Scene) -> tuple[int, int]:
         return job.asked().film.crop_size
 
 
-def scene_integrator(scene: str | Path | dict[str, Any] | Scene) -> str:
+def scene_integrator(scene: SceneLike) -> str:
     """Return Mitsuba's name of the integrator that a scene asks for.
 
     Examples

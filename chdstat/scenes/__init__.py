@@ -1,6 +1,6 @@
-"""Scenes: the built-in catalogue, Mitsuba XML files, and Mitsuba dicts.
+"""Scenes: the built-in catalogue, Mitsuba XML files and dicts, and scenes that Mitsuba has built.
 
-Use `load_scene` for all three; it returns a `Scene`, which `chdstat.render` takes.
+Use `load_scene` for all of them; it returns a `Scene`, which `chdstat.render` takes.
 """
 
 from __future__ import annotations
@@ -14,10 +14,14 @@ from typing import Any
 
 from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import is_file
+from chdstat.scenes.live import LiveScene
 from chdstat.scenes.plugins import load_plugin
 from chdstat.scenes.scene import Scene
 
-__all__ = ["BUILTIN", "REMAKES", "Scene", "load_plugin", "load_scene"]
+__all__ = ["BUILTIN", "REMAKES", "Scene", "SceneLike", "load_plugin", "load_scene"]
+
+SceneLike = str | Path | Mapping[str, Any] | Scene | Any
+"""A built-in name, an XML file, a dict in Mitsuba's form, a `Scene`, or a ``mi.Scene``."""
 
 BUILTIN: dict[str, str] = {
     "bathroom": "A closed room lit through one window: nulls, long tails, a penumbra, a mirror.",
@@ -39,14 +43,14 @@ REMAKES = {
 """Built-in scenes that were made after one of Elek, Thomas and Forbes 2019, and that one's name."""
 
 
-def load_scene(source: str | Path | Mapping[str, Any] | Scene, **parameters: object) -> Scene:
-    """Return a scene by built-in name, Mitsuba XML path, or Mitsuba dict.
+def load_scene(source: SceneLike, **parameters: object) -> Scene:
+    """Return a scene by built-in name, Mitsuba XML path, Mitsuba dict, or as Mitsuba has built it.
 
     Parameters
     ----------
     source
-        A name in `BUILTIN`, the path of a Mitsuba XML file, or a dict in Mitsuba's form. A
-        `Scene` passes through.
+        A name in `BUILTIN`, the path of a Mitsuba XML file, a dict in Mitsuba's form, or a
+        ``mi.Scene``, which is rendered as it is, in this process. A `Scene` passes through.
     **parameters
         Values for the ``$name`` parameters of an XML file, as ``-D`` gives them to Mitsuba.
 
@@ -57,7 +61,7 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene, **parameters: obj
     Raises
     ------
     InputError
-        If it is none of these, such as a scene that Mitsuba has built.
+        If it is none of these.
     SceneError
         If the name is unknown (the nearest is suggested), the file is missing or is not XML, or
         parameters are given to a scene that takes none.
@@ -73,11 +77,13 @@ def load_scene(source: str | Path | Mapping[str, Any] | Scene, **parameters: obj
     """
     if isinstance(source, Scene):
         scene = source
+    elif LiveScene.fits(source):
+        scene = Scene("scene", LiveScene(source))
     elif not isinstance(source, str | Path | Mapping):
-        kind = f"{type(source).__module__}.{type(source).__qualname__}"  # type: ignore[unreachable]
+        kind = f"{type(source).__module__}.{type(source).__qualname__}"
         message = (
-            "scene must be a name, the path of an XML file, a dict or a chdstat Scene, "
-            f"got a {kind}; give the file or dict that it was made of"
+            "scene must be a name, the path of an XML file, a dict, a chdstat Scene or a mi.Scene, "
+            f"got a {kind}"
         )
         raise InputError(message)
     elif isinstance(source, Mapping):

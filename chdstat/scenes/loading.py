@@ -15,6 +15,7 @@ import mitsuba.parser
 import numpy as np
 
 from chdstat.errors import SceneError, brief
+from chdstat.scenes.live import LiveScene
 
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene
@@ -26,16 +27,21 @@ def parse(scene: Scene, variant: str) -> Any:
     """Return Mitsuba's parser state of a scene; the variant must be the one that is set."""
     config, folders = _config(variant), scene.described().folders
     with _naming(scene, "read"), _resolving(folders):
-        if isinstance(scene.source, Mapping):
-            state = mi.parser.parse_dict(config, _to_mitsuba(scene.source))
+        source = scene.source
+        if isinstance(source, LiveScene):
+            source = source.description()
+        if isinstance(source, Mapping):
+            state = mi.parser.parse_dict(config, _to_mitsuba(source))
         else:
-            state = mi.parser.parse_file(config, str(scene.source), **dict(scene.parameters))
+            state = mi.parser.parse_file(config, str(source), **dict(scene.parameters))
         mi.parser.transform_all(config, state)
     return state
 
 
 def instantiate(scene: Scene, state: Any) -> Any:
     """Return the Mitsuba scene of a parser state, its models and textures read."""
+    if isinstance(scene.source, LiveScene):
+        return scene.source.value
     folders = scene.described().folders
     with _naming(scene, "build"), _resolving(folders):
         return mi.parser.instantiate(_config(str(mi.variant())), state)

@@ -24,6 +24,7 @@ import numpy.typing as npt
 from chdstat._core.display import Card, Shown
 from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import Description, described, digest_of
+from chdstat.scenes.live import LiveScene
 
 __all__ = ["Axis", "Scene", "Vector", "look_at", "rotate", "scale", "translate"]
 
@@ -43,13 +44,13 @@ class Scene(Shown):
         A Mitsuba XML file, or a scene dict in Mitsuba's form. In a dict, values are plain:
         matrices are (4, 4) arrays, ``{"type": "mesh", "vertices", "faces", "uv", "bsdf"}`` is a
         triangle mesh, and ``{"type": "bitmap", "data": array}`` an image texture (see
-        `chdstat.scenes.loading`).
+        `chdstat.scenes.loading`). Or a scene that Mitsuba has built.
     parameters
         Values for the ``$name`` parameters of an XML file.
     """
 
     name: str
-    source: Path | Mapping[str, Any]
+    source: Path | Mapping[str, Any] | LiveScene
     parameters: Mapping[str, str] = field(default_factory=dict)
 
     def _card(self) -> Card:
@@ -62,6 +63,8 @@ class Scene(Shown):
     @property
     def origin(self) -> str:
         """Where the scene comes from: its file, or 'chdstat' for one described in Python."""
+        if isinstance(self.source, LiveScene):
+            return "mitsuba"
         return str(self.source) if isinstance(self.source, Path) else "chdstat"
 
     @property
@@ -73,7 +76,9 @@ class Scene(Shown):
         """
         digest = hashlib.sha256()
         with _bounded(self.name):
-            if not isinstance(self.source, Path):
+            if isinstance(self.source, LiveScene):
+                _hash_value(digest, self.source.content)
+            elif not isinstance(self.source, Path):
                 _hash_value(digest, self.source)
             _hash_value(digest, dict(sorted(self.parameters.items())))
         for name, content in sorted(self.files().items()):
@@ -92,6 +97,8 @@ class Scene(Shown):
 
     def described(self) -> Description:
         """Return the files that the scene reads, and the folders where they are looked for."""
+        if isinstance(self.source, LiveScene):
+            return Description()
         with _bounded(self.name):
             return described(self.name, self.source, self.parameters)
 

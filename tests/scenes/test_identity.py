@@ -167,8 +167,8 @@ def test_files_and_values_of_a_dict_belong_to_it(tmp_path):
         assert hashes[0] == hashes[1] != hashes[2]
         with pytest.raises(SceneError, match=r"holds a mitsuba.Shape, .*plain values"):
             _ = load_scene({**source, "ball": mi.load_dict({"type": "sphere"})}).hash
-        with pytest.raises(InputError, match=r"scene must be .* got a mitsuba.Scene; give the"):
-            chd.render(mi.load_dict({"type": "scene"}))
+        with pytest.raises(InputError, match=r"scene must be .* got a mitsuba.Shape"):
+            chd.render(mi.load_dict({"type": "sphere"}))
     with pytest.raises(InputError, match="got a builtins.int"):
         load_scene(5)
 

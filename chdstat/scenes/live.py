@@ -1,0 +1,134 @@
+"""Scenes that Mitsuba has built already, for renders in this process."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+import numpy as np
+
+from chdstat.errors import InputError, SceneError
+from chdstat.scenes.files import code_of
+
+__all__ = ["LiveScene"]
+
+_SENSORS = {
+    "PerspectiveCamera": "perspective",
+    "ThinLensCamera": "thinlens",
+    "OrthographicCamera": "orthographic",
+}
+"""Plugins by the name of their class."""
+_SETTINGS = (
+    "near_clip",
+    "far_clip",
+    "shutter_open",
+    "aperture_radius",
+    "focus_distance",
+    "principal_point_offset_x",
+    "principal_point_offset_y",
+)
+_ADDRESS = re.compile(r"\b(?:object_|0x)[0-9a-f]+\b")
+"""What Mitsuba calls objects without a name: by where they are in memory."""
+_ELSEWHERE = (
+    "a scene that Mitsuba has built can only be rendered in this process; for other ones, give the "
+    "file or dict that it was made of"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class LiveScene:
+    """A scene that was built by Mitsuba, as it is now; it is pickled to no other process.
+
+    Attributes
+    ----------
+    value
+        The object.
+    """
+
+    value: Any
+
+    @staticmethod
+    def fits(value: object) -> bool:
+        """Return whether a value is a scene of Mitsuba's, of any variant."""
+        mi: Any = sys.modules.get("mitsuba")
+        if mi is None or mi.variant() is None or not isinstance(value, mi.Object):
+            return False
+        scene: Any = value
+        return bool(scene.class_name() == "Scene")
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """What tells it from another one: what it prints, its parameters, and code in Python."""
+        import mitsuba as mi
+
+        names: dict[str, str] = {}
+
+        def numbered(found: re.Match[str]) -> str:
+            return names.setdefault(found[0], f"object {len(names)}")
+
+        parameters = {_ADDRESS.sub(numbered, k): v for k, v in mi.traverse(self.value)}
+        return {
+            "printed": _ADDRESS.sub(numbered, str(self.value)),
+            "parameters": parameters,
+            "code": code_of(list(self._in_python())),
+        }
+
+    def _in_python(self) -> Iterator[Any]:
+        """Yield its objects whose classes are written in Python."""
+        shapes = self.value.shapes()
+        parts = [*shapes, *(s.bsdf() for s in shapes), *self.value.emitters()]
+        for part in {id(part): part for part in parts if part is not None}.values():
+            if not type(part).__module__.startswith("mitsuba"):
+                yield part
+
+    def description(self) -> dict[str, Any]:
+        """Return a scene dict of its sensors and films, which are built anew for each tile.
+
+        Raises
+        ------
+        SceneError
+            If it has a sensor that cannot be described.
+        """
+        sensors = {f"sensor_{i}": _sensor(s) for i, s in enumerate(self.value.sensors())}
+        return {"type": "scene", "integrator": {"type": "path"}, **sensors}
+
+    def __reduce__(self) -> NoReturn:
+        raise InputError(_ELSEWHERE)
+
+
+def _sensor(sensor: Any) -> dict[str, Any]:
+    import mitsuba as mi
+
+    name = sensor.class_name()
+    if name not in _SENSORS:
+        message = (
+            f"a scene that Mitsuba has built can be rendered with {', '.join(_SENSORS.values())}, "
+            f"but it has a sensor {name}; give the file or dict that it was made of"
+        )
+        raise SceneError(message)
+    held, film = mi.traverse(sensor), sensor.film()
+
+    def number(key: str) -> float:
+        return float(np.ravel(np.array(held[key]))[0])
+
+    size, crop, corner = film.size(), film.crop_size(), film.crop_offset()
+    found: dict[str, Any] = {"type": _SENSORS[name]}
+    found |= {key: number(key) for key in _SETTINGS if key in held}
+    found["shutter_close"] = number("shutter_open") + number("shutter_open_time")
+    found["to_world"] = np.array(held["to_world"].matrix, np.float64).reshape(4, 4)
+    if "x_fov" in held:
+        found |= {"fov": number("x_fov"), "fov_axis": "x"}
+    found["film"] = {
+        "type": "hdrfilm",
+        "width": int(size[0]),
+        "height": int(size[1]),
+        "crop_width": int(crop[0]),
+        "crop_height": int(crop[1]),
+        "crop_offset_x": int(corner[0]),
+        "crop_offset_y": int(corner[1]),
+        "filter": {"type": film.rfilter().class_name().removesuffix("Filter").lower()},
+    }
+    return found

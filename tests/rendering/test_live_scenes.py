@@ -1,0 +1,100 @@
+"""Scenes that Mitsuba has built: rendered as they are, known again, and what they cannot do."""
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.errors import InputError, SceneError, StoreError
+from chdstat.rendering import render_batches, render_pixels
+from chdstat.rendering.backend import activate, probe
+
+VIEW = {"spp": 4, "size": (24, 24), "seed": 3, "progress": False}
+PATH = {"type": "path", "max_depth": 8}
+BALL = {
+    "type": "scene",
+    "sensor": {
+        "type": "thinlens",
+        "aperture_radius": 0.05,
+        "focus_distance": 2.0,
+        "fov": 50,
+        "fov_axis": "diagonal",
+        "near_clip": 0.1,
+        "film": {
+            "type": "hdrfilm",
+            "width": 32,
+            "height": 20,
+            "crop_offset_x": 4,
+            "crop_width": 20,
+        },
+    },
+    "ball": {"type": "sphere", "center": [0, 0, 4]},
+    "sky": {"type": "constant"},
+}
+METER = {"type": "radiancemeter", "film": {"type": "hdrfilm", "width": 1, "height": 1}}
+
+
+@pytest.fixture
+def mi():
+    with activate(probe("scalar")) as module:
+        yield module
+
+
+@pytest.mark.parametrize("source", ["cornell box", "ball"])
+def test_it_draws_what_its_description_draws(mi, source):
+    described = mi.cornell_box() if source == "cornell box" else BALL
+    view = {**VIEW, "integrator": PATH} | ({} if source == "cornell box" else {"size": None})
+    live = chd.render(mi.load_dict(described), **view)
+    expected = chd.render(described, **view, backend="scalar")
+    assert np.array_equal(live.read(), expected.read())
+    assert live.features.keys() == expected.features.keys()
+    assert all(np.array_equal(live.features[k], v) for k, v in expected.features.items())
+    assert "filter" in live.attrs["notes"][0]
+
+
+def test_its_own_integrator_renders_it_in_its_own_variant(mi):
+    built = mi.load_dict({**mi.cornell_box(), "integrator": {"type": "path", "max_depth": 2}})
+    live = chd.render(built, **VIEW)
+    assert live.attrs["integrator"]["max_depth"] == 2
+    assert live.attrs["backend"] == "scalar"
+    short = chd.render(built, **VIEW, integrator={"type": "path", "max_depth": 2})
+    assert live.read().mean() == pytest.approx(short.read().mean(), rel=0.2)
+    (batch,) = render_batches(built, **VIEW)
+    assert np.array_equal(batch, live.read())
+    assert render_pixels(built, (3, 4), spp=2, size=(24, 24)).shape == (1, 3, 2)
+
+
+def test_in_a_wavefront_it_draws_what_its_description_draws():
+    if not probe("llvm").works:
+        pytest.skip("no LLVM")
+    with activate(probe("llvm")) as mi:
+        live = chd.render(mi.load_dict(mi.cornell_box()), **VIEW)
+        expected = chd.render(mi.cornell_box(), **VIEW, backend="llvm")
+    assert np.array_equal(live.read(), expected.read())
+
+
+def test_a_store_goes_on_with_it_until_it_is_changed(mi, tmp_path):
+    out, built = tmp_path / "a.zarr", mi.load_dict(mi.cornell_box())
+    chd.render(built, **VIEW, out=out)
+    again = mi.load_dict(mi.cornell_box())  # elsewhere in memory
+    assert chd.render(again, **{**VIEW, "spp": 6}, out=out).spp == 6
+    parameters = mi.traverse(again)
+    parameters["white.reflectance.value"] = [0.1, 0.1, 0.1]
+    parameters.update()
+    with pytest.raises(StoreError, match="holds other samples"):
+        chd.render(again, **{**VIEW, "spp": 8}, out=out)
+    assert chd.open(out).spp == 6
+
+
+def test_what_it_cannot_do_is_told(mi):
+    built = mi.load_dict(mi.cornell_box())
+    with pytest.raises(InputError, match="of the variant scalar_rgb, which cannot render with"):
+        chd.render(built, **VIEW, color="spectral")
+    with pytest.raises(InputError, match="would change the scene"):
+        chd.render(built, **VIEW, by_light=["light"])
+    with pytest.raises(InputError, match="can only be rendered in this process"):
+        chd.render(built, **VIEW, integrator=PATH, client=object())
+    spot = mi.load_dict({"type": "scene", "sensor": METER})
+    with pytest.raises(SceneError, match="has a sensor RadianceMeter"):
+        chd.render(spot, **VIEW, integrator=PATH)
+    with pytest.raises(InputError, match="got a mitsuba"):
+        chd.render(built.sensors()[0], **VIEW)
