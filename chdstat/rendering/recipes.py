@@ -6,6 +6,7 @@ A recipe is a TOML file; those of the study scenes lie in ``renders/``. For a sc
 
 from __future__ import annotations
 
+import os
 import reprlib
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -45,6 +46,7 @@ _EDGE = 128
 _BOUNDS = "0 <= left < right <= 1, top < bottom alike"
 """Of a region's rectangle, as errors say it."""
 SCHEMA = 1
+_KEYS = ("schema", "name", "scene", "integrator", "size", "spp", "seed", "regions")
 _LONGEST, _DOTS = 2**16, 1000
 PHENOMENA = (
     "diffuse",
@@ -136,7 +138,8 @@ class Recipe:
     Parameters
     ----------
     scene
-        What `chdstat.load_scene` takes; in a file, a path may start from the file's folder.
+        What `chdstat.load_scene` takes; in a file, a path may start from the file's folder, or from
+        one that an environment variable names, as in ``$CHDSTAT_SCENES/attic/scene.xml``.
     size, spp, seed, max_depth
         As for `chdstat.render`.
     regions
@@ -144,6 +147,8 @@ class Recipe:
     integrator
         Mitsuba's name of the integrator that the scene asks for, such as ``path``; None where the
         recipe does not say.
+    name
+        What a study calls the scene; None takes the scene's own name.
     """
 
     scene: str
@@ -153,6 +158,7 @@ class Recipe:
     max_depth: int | None
     regions: tuple[Region, ...]
     integrator: str | None = None
+    name: str | None = None
 
     def settings(self) -> dict[str, Any]:
         """Return the arguments of `chdstat.render`."""
@@ -244,8 +250,8 @@ def load_recipe(path: str | Path) -> Recipe:
     Raises
     ------
     InputError
-        If the file is missing or not TOML, or a key is missing or out of range; the message names
-        file and key.
+        If the file is missing or not TOML, a key is missing or out of range, or the scene's path
+        has an environment variable that is not set; the message names file and key.
     """
     path = Path(path)
     content = _toml(path)
@@ -254,6 +260,13 @@ def load_recipe(path: str | Path) -> Recipe:
     except InputError as error:
         message = f"recipe {path}: {error}"
         raise InputError(message) from error
+    recipe = replace(recipe, scene=os.path.expandvars(recipe.scene))
+    if "$" in recipe.scene:
+        message = (
+            f"recipe {path}: key scene must not name an environment variable that is not set, got "
+            f"{recipe.scene!r}; set it to the folder of your scenes"
+        )
+        raise InputError(message)
     beside = path.parent / recipe.scene
     if recipe.scene not in BUILTIN and is_file(beside):
         return replace(recipe, scene=str(beside))
@@ -286,7 +299,7 @@ def _toml(path: Path) -> dict[str, Any]:
 
 def _recipe(content: Mapping[str, Any]) -> Recipe:
     _expect(content.get("schema") == SCHEMA, "schema", SCHEMA, content.get("schema"))
-    _only_known(content, ("schema", "scene", "integrator", "size", "spp", "seed", "regions"))
+    _only_known(content, _KEYS)
     size = _key(content, "size", list)
     good = len(size) == 2 and all(type(v) is int and v >= 1 for v in size)
     _expect(good, "size", "[width, height]", size)
@@ -307,6 +320,7 @@ def _recipe(content: Mapping[str, Any]) -> Recipe:
         max_depth=max_depth,
         regions=tuple(_region(i, region) for i, region in enumerate(regions)),
         integrator=kind,
+        name=_key(content, "name", str) if "name" in content else None,
     )
 
 

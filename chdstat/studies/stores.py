@@ -129,7 +129,8 @@ def _scene(source: Source, settings: Mapping[str, Any]) -> StudyScene:
     used = replace(recipe, **settings)
     # What is no size, rendering refuses with a message of its own.
     seen = len(used.size) == 2 and recipe.shows(used.size[1], used.size[0])
-    return StudyScene(scene.name, scene, used, recipe.regions if seen else ())
+    name = recipe.name or scene.name
+    return StudyScene(name, scene, used, recipe.regions if seen else ())
 
 
 def _distinct(scenes: Sequence[StudyScene]) -> Iterator[StudyScene]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pypdfium2
@@ -361,3 +362,24 @@ def test_a_store_from_elsewhere_is_analysed_once_and_one_in_its_place_anew(tmp_p
     assert not np.array_equal(
         other.scenes[0].data.summary["mean"], once.scenes[0].data.summary["mean"]
     )
+
+
+REAL = {
+    "bathroom": {18, 19, 20, 26},
+    "white-room": {18, 19, 20, 21, 25, 26},
+    "night-room": {18, 22, 23, 24, 26},
+}
+
+
+@pytest.mark.external
+@pytest.mark.parametrize("name", REAL)
+def test_recipes_of_the_papers_own_scenes_have_regions_for_its_claims(name):
+    recipe = Path(__file__).parents[2] / "renders" / f"real-{name}.toml"
+    (scene,) = scenes_of(str(recipe), {"spp": 128})
+    samples = chd.render(
+        scene.source, spp=128, size=scene.recipe.size, max_depth=4, backend="scalar"
+    )
+    data = SceneData(scene.name, samples, scene.regions)
+    found = {claim.number: claim.find(data) for claim in FINDINGS if claim.number in REAL[name]}
+    assert all(finding.tests for finding in found.values()), found
+    assert all("remake" not in finding.about for finding in found.values())

@@ -48,7 +48,7 @@ gallery, "low numbers" in the white room by day, for which the paper gives no fi
 
 def measure_nulls(data: SceneData) -> Outcome:
     """Compare the share of nulls with what the paper reports of such a scene."""
-    expected, where = _EXPECTED.get(data.name), "the image"
+    expected, where = _EXPECTED.get(data.name.removeprefix("real-")), "the image"
     if expected is None:
         expected, where = _NEAR, "the indirect regions"
         patch = data.patch("indirect", "of indirect light")
