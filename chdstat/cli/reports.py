@@ -126,6 +126,10 @@ def study(
             "of independent ones, there is none."
         ),
     ] = "independent",
+    integrators: Annotated[
+        bool,
+        typer.Option("--integrators", help="Render built-in scenes by five more integrators, too."),
+    ] = False,
     backend: cli.BackendName = "auto",
     estimator: Annotated[list[str], cli.compared()] = [  # noqa: B006 - Typer takes lists
         "mean",
@@ -152,6 +156,7 @@ def study(
         max_depth=max_depth,
         estimators=estimator,
         sampler=sampler,
+        integrators=integrators,
         backend=backend,
         progress=not quiet,
     )

@@ -258,7 +258,7 @@ class Finding(Shown):
     Attributes
     ----------
     number, name
-        Which claim, 1 to 28.
+        Which claim, 1 to 29.
     scene
         Name of the scene, or of the scenes.
     claim

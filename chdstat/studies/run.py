@@ -41,7 +41,7 @@ Findings = tuple[Finding, ...]
 
 ACROSS = "all scenes"
 """Name of the column of claims that compare scenes."""
-_ONCE = frozenset({14, 15, 16, 17})
+_ONCE = frozenset({14, 15, 16, 17, 29})
 """Claims that need the whole analysis, a training or a render of their own: they are not repeated
 with another seed."""
 
@@ -110,6 +110,7 @@ class SceneStudy(Shown):
             "another_integrator": self.data.integrator,
             "spread_samples": self.data.spread,
             "another_seed": self.again,
+            **self.data.integrators,
         }
         return {
             "scene": self.name,
@@ -234,6 +235,7 @@ def study(
     max_depth: int | None = None,
     estimators: Sequence[str] = ("mean", "elek2019"),
     sampler: SamplerName = "independent",
+    integrators: bool = False,
     backend: Backend = "auto",
     progress: bool | None = None,
 ) -> Study:
@@ -242,8 +244,8 @@ def study(
     For each scene there are up to four renders: the image; the same with paths of at most three
     segments, and with another seed, each at half the samples; and by another integrator, which
     plays Russian roulette from the first segment on, at a quarter, where the scene is not a file.
-    There is a fifth where a `sampler` is named. A finding that another seed contradicts becomes
-    "cannot tell".
+    There is a fifth where a `sampler` is named, and five more with `integrators`. A finding that
+    another seed contradicts becomes "cannot tell".
 
     Parameters
     ----------
@@ -267,6 +269,10 @@ def study(
         A sampler that spreads samples over pixels, as for `chdstat.render`: each scene is rendered
         once more with it, 256 or 400 samples, for the claim on correlated samples. Of
         "independent" ones, nothing is rendered, and that claim stays open.
+    integrators
+        Whether scenes that are not files are rendered by five more integrators, at a quarter of
+        the samples, for the claim on integrators: without Russian roulette, with lights found by
+        sampling surfaces alone, and direct light by sampling lights, surfaces, or both.
     progress
         Show progress bars; None shows them on a terminal.
 
@@ -295,7 +301,7 @@ def study(
     >>> samples = chd.simulate("gamma", shape=(8, 8), spp=128)
     >>> found = study(samples, estimators=["mean"])
     >>> found.table()[0]["claim"], len(found.scenes[0].findings)
-    ('nulls', 26)
+    ('nulls', 27)
     """
     options = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     for name in estimators:
@@ -303,10 +309,13 @@ def study(
     settings = {name: value for name, value in options.items() if value is not None}
     chosen = scenes_of(scenes, settings)
     if all(isinstance(scene.source, Samples) for scene in chosen):
-        asked = None if sampler == "independent" else sampler
-        refuse_render("what is studied", options | {"sampler": asked, "backend": backend})
+        asked: dict[str, Any] = {"sampler": None if sampler == "independent" else sampler}
+        asked["integrators"] = integrators or None
+        refuse_render("what is studied", options | asked | {"backend": backend})
     Sequences.of(sampler, SPREAD.get(sampler))  # an unknown one is refused before the work
-    stores = Stores(None if folder is None else Path(folder), backend, progress, sampler)
+    stores = Stores(
+        None if folder is None else Path(folder), backend, progress, sampler, integrators
+    )
     if stores.folder is not None:
         try:
             stores.folder.mkdir(parents=True, exist_ok=True)
@@ -384,6 +393,7 @@ def _findings(
     """Test the claims about one scene, but for some."""
     claims = [c for c in FINDINGS if not c.across and c.number not in left_out]
     others = ["" if s is None else cache_key(s) for s in (data.shorter, data.spread)]
+    others += [cache_key(s) for s in data.integrators.values()]
     return stores.cache(data.samples).record(
         "findings",
         Findings,
@@ -397,6 +407,7 @@ def _repeated(data: SceneData, again: Samples | None, stores: Stores) -> dict[in
     if again is None:
         return {}
     other = replace(data, samples=again, given=None, integrator=None, spread=None, comparison=None)
+    other = replace(other, integrators={})
     return {f.number: f for f in _findings(other, stores, left_out=_ONCE)}
 
 

@@ -8,8 +8,8 @@ pixels, with intervals; use an instrument where the explaining quantity is noisy
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -198,6 +198,9 @@ class SceneData:
         The same scene and view by another integrator.
     spread
         The same scene and view by a sampler that spreads samples, in sequences.
+    integrators
+        The same scene and view by integrators that sample paths in other ways, by name: those of
+        `chdstat.study` with ``integrators=True``.
     given_shorter
         What `chdstat.summarize` returned for `shorter`; None to compute it when it is needed.
     comparison
@@ -223,6 +226,7 @@ class SceneData:
     shorter: Samples | None = None
     integrator: Samples | None = None
     spread: Samples | None = None
+    integrators: Mapping[str, Samples] = field(default_factory=dict)
     given_shorter: xr.Dataset | None = None
     comparison: Comparison | None = None
     complexity: float | None = None

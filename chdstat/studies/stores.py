@@ -28,13 +28,22 @@ from chdstat.samples import Samples, cache_key, check_equal_counts, is_store
 from chdstat.samples import open as open_samples
 from chdstat.samples.tiles import check_independent
 from chdstat.scenes import BUILTIN, Scene, load_scene
+from chdstat.studies.claims.integrators import BSDF_SAMPLING, DIRECT
 from chdstat.studies.scene_data import SceneData
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["ROULETTE", "SPREAD", "Source", "Stores", "StudyScene", "scenes_of"]
+__all__ = [
+    "ROULETTE",
+    "SPREAD",
+    "Source",
+    "Stores",
+    "StudyScene",
+    "scenes_of",
+    "without_emitter_sampling",
+]
 
 _SPP = 1024
 _N = 32
@@ -47,6 +56,11 @@ ROULETTE = 1
 with other samples. `volpath` in place of `path` would not do: without media, its shapes of CHDs are
 those of `path`.
 """
+_DIRECT = {"direct light, lights": (1, 0), "direct light, BSDFs": (0, 1), DIRECT: (1, 1)}
+"""Samples of lights and of BSDFs by name of the integrator."""
+_NEVER = 2**20
+_POINTS = ("point", "spot", "directional", "projector", "directionalarea", "sunsky")
+"""Lights that no ray meets by chance, or of which that is not known."""
 _LEAST = 128
 """Samples of the renders to compare with, at least; else a half or a quarter of those of the image.
 """
@@ -161,12 +175,15 @@ class Stores:
     sampler
         The sampler of one more render, of samples that are spread over pixels; "independent" for
         none.
+    integrators
+        Whether to render by other integrators, too.
     """
 
     folder: Path | None
     backend: Backend = "auto"
     progress: bool | None = None
     sampler: SamplerName = "independent"
+    integrators: bool = False
 
     def renders(self, scene: StudyScene) -> tuple[SceneData, Samples | None]:
         """Return the renders of a scene, and of another seed; what is not there yet is rendered.
@@ -179,19 +196,28 @@ class Stores:
         samples = self._rendered(source, recipe)
         depth = dict(samples.attrs["integrator"]).get("max_depth", -1)
         other = _with_roulette(source, samples)
+        variants = _variants(source, samples) if self.integrators else {}
         spp, seed = int(recipe.spp), int(recipe.seed)
         half, quarter = (max(min(spp, _LEAST), spp // part) for part in (2, 4))
         short = replace(recipe, spp=half, seed=seed + 3, max_depth=SHORT)
         # Each has a seed of its own: tests of a difference take all samples for independent.
+        fewer = replace(recipe, spp=quarter, seed=seed + 2)
+        roulette = None if other is None else self._rendered(other, fewer)
+        # The path length is part of each of them; Mitsuba's `direct` has none.
+        integrators = {
+            name: self._rendered(variant, replace(fewer, seed=seed + 5 + i, max_depth=None))
+            for i, (name, variant) in enumerate(variants.items())
+        }
+        if integrators and roulette is not None:
+            integrators = {"early roulette": roulette, **integrators}
         data = SceneData(
             scene.name,
             samples,
             scene.regions,
             shorter=self._rendered(source, short) if depth < 0 or depth > SHORT else None,
-            integrator=None
-            if other is None
-            else self._rendered(other, replace(recipe, spp=quarter, seed=seed + 2)),
+            integrator=roulette,
             spread=self._spread(source, replace(recipe, seed=seed + 4)),
+            integrators=integrators,
         )
         return data, self._rendered(source, replace(recipe, spp=half, seed=seed + 1))
 
@@ -313,14 +339,56 @@ def _finished(path: Path, scene: Scene, spp: int) -> Samples | None:
 def _with_roulette(scene: Scene, samples: Samples) -> Scene | None:
     """Return the scene with another integrator: of a scene in Python only, as files are fixed."""
     used: dict[str, Any] = dict(samples.attrs["integrator"])
-    kind = used.get("type")
-    if kind not in ("path", "volpath") or not isinstance(scene.source, Mapping):
-        return None
-    if used.get("rr_depth") == ROULETTE:
-        return None
+    known = _sampled_otherwise(scene, used) and used.get("rr_depth") != ROULETTE
+    return _by_integrator(scene, {**used, "rr_depth": ROULETTE}) if known else None
+
+
+def _sampled_otherwise(scene: Scene, used: Mapping[str, Any]) -> bool:
+    return used.get("type") in ("path", "volpath") and isinstance(scene.source, Mapping)
+
+
+def _by_integrator(scene: Scene, integrator: Mapping[str, Any]) -> Scene:
+    source: Mapping[str, Any] = scene.source  # type: ignore[assignment]
+    kinds = ("path", "volpath")
     rest = {
         name: value
-        for name, value in scene.source.items()
-        if not (isinstance(value, Mapping) and value.get("type") == kind)
+        for name, value in source.items()
+        if not (isinstance(value, Mapping) and value.get("type") in kinds)
     }
-    return Scene(scene.name, {**rest, "integrator": {**used, "rr_depth": ROULETTE}})
+    return Scene(scene.name, {**rest, "integrator": dict(integrator)})
+
+
+def _variants(scene: Scene, samples: Samples) -> dict[str, Scene]:
+    """Return the scene with integrators that sample paths in other ways; none of a file."""
+    used: dict[str, Any] = dict(samples.attrs["integrator"])
+    if not _sampled_otherwise(scene, used):
+        return {}
+    found = {"no roulette": _by_integrator(scene, {**used, "rr_depth": _NEVER})}
+    unsampled = without_emitter_sampling(scene.source)  # type: ignore[arg-type]
+    if unsampled is not None:
+        found[BSDF_SAMPLING] = _by_integrator(Scene(scene.name, unsampled), used)
+    if used["type"] == "path":
+        for name, (emitters, bsdfs) in _DIRECT.items():
+            direct = {"type": "direct", "emitter_samples": emitters, "bsdf_samples": bsdfs}
+            found[name] = _by_integrator(scene, direct)
+    return found
+
+
+def without_emitter_sampling(source: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return a scene whose lights are found by sampling BSDFs alone; None where that misses some.
+
+    Lights of weight 0 are never sampled, and multiple importance sampling knows. Mitsuba
+    refuses a scene with these alone, so that one light is sampled that has no radiance.
+    """
+    changed = dict(source)
+    for name, value in source.items():
+        if not isinstance(value, Mapping):
+            continue
+        if value.get("type") in _POINTS:
+            return None
+        if isinstance(light := value.get("emitter"), Mapping):
+            changed[name] = {**value, "emitter": {**light, "sampling_weight": 0.0}}
+        if value.get("type") in ("constant", "envmap"):
+            changed[name] = {**value, "sampling_weight": 0.0}
+    black = {"type": "area", "radiance": {"type": "rgb", "value": 0.0}}
+    return {**changed, "sampled-light": {"type": "sphere", "radius": 1e-6, "emitter": black}}

@@ -88,7 +88,7 @@ def test_each_scene_is_asked_for_every_claim_that_is_about_one(found):
 
 def test_the_table_has_a_row_for_each_claim_and_a_verdict_where_one_was_asked(found):
     table = found.table()
-    assert [row["number"] for row in table] == [str(i) for i in range(1, 29)]
+    assert [row["number"] for row in table] == [str(i) for i in range(1, 30)]
     for row in table:
         across = row["number"] in {"11", "12"}
         assert bool(row["all scenes"]) == across
@@ -120,6 +120,28 @@ def test_a_sampler_is_one_more_render_and_decides_on_correlated_samples(found, f
     assert 17 not in more.scenes[0].repeated
     renders = more.to_dict()["scenes"][0]["renders"]
     assert renders["spread_samples"]["sequence"] == 16
+
+
+def test_integrators_render_one_scene_in_other_ways():
+    (scene,) = scenes_of("cornell-box", {"spp": 256, "size": (12, 12)})
+    data, _ = stores.Stores(None, "scalar", False, integrators=True).renders(scene)
+    renders = {"path": data.samples, **data.integrators}
+    assert set(renders) == {
+        *("path", "early roulette", "no roulette", "BSDF sampling alone"),
+        *(f"direct light, {name}" for name in ("lights", "BSDFs", "both")),
+    }
+    assert len({samples.attrs["seed"] for samples in renders.values()}) == len(renders)
+    mean = {name: samples.read().mean() for name, samples in renders.items()}
+    null = {name: (s.read() == 0).all(axis=2).mean() for name, s in renders.items()}
+    for name in ("early roulette", "no roulette", "BSDF sampling alone"):
+        assert mean[name] == pytest.approx(mean["path"], rel=0.1)
+    assert mean["direct light, both"] < 0.9 * mean["path"]
+    assert null["BSDF sampling alone"] > null["path"] + 0.1
+
+
+def test_lights_that_no_ray_meets_are_always_sampled():
+    lamp = {"type": "point", "intensity": {"type": "rgb", "value": 1.0}}
+    assert stores.without_emitter_sampling({"type": "scene", "lamp": lamp}) is None
 
 
 def test_a_wrong_sampler_or_one_for_samples_is_refused_before_the_work():

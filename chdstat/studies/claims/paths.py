@@ -21,7 +21,13 @@ from chdstat.studies.scene_data import PixelSet, SceneData, logs, ratio_of
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["measure_cost", "measure_indirect", "measure_lengths", "measure_nulls"]
+__all__ = [
+    "measure_cost",
+    "measure_indirect",
+    "measure_lengths",
+    "measure_nulls",
+    "seconds_per_sample",
+]
 
 
 # --- nulls and indirect light ---------------------------------------------------------------------
@@ -144,7 +150,7 @@ def measure_lengths(data: SceneData) -> Outcome:
         for name, change in changes.items()
     )
     renders = (shorter, data.samples)
-    seconds = [_seconds_per_sample(samples) for samples in renders]
+    seconds = [seconds_per_sample(samples) for samples in renders]
     integrators = [samples.attrs.get("integrator") for samples in renders]
     return Outcome(
         tests,
@@ -205,7 +211,7 @@ def _skewness(log_quantiles: Floats) -> Floats:
         return np.asarray((high + low - 2 * middle) / (high - low))
 
 
-def _seconds_per_sample(samples: Samples) -> float | None:
+def seconds_per_sample(samples: Samples) -> float | None:
     """Return the time to render and store one sample, in s, all cores together.
 
     The time of a render has no loading of the scene in it. Backends that compile for each render do
@@ -242,7 +248,7 @@ def measure_cost(data: SceneData) -> Outcome:
     )
     ratio = ratio_of(after, before, pixels.blocks, level=level)
     tests = [ClaimTest("mean radiance over that of shorter paths", ratio, least=_VISIBLE)]
-    seconds = [_seconds_per_sample(samples) for samples in (data.samples, shorter)]
+    seconds = [seconds_per_sample(samples) for samples in (data.samples, shorter)]
     missing = list[str]()
     if seconds[0] and seconds[1]:
         slower = seconds[0] / seconds[1]

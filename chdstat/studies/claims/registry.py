@@ -11,6 +11,7 @@ from chdstat.studies.claims import (
     assumptions,
     case_study,
     correlated,
+    integrators,
     learning,
     modes,
     neighbours,
@@ -37,7 +38,7 @@ class Claim:
     Attributes
     ----------
     number, name
-        1 to 28, and a few words.
+        1 to 29, and a few words.
     claim
         One sentence.
     measure
@@ -311,6 +312,15 @@ FINDINGS = (
         paired=True,
         about=_TWO_RENDERS,
     ),
+    Claim(
+        29,
+        "integrators",
+        "CHDs depend on how paths are sampled; where lights are sampled, too, averages are "
+        "Gaussian sooner, at equal time, than where surfaces alone are.",
+        integrators.measure,
+        paired=True,
+        about=_TWO_RENDERS,
+    ),
 )
 """The claims of Elek, Thomas and Forbes 2019, "Learning patterns in sample distributions for Monte
 Carlo variance reduction", in the order of the study."""
@@ -358,6 +368,6 @@ def find(data: SceneData, *, others: Sequence[SceneData] = ()) -> list[Finding]:
     >>> samples = chd.simulate("gamma", shape=(8, 8), spp=16)
     >>> found = find(SceneData("simulated", samples, (Region("wall", "diffuse", (0, 0, 1, 1)),)))
     >>> len(found), found[1].verdict, found[1].reason
-    (28, 'cannot tell', 'Needs 128 spp, has 16.')
+    (29, 'cannot tell', 'Needs 128 spp, has 16.')
     """
     return [claim.find(data, others) for claim in FINDINGS]

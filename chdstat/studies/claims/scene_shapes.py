@@ -30,7 +30,7 @@ from chdstat.summary.statistics import summarize
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["common_count", "drawn", "measure"]
+__all__ = ["DIFFERENT", "common_count", "drawn", "measure", "squares"]
 
 
 def common_count(scenes: Sequence[SceneData], *, least: int) -> int:
@@ -207,7 +207,7 @@ def permuted(squared: Sequence[Floats]) -> float:
     return (1 + reached) / (1 + _PERMUTATIONS)
 
 
-_DIFFERENT = 0.02
+DIFFERENT = 0.02
 """Cramér distance, root of its mean square over pixels, from which shapes are different.
 
 As of two log-normal CHDs of which one has a spread a tenth larger, at a third of a decade: that
@@ -252,7 +252,7 @@ def measure(scenes: Sequence[SceneData]) -> Outcome:
             every = np.concatenate([values for _, values in known])
             distance = mean_of(every, blocks, level=level).root()
         name = "distance between the shapes of two integrators"
-        tests.append(ClaimTest(name, distance, least=_DIFFERENT, unit="decade^1/2"))
+        tests.append(ClaimTest(name, distance, least=DIFFERENT, unit="decade^1/2"))
         p = permuted([values for _, values in known])
         p_value = None if math.isnan(p) else p
         by_scene = {data.name: permuted([values]) for data, values in known}

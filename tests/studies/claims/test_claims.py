@@ -290,7 +290,7 @@ def test_findings_are_the_same_every_time():
 def test_findings_come_in_order_and_are_ready_for_json():
     first, *others = worlds.TRUE[12](np.random.default_rng(0), 128)
     found = find(first, others=others)
-    assert [f.number for f in found] == list(range(1, 29))
+    assert [f.number for f in found] == list(range(1, 30))
     assert json.loads(json.dumps([f.to_dict() for f in found], allow_nan=False))
     assert all(f.reason.endswith(".") for f in found)
     assert all(f.scene == "scene 0" for f in found if not BY_NUMBER[f.number].across)
@@ -346,7 +346,7 @@ def named(name, source, x=None):
 def test_every_finding_says_whether_it_is_about_this_image_or_what_learned_from_it():
     found = find(SceneData("box", named("box", "box.xml")))
     words = {9: "this view, rendered twice", 11: "these images", 12: "these images"}
-    words |= dict.fromkeys((17, 28), "this view, rendered twice")
+    words |= dict.fromkeys((17, 28, 29), "this view, rendered twice")
     words |= {15: "this training on this image", 16: "this training on this image"}
     for f in found:
         assert f.about.startswith(f"About {words.get(f.number, 'this image')}"), f.about

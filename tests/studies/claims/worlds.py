@@ -443,6 +443,21 @@ def cost(brighter: float, seconds: float) -> World:
     return world
 
 
+def integrators(sigma: float, seconds: float) -> World:
+    """Return an image, and it by sampling BSDFs alone, of another deviation and time."""
+
+    def world(rng, spp):
+        one, two = (
+            chd.Samples.from_array(
+                image(rng.lognormal(0, s, size(spp))), backend="scalar", render_seconds=time
+            )
+            for s, time in ((0.5, 1.0), (sigma, seconds))
+        )
+        return [SceneData("simulated", one, integrators={"BSDF sampling alone": two})]
+
+    return world
+
+
 TRUE: dict[int, World] = {
     1: nulls(0.6),
     2: diffuse(8),
@@ -474,6 +489,7 @@ TRUE: dict[int, World] = {
     26: parts(("indirect", glowing_dust)),
     27: mirrored(3),
     28: cost(1.5, 2),
+    29: integrators(1.0, 1.0),
 }
 FALSE: dict[int, World] = {
     1: nulls(0.2),
@@ -506,6 +522,7 @@ FALSE: dict[int, World] = {
     26: parts(("indirect", lognormal(0.5))),
     27: mirrored(1),
     28: cost(1, 0.5),
+    29: integrators(0.5, 0.5),
 }
 
 # --- one part false at a time -------------------------------------------------------------------
@@ -634,6 +651,7 @@ REFUTED: list[tuple[int, str, World]] = [
             26: ("linear bin", "multimodal"),
             27: ("mirrored",),
             28: ("radiance", "time"),
+            29: ("largest", "Gaussian"),
         }.items()
         for part in parts_
     ),
