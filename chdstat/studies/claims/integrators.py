@@ -8,6 +8,7 @@ matters.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from chdstat._core.positive import Floats
 from chdstat._core.resampling import Blocks, Interval, mean_of, median_of
 from chdstat.samples import Samples
-from chdstat.studies.claims.paths import seconds_per_sample
+from chdstat.studies.claims.paths import TIMING, seconds_per_sample
 from chdstat.studies.claims.scene_shapes import DIFFERENT, squares
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require
 from chdstat.studies.scene_data import SceneData, logs
@@ -58,7 +59,7 @@ def measure(data: SceneData) -> Outcome:
         fewer[name] = _samples_ratio(summaries[name], summaries[base], blocks, level)
         seconds = [seconds_per_sample(renders[n]) for n in (name, base)]
         if seconds[0] and seconds[1]:
-            sooner[name] = _shifted(fewer[name], float(np.log10(seconds[0] / seconds[1])))
+            sooner[name] = _timed(fewer[name], seconds[0] / seconds[1])
     known = [d for d in distances.values() if np.isfinite(d.value)]
     require(known, "positive samples enough for shapes")
     # The largest of several: its ends are the largest of ends that hold together.
@@ -103,6 +104,7 @@ def measure(data: SceneData) -> Outcome:
             {name: i.value for name, i in shown.items()},
             f"decades of {_SLOWEST if sooner else _FASTEST}",
         ),
+        few="renders on a quiet machine",
     )
 
 
@@ -122,6 +124,8 @@ def _samples_ratio(
     return median_of(ratio.reshape(len(blocks.of_pixel), -1), blocks, level=level)
 
 
-def _shifted(interval: Interval[float], by: float) -> Interval[float]:
-    ends = (interval.value + by, interval.low + by, interval.high + by)
-    return Interval(*ends, interval.level)
+def _timed(log_samples: Interval[float], slower: float) -> Interval[float]:
+    """Return log time from log numbers of samples, of which one takes `slower` times as long."""
+    by, room = math.log10(slower), math.log10(TIMING)
+    low, high = log_samples.low + by - room, log_samples.high + by + room
+    return Interval(log_samples.value + by, low, high, log_samples.level)

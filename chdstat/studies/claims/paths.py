@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "TIMING",
     "measure_cost",
     "measure_indirect",
     "measure_lengths",
@@ -229,9 +230,9 @@ def seconds_per_sample(samples: Samples) -> float | None:
 
 _VISIBLE = 1.02
 """Ratio of radiance that is visible, after Weber's law."""
-_TIMING = 1.25
-"""Factor by which the time of a render differs when it is repeated on a machine that does other
-things, too, at most: one time has no interval of its own."""
+TIMING = 1.7
+"""Factor that a ratio of times may be wrong by: one time has no interval of its own. Three renders
+of each of five scenes, on a machine that did other things, too, differed by up to 1.6."""
 
 
 def measure_cost(data: SceneData) -> Outcome:
@@ -252,7 +253,7 @@ def measure_cost(data: SceneData) -> Outcome:
     missing = list[str]()
     if seconds[0] and seconds[1]:
         slower = seconds[0] / seconds[1]
-        time = Interval(slower, slower / _TIMING, slower * _TIMING, level)
+        time = Interval(slower, slower / TIMING, slower * TIMING, level)
         tests.append(ClaimTest("time per sample over that of shorter paths", time, least=1.0))
     else:
         missing.append("needs times of the renders, by the scalar backend")
@@ -262,4 +263,5 @@ def measure_cost(data: SceneData) -> Outcome:
         tuple(missing),
         details={"seconds_per_sample": seconds},
         plot_data=PlotData.bars(values, "over that of shorter paths"),
+        few="renders on a quiet machine",
     )

@@ -522,7 +522,7 @@ FALSE: dict[int, World] = {
     26: parts(("indirect", lognormal(0.5))),
     27: mirrored(1),
     28: cost(1, 0.5),
-    29: integrators(0.5, 0.5),
+    29: integrators(0.5, 0.25),
 }
 
 # --- one part false at a time -------------------------------------------------------------------
