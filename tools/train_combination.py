@@ -21,8 +21,9 @@ import numpy as np
 import torch
 
 import chdstat as chd
+from chdstat.estimators.halves import Measured, compare_halves
 from chdstat.estimators.training import write_model
-from chdstat.estimators.weighting import LEVELS, compare_halves
+from chdstat.estimators.weighting import LEVELS
 from chdstat.rendering import render_batches
 
 SCENES = (
@@ -96,7 +97,8 @@ def rendered(folder: Path, scene: str, view: str) -> dict[str, np.ndarray]:
 def case(held: dict[str, np.ndarray], scene: str, name: str, n: int, *, guided: bool) -> Case:
     """Return what is learned from n samples of a render, with features or without."""
     features = {key[2:]: held[key] for key in held if key.startswith("f_")} if guided else {}
-    names, full, inputs, unit = compare_halves(np.ascontiguousarray(held["x"][..., :n]), features)
+    few = chd.Samples.from_array(held["x"][..., :n])
+    names, full, inputs, unit = compare_halves(Measured.of(few), features)
     reference, noise = held["ref"], held["var"]
     weight = 1 / (np.maximum(reference, 0) ** 2 + 0.01 * reference.mean() ** 2)
     squared = (full - reference) ** 2 - noise

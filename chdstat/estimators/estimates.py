@@ -249,23 +249,21 @@ class _Estimated:
         check_equal_counts(samples)
         if options.denoise:
             check_denoiser(samples.shape[2])  # refused before the work, not after
+        if own is None and not trains and _can_combine(samples):
+            return cls._combined(samples, options)
         check_memory(
             _COPIES * samples.nbytes,
             f"the {samples.spp} spp of an estimate and what it computes of them",
             "use fewer, by spp or --spp, or estimate from render_batches or with --while-rendering",
         )
-        if own is None and not trains and _can_combine(samples):
-            return cls._combined(samples, options)
         return cls._of_samples(samples, own, options)
 
     @classmethod
     def _combined(cls, samples: Samples, options: _Options) -> _Estimated:
-        x = samples.read()
-        found = combine(x, features=samples.features, level=options.level)
+        found = combine(samples, level=options.level, progress=options.progress)
         about = {"bias": found.bias, "bias_error": found.bias_error}
         training = "before, on built-in scenes with references"
-        mean = mean_of_good(x).astype(np.float32)
-        return cls(samples, options, None, about, training, found, mean)
+        return cls(samples, options, None, about, training, found, found.mean)
 
     @classmethod
     def _of_samples(cls, samples: Samples, model: AnyModel | None, options: _Options) -> _Estimated:

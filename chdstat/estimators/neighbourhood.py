@@ -3,11 +3,8 @@
 `delbracio2014` compares histograms of the samples, patch by patch; `sakai2024` compares their means
 by a test of significance, pixel by pixel. Neither shares across an edge that the samples show.
 
-Two are new here. `shared_patches` averages pixels whose surroundings are statistically similar, in
+One is new here: `shared_patches` averages pixels whose surroundings are statistically similar, in
 two passes; on rendered scenes at 32 samples, its error is the smallest of all that are not learned.
-`shared_shape` learns from similar pixels only how far a mean may lie above what the other
-samples of the pixel say, and averages nothing: it removes fireflies, and leaves noise and edges to
-a denoiser.
 """
 
 from __future__ import annotations
@@ -22,8 +19,9 @@ from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import InputError
 from chdstat.estimators import similarity
 from chdstat.estimators.registry import Array, Floats, check_positive, check_probability, register
+from chdstat.estimators.shapes import ShapeStatistics
 
-__all__ = ["Fireflies", "delbracio2014", "sakai2024", "shared_patches", "shared_shape"]
+__all__ = ["Fireflies", "delbracio2014", "sakai2024", "shared_patches"]
 
 Fireflies = Literal["limit", "keep"]
 
@@ -36,8 +34,8 @@ _HUE = 0.02
 """Difference between channels, relative to their level, that tells nothing: light takes on the
 colour of what is around."""
 _ROUNDING = 1e-6
-_LIMIT, _ALPHA, _AROUND = 1.75, 0.005, 5
-"""Defaults of `shared_shape`."""
+_ALPHA = 0.005
+"""Level of the test of means."""
 _CUT = 7.0
 """Weights below e^-7 are none."""
 _FAR = 1e6
@@ -264,7 +262,8 @@ def shared_patches(
         message = f"fireflies must be 'limit' or 'keep', got {fireflies!r}"
         raise InputError(message)
     image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
-    own = image.mean() if fireflies == "keep" else _limited(image, _LIMIT, _ALPHA, _AROUND)
+    limited = fireflies == "limit"
+    own = ShapeStatistics.of(image).limited() / image.unit if limited else image.mean()
     members = similarity.significance(similarity.corrected_means(image), image.count, _ALPHA)
 
     def pooled(
@@ -288,70 +287,6 @@ def shared_patches(
     return image.radiance(found)
 
 
-@register("shared_shape", _OURS, place=7, minimum_samples=2, uses_neighbours=True)
-def shared_shape(
-    x: Array, *, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = _AROUND
-) -> Array:
-    """Mean of the pixel, limited by the shape that its samples share with those of similar pixels.
-
-    ``min(mean_i, limit l_i / average_j(l_j / mean_j))``. The level ``l = p E(sqrt x)^2`` is that of
-    the samples but the largest: k of them are above 0, p = k / n, and all pairs of these estimate
-    it, ``p (S^2 - sum x) / (k (k - 1))`` with S the sum of their roots. One firefly does not move
-    it. How far means lie above levels is learned from the members j, each in its own unit and
-    weighted by k: a mean that lies further above than `limit` times that owes it to fireflies.
-
-    Members have a shape that does not differ significantly from that of i, in any channel: Welch's
-    test on ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)``, again without the largest sample. No radiance
-    of another pixel enters, only the ratio of its level to its mean, so none crosses an edge. The
-    bias is to the dark. All of this is about the positive samples; negative ones are added as they
-    are.
-
-    Parameters
-    ----------
-    x
-        Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
-        is left out.
-    limit
-        Larger than 0; infinity for the mean. At 32 samples of rendered scenes, 1.75 loses about 1 %
-        of the energy and 1.25 twice to three times that.
-    alpha
-        Level of the two-sided test, between 0 and 1: the smaller, the more is shared.
-    radius
-        Of the window, in pixels: 5 for 11 x 11.
-
-    Returns
-    -------
-    ndarray
-        Estimates, shape (y, x, channel), in the unit and dtype of `x`, at most the mean of the
-        whole samples that are good. Where none is, or a channel has less than 3 above 0, the mean
-        of its good samples; NaN where there are none of these.
-
-    Raises
-    ------
-    InputError
-        If `x` is no image, has less than 2 samples, or an option is out of range.
-
-    References
-    ----------
-    H. Sakai, C. Freude, T. Auzinger, D. Hahn and M. Wimmer, "A statistical approach to Monte Carlo
-    denoising", SIGGRAPH Asia Conference Papers, 2024, doi:10.1145/3680528.3687591.
-
-    Examples
-    --------
-    >>> image = np.random.default_rng(0).gamma(4.0, size=(8, 8, 3, 32))
-    >>> image *= np.linspace(1, 100, 8).reshape(8, 1, 1, 1)
-    >>> image[3, 3, :, 0] = 1e6
-    >>> found = shared_shape(image)
-    >>> found[2:5, 3, 0].round().tolist()
-    [108.0, 338.0, 205.0]
-    """
-    whole("radius", radius, least=0)
-    check_probability(alpha=alpha)
-    check_positive(limit=limit)
-    image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
-    return image.radiance(_limited(image, limit, alpha, radius))
-
-
 def _chi_square(h: Floats, n: Floats, other: Floats, m: Floats) -> tuple[Floats, Floats]:
     """Return the chi-square distance of histograms of n and m samples, and the bins used.
 
@@ -363,36 +298,6 @@ def _chi_square(h: Floats, n: Floats, other: Floats, m: Floats) -> tuple[Floats,
     apart = np.sqrt(m / np.maximum(n, 1)) * h - np.sqrt(n / np.maximum(m, 1)) * other
     terms = np.divide(apart * apart, both, out=np.zeros_like(both), where=used)
     return terms.sum(axis=-1), np.count_nonzero(used, axis=-1).astype(np.float64)
-
-
-def _limited(image: similarity.ScaledSamples, limit: float, alpha: float, radius: int) -> Floats:
-    """Return the means, that of the positive samples limited by the shape of what is around."""
-    below = np.minimum(image.samples, 0).sum(axis=-1, dtype=np.float64) / image.unit
-    below /= np.maximum(image.count, 1)[..., np.newaxis]
-    mean = image.mean() - below
-    level, positive = _level(image)
-    known = (level > 0) & (mean > 0)
-    depth = np.divide(level, mean, out=np.zeros_like(mean), where=known)
-    weight = np.where(known, positive, 0)
-    fields = similarity.significance(similarity.shape_means(image), image.count, alpha)
-    around, _ = similarity.Window(similarity.not_different, fields, radius).average(depth, weight)
-    by_shape = np.divide(level, around, out=mean.copy(), where=known & (around > 0))
-    return np.asarray(np.minimum(mean, limit * by_shape, out=mean, where=known) + below)
-
-
-def _level(image: similarity.ScaledSamples) -> tuple[Floats, ...]:
-    """Return levels and the number k of positive samples, without the largest sample."""
-
-    def work(rows: Floats, _: object, n: npt.NDArray[np.int64]) -> tuple[Floats, Floats]:
-        kept = np.maximum(similarity.without_largest(rows), 0)
-        positive = np.count_nonzero(kept, axis=-1).astype(np.float64)
-        total = np.sqrt(kept).sum(axis=-1)
-        pairs = total**2 - kept.sum(axis=-1)
-        # What is left of a single sample, or of one among many darker by far, is rounding.
-        pairs[pairs < _ROUNDING * total**2] = 0
-        return pairs / (np.maximum(positive - 1, 1) * np.maximum(n, 1)), positive
-
-    return image.walk(work)
 
 
 def _statistics(image: similarity.ScaledSamples) -> similarity.Means:

@@ -213,7 +213,9 @@ def histograms(image: ScaledSamples, unit: float) -> Floats:
     return image.walk(work)[0]
 
 
-def significance(means: Means, count: npt.NDArray[np.int64], alpha: float) -> tuple[Floats, Floats]:
+def significance(
+    means: Means, count: npt.NDArray[np.number[Any]], alpha: float
+) -> tuple[Floats, Floats]:
     """Return the means and the squares of t SE, by which `not_different` compares pixels.
 
     t is the two-sided quantile for 2 n - 2 degrees of freedom, as in the code of Sakai et al. 2024.

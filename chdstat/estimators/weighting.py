@@ -19,35 +19,24 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage, special
+from scipy import special
 
-from chdstat._core.arrays import as_pixels, is_null, spans
-from chdstat._core.executor import cores
+from chdstat._core.arrays import as_pixels
 from chdstat.errors import InputError
-from chdstat.estimators.neighbourhood import shared_shape
+from chdstat.estimators.halves import Measured, compare_halves
 from chdstat.estimators.progressive.inputs import Estimates
-from chdstat.estimators.registry import check_probability, mean_of_good, register
+from chdstat.estimators.registry import check_probability, register
 from chdstat.estimators.training import read_model
 from chdstat.estimators.validation import reordered
-from chdstat.io.denoiser import denoise
+from chdstat.samples import Samples
 
-__all__ = [
-    "LEAST",
-    "LEVELS",
-    "Combination",
-    "Weighting",
-    "candidates",
-    "combination",
-    "combine",
-    "compare_halves",
-]
+__all__ = ["LEAST", "LEVELS", "Combination", "Weighting", "combination", "combine"]
 
 Image = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.floating[Any]]
@@ -55,12 +44,6 @@ Floats = npt.NDArray[np.floating[Any]]
 LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
 """Probabilities of which the width of an interval was measured."""
 _SHIPPED = Path(__file__).with_name("combination.safetensors")
-_SCALES = (1.5, 4.0, 12.0)
-"""Standard deviations in pixels of the windows that comparisons are averaged over."""
-_FAINT = 0.01
-"""Share of the image's mean radiance that is added to a pixel's own, as unit of its errors."""
-_ROWS_READ = 16
-"""Rows of an image whose samples are copied at once."""
 _ROWS = 2**16
 """Pixels whose weights are computed at once."""
 _BELOW = 0.001
@@ -77,6 +60,8 @@ class Combination(Estimates):
 
     Attributes
     ----------
+    mean
+        Of each channel's good samples, shape (y, x, channel).
     weights
         Weight of each candidate by its name, shape (y, x), adding up to 1. The certainty is what
         the mean was not given. Where the weighted sum is significantly darker than the mean of the
@@ -89,27 +74,33 @@ class Combination(Estimates):
         Standard error of that mean, as a share of it: a bias below twice this may be none.
     """
 
+    mean: Image = field(default_factory=lambda: np.empty(0, np.float32))
     weights: Mapping[str, Image] = field(default_factory=dict)
     bias: float = np.nan
     bias_error: float = np.nan
 
 
 def combine(
-    samples: npt.ArrayLike,
+    samples: npt.ArrayLike | Samples,
     *,
     features: Mapping[str, npt.NDArray[Any]] | None = None,
     level: float = 0.9,
+    progress: bool | None = False,
 ) -> Combination:
     """Estimate radiance by weighting candidates as the samples themselves say.
 
     Parameters
     ----------
     samples
-        Samples, shape (y, x, channel, sample) of 1 or 3 channels, at least 4 of each pixel.
+        `Samples`, which are read tile by tile, or an array (y, x, channel, sample): 1 or 3
+        channels, at least 4 samples of each pixel.
     features
-        First-hit features by name, of which ``albedo`` and ``normal`` guide the denoiser.
+        First-hit features by name, of which ``albedo`` and ``normal`` guide the denoiser; None
+        takes those of `Samples`.
     level
         Probability of the interval.
+    progress
+        Show a progress bar; None shows it on a terminal.
 
     Returns
     -------
@@ -126,30 +117,36 @@ def combine(
     --------
     >>> import chdstat as chd
     >>> samples = chd.render("cornell-box", spp=16, size=(16, 16), progress=False)
-    >>> found = combine(samples.read(), features=samples.features)
+    >>> found = combine(samples)
     >>> found.radiance.shape, sorted(found.weights)[:2]
     ((16, 16, 3), ['denoised', 'denoised shared_shape'])
     """
     check_probability(level=level)
-    x = np.asarray(samples, np.float32)
-    if x.ndim != 4 or x.shape[2] not in (1, 3) or x.shape[3] < LEAST:
+    shape = np.shape(samples)
+    if len(shape) != 4 or shape[2] not in (1, 3) or shape[3] < LEAST:
         message = (
             f"expected samples (y, x, channel, sample) of 1 or 3 channels, at least {LEAST} of a "
-            f"pixel, got shape {x.shape}"
+            f"pixel, got shape {shape}"
         )
         raise InputError(message)
-    known = features or {}
-    names, full, inputs, unit = compare_halves(x, known)
+    image = (
+        samples
+        if isinstance(samples, Samples)
+        else Samples.from_array(np.asarray(samples, np.float32))
+    )
+    known = (image.features if features is None else features) or {}
+    measured = Measured.of(image, progress=progress)
+    names, full, inputs, unit = compare_halves(measured, known)
     weighting = Weighting.shipped(with_features="albedo" in known)
     weights, width = weighting(inputs)
-    mean, error = _mean_and_error(x)
-    radiance = np.maximum(np.einsum("yxj,jyxc->yxc", weights, full), _floor(mean, error, x))
+    mean, error = measured.mean, measured.error
+    radiance = np.maximum(np.einsum("yxj,jyxc->yxc", weights, full), _floor(mean, error, image.spp))
     radiance = _balanced(radiance, mean, error)
     half = (weighting.quantile(level) * width * unit)[..., np.newaxis]
-    lost = ~np.isfinite(x).any(axis=-1)
+    lost = np.isnan(measured.starts[0]["mean"])
     radiance = np.where(lost, np.nan, radiance).astype(np.float32)
     low, high = radiance - half, radiance + half
-    if not (x < 0).any():
+    if not measured.signed:
         low = np.maximum(low, 0)
     bias, doubt = _bias(radiance, mean, error)
     return Combination(
@@ -158,6 +155,7 @@ def combine(
         low.astype(np.float32),
         high.astype(np.float32),
         level,
+        mean=measured.starts[0]["mean"],
         weights={name: weights[..., j] for j, name in enumerate(names)},
         bias=bias,
         bias_error=doubt,
@@ -213,14 +211,14 @@ def combination(
     return combine(reordered(samples)[0], features=features).radiance
 
 
-def _floor(mean: Floats, error: Floats, x: Image) -> Floats:
+def _floor(mean: Floats, error: Floats, spp: int) -> Floats:
     """Return what a pixel's radiance is at least, so that no lamp is taken for fireflies.
 
     The lower end of Student's interval. One bright sample of n makes mean and standard error
     alike, k of them a standard error of about mean / sqrt(k): only light that many samples found
     is kept by it. Skewness to the bright, as of radiance, makes this end the more certain.
     """
-    certain = special.stdtrit(x.shape[-1] - 1, 1 - _BELOW)
+    certain = special.stdtrit(spp - 1, 1 - _BELOW)
     return np.asarray(mean - certain * error)
 
 
@@ -250,134 +248,6 @@ def _bias(radiance: Image, mean: Floats, error: Floats) -> tuple[float, float]:
         return np.nan, np.nan
     of_radiance = float(np.nansum(radiance, dtype=np.float64))
     return of_radiance / whole - 1, _error_of_sum(error) / abs(whole)
-
-
-def candidates(x: Image, features: Mapping[str, npt.NDArray[Any]]) -> dict[str, Image]:
-    """Return the images that are weighted, by name, each (y, x, channel); the first is the base.
-
-    Where no sample of a pixel is good, they are 0.
-    """
-    starts = {"mean": mean_of_good(x), "shared_shape": shared_shape(x)}
-    starts = {name: np.nan_to_num(image, posinf=0, neginf=0) for name, image in starts.items()}
-    albedo = features.get("albedo")
-    normal = None if albedo is None else features.get("normal")
-    found = {}
-    for name, image in starts.items():
-        of, start = "" if name == "mean" else f" {name}", np.maximum(image, 0)
-        if albedo is not None:
-            found[f"denoised with features{of}"] = _denoised(start, albedo, normal)
-        found[f"denoised{of}"] = _denoised(start)
-    return {name: image.astype(np.float32) for name, image in (found | starts).items()}
-
-
-def _denoised(
-    image: Floats,
-    albedo: npt.NDArray[Any] | None = None,
-    normal: npt.NDArray[Any] | None = None,
-) -> Floats:
-    """Return an image denoised; a black one, in which the denoiser sees light, as it is."""
-    return denoise(image, albedo=albedo, normal=normal) if image.any() else image
-
-
-def compare_halves(
-    x: Image, features: Mapping[str, npt.NDArray[Any]]
-) -> tuple[list[str], Image, Image, Image]:
-    """Return candidates, and how those of half the samples compare with the other half.
-
-    Returns
-    -------
-    names : list of str
-    full : ndarray
-        The candidates from all samples, shape (candidate, y, x, channel).
-    inputs : ndarray
-        What the network sees, shape (y, x, number).
-    unit : ndarray
-        Radiance that errors are measured in, shape (y, x).
-    """
-    halves = [np.ascontiguousarray(x[..., i::2]) for i in (0, 1)]
-    with ThreadPoolExecutor(cores()) as pool:
-        made = list(pool.map(lambda part: candidates(part, features), [x, *halves]))
-    names = list(made[0])
-    full, *parts = (np.stack(list(found.values())) for found in made)
-    targets = np.stack([np.nan_to_num(mean_of_good(half)) for half in reversed(halves)])
-    mean, error = _mean_and_error(x)
-    inputs, unit = _inputs(
-        full,
-        np.stack(parts),
-        targets.astype(np.float32),
-        np.square(error),
-        is_null(x).mean(axis=-1),
-        mean,
-    )
-    return names, full, inputs, unit
-
-
-def _mean_and_error(x: Image) -> tuple[Floats, Floats]:
-    """Return the mean of the samples that are good in all channels, and its standard error."""
-    mean, error = np.zeros((2, *x.shape[:3]))
-    for ys in spans(len(x), _ROWS_READ):
-        good = np.isfinite(x[ys]).all(axis=2, keepdims=True)
-        n = np.maximum(good.sum(axis=-1), 1)
-        kept = np.where(good, x[ys], 0)
-        mean[ys] = kept.sum(axis=-1, dtype=np.float64) / n
-        apart = np.where(good, kept - mean[ys][..., np.newaxis], 0)
-        error[ys] = np.sqrt(np.square(apart).sum(axis=-1) / (n * np.maximum(n - 1, 1)))
-    return mean, error
-
-
-def _inputs(
-    full: Image, parts: Image, targets: Image, variance: Floats, null: Floats, mean: Floats
-) -> tuple[Image, Image]:
-    """Return what the network sees: logarithms, ratios and standard scores, without a unit.
-
-    Of each candidate against the first: which mixture of the two the other half of the samples asks
-    for (the slope of a regression without constant) and its standard error, in three windows; how
-    far they are apart, and on which side. Of each candidate: how far those of the two halves are
-    apart, and how many standard errors of the mean it is from the mean.
-    """
-    overall = float(np.abs(full[0]).mean(dtype=np.float64)) or 1.0
-    unit = _smooth(np.abs(full).mean(axis=(0, 3)), _SCALES[0]) + _FAINT * overall
-    error = np.sqrt(variance.mean(axis=-1))
-    noise = [_smooth(variance.mean(axis=-1), s) for s in _SCALES[:2]]
-    found = [
-        _log(error / unit, 1e-4),
-        _log(np.sqrt(noise[0]) / unit, 1e-4),
-        _log(np.sqrt(noise[1]) / _smooth(unit, _SCALES[1]), 1e-4),
-        _smooth(null, _SCALES[0]),
-        np.log(unit / overall),
-    ]
-    scale = unit[..., np.newaxis]
-    parts, targets, doubt = parts / scale, targets / scale, 2 * variance / scale**2
-    for j in range(1, len(full)):
-        apart = parts[:, j] - parts[:, 0]
-        towards = (apart * (targets - parts[:, 0])).mean(axis=(0, 3))
-        squared = np.square(apart).mean(axis=(0, 3))
-        of_noise = (np.square(apart) * doubt).mean(axis=(0, 3)) / 2
-        for s in _SCALES:
-            whole = _smooth(squared, s) + 1e-8
-            slope = _smooth(towards, s) / whole
-            spread = np.sqrt(_smooth(of_noise, s) / (4 * np.pi * s * s)) / whole
-            found += [np.clip(slope, -1, 2), np.clip(_log(spread, 1e-3), -7, 3)]
-        found.append(_log(np.sqrt(_smooth(squared, _SCALES[0])), 1e-4))
-        moved = (full[j] - full[0]) / scale
-        found.append(np.arcsinh(3 * moved.mean(axis=-1)))
-        size = _smooth(np.square(moved).mean(axis=-1), _SCALES[0])
-        found.append(_log(np.sqrt(size), 1e-4))
-    for j in range(len(full)):
-        between = _smooth(np.var(parts[:, j], axis=0).mean(axis=-1), _SCALES[0])
-        score = (full[j] - mean).mean(axis=-1) / (error + 1e-3 * unit)
-        around = _smooth(np.minimum(np.square(score), 1e6), _SCALES[0])
-        found += [_log(np.sqrt(between), 1e-4), np.arcsinh(score), _log(np.sqrt(around), 1e-2)]
-    return np.stack(found, axis=-1).astype(np.float32), unit.astype(np.float32)
-
-
-def _smooth(image: Floats, scale: float) -> Floats:
-    smooth = ndimage.gaussian_filter(image.astype(np.float32), scale, mode="nearest", truncate=3)
-    return np.asarray(np.maximum(smooth, 0) if (image >= 0).all() else smooth)
-
-
-def _log(x: Floats, least: float) -> Floats:
-    return np.asarray(np.log(x + least))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.estimators.weighting import candidates
+from chdstat.estimators.halves import Measured, candidates
 from chdstat.rendering import render_batches
 
 REAL = {
@@ -76,7 +76,7 @@ def test_errors_against_the_denoiser(as_benchmark, folder):
             for n in NUMBERS:
                 few = store.first(n)
                 found = chd.estimate(few)
-                made = candidates(few.read(), few.features)
+                made = candidates(Measured.of(few).starts[0], few.features)
                 denoised = min(
                     (errors(made[k]) for k in ("denoised", "denoised with features")), key=np.prod
                 )

@@ -9,7 +9,8 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import combine, estimate, write_estimates
-from chdstat.estimators.weighting import LEVELS, Weighting, candidates, compare_halves
+from chdstat.estimators.halves import Measured, candidates, compare_halves
+from chdstat.estimators.weighting import LEVELS, Weighting
 from chdstat.io import read_exr
 
 pytestmark = pytest.mark.skipif(
@@ -41,7 +42,7 @@ def test_it_is_the_default_and_each_candidate_has_its_share(samples, found):
     assert min(weight.min() for weight in found.weights.values()) >= 0
     assert np.allclose(found.certainty, 1 - found.weights["mean"], atol=1e-6)
     x = samples.read()
-    made = candidates(x, samples.features)
+    made = candidates(Measured.of(samples).starts[0], samples.features)
     assert made.keys() == found.weights.keys()
     mixed = sum(found.weights[name][..., np.newaxis] * made[name] for name in made)
     error = x.std(axis=-1, ddof=1) / 8
@@ -56,7 +57,7 @@ def test_light_that_denoisers_lose_is_given_back_but_not_to_what_is_certain():
     x = np.where(found_one, 8, 0.1) * rng.exponential(size=found_one.shape)
     x = np.repeat(x, 3, axis=2).astype(np.float32)
     x[:8, :8] = 0.7
-    found, made = combine(x), candidates(x, {})
+    found, made = combine(x), candidates(Measured.of(chd.Samples.from_array(x)).starts[0], {})
     mixed = sum(found.weights[name][..., np.newaxis] * made[name] for name in made)
     assert mixed.mean() / x.mean() - 1 < -4 * found.bias_error
     assert -1.6 * found.bias_error < found.bias < 0
@@ -65,7 +66,7 @@ def test_light_that_denoisers_lose_is_given_back_but_not_to_what_is_certain():
 
 
 def test_it_is_better_than_the_mean_and_than_a_denoiser(samples, found, reference):
-    made = candidates(samples.read(), samples.features)
+    made = candidates(Measured.of(samples).starts[0], samples.features)
     weight = 1 / (reference**2 + 0.01 * reference.mean() ** 2)
 
     def errors(image):
@@ -144,6 +145,23 @@ def training_is_told(monkeypatch):
     monkeypatch.setattr("chdstat.estimators.estimates.train_model", train)
 
 
+def test_a_store_is_read_by_tiles_and_never_as_a_whole(tmp_path, monkeypatch):
+    x = np.random.default_rng(0).gamma(0.3, size=(96, 72, 3, 16)).astype(np.float32)
+    held, sizes = chd.Samples.from_array(x), []
+    stored, expected, read = held.save(tmp_path / "a.zarr"), estimate(held), chd.Samples.read
+
+    def reading(self, *places):
+        block = read(self, *places)
+        sizes.append(block.shape[:2])
+        return block
+
+    monkeypatch.setattr(chd.Samples, "read", reading)
+    found = estimate(stored)
+    assert np.array_equal(found.radiance, expected.radiance)
+    assert np.array_equal(found.low, expected.low)
+    assert max(sizes) <= (64, 64)
+
+
 @pytest.mark.usefixtures("training_is_told")
 def test_signed_samples_train_a_network_since_a_denoiser_takes_no_negative_radiance():
     x = np.random.default_rng(0).normal(0.2, 3, size=(16, 16, 1, 16))
@@ -186,8 +204,8 @@ def test_the_file_holds_what_each_candidate_was_given(samples, found, tmp_path):
 
 def test_a_network_sees_ratios_only(samples):
     x = samples.read(slice(0, 32), slice(0, 32))
-    inputs = compare_halves(x, {})[2]
-    scaled = compare_halves(x * np.float32(256), {})[2]
+    inputs = compare_halves(Measured.of(chd.Samples.from_array(x)), {})[2]
+    scaled = compare_halves(Measured.of(chd.Samples.from_array(x * 256)), {})[2]
     assert np.allclose(inputs, scaled, atol=0.05)
     assert np.isfinite(inputs).all()
     assert Weighting.shipped(with_features=False).centre.shape == inputs.shape[-1:]

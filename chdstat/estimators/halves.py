@@ -1,0 +1,223 @@
+"""Halves: candidates of half the samples, compared with the mean of the other half.
+
+Samples are read once, tile by tile; what is kept of them are images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+from chdstat._core.arrays import is_null
+from chdstat.estimators.shapes import ShapeStatistics
+from chdstat.estimators.similarity import ScaledSamples
+from chdstat.io.denoiser import denoise
+from chdstat.samples import Samples
+
+__all__ = ["Measured", "candidates", "compare_halves"]
+
+Image = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
+
+_SCALES = (1.5, 4.0, 12.0)
+"""Standard deviations in pixels of the windows that comparisons are averaged over."""
+_FAINT = 0.01
+"""Share of the image's mean radiance that is added to a pixel's own, as unit of its errors."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Images of what a combination has to know of the samples, which are read once, by tiles.
+
+    Attributes
+    ----------
+    starts
+        The mean and `shared_shape` of all samples, and of every other of them, by name; NaN where
+        no sample is good.
+    mean, error
+        Mean of the samples that are good in all channels, and its standard error, shape (y, x,
+        channel).
+    null
+        Share of null samples, shape (y, x).
+    signed
+        Whether any sample is negative.
+    """
+
+    starts: Sequence[Mapping[str, Image]]
+    mean: Floats
+    error: Floats
+    null: Floats
+    signed: bool
+
+    @classmethod
+    def of(cls, image: Samples, *, progress: bool | None = None) -> Measured:
+        """Measure an image in memory that does not grow with the number of samples."""
+
+        def of_tile(x: Image) -> dict[str, tuple[tuple[str, ...], Floats]]:
+            mean, error = _mean_and_error(x)
+            found = {
+                "mean": mean,
+                "error": error,
+                "null": is_null(x).mean(axis=-1),
+                "signed": (x < 0).any(axis=(2, 3)),
+            }
+            for i, part in enumerate((x, x[..., ::2], x[..., 1::2])):
+                measured = vars(ShapeStatistics.of(ScaledSamples.of(np.ascontiguousarray(part))))
+                found |= {f"{name} {i}": value for name, value in measured.items()}
+            return {
+                name: (("channel",) if image.ndim == 3 else (), image.astype(np.float32))
+                for name, image in found.items()
+            }
+
+        maps = image.map(of_tile, dependent=True, description="estimating", progress=progress)
+        names = [field.name for field in fields(ShapeStatistics)]
+        starts: list[dict[str, Image]] = []
+        for i in range(3):
+            part = ShapeStatistics(*(maps[f"{name} {i}"].values for name in names))
+            limited = part.or_mean(part.limited()).astype(np.float32)
+            starts.append({"mean": part.good_mean.astype(np.float32), "shared_shape": limited})
+        mean, error, null = (maps[name].values for name in ("mean", "error", "null"))
+        return cls(starts, mean, error, null, bool(maps["signed"].any()))
+
+
+def candidates(
+    starts: Mapping[str, Image], features: Mapping[str, npt.NDArray[Any]]
+) -> dict[str, Image]:
+    """Return the images that are weighted, by name, each (y, x, channel); the first is the base.
+
+    Where no sample of a pixel is good, they are 0.
+    """
+    starts = {name: np.nan_to_num(image, posinf=0, neginf=0) for name, image in starts.items()}
+    albedo = features.get("albedo")
+    normal = None if albedo is None else features.get("normal")
+    found = {}
+    for name, image in starts.items():
+        of, start = "" if name == "mean" else f" {name}", np.maximum(image, 0)
+        if albedo is not None:
+            found[f"denoised with features{of}"] = _denoised(start, albedo, normal)
+        found[f"denoised{of}"] = _denoised(start)
+    return {name: image.astype(np.float32) for name, image in (found | starts).items()}
+
+
+def _denoised(
+    image: Floats,
+    albedo: npt.NDArray[Any] | None = None,
+    normal: npt.NDArray[Any] | None = None,
+) -> Floats:
+    """Return an image denoised; a black one, in which the denoiser sees light, as it is."""
+    return denoise(image, albedo=albedo, normal=normal) if image.any() else image
+
+
+def compare_halves(
+    measured: Measured, features: Mapping[str, npt.NDArray[Any]]
+) -> tuple[list[str], Image, Image, Image]:
+    """Return candidates, and how those of half the samples compare with the other half.
+
+    Returns
+    -------
+    names : list of str
+    full : ndarray
+        The candidates from all samples, shape (candidate, y, x, channel).
+    inputs : ndarray
+        What the network sees, shape (y, x, number).
+    unit : ndarray
+        Radiance that errors are measured in, shape (y, x).
+    """
+    names: list[str] = []
+
+    def made(starts: Mapping[str, Image]) -> Image:
+        found = candidates(starts, features)
+        names[:] = found
+        return np.stack(list(found.values()))
+
+    full = made(measured.starts[0])
+    parts = np.stack([made(starts) for starts in measured.starts[1:]])
+    targets = np.stack([np.nan_to_num(part["mean"]) for part in measured.starts[:0:-1]])
+    inputs, unit = _inputs(
+        full,
+        parts,
+        targets.astype(np.float32),
+        np.square(measured.error),
+        measured.null,
+        measured.mean,
+    )
+    return names, full, inputs, unit
+
+
+def _mean_and_error(x: Image) -> tuple[Floats, Floats]:
+    """Return the mean of the samples that are good in all channels, and its standard error."""
+    good = np.isfinite(x).all(axis=2, keepdims=True)
+    n = np.maximum(good.sum(axis=-1), 1)
+    kept = np.where(good, x, 0)
+    mean = kept.sum(axis=-1, dtype=np.float64) / n
+    apart = np.where(good, kept - mean[..., np.newaxis], 0)
+    return mean, np.sqrt(np.square(apart).sum(axis=-1) / (n * np.maximum(n - 1, 1)))
+
+
+def _inputs(
+    full: Image, parts: Image, targets: Image, variance: Floats, null: Floats, mean: Floats
+) -> tuple[Image, Image]:
+    """Return what the network sees: logarithms, ratios and standard scores, without a unit.
+
+    Of each candidate against the first: which mixture of the two the other half of the samples asks
+    for (the slope of a regression without constant) and its standard error, in three windows; how
+    far they are apart, and on which side. Of each candidate: how far those of the two halves are
+    apart, and how many standard errors of the mean it is from the mean.
+    """
+    overall = float(np.abs(full[0]).mean(dtype=np.float64)) or 1.0
+    unit = _smooth(np.abs(full).mean(axis=(0, 3)), _SCALES[0]) + _FAINT * overall
+    error = np.sqrt(variance.mean(axis=-1))
+    noise = [_smooth(variance.mean(axis=-1), s) for s in _SCALES[:2]]
+    count = 5 + (2 * len(_SCALES) + 3) * (len(full) - 1) + 3 * len(full)
+    found = np.empty((*unit.shape, count), np.float32)
+    place = iter(range(count))
+
+    def tell(*images: Floats) -> None:
+        for image in images:
+            found[..., next(place)] = image
+
+    tell(
+        _log(error / unit, 1e-4),
+        _log(np.sqrt(noise[0]) / unit, 1e-4),
+        _log(np.sqrt(noise[1]) / _smooth(unit, _SCALES[1]), 1e-4),
+        _smooth(null, _SCALES[0]),
+        np.log(unit / overall),
+    )
+    scale = unit[..., np.newaxis]
+    doubt = 2 * variance / scale**2
+    parts /= scale  # in place: of a large image, each of these arrays takes much memory
+    targets /= scale
+    for j in range(1, len(full)):
+        apart = parts[:, j] - parts[:, 0]
+        towards = (apart * (targets - parts[:, 0])).mean(axis=(0, 3))
+        squared = np.square(apart).mean(axis=(0, 3))
+        of_noise = (np.square(apart) * doubt).mean(axis=(0, 3)) / 2
+        for s in _SCALES:
+            whole = _smooth(squared, s) + 1e-8
+            slope = _smooth(towards, s) / whole
+            spread = np.sqrt(_smooth(of_noise, s) / (4 * np.pi * s * s)) / whole
+            tell(np.clip(slope, -1, 2), np.clip(_log(spread, 1e-3), -7, 3))
+        tell(_log(np.sqrt(_smooth(squared, _SCALES[0])), 1e-4))
+        moved = (full[j] - full[0]) / scale
+        size = _smooth(np.square(moved).mean(axis=-1), _SCALES[0])
+        tell(np.arcsinh(3 * moved.mean(axis=-1)), _log(np.sqrt(size), 1e-4))
+    for j in range(len(full)):
+        between = _smooth(np.var(parts[:, j], axis=0).mean(axis=-1), _SCALES[0])
+        score = (full[j] - mean).mean(axis=-1) / (error + 1e-3 * unit)
+        around = _smooth(np.minimum(np.square(score), 1e6), _SCALES[0])
+        tell(_log(np.sqrt(between), 1e-4), np.arcsinh(score), _log(np.sqrt(around), 1e-2))
+    return found, unit.astype(np.float32)
+
+
+def _smooth(image: Floats, scale: float) -> Floats:
+    smooth = ndimage.gaussian_filter(image.astype(np.float32), scale, mode="nearest", truncate=3)
+    return np.asarray(np.maximum(smooth, 0) if (image >= 0).all() else smooth)
+
+
+def _log(x: Floats, least: float) -> Floats:
+    return np.asarray(np.log(x + least))
