@@ -50,6 +50,8 @@ _BELOW = 0.001
 """Probability, for normal samples, that radiance is less than its floor."""
 _AGREES = 1.5
 """Standard errors that the sum of an image is left away from that of the mean."""
+_MOST = 0.05
+"""Share of its radiance that a pixel is given back at most."""
 LEAST = 4
 """Samples of a pixel, of which each half needs two."""
 
@@ -226,13 +228,13 @@ def _balanced(radiance: Floats, mean: Floats, error: Floats) -> Floats:
     """Return an image whose sum agrees with that of the mean, which has no bias.
 
     What denoised images lose or add beyond `_AGREES` standard errors of that sum is given back in
-    proportion to radiance, at most to twice the standard error of a pixel, so that what is certain
-    stays; by no more than one standard error.
+    proportion to radiance, or to twice the standard error of a pixel that is known better, so that
+    what is certain stays. It is no more than `_MOST` of it: more would be guessed at.
     """
     apart = float(radiance.sum(dtype=np.float64) - mean.sum())
     lost = np.sign(apart) * max(abs(apart) - _AGREES * _error_of_sum(error), 0)
     share = np.clip(radiance, 0, 2 * error)
-    return np.asarray(radiance - np.clip(lost / (share.sum() or 1), -0.5, 0.5) * share)
+    return np.asarray(radiance - np.clip(lost / (share.sum() or 1), -_MOST, _MOST) * share)
 
 
 def _error_of_sum(error: Floats) -> float:

@@ -53,13 +53,13 @@ def test_it_is_the_default_and_each_candidate_has_its_share(samples, found):
 
 def test_light_that_denoisers_lose_is_given_back_but_not_to_what_is_certain():
     rng = np.random.default_rng(1)
-    found_one = rng.random((64, 64, 1, 16)) < 0.05
-    x = np.where(found_one, 8, 0.1) * rng.exponential(size=found_one.shape)
+    found_one = rng.random((64, 64, 1, 16)) < 0.1
+    x = np.where(found_one, 5, 0.1) * rng.exponential(size=found_one.shape)
     x = np.repeat(x, 3, axis=2).astype(np.float32)
     x[:8, :8] = 0.7
     found, made = combine(x), candidates(Measured.of(chd.Samples.from_array(x)).starts[0], {})
     mixed = sum(found.weights[name][..., np.newaxis] * made[name] for name in made)
-    assert mixed.mean() / x.mean() - 1 < -4 * found.bias_error
+    assert mixed.mean() / x.mean() - 1 < -2 * found.bias_error
     assert -1.6 * found.bias_error < found.bias < 0
     certain = slice(8), slice(8)
     assert np.allclose(found.radiance[certain], np.maximum(mixed, 0.7)[certain], rtol=1e-4)
