@@ -33,7 +33,7 @@ from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, req
 from chdstat.studies.scene_data import PixelSet, SceneData, logs
 from chdstat.summary.bins import linear_support
 
-__all__ = ["STATEMENTS", "measure_alike", "measure_bounces", "measure_direct", "statement"]
+__all__ = ["STATEMENTS", "measure_bounces", "measure_direct", "measure_similarity", "statement"]
 
 _MAJORITY = 0.5
 _LEAST = 100
@@ -336,7 +336,7 @@ def _density(x: Floats) -> tuple[Floats, Floats]:
 # --- indirect light and several bounces -----------------------------------------------------------
 
 
-def measure_alike(data: SceneData) -> Outcome:
+def measure_similarity(data: SceneData) -> Outcome:
     """Compare the shapes of indirect regions with each other, and their noise with direct light."""
     needed = "two regions of indirect light, far from each other"
     indirect, direct = data.patch("indirect", needed), _pixels(data, "direct")

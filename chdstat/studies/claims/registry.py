@@ -261,7 +261,7 @@ FINDINGS = (
         "distant indirect light",
         "CHDs of indirect light have one shape all over a room, and vary more than those of "
         "direct light.",
-        case_study.measure_alike,
+        case_study.measure_similarity,
     ),
     Claim(
         22,
