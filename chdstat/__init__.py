@@ -17,6 +17,7 @@ _FUNCTIONS = {
     "analyze": "analysis",
     "atlas": "patterns",
     "classify": "patterns",
+    "bench": "comparison",
     "compare": "comparison",
     "contrast": "inference",
     "difference": "inference",

@@ -14,7 +14,7 @@ from chdstat.errors import InputError
 if TYPE_CHECKING:
     from chdstat.comparison import Comparison, ErrorCurve
 
-__all__ = ["compare", "contrast", "estimate", "train"]
+__all__ = ["bench", "compare", "contrast", "estimate", "train"]
 
 _COMPARED = {
     "estimator": "estimator",
@@ -320,6 +320,87 @@ def contrast(
     output.say_next(quiet, f"chdstat explore {a} --other {b}")
     if code := _CODES[found.outcome]:
         raise typer.Exit(code)
+
+
+@cli.app.command(epilog="Example: chdstat bench cornell-box bathroom --spp 16 -o table.tex")
+def bench(
+    scenes: Annotated[
+        list[str],
+        typer.Argument(metavar="SCENE|STORE...", help="Built-in names, Mitsuba XML files, stores."),
+    ],
+    estimator: Annotated[
+        list[str] | None, cli.compared("mean, mean + OIDN features, combination")
+    ] = None,
+    spp: Annotated[
+        list[int] | None,
+        typer.Option(help="Samples per pixel to estimate from; repeat.", show_default="16 and 64"),
+    ] = None,
+    seeds: Annotated[int, typer.Option(help="Renders of each scene, averaged over.")] = 1,
+    seed: cli.Seed = 0,
+    size: cli.Size = None,
+    reference: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SCENE=FILE",
+            help="A converged EXR file, or a store of other samples; can be repeated.",
+            show_default="rendered with another seed",
+        ),
+    ] = None,
+    reference_spp: Annotated[
+        int, typer.Option(help="Samples per pixel of a rendered reference.")
+    ] = 2048,
+    image: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME@SCENE=FILE",
+            help="A finished image of another program, EXR; can be repeated.",
+            show_default="none",
+        ),
+    ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(help="Where renders and references are kept.", show_default="none"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Table to write: .csv, .tex, .json.", show_default="none"),
+    ] = None,
+    plugin: cli.Plugins = None,
+    quiet: cli.Quiet = False,
+    as_json: cli.Json = False,
+) -> None:
+    """Compare estimators on several scenes against converged references, as a paper would."""
+    import chdstat
+    from chdstat.comparison.benchmark import DEFAULT
+    from chdstat.comparison.cases import check_target
+
+    if out is not None:
+        check_target(out)  # refused before the work
+    cli.load_plugins(plugin)
+    images: dict[str, dict[str, str]] = {}
+    for key, file in cli.pairs_of("--image", image).items():
+        name, _, scene = key.partition("@")
+        images.setdefault(name, {})[scene] = file
+    found = chdstat.bench(
+        scenes,
+        estimator or DEFAULT,
+        spp=spp or (16, 64),
+        seeds=seeds,
+        seed=seed,
+        size=cli.size_of(size),
+        references=cli.pairs_of("--reference", reference),
+        reference_spp=reference_spp,
+        images=images,
+        folder=folder,
+        progress=not quiet,
+    )
+    if out is not None:
+        found.save(out)
+    if as_json:
+        output.print_json(found.to_dict())
+    else:
+        typer.echo(found)
+    output.say_next(quiet, f"chdstat compare STORE -e {found.estimators[-1]} --patterns")
 
 
 _CODES = {"no difference found": 0, "differ": 3, "cannot tell": 4}

@@ -192,7 +192,7 @@ def scene_of(name: str, define: list[str] | None) -> Scene:
     """Return a scene by name or file, with its parameters."""
     from chdstat.scenes import load_scene
 
-    return load_scene(name, **_pairs_of("-D", define))
+    return load_scene(name, **pairs_of("-D", define))
 
 
 def source_of(source: str, define: list[str] | None) -> Path | Scene:
@@ -248,7 +248,7 @@ def thresholds_of(given: list[str] | None) -> Thresholds:
 
     known = [field.name for field in fields(Thresholds)]
     values = {}
-    for name, value in _pairs_of("--threshold", given).items():
+    for name, value in pairs_of("--threshold", given).items():
         if name not in known:
             message = f"--threshold takes one of {', '.join(known)}, got {name!r}"
             raise InputError(message)
@@ -260,7 +260,7 @@ def thresholds_of(given: list[str] | None) -> Thresholds:
     return Thresholds(**values)
 
 
-def _pairs_of(option: str, given: list[str] | None) -> dict[str, str]:
+def pairs_of(option: str, given: list[str] | None) -> dict[str, str]:
     """Return what was given as ``KEY=VALUE``."""
     pairs = {}
     for text in given or []:
@@ -354,6 +354,7 @@ _FLOW = (
     "analyze",
     "contrast",
     "compare",
+    "bench",
     "train",
     "estimate",
     "report",

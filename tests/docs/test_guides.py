@@ -39,6 +39,7 @@ ELSEWHERE = {
     "study -o study.pdf": "tests/studies/test_study.py",  # the same with every scene
 }
 SMALL = {
+    "bench": "--size 12x12 --reference-spp 64",
     "render": "--spp 8 --size 12x12 --backend scalar",
     "report": "--iterations 2",
     "train": "--iterations 2",

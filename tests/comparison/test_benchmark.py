@@ -1,0 +1,135 @@
+"""Benchmark: errors that are known, what judges, and what is written of it."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import chdstat as chd
+from chdstat.cli import main
+from chdstat.comparison import denoised
+from chdstat.errors import InputError
+from chdstat.estimators import Estimator
+
+SHAPE = (48, 64)
+TRUTH = np.stack([np.full(SHAPE, value) for value in (2.0, 1.0, 0.5)], axis=-1)
+
+
+def times(factor: float) -> Estimator:
+    return Estimator(f"x{factor}", lambda x: factor * np.asarray(x).mean(axis=-1), "known")
+
+
+def images(seed: int, n: int = 64, noise: float = 1.0) -> chd.Samples:
+    """Return samples of `TRUTH` with a variance that is known."""
+    rng = np.random.default_rng(seed)
+    x = TRUTH[..., np.newaxis] * (1 + noise * rng.standard_normal((*TRUTH.shape, n)))
+    return chd.Samples.from_array(x.astype(np.float32))
+
+
+@pytest.fixture(scope="module")
+def found():
+    scenes, references = {"a": images(1), "b": images(2)}, {"a": TRUTH, "b": images(3, 256)}
+    entries = ["mean", times(1.5), times(0.0)]
+    return chd.bench(scenes, entries, spp=[16, 64], references=references, progress=False)
+
+
+def test_errors_and_biases_are_those_that_are_known(found):
+    rows = {(r["scene"], r["spp"], r["estimator"]): r for r in found.table()}
+    assert len(rows) == 2 * 2 * 3
+    square = np.square(TRUTH).mean()
+    for scene in "ab":
+        for n in (16, 64):
+            mean, brighter, black = (rows[scene, n, k] for k in ("mean", "x1.5", "x0.0"))
+            # Without the noise of the reference: that of b has 256 samples.
+            assert mean["mse"] == pytest.approx(square / n, rel=0.06)
+            assert brighter["mse"] == pytest.approx(square * (1.5**2 / n + 0.25), rel=0.04)
+            assert black["mse"] == pytest.approx(square, rel=0.04)
+            assert black["smape"] == pytest.approx(2, rel=0.04)
+            assert brighter["bias"] == pytest.approx(0.5, abs=0.02)
+            assert black["bias"] == pytest.approx(-1)
+            assert brighter["mse_ratio_low"] < brighter["mse_ratio"] < brighter["mse_ratio_high"]
+            assert mean["mse_ratio"] == 1
+
+
+def test_geometric_means_and_ranks_are_over_all_cases(found):
+    ratios = [(2.25 / n + 0.25) * n for n in (16, 64)] * 2
+    mean = found.geometric_mean("x1.5")
+    assert mean.low < np.exp(np.log(ratios).mean()) < mean.high
+    assert mean.high < 1.1 * mean.low
+    assert [found.rank(name).value for name in found.estimators] == [1, 2, 3]
+    assert found.summary()[2]["worst"] == pytest.approx(64, rel=0.06)
+
+
+def test_it_shows_itself_and_is_written(found, tmp_path):
+    assert "x1.5" in repr(found)
+    assert len(repr(found).splitlines()) <= 10
+    assert found.to_latex().count(r"\\") == 4
+    table = pd.read_csv(found.save(tmp_path / "a.csv"))
+    assert list(table["estimator"]) == [row["estimator"] for row in found.table()]
+    assert json.loads(found.save(tmp_path / "a.json").read_text())["baseline"] == "mean"
+    with pytest.raises(InputError, match=r"\.csv, \.tex, \.json, got"):
+        found.save(tmp_path / "a.xls")
+
+
+def test_samples_that_are_left_over_judge_and_seeds_are_averaged(tmp_path):
+    own = chd.bench([images(1, 192)], ["mean"], spp=[64], progress=False).table()[0]
+    assert own["mse"] == pytest.approx(np.square(TRUTH).mean() / 64, rel=0.06)
+    options = {"spp": [4], "size": (16, 16), "reference_spp": 64, "folder": tmp_path}
+    entries = ["mean", denoised("mean"), "median"]
+    two = chd.bench(["cornell-box"], entries, seeds=2, progress=False, **options)
+    files = {path.name for path in tmp_path.iterdir()}
+    assert files == {"cornell-box-0.zarr", "cornell-box-1.zarr", "cornell-box-reference.npz"}
+    again = chd.bench(["cornell-box"], entries, seeds=2, progress=False, **options)
+    one = chd.bench(["cornell-box"], entries, progress=False, **options)
+    errors = [[row["mse"] for row in table.table()] for table in (two, again, one)]
+    assert errors[0] == errors[1] != errors[2]
+    assert two.table()[1]["seconds"] > 0
+    assert two.table()[1]["mse_equal_time"] > two.table()[1]["mse_ratio"]
+
+
+def test_a_finished_image_takes_part(tmp_path):
+    file = tmp_path / "done.exr"
+    chd.io.write_exr(file, (1.1 * TRUTH).astype(np.float32))
+    scene = {"a": images(1)}
+    options = {"spp": [16], "references": {"a": TRUTH}, "progress": False}
+    found = chd.bench(scene, ["mean"], images={"other": {"a": file}}, **options)
+    row = found.table()[1]
+    assert row["mse"] == pytest.approx(0.01 * np.square(TRUTH).mean(), rel=1e-3)
+    assert np.isnan(row["seconds"])
+    with pytest.raises(InputError, match="give the finished images of each"):
+        chd.bench(scene, ["mean"], images={"o": {"a": file}}, **options | {"spp": [4, 8]})
+    chd.io.write_exr(file, np.ones((8, 8, 3), np.float32))
+    with pytest.raises(InputError, match=r"shape \(8, 8, 3\), its scene"):
+        chd.bench(scene, ["mean"], images={"other": {"a": file}}, **options)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"estimators": ["progressive"]}, "trains against a reference"),
+        ({"estimators": ["nonsense"]}, "nonsense"),
+        ({"baseline": "median"}, "baseline must be one of mean"),
+        ({"images": {"mean": {}}}, "different names"),
+        ({"spp": [512], "references": {"a": TRUTH}}, "64 samples per pixel of one render"),
+        ({"spp": [48]}, "too few for a reference"),
+        ({"references": {"a": TRUTH[:4]}}, r"the reference of a has shape \(4, 64, 3\)"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(change, told):
+    options = {"estimators": ["mean"], "spp": [16], "progress": False, **change}
+    with pytest.raises(InputError, match=told):
+        chd.bench({"a": images(1)}, **options)
+
+
+def test_the_command_prints_and_writes_the_table(tmp_path, monkeypatch, capsys):
+    images(1, 64).save(tmp_path / "a.zarr")
+    chd.io.write_exr(tmp_path / "truth.exr", TRUTH.astype(np.float32))
+    monkeypatch.chdir(tmp_path)
+    line = "bench a.zarr -e mean -e median --spp 16 --reference a=truth.exr -o t.tex -q --image "
+    monkeypatch.setattr("sys.argv", ["chdstat", *(line + "ideal@a=truth.exr").split()])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert not ended.value.code
+    assert "ideal" in capsys.readouterr().out
+    assert "median" in (tmp_path / "t.tex").read_text()
