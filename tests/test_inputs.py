@@ -24,7 +24,7 @@ from chdstat.summary.statistics import Summary
 
 HEIGHT, WIDTH, SPP = 4, 6, 32
 DIMS = ("y", "x", "channel", "sample")
-FILMS = {"render", "render_batches", "render_pixels", "report", "study", "explore"}
+FILMS = {"bench", "render", "render_batches", "render_pixels", "report", "study", "explore"}
 """What renders, and takes a size."""
 
 
