@@ -253,5 +253,5 @@ def _shown(row: Mapping[str, Any]) -> dict[str, str]:
         "relMSE": ratios["relmse"],
         "SMAPE": ratios["smape"],
         "rank": f"{row['rank']:.1f}",
-        "worst MSE": number(row["worst"]),
+        "worst": number(row["worst"]),
     }

@@ -24,6 +24,7 @@ from chdstat.estimators.estimates import estimate, write_estimates
 from chdstat.estimators.mlp import MLP, PRESETS, Preset
 from chdstat.estimators.models import load_model, train_model
 from chdstat.estimators.neighbourhood import Fireflies
+from chdstat.estimators.nlmeans import rousselle2012
 from chdstat.estimators.outliers import Cascade
 from chdstat.estimators.progressive import Estimates, Profile, Progressive, Stream
 from chdstat.estimators.registry import (
@@ -63,10 +64,11 @@ __all__ = [
     "names",
     "register",
     "register_learned",
+    "rousselle2012",
     "train_model",
     "write_estimates",
 ]
-__all__ += [name for name in names() if isinstance(lookup(name), Estimator)]
+__all__ += [n for n in names() if isinstance(lookup(n), Estimator) and n not in __all__]
 
 
 def __getattr__(name: str) -> Callable[..., npt.NDArray[Any]]:

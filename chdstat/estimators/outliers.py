@@ -23,7 +23,7 @@ from chdstat.estimators import registry
 from chdstat.estimators.registry import Array, Floats, register
 from chdstat.estimators.similarity import window_sum
 
-__all__ = ["Cascade", "decoro2010", "karis2013", "zirr2018", "zirr2018_pixel"]
+__all__ = ["Cascade", "clamped", "decoro2010", "karis2013", "zirr2018", "zirr2018_pixel"]
 
 
 _DARKEST = 0.05
@@ -275,6 +275,55 @@ def karis2013(x: Array, *, unit: float | None = None) -> Array:
     total = weight.sum(axis=-1)[..., np.newaxis]
     found = np.vecdot(kept, weight[..., np.newaxis, :])
     return np.where(total > 0, found / np.where(total > 0, total, 1), registry.mean_of_good(x))
+
+
+@register("clamped", "Pharr, Jakob and Humphreys 2023, pbr-book.org", joint_channels=True)
+def clamped(x: Array, *, limit: float = 10.0, unit: float | None = None) -> Array:
+    """Mean of clamped samples: one whose largest channel exceeds a limit is scaled down to it.
+
+    What renderers offer against fireflies: ``maxcomponentvalue`` of pbrt's film, which keeps the
+    colour of a sample, and the clamping of light paths in Cycles. All light above the limit is
+    lost, that of lamps in view and of their reflections, too: bias is to the dark.
+
+    Parameters
+    ----------
+    x
+        Samples, shape (..., channel, sample), 1 or 3 channels. A sample of which any channel is
+        NaN or infinite is left out.
+    limit
+        Larger than 0, in units of `unit`. Cycles clamps indirect light at 10 by default, pbrt
+        nothing.
+    unit
+        Radiance of 1; None exposes all pixels given so that their log-average is 0.18.
+
+    Returns
+    -------
+    ndarray
+        Estimates, shape (..., channel), as `zirr2018` returns them.
+
+    Raises
+    ------
+    InputError
+        If `x` has no channels, or not 1 or 3 of them, or `limit` or `unit` is not positive.
+
+    References
+    ----------
+    M. Pharr, W. Jakob and G. Humphreys, "Physically Based Rendering", 4th edition, 2023, section
+    5.4.6, https://pbr-book.org. Blender manual, "Cycles: Light paths, clamping".
+
+    Examples
+    --------
+    >>> float(clamped([[1.0] * 31 + [900.0]], unit=1.0)[0].round(2))
+    1.28
+    """
+    registry.check_positive(limit=limit)
+    kept, whole = registry.whole_samples(x)
+    bright, count = luminance(kept), np.count_nonzero(whole, axis=-1)
+    exposed = exposure_unit(bright.sum(axis=-1, dtype=np.float64) / np.maximum(count, 1), unit)
+    largest, highest = kept.max(axis=-2), limit * np.float64(exposed)
+    weight = np.where(largest > highest, highest / np.where(largest > 0, largest, 1), 1.0)
+    found = np.vecdot(kept, weight[..., np.newaxis, :]) / np.maximum(count, 1)[..., np.newaxis]
+    return np.where(count[..., np.newaxis] > 0, found, registry.mean_of_good(x))
 
 
 @register(
