@@ -6,6 +6,7 @@ import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, NoReturn
 
 import numpy as np
@@ -59,22 +60,26 @@ class LiveScene:
         scene: Any = value
         return bool(scene.class_name() == "Scene")
 
-    @property
-    def content(self) -> dict[str, Any]:
-        """What tells it from another one: what it prints, its parameters, and code in Python."""
+    def parts(self) -> list[Any]:
+        """Return what each object prints and its parameters, which tell a scene from another one.
+
+        Mitsuba builds objects in parallel, so that their order is another each time.
+        """
         import mitsuba as mi
 
-        names: dict[str, str] = {}
+        scene, found = self.value, []
+        shapes = scene.shapes()
+        objects = [*shapes, *(s.bsdf() for s in shapes), *scene.emitters(), *scene.sensors()]
+        for part in (*objects, scene.integrator()):
+            if part is not None:
+                held = [(_ADDRESS.sub("object", name), value) for name, value in mi.traverse(part)]
+                found.append([_ADDRESS.sub("object", str(part)), sorted(held, key=itemgetter(0))])
+        return found
 
-        def numbered(found: re.Match[str]) -> str:
-            return names.setdefault(found[0], f"object {len(names)}")
-
-        parameters = {_ADDRESS.sub(numbered, k): v for k, v in mi.traverse(self.value)}
-        return {
-            "printed": _ADDRESS.sub(numbered, str(self.value)),
-            "parameters": parameters,
-            "code": code_of(list(self._in_python())),
-        }
+    @property
+    def code(self) -> dict[str, str]:
+        """Digests of the classes of its objects that are written in Python, by name."""
+        return code_of(list(self._in_python()))
 
     def _in_python(self) -> Iterator[Any]:
         """Yield its objects whose classes are written in Python."""

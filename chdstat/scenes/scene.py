@@ -77,7 +77,8 @@ class Scene(Shown):
         digest = hashlib.sha256()
         with _bounded(self.name):
             if isinstance(self.source, LiveScene):
-                _hash_value(digest, self.source.content)
+                parts = sorted(map(_digest_of, self.source.parts()))
+                _hash_value(digest, [*parts, self.source.code])
             elif not isinstance(self.source, Path):
                 _hash_value(digest, self.source)
             _hash_value(digest, dict(sorted(self.parameters.items())))
@@ -135,6 +136,12 @@ def _bounded(name: str) -> Iterator[None]:
     except RecursionError as error:
         message = f"the description of scene {name!r} is nested too deep, or holds itself"
         raise SceneError(message) from error
+
+
+def _digest_of(value: Any) -> str:
+    digest = hashlib.sha256()
+    _hash_value(digest, value)
+    return digest.hexdigest()
 
 
 def _hash_value(digest: Any, value: Any) -> None:

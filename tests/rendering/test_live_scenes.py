@@ -85,6 +85,20 @@ def test_a_store_goes_on_with_it_until_it_is_changed(mi, tmp_path):
     assert chd.open(out).spp == 6
 
 
+def test_its_hash_does_not_depend_on_where_or_in_which_order_objects_are_built(mi):
+    built = [mi.load_dict(mi.cornell_box()) for _ in range(40)]  # a fifth in another order
+    assert len({chd.load_scene(scene).hash for scene in built}) == 1
+    for change in ("white.reflectance.value", "light.to_world", "sensor.x_fov"):
+        scene = mi.load_dict(mi.cornell_box())
+        parameters = mi.traverse(scene)
+        value = parameters[change]
+        parameters[change] = value @ value if change == "light.to_world" else 0.9 * value
+        parameters.update()
+        assert chd.load_scene(scene).hash != chd.load_scene(built[0]).hash
+    glass = {**mi.cornell_box(), "large-box": {"type": "cube", "bsdf": {"type": "dielectric"}}}
+    assert chd.load_scene(mi.load_dict(glass)).hash != chd.load_scene(built[0]).hash
+
+
 def test_what_it_cannot_do_is_told(mi):
     built = mi.load_dict(mi.cornell_box())
     with pytest.raises(InputError, match="of the variant scalar_rgb, which cannot render with"):
