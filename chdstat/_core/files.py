@@ -79,13 +79,13 @@ def check_claim(path: Path, claimed: int) -> None:
 # --- outputs ------------------------------------------------------------------------------------
 
 
-def checked_target(path: str | Path, suffix: str) -> Path:
+def checked_target(path: str | Path, *suffixes: str) -> Path:
     """Return a path that a file can be written to.
 
     Raises
     ------
     InputError
-        If it does not end in `suffix`, is a folder, or lies in none that can be written to.
+        If it ends in none of `suffixes`, is a folder, or lies in none that can be written to.
 
     Examples
     --------
@@ -95,8 +95,8 @@ def checked_target(path: str | Path, suffix: str) -> Path:
     chdstat.errors.InputError: the path to write must end in .exr, got 'image.png'
     """
     target = Path(path)
-    if target.suffix.lower() != suffix:
-        message = f"the path to write must end in {suffix}, got {str(target)!r}"
+    if target.suffix.lower() not in suffixes:
+        message = f"the path to write must end in {', '.join(suffixes)}, got {str(target)!r}"
         raise InputError(message)
     if not target.parent.is_dir():
         message = f"the folder {str(target.parent)!r} does not exist; create it first"

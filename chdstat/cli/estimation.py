@@ -371,11 +371,12 @@ def bench(
 ) -> None:
     """Compare estimators on several scenes against converged references, as a paper would."""
     import chdstat
+    from chdstat._core.files import checked_target
     from chdstat.comparison.benchmark import DEFAULT
-    from chdstat.comparison.cases import check_target
+    from chdstat.comparison.cases import FORMATS
 
     if out is not None:
-        check_target(out)  # refused before the work
+        checked_target(out, *FORMATS)  # refused before the work
     cli.load_plugins(plugin)
     images: dict[str, dict[str, str]] = {}
     for key, file in cli.pairs_of("--image", image).items():

@@ -124,30 +124,31 @@ def bench(
     (['mean', 'median'], 1.0)
     """
     numbers, seeds = sorted({whole("spp", n, least=1) for n in spp}), whole("seeds", seeds, least=1)
-    entries = resolve([_entry(given) for given in estimators], numbers)
+    given = [_entry(one) for one in estimators]
+    entries = resolve(given, numbers)
     for name, entry in entries.items():
         if isinstance(entry.entry if isinstance(entry, Denoised) else entry, LearnedEstimator):
             message = f"{name!r} trains against a reference; give an Estimator of a trained model"
             raise InputError(message)
-    names = _order([_entry(given).name for given in estimators], images)
+    names = _order([entry.name for entry in given], images)
     baseline = names[0] if baseline is None else baseline
     if baseline not in names:
         message = f"baseline must be one of {', '.join(names)}; got {baseline!r}"
         raise InputError(message)
     named = scenes if isinstance(scenes, Mapping) else {_name(scene): scene for scene in scenes}
-    source = _Source(numbers, seed_number(seed), seeds, size or _SIZE, reference_spp, folder)
+    source = _Inputs(numbers, seed_number(seed), seeds, size or _SIZE, reference_spp, folder)
     cases: list[Case] = []
     with track("benchmark", len(named) * seeds, unit="render", show=progress) as advance:
         for name, scene in named.items():
             parts: list[list[Case]] = []
             truth = source.reference(name, scene, (references or {}).get(name))
-            judge = partial(_judged, entries, images or {}, numbers, truth)
+            measure = partial(_measured, entries, images or {}, numbers, truth)
             for i in range(seeds):
                 samples = source.samples(name, scene, i)
                 if not (cases or parts):  # networks are loaded before time is taken
                     for entry in entries.values():
                         _estimated(entry, samples.isel(y=slice(_SMALL), x=slice(_SMALL)))
-                parts.append(judge(samples, name))
+                parts.append(measure(samples, name))
                 advance(1)
             cases += [Case.average([part[k] for part in parts]) for k in range(len(numbers))]
     return Bench(tuple(names), baseline, tuple(cases))
@@ -178,7 +179,7 @@ def _name(scene: Any) -> str:
 
 
 @dataclass(frozen=True)
-class _Source:
+class _Inputs:
     """Where samples and references come from."""
 
     numbers: Sequence[int]
@@ -258,7 +259,7 @@ def _mean(samples: Samples) -> tuple[Array, Array]:
     return found["mean"].values, found["variance"].values / samples.spp
 
 
-def _judged(
+def _measured(
     entries: Mapping[str, Entry],
     images: Images,
     numbers: Sequence[int],

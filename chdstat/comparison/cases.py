@@ -13,18 +13,19 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.display import Card, Shown, number
+from chdstat._core.files import checked_target, replacing
 from chdstat._core.resampling import Blocks, Interval, interval_of
-from chdstat.errors import InputError
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["MEASURES", "Bench", "Case", "check_target"]
+__all__ = ["FORMATS", "MEASURES", "Bench", "Case"]
 
 Array = npt.NDArray[Any]
 
 MEASURES = ("mse", "relmse", "smape")
-_FORMATS = (".csv", ".tex", ".json")
+FORMATS = (".csv", ".tex", ".json")
+"""What a benchmark is written to."""
 _LEAST = 1e-3
 """Least ratio of errors: where the noise of the reference is subtracted, one may be below 0."""
 
@@ -224,25 +225,18 @@ class Bench(Shown):
         Raises
         ------
         InputError
-            If the path ends otherwise.
+            If the path ends otherwise, or cannot be written to.
         """
-        target = Path(path)
-        check_target(target)
+        target = checked_target(path, *FORMATS)
         if target.suffix == ".csv":
             text = str(self.to_dataframe().to_csv(index=False))
         elif target.suffix == ".tex":
             text = self.to_latex()
         else:
             text = json.dumps(self.to_dict(), indent=1)
-        target.write_text(text, encoding="utf-8")
+        with replacing(target) as partial:
+            partial.write_text(text, encoding="utf-8")
         return target
-
-
-def check_target(path: Path) -> None:
-    """Raise InputError for a path that no benchmark is written to."""
-    if path.suffix not in _FORMATS:
-        message = f"a benchmark is written to {', '.join(_FORMATS)}, got {str(path)!r}"
-        raise InputError(message)
 
 
 def _shown(row: Mapping[str, Any]) -> dict[str, str]:

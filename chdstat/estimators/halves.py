@@ -128,15 +128,8 @@ def compare_halves(
     unit : ndarray
         Radiance that errors are measured in, shape (y, x).
     """
-    names: list[str] = []
-
-    def made(starts: Mapping[str, Image]) -> Image:
-        found = candidates(starts, features)
-        names[:] = found
-        return np.stack(list(found.values()))
-
-    full = made(measured.starts[0])
-    parts = np.stack([made(starts) for starts in measured.starts[1:]])
+    names, full = _stacked(candidates(measured.starts[0], features))
+    parts = np.stack([_stacked(candidates(s, features))[1] for s in measured.starts[1:]])
     targets = np.stack([np.nan_to_num(part["mean"]) for part in measured.starts[:0:-1]])
     inputs, unit = _inputs(
         full,
@@ -147,6 +140,10 @@ def compare_halves(
         measured.mean,
     )
     return names, full, inputs, unit
+
+
+def _stacked(images: Mapping[str, Image]) -> tuple[list[str], Image]:
+    return list(images), np.stack(list(images.values()))
 
 
 def _mean_and_error(x: Image) -> tuple[Floats, Floats]:
@@ -177,11 +174,11 @@ def _inputs(
     found = np.empty((*unit.shape, count), np.float32)
     place = iter(range(count))
 
-    def tell(*images: Floats) -> None:
+    def write(*images: Floats) -> None:
         for image in images:
             found[..., next(place)] = image
 
-    tell(
+    write(
         _log(error / unit, 1e-4),
         _log(np.sqrt(noise[0]) / unit, 1e-4),
         _log(np.sqrt(noise[1]) / _smooth(unit, _SCALES[1]), 1e-4),
@@ -189,28 +186,28 @@ def _inputs(
         np.log(unit / overall),
     )
     scale = unit[..., np.newaxis]
-    doubt = 2 * variance / scale**2
+    target_variance = 2 * variance / scale**2
     parts /= scale  # in place: of a large image, each of these arrays takes much memory
     targets /= scale
     for j in range(1, len(full)):
         apart = parts[:, j] - parts[:, 0]
         towards = (apart * (targets - parts[:, 0])).mean(axis=(0, 3))
         squared = np.square(apart).mean(axis=(0, 3))
-        of_noise = (np.square(apart) * doubt).mean(axis=(0, 3)) / 2
+        of_noise = (np.square(apart) * target_variance).mean(axis=(0, 3)) / 2
         for s in _SCALES:
             whole = _smooth(squared, s) + 1e-8
             slope = _smooth(towards, s) / whole
             spread = np.sqrt(_smooth(of_noise, s) / (4 * np.pi * s * s)) / whole
-            tell(np.clip(slope, -1, 2), np.clip(_log(spread, 1e-3), -7, 3))
-        tell(_log(np.sqrt(_smooth(squared, _SCALES[0])), 1e-4))
+            write(np.clip(slope, -1, 2), np.clip(_log(spread, 1e-3), -7, 3))
+        write(_log(np.sqrt(_smooth(squared, _SCALES[0])), 1e-4))
         moved = (full[j] - full[0]) / scale
         size = _smooth(np.square(moved).mean(axis=-1), _SCALES[0])
-        tell(np.arcsinh(3 * moved.mean(axis=-1)), _log(np.sqrt(size), 1e-4))
+        write(np.arcsinh(3 * moved.mean(axis=-1)), _log(np.sqrt(size), 1e-4))
     for j in range(len(full)):
         between = _smooth(np.var(parts[:, j], axis=0).mean(axis=-1), _SCALES[0])
         score = (full[j] - mean).mean(axis=-1) / (error + 1e-3 * unit)
         around = _smooth(np.minimum(np.square(score), 1e6), _SCALES[0])
-        tell(_log(np.sqrt(between), 1e-4), np.arcsinh(score), _log(np.sqrt(around), 1e-2))
+        write(_log(np.sqrt(between), 1e-4), np.arcsinh(score), _log(np.sqrt(around), 1e-2))
     return found, unit.astype(np.float32)
 
 

@@ -150,7 +150,7 @@ def combine(
     low, high = radiance - half, radiance + half
     if not measured.signed:
         low = np.maximum(low, 0)
-    bias, doubt = _bias(radiance, mean, error)
+    bias, bias_error = _bias(radiance, mean, error)
     return Combination(
         radiance,
         1 - weights[..., names.index("mean")],
@@ -160,7 +160,7 @@ def combine(
         mean=measured.starts[0]["mean"],
         weights={name: weights[..., j] for j, name in enumerate(names)},
         bias=bias,
-        bias_error=doubt,
+        bias_error=bias_error,
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import re
-import sys
 from dataclasses import dataclass
 from typing import Any, NoReturn, cast
 
@@ -41,12 +40,6 @@ class IntegratorObject:
     """
 
     value: Any
-
-    @staticmethod
-    def fits(value: object) -> bool:
-        """Return whether a value is an object of Mitsuba's."""
-        mi: Any = sys.modules.get("mitsuba")
-        return mi is not None and mi.variant() is not None and isinstance(value, mi.Object)
 
     @classmethod
     def of(cls, value: Any, backend: str, color: str, max_depth: int | None) -> IntegratorObject:

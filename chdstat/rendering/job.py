@@ -15,7 +15,7 @@ from chdstat.rendering.instances import IntegratorObject, own_backend
 from chdstat.rendering.seeds import SEEDS
 from chdstat.rendering.sequences import SamplerName, Sequences
 from chdstat.scenes import Scene, SceneLike, load_scene
-from chdstat.scenes.live import LiveScene
+from chdstat.scenes.live import LiveScene, is_built
 from chdstat.scenes.plugins import Plugin, loaded, register
 from chdstat.scenes.settings import LONGEST, Asked, asked_for
 
@@ -84,7 +84,7 @@ class Job:
             live = found.source.value
             backend = own_backend("scene is one", live, backend, color)
             integrator = live.integrator() if integrator is None else integrator
-        if IntegratorObject.fits(integrator):
+        if is_built(integrator):
             integrator = IntegratorObject.of(integrator, backend, color, max_depth)
             backend = cast("Backend", integrator.backend)
         elif integrator is not None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any, NoReturn
@@ -14,7 +13,7 @@ import numpy as np
 from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import code_of
 
-__all__ = ["LiveScene"]
+__all__ = ["LiveScene", "is_built"]
 
 _SENSORS = {
     "PerspectiveCamera": "perspective",
@@ -39,6 +38,12 @@ _ELSEWHERE = (
 )
 
 
+def is_built(value: object) -> bool:
+    """Return whether a value is an object of Mitsuba's."""
+    mi: Any = sys.modules.get("mitsuba")
+    return mi is not None and mi.variant() is not None and isinstance(value, mi.Object)
+
+
 @dataclass(frozen=True, eq=False)
 class LiveScene:
     """A scene that was built by Mitsuba, as it is now; it is pickled to no other process.
@@ -54,11 +59,8 @@ class LiveScene:
     @staticmethod
     def fits(value: object) -> bool:
         """Return whether a value is a scene of Mitsuba's, of any variant."""
-        mi: Any = sys.modules.get("mitsuba")
-        if mi is None or mi.variant() is None or not isinstance(value, mi.Object):
-            return False
         scene: Any = value
-        return bool(scene.class_name() == "Scene")
+        return is_built(value) and bool(scene.class_name() == "Scene")
 
     def parts(self) -> list[Any]:
         """Return what each object prints and its parameters, which tell a scene from another one.
@@ -67,10 +69,8 @@ class LiveScene:
         """
         import mitsuba as mi
 
-        scene, found = self.value, []
-        shapes = scene.shapes()
-        objects = [*shapes, *(s.bsdf() for s in shapes), *scene.emitters(), *scene.sensors()]
-        for part in (*objects, scene.integrator()):
+        found = []
+        for part in (*self._objects(), *self.value.sensors(), self.value.integrator()):
             if part is not None:
                 held = [(_ADDRESS.sub("object", name), value) for name, value in mi.traverse(part)]
                 found.append([_ADDRESS.sub("object", str(part)), sorted(held, key=itemgetter(0))])
@@ -79,15 +79,12 @@ class LiveScene:
     @property
     def code(self) -> dict[str, str]:
         """Digests of the classes of its objects that are written in Python, by name."""
-        return code_of(list(self._in_python()))
+        unique = {id(part): part for part in self._objects() if part is not None}.values()
+        return code_of([p for p in unique if not type(p).__module__.startswith("mitsuba")])
 
-    def _in_python(self) -> Iterator[Any]:
-        """Yield its objects whose classes are written in Python."""
+    def _objects(self) -> list[Any]:
         shapes = self.value.shapes()
-        parts = [*shapes, *(s.bsdf() for s in shapes), *self.value.emitters()]
-        for part in {id(part): part for part in parts if part is not None}.values():
-            if not type(part).__module__.startswith("mitsuba"):
-                yield part
+        return [*shapes, *(shape.bsdf() for shape in shapes), *self.value.emitters()]
 
     def description(self) -> dict[str, Any]:
         """Return a scene dict of its sensors and films, which are built anew for each tile.
