@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.executor import track
+from chdstat._core.files import replacing
 from chdstat._core.resampling import Blocks
 from chdstat.comparison.candidates import Denoised, Entry, denoised, options_of, resolve
 from chdstat.comparison.cases import MEASURES, Bench, Case
@@ -242,7 +243,8 @@ class _Inputs:
         image, variance = means.mean(axis=0), means.var(axis=0, ddof=1) / len(means)
         if kept is not None:
             kept.parent.mkdir(parents=True, exist_ok=True)
-            np.savez(kept, image=image, variance=variance)
+            with replacing(kept) as partial, partial.open("wb") as stream:
+                np.savez(stream, image=image, variance=variance)
         return image, variance
 
 
