@@ -18,7 +18,7 @@ from chdstat._core.arrays import is_bad, luminance
 from chdstat.errors import InputError, Reason
 from chdstat.explorer.estimators import batches_of, fixed
 from chdstat.explorer.sources import Overall, StoreSource, tiles
-from chdstat.explorer.tones import ramp
+from chdstat.explorer.startup import ramp
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import select_part
 from chdstat.fit.tail import tail_of_part

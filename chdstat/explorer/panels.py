@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from chdstat._core.display import number
 from chdstat._core.resampling import Z_95
+from chdstat.explorer.plots import BLENDED, DASHES, PanelData, Series, Trace
 from chdstat.explorer.statistics import PlaceStatistics
-from chdstat.explorer.traces import BLENDED, DASHES, PanelData, Series, Trace
 from chdstat.explorer.view import View
 from chdstat.viz.estimators import NAMES
 

@@ -24,17 +24,14 @@ from bokeh.document import Document
 
 from chdstat.errors import ChdstatError, InputError
 from chdstat.explorer.estimators import ScoredEstimate
-from chdstat.explorer.exports import EXPORTS, exported
 from chdstat.explorer.page import Page, colorbar
-from chdstat.explorer.plots import encode_panels
+from chdstat.explorer.plots import PIXEL_COLORS, encode_panels
 from chdstat.explorer.scene_source import MOST_SPP, SceneSource
-from chdstat.explorer.selection import SelectionPlots, SelectionResults
-from chdstat.explorer.shared import Shared, Stopped
+from chdstat.explorer.selection import EXPORTS, SelectionPlots, SelectionResults, exported
+from chdstat.explorer.shared import Shared, Stopped, first_pixel
 from chdstat.explorer.sources import StoreSource
-from chdstat.explorer.suggestions import first_pixel
+from chdstat.explorer.startup import coarse_png, isolated, rgba
 from chdstat.explorer.tables import Table, headline
-from chdstat.explorer.tones import coarse_png, isolated, rgba
-from chdstat.explorer.traces import PIXEL_COLORS
 from chdstat.explorer.view import View, box_between, check_pixel, parse_view
 
 __all__ = ["Session"]

@@ -14,10 +14,9 @@ from chdstat.estimators import registry
 from chdstat.explorer import tables
 from chdstat.explorer.estimators import batches_of, fixed, quick_names, scored, scored_around
 from chdstat.explorer.panels import panels
-from chdstat.explorer.plots import encode_panels, extent
+from chdstat.explorer.plots import PanelData, Trace, encode_panels, extent, series_of
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.statistics import MOST_FITTED, PlaceStatistics, goodness
-from chdstat.explorer.traces import PanelData, Trace, series_of
 from chdstat.explorer.view import FITS, View
 from chdstat.fit.families import SELECTED
 from chdstat.inference.differences import difference

@@ -26,9 +26,8 @@ from matplotlib.image import imread
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.explorer import explore, server
-from chdstat.explorer.plots import FAINT, GROUND, TEXT
+from chdstat.explorer.plots import BLENDED, CHANNEL_COLORS, FAINT, GROUND, LIGHT, PIXEL_COLORS, TEXT
 from chdstat.explorer.startup import Startup
-from chdstat.explorer.traces import BLENDED, CHANNEL_COLORS, LIGHT, PIXEL_COLORS
 from chdstat.samples.store import Store
 
 STYLE = resources.files("chdstat.explorer") / "web" / "page.css"

@@ -26,7 +26,7 @@ from chdstat.explorer.sources import (
     pooled,
     stream,
 )
-from chdstat.explorer.tones import rgba
+from chdstat.explorer.startup import rgba
 from chdstat.fit.tail import tail_of_part
 from chdstat.patterns import classify
 from chdstat.patterns.classification import luminance_part
