@@ -9,13 +9,11 @@ Open Image Denoise.
 
 from __future__ import annotations
 
-from chdstat.io.bcd import write_bcd
-from chdstat.io.cascades import write_cascades
 from chdstat.io.denoiser import denoise
+from chdstat.io.denoiser_inputs import write_bcd, write_cascades, write_moments
 from chdstat.io.exr import ExrImage, read_exr, write_exr
 from chdstat.io.maps import write_maps, write_netcdf
 from chdstat.io.reading import read
-from chdstat.io.statmc import write_moments
 from chdstat.io.stream import get_include
 
 __all__ = [

@@ -6,16 +6,27 @@ many samples there are, and parts of many images are read without decoding these
 `open_exr` reads stacks of EXR files. Sources: Academy Software Foundation, "OpenEXR file layout",
 https://openexr.com; the attributes that count samples are those that pbrt-v4 (``samplesPerPixel``,
 src/pbrt/util/image.cpp) and Blender's Cycles (``cycles.<layer>.samples``) write.
+
+`open_rawls` reads stacks of rawls files. Such a file begins with ``IHDR``, the size of what follows
+in bytes, and width, height and number of channels, three uint32, apart by spaces or not;
+``COMMENTS`` and lines of text, of which ``#Samples n`` says how many samples the image is the
+average of; then ``DATA``, its size, and rows of pixels of float32, with a line break behind every
+pixel or behind every row. Numbers are little endian. Sources: the writers of the format,
+prise-3d/pbrt-v3 (src/core/imageio.cpp) and prise-3d/Pbrt-rawls-reader (rawls/rawls.cpp), which
+break lines behind pixels, and the Python package rawls 1.1.7 (rawls/rawls.py), which does behind
+rows and gives the size in binary.
 """
 
 from __future__ import annotations
 
 import re
+import struct
 import tempfile
 import threading
 import weakref
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -27,7 +38,7 @@ from chdstat.io.exr import read_planes
 from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples.tiles import BATCH, Image
 
-__all__ = ["Frame", "Frames", "open_exr"]
+__all__ = ["Frame", "Frames", "open_exr", "open_rawls"]
 
 Frame = tuple[Image, Mapping[str, Image]]
 """One sample of each pixel, shape (y, x, channel), and features by name."""
@@ -142,6 +153,9 @@ def _close(files: Mapping[int, IO[bytes]]) -> None:
         file.close()
 
 
+# --- EXR -----------------------------------------------------------------------------------------
+
+
 def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open EXR files of one sample, or one average, of each pixel.
 
@@ -214,3 +228,100 @@ def _averaged(attributes: Mapping[str, Any]) -> int:
         if _COUNTED.fullmatch(name) and str(value).isdecimal():
             return max(int(value), 1)
     return 1
+
+
+# --- rawls --------------------------------------------------------------------------------------
+
+_LONGEST_HEADER = 2**16
+_BEGIN = re.compile(
+    rb"IHDR\n\d{1,9}\n(?:(.{4}) (.{4}) (.{4})|(.{4})(.{4})(.{4}))\nCOMMENTS\n", re.DOTALL
+)
+
+
+@dataclass(frozen=True)
+class _Rawls:
+    """A file: shape (y, x, channel), samples that it is the average of, where its pixels are."""
+
+    path: Path
+    shape: tuple[int, int, int]
+    samples: int
+    integrator: str
+    start: int
+    by_pixel: bool
+
+    def image(self) -> Image:
+        height, width, channels = self.shape
+        rows, columns = (height * width, channels) if self.by_pixel else (height, width * channels)
+        line = np.dtype([("values", "<f4", (columns,)), ("break", "u1")])
+        lines = np.fromfile(self.path, line, count=rows, offset=self.start)
+        if len(lines) < rows or (lines["break"] != ord("\n")).any():
+            raise _damaged(self.path, "its lines do not end where they should")
+        return lines["values"].reshape(self.shape).astype(np.float32)
+
+
+def open_rawls(paths: Sequence[Path], options: ReadOptions) -> Opened:
+    """Open .rawls files, each a sample or an average of some."""
+    if options.features or options.variable:
+        message = "rawls files hold no features and one image each; give features as files"
+        raise InputError(message)
+    files = [_parsed(path) for path in paths]
+    first = files[0]
+    for file in files:
+        if (file.shape, file.samples) != (first.shape, first.samples):
+            message = (
+                f"{file.path.name} holds averages of {file.samples} samples of shape (y, x, "
+                f"channel) = {file.shape}, {first.path.name} of {first.samples}, {first.shape}"
+            )
+            raise InputError(message)
+
+    def decode(samples: range) -> Iterator[Frame]:
+        for number in samples:
+            try:
+                yield files[number].image(), {}
+            except OSError as error:
+                raise _damaged(paths[number], error.strerror or str(error)) from error
+
+    attrs: dict[str, object] = {"averaged": first.samples} if first.samples > 1 else {}
+    if first.integrator:
+        attrs["integrator"] = first.integrator
+    return Opened(Frames(paths[0].parent, (*first.shape, len(paths)), decode), attrs)
+
+
+def _parsed(path: Path) -> _Rawls:
+    """Return where the pixels of a file are, whose size must be what its header says."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_LONGEST_HEADER)
+        size = path.stat().st_size
+    except OSError as error:
+        raise _damaged(path, error.strerror or str(error)) from error
+    begun = _BEGIN.match(head)
+    stop = -1 if begun is None else head.find(b"\nDATA\n", begun.end() - 1)
+    if begun is None or stop < 0:
+        raise _damaged(path, "its header is none of this format")
+    width, height, channels = (
+        struct.unpack("<I", number)[0] for number in begun.groups() if number is not None
+    )
+    values = 4 * width * height * channels
+    stop += len(b"\nDATA\n")
+    sizes = (b"%d\n" % values, struct.pack("<Q", values)[:4] + b"\n")
+    start = next((stop + len(s) for s in sizes if head.startswith(s, stop)), None)
+    breaks = {values + width * height: True, values + height: False}
+    if start is None or not values or size - start not in breaks:
+        why = f"of {size} bytes, it cannot hold {width} x {height} pixels of {channels} channels"
+        raise _damaged(path, why)
+    comments = head[begun.end() : stop].decode("utf-8", errors="replace")
+    found = {str(k): str(v) for k, v in re.findall(r"^#(Samples|Integrator) (\w+)", comments, re.M)}
+    samples = found.get("Samples", "1")
+    return _Rawls(
+        path,
+        (height, width, channels),
+        max(int(samples), 1) if samples.isdecimal() and len(samples) < 10 else 1,
+        found.get("Integrator", ""),
+        start,
+        breaks[size - start],
+    )
+
+
+def _damaged(path: Path, why: str) -> StoreError:
+    return StoreError(f"cannot read {path} as a rawls file: {why}")

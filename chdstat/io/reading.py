@@ -101,9 +101,14 @@ FORMATS = (
         "xarray", (".nc", ".nc4", ".h5", ".zarr"), "Arrays of netCDF and zarr", "arrays:open_xarray"
     ),
     Format("exr", (".exr",), "EXR images, each a sample or average", "frames:open_exr"),
-    Format("rawls", (".rawls",), "Images of rawls, each a sample or average", "rawls:open_rawls"),
+    Format("rawls", (".rawls",), "Images of rawls, each a sample or average", "frames:open_rawls"),
     Format("noisebase", (".zip",), "Sample sets of noisebase", "noisebase:open_noisebase"),
-    Format("bcd", (".raw",), "Raw samples of Bayesian collaborative denoising", "bcd:open_bcd"),
+    Format(
+        "bcd",
+        (".raw",),
+        "Raw samples of Bayesian collaborative denoising",
+        "denoiser_inputs:open_bcd",
+    ),
     Format("stream", (".chds",), "Streams of chdstat_writer.h", "stream:open_stream"),
 )
 """Formats in the order in which they are tried."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from chdstat.viz.chd import Panel, batch_histograms, chd_axes, chd_grid, chd_pair, fits
 from chdstat.viz.claims import VERDICTS, claim_intervals, finding_plots, verdict_matrix
-from chdstat.viz.contrasts import contrast
 from chdstat.viz.curves import averages, curves, error_curves
 from chdstat.viz.estimators import (
     coverage,
@@ -28,7 +27,15 @@ from chdstat.viz.image import (
     view_pair,
     with_marks,
 )
-from chdstat.viz.maps import atlas, categorical_map, image_map, map_grid, n_needed, value_map
+from chdstat.viz.maps import (
+    atlas,
+    categorical_map,
+    contrast,
+    image_map,
+    map_grid,
+    n_needed,
+    value_map,
+)
 from chdstat.viz.styling import CHANNELS, PALETTE, style
 
 __all__ = [
