@@ -34,6 +34,18 @@ def test_statistics_agree_with_numpy(samples, found):
     np.testing.assert_allclose(found["coefficient_of_variation"], expected, rtol=1e-5)
 
 
+def test_what_is_found_at_once_is_what_is_found_alone(samples, found):
+    """Patterns are of luminance, of which the analysis makes a row beside the channels."""
+    for alone, prefix, names in (
+        (chd.classify(samples), "", ("label", "dip", "misfit", "long_tail_q_value")),
+        (chd.modality(samples), "modality_", ("modes", "places", "dip_q_value")),
+        (chd.fit.select(samples), "", ("best_family", "margin", "gamma_shape", "burr_c_se")),
+    ):
+        for name in names:
+            values = found[f"{prefix}{name}"]
+            np.testing.assert_allclose(values, alone[name], rtol=1e-9, err_msg=name)
+
+
 def test_scaling_radiance_scales_the_result(samples, found):
     scaled = chd.analyze(chd.Samples.from_array(samples.read() * 4))
     np.testing.assert_allclose(scaled["mean"], 4 * found["mean"], rtol=1e-6)

@@ -11,9 +11,6 @@ import pytest
 from sklearn.mixture import GaussianMixture
 
 import chdstat as chd
-from chdstat._core.positive import PositivePart
-from chdstat.fit.mixtures import mixture_of_part
-from chdstat.inference.modes import modality_of_part
 
 PIXELS = 150
 NATS = 1e-3
@@ -49,15 +46,15 @@ def pixels_of(source):
 @pytest.mark.parametrize("k", [2, 3])
 @pytest.mark.parametrize("source", sources())
 def test_likelihood_against_the_best_of_five_starts(benchmark, source, k):
-    part = PositivePart.of(pixels_of(source))
-    result = benchmark.pedantic(mixture_of_part, args=(part, k), rounds=1)
-    one = mixture_of_part(part, 1)
+    x = pixels_of(source)
+    result = benchmark.pedantic(chd.fit.mixture, args=(x, k), rounds=1)
+    one = chd.fit.mixture(x, 1)
     missing = []
     for i in np.flatnonzero(result.k == k):
-        y = part.log_sorted[i, : part.n[i], np.newaxis]
+        y = np.log(x[i, x[i] > 0])[:, np.newaxis]
         theirs = GaussianMixture(k, n_init=5, random_state=0).fit(y).score(y)
-        jacobian = one.log_likelihood[i] / part.n[i] + np.log(one.parameters["sigma"][i, 0])
-        ours = result.log_likelihood[i] / part.n[i] - jacobian - 0.5 * np.log(2 * np.pi * np.e)
+        jacobian = one.log_likelihood[i] / result.n[i] + np.log(one.parameters["sigma"][i, 0])
+        ours = result.log_likelihood[i] / result.n[i] - jacobian - 0.5 * np.log(2 * np.pi * np.e)
         missing.append(theirs - ours)
     share = np.mean(np.array(missing) <= NATS)
     print(
@@ -70,16 +67,12 @@ def test_likelihood_against_the_best_of_five_starts(benchmark, source, k):
 
 @pytest.mark.parametrize("effort", ["fast", "thorough"])
 def test_mixtures_of_one_to_three(benchmark, effort):
-    part = PositivePart.of(simulated_pixels(1024))
-    assert part.log_sorted.size
-    benchmark(mixture_of_part, part, effort=effort)
+    benchmark(chd.fit.mixture, simulated_pixels(1024), effort=effort)
 
 
 @pytest.mark.parametrize("spp", [512, 2048])
 def test_modes(benchmark, spp):
-    part = PositivePart.of(simulated_pixels(1024, spp))
-    assert part.log_sorted.size
-    benchmark(modality_of_part, part)
+    benchmark(chd.modality, simulated_pixels(1024, spp))
 
 
 def test_scikit_learn(benchmark):

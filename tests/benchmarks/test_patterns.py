@@ -6,10 +6,7 @@ Run with ``pytest --benchmark-only -s tests/benchmarks/test_patterns.py``.
 import numpy as np
 import pytest
 
-from chdstat._core.positive import PositivePart
-from chdstat.patterns import flag_scores, random_chds
-from chdstat.patterns.classification import patterns_of
-from chdstat.patterns.pixel_statistics import PixelFits
+from chdstat.patterns import classify, flag_scores, random_chds
 
 SAMPLES = (64, 128, 256, 512, 1024, 2048, 4096)
 DEFINITIONS = ("constant", "firefly_dominated")
@@ -36,5 +33,5 @@ def test_flags_of_a_population(benchmark, population, samples):
 
 
 def test_cost(benchmark):
-    x = np.random.default_rng(1).gamma(0.7, size=(4096, 512)).astype(np.float32)
-    benchmark(lambda: patterns_of(PixelFits(PositivePart.of(x))))
+    x = np.random.default_rng(1).gamma(0.7, size=(4096, 1, 512)).astype(np.float32)
+    benchmark(lambda: classify(x))

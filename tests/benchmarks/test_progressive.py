@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.executor import cores
 from chdstat.comparison import metrics
 from chdstat.estimators import Progressive
 from chdstat.io import denoise
@@ -20,6 +19,7 @@ from chdstat.io import denoise
 BUDGET = 64
 BUDGETS = (8, 16, 32, 64, 128, 256, 512)
 SIZES = (4, 8, 16, 32, 64, 128, 256, 512)
+CORES = len(os.sched_getaffinity(0))
 CLOSE = 1.01
 """Validation loss, over the final one, that training counts as done at."""
 IMAGE = (800, 800, 3, 32)
@@ -218,7 +218,7 @@ def test_training_time(source):
     far = np.flatnonzero(history.validation_loss > CLOSE * history.validation_loss[-1])
     done = history.iteration[min(far[-1] + 1, len(history.iteration) - 1)] if len(far) else 0
     print(
-        f"\n{source}: {history.iteration[-1]} iterations in {seconds:.0f} s on {cores()} cores; "
+        f"\n{source}: {history.iteration[-1]} iterations in {seconds:.0f} s on {CORES} cores; "
         f"within 1 % of the final loss ({history.validation_loss[-1]:.3f} of one sample's, the "
         f"mean's {history.validation_baseline[-1]:.3f}) after {done:.0f}, that is "
         f"{seconds * done / history.iteration[-1]:.0f} s"
@@ -245,7 +245,7 @@ def test_estimating_time():
     }
     seconds = {name: min(_seconds(call) for _ in range(3)) for name, call in work.items()}
     bandwidth = 2 * x.nbytes / seconds["copy"][0]
-    print(f"\n{x.shape}: copied at {bandwidth / 1e9:.1f} GB/s, on {cores()} cores")
+    print(f"\n{x.shape}: copied at {bandwidth / 1e9:.1f} GB/s, on {CORES} cores")
     for name, (wall, processor) in seconds.items():
         share = x.nbytes / bandwidth / wall
         print(

@@ -17,7 +17,6 @@ from typer.main import get_command
 
 import chdstat as chd
 import chdstat.samples
-from chdstat._core.display import percent
 from chdstat.cli import estimation, main, program, reports, samples
 from chdstat.comparison import candidates
 from chdstat.rendering import render_batches
@@ -226,8 +225,8 @@ def test_analyze_speaks_in_sentences(run, store):
     numbers = json.loads(run("analyze", store, "--json", "-q")[1])
     assert code == 0
     assert "12 × 10 pixels with 16 samples each." in out
-    assert f"{percent(numbers['null_share'])} of all samples find no light." in out
-    share = percent(numbers["patterns"]["null_heavy"])
+    assert f"{100 * numbers['null_share']:.0f}\xa0% of all samples find no light." in out
+    share = f"{100 * numbers['patterns']['null_heavy']:.1f}\xa0%"
     assert re.search(rf"^null-heavy +{share}  most paths find no light", out, re.MULTILINE)
     assert err.splitlines()[-1].startswith("next: chdstat explore")
 

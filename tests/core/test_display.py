@@ -13,7 +13,17 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.display import Card, Shown, byte_size, duration, number, percent, png, written
+from chdstat._core.display import (
+    Card,
+    Shown,
+    between,
+    byte_size,
+    duration,
+    number,
+    percent,
+    png,
+    written,
+)
 
 VOID = {"img"}
 
@@ -57,6 +67,12 @@ class Tags(HTMLParser):
 )
 def test_values_are_written_in_short(value, text):
     assert written(value) == text
+
+
+def test_numbers_read_well():
+    assert [number(v) for v in (0, 1e-7, 99.96, np.inf)] == ["0", "1.0e−07", "100", "—"]
+    assert percent(np.nan) == "—"
+    assert between(np.nan, 0.1) == "—"
 
 
 def test_a_rounded_zero_has_no_sign():

@@ -10,10 +10,9 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.fit import FAMILIES, goodness, select
-from chdstat.fit.goodness_of_fit import FIT_TESTS, goodness_of_part
+from chdstat.fit.goodness_of_fit import FIT_TESTS
 
 BY_SCIPY = SimpleNamespace(**runpy.run_path(Path(__file__).parent / "families_by_scipy.py"))
 RESAMPLES = 19
@@ -172,8 +171,6 @@ def test_a_fit_is_not_repeated():
     fitted = chd.fit.weibull(x)
     by_name, by_fit = goodness(x, "weibull", resamples=9), goodness(x, fitted, resamples=9)
     np.testing.assert_array_equal(by_name.p_value, by_fit.p_value)
-    part = goodness_of_part(PositivePart.of(x), fitted)
-    np.testing.assert_array_equal(part.statistic, by_fit.statistic)
     with pytest.raises(InputError, match=r"\(2,\), got \(3,\)"):
         goodness(x[:2], fitted)
 

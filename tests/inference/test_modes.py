@@ -6,10 +6,7 @@ import pytest
 from scipy import special, stats
 
 import chdstat as chd
-from chdstat._core.positive import PositivePart
 from chdstat.errors import Reason
-from chdstat.fit.mixtures import mixture_of_part
-from chdstat.inference.modes import mixture_and_modes_of_part, modality_of_part
 
 DECADES = 1 / np.log(10)
 
@@ -86,9 +83,7 @@ def test_dip_of_evenly_spaced_samples_is_the_least():
 def test_level_where_it_is_hardest(spp):
     # Log-uniform samples are the null distribution of the table: nominal 5 %, 4 sigma = 2 %.
     x = 10 ** np.random.default_rng(1).random((2000, spp))
-    part = PositivePart.of(x)
-    few = modality_of_part(part)
-    assert (few.dip_p_value < 0.05).mean() == pytest.approx(0.05, abs=0.02)
+    assert (chd.modality(x).dip_p_value < 0.05).mean() == pytest.approx(0.05, abs=0.02)
 
 
 @pytest.mark.parametrize("spp", [20, 75, 300, 1500])
@@ -107,8 +102,7 @@ def test_p_values_are_uniform_under_the_null():
     """Kolmogorov-Smirnov at 0.001 for each of four sizes: fails by chance in 0.4 % of cases."""
     rng = np.random.default_rng(21)
     for spp, rows in ((20, 2000), (60, 2000), (500, 1000), (5000, 200)):
-        part = PositivePart.of(np.exp(rng.random((rows, spp))))
-        p = modality_of_part(part).dip_p_value
+        p = chd.modality(np.exp(rng.random((rows, spp)))).dip_p_value
         assert stats.kstest(p, "uniform").pvalue > 0.001
 
 
@@ -282,45 +276,45 @@ def test_one_mode_has_a_place_and_no_separation():
     assert (result.delta_bic < 0).mean() > 0.9
 
 
-def test_fits_that_are_there_need_not_be_repeated():
-    x = two_lights(np.random.default_rng(8), (20, 300))
-    part = PositivePart.of(x)
-    alone = modality_of_part(part)
-    given = modality_of_part(part, fits=chd.fit.select(x).fits.values())
-    np.testing.assert_allclose(given.delta_bic, alone.delta_bic, rtol=1e-9)
+# --- mixtures from the same search, which takes over the fits of families -----------------------
 
 
-# --- mixtures from the same search --------------------------------------------------------------
+def analysed(x):
+    """Return the analysis of rows, as that of pixels of one channel."""
+    found = chd.analyze(chd.Samples.from_array(x[:, np.newaxis, np.newaxis]), progress=False)
+    return found.isel(x=0, channel=0)
 
 
-def test_mixtures_and_modes_are_those_of_each_alone():
+def test_mixtures_and_modes_of_an_analysis_are_those_of_each_alone():
     x = np.concatenate(
         [
             two_lights(np.random.default_rng(15), (60, 400)),
             ONE_MODE["gamma"](np.random.default_rng(15), (60, 400)),
         ]
-    )
-    part = PositivePart.of(x)
-    mixture, modes = mixture_and_modes_of_part(part)
-    np.testing.assert_array_equal(modes.modes, modality_of_part(part).modes)
-    alone = mixture_of_part(part, effort="fast")
-    np.testing.assert_array_equal(mixture.k[:60], alone.k[:60])
-    np.testing.assert_allclose(mixture.bics[:, :2], alone.bics[:, :2], rtol=1e-9)
-    np.testing.assert_allclose(mixture.weights[:60], alone.weights[:60], rtol=1e-6)
-    np.testing.assert_allclose(
-        mixture.standard_errors["mu"][:60], alone.standard_errors["mu"][:60], rtol=1e-5
-    )
-    untried = np.isnan(mixture.bics[:, 2])
+    ).astype(np.float32)
+    found, modes, alone = analysed(x), chd.modality(x), chd.fit.mixture(x, effort="fast")
+    np.testing.assert_array_equal(found["modality_modes"], modes.modes)
+    np.testing.assert_allclose(found["modality_delta_bic"], modes.delta_bic, rtol=1e-9)
+    at_once = {
+        name: found[f"lognormal_mixture_{name}"].to_numpy()
+        for name in ("k", "bics", "weights", "mu_se")
+    }
+    np.testing.assert_array_equal(at_once["k"][:60], alone.k[:60])
+    np.testing.assert_allclose(at_once["bics"][:, :2], alone.bics[:, :2], rtol=1e-9)
+    np.testing.assert_allclose(at_once["weights"][:60], alone.weights[:60], rtol=1e-6)
+    errors = alone.standard_errors["mu"][:60]
+    np.testing.assert_allclose(at_once["mu_se"][:60], errors, rtol=1e-5)
+    untried = np.isnan(at_once["bics"][:, 2])
     assert untried[60:].mean() > 0.9
-    np.testing.assert_allclose(mixture.bics[~untried, 2], alone.bics[~untried, 2], rtol=1e-9)
+    np.testing.assert_allclose(at_once["bics"][~untried, 2], alone.bics[~untried, 2], rtol=1e-9)
 
 
 def test_mixtures_need_what_modes_need():
     x = np.stack([np.zeros(30), np.r_[np.zeros(15), np.arange(1, 16)], np.ones(30)])
-    mixture, modes = mixture_and_modes_of_part(PositivePart.of(x))
-    np.testing.assert_array_equal(mixture.reason, modes.reason)
-    np.testing.assert_array_equal(mixture.k, 0)
-    assert np.isnan(mixture.bics).all()
+    found = analysed(x)
+    np.testing.assert_array_equal(found["lognormal_mixture_reason"], found["modality_reason"])
+    np.testing.assert_array_equal(found["lognormal_mixture_k"], 0)
+    assert np.isnan(found["lognormal_mixture_bics"]).all()
 
 
 # --- laws ---------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ import pytest
 from scipy import stats
 
 import chdstat as chd
-from chdstat._core.resampling import q_values
 from chdstat.errors import InputError, Reason
 from chdstat.inference import TESTS, TRANSFORMS
 
@@ -71,18 +70,6 @@ def test_unusable_pixels_are_data():
 def test_far_outliers_do_not_overflow():
     x = np.concatenate([np.random.default_rng(8).random(5000) + 1, [1e30]])
     assert 0 < float(chd.gaussianity(x, transform="linear").p_value) < 1e-15
-
-
-def test_q_values_control_the_false_discoveries():
-    rng = np.random.default_rng(12)
-    p = np.concatenate([rng.random(900), rng.random(100) * 1e-6]).reshape(20, 50)
-    p[0, 0] = np.nan
-    q = q_values(p)
-    assert np.isnan(q[0, 0])
-    assert (q.ravel()[900:] < 0.05).all()
-    assert (q.ravel()[:900] < 0.05).sum() < 20
-    stacked = q_values(np.stack([p, np.ones_like(p)], axis=-1))
-    np.testing.assert_array_equal(stacked[..., 0], q)
 
 
 def _image_of_four_to_one(rng, repeats, n):

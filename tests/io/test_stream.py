@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from google_crc32c import value as checksum
 
 import chdstat as chd
-from chdstat._core.files import checksum
 from chdstat.cli import main
 from chdstat.errors import ChdstatError, InputError, StoreError
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.display import percent
 from chdstat.errors import InputError, Reason
 from chdstat.patterns.attribution import attribute
 from chdstat.reporting.content import analysis_content
@@ -179,5 +178,5 @@ def test_analyses_say_which_paths_make_the_variance():
     said = analysis_content(samples, chd.analyze(samples, progress=False))["findings"]
     (told,) = [finding for finding in said if "largest part of the variance" in finding]
     shares = chd.patterns.attribute(samples)["variance_share"].mean(("y", "x")).to_numpy()
-    assert percent(shares.max()) in told
+    assert f"{100 * shares.max():.0f}\xa0%" in told
     assert [found for found in said if "of the light" in found] == [told]

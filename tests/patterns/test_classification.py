@@ -5,7 +5,6 @@ import pytest
 
 import chdstat as chd
 from chdstat import patterns
-from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.patterns import (
     CHD,
@@ -230,17 +229,6 @@ def test_results_that_are_there_are_not_computed_again():
     assert all(one is two for one, two in zip(first, again, strict=True))
     for name, value in patterns_of(PixelFits(part)).statistics.items():
         np.testing.assert_array_equal(found.statistics[name], value)
-
-
-def test_fits_of_a_row_are_taken_from_those_of_all():
-    x = np.random.default_rng(6).gamma(2.0, size=(2, 3, SPP))
-    fits = PixelFits(PositivePart.of_pixels(x, rows="both"))
-    light = fits.rows(-1)
-    np.testing.assert_array_equal(light.tail.xi, fits.tail.xi[:, -1])
-    np.testing.assert_array_equal(light.mixture.k, fits.mixture.k[:, -1])
-    alone = PixelFits(luminance_part(x))
-    np.testing.assert_array_equal(light.modes.places, alone.modes.places)
-    np.testing.assert_array_equal(patterns_of(light).label, patterns_of(alone).label)
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")

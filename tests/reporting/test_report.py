@@ -11,7 +11,6 @@ import pypdfium2
 import pytest
 
 import chdstat as chd
-from chdstat._core.display import between, number, percent
 from chdstat.errors import ChdstatError, InputError, LeftOutWarning
 from chdstat.reporting import scene_report
 
@@ -171,9 +170,3 @@ def test_a_second_report_trains_as_the_first(radiance, tmp_path):
     texts = [text_of(chd.report(samples, tmp_path / f"{i}.pdf", iterations=3)) for i in range(2)]
     assert texts[0] == texts[1]
     assert "3 minibatches train its network in place of 30000" in texts[0]
-
-
-def test_numbers_read_well():
-    assert [number(v) for v in (0, 1e-7, 99.96, np.inf)] == ["0", "1.0e−07", "100", "—"]
-    assert percent(np.nan) == "—"
-    assert between(np.nan, 0.1) == "—"

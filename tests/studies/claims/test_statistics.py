@@ -22,6 +22,7 @@ from chdstat._core.resampling import (
     largest_of,
     mean_of,
     median_of,
+    q_values,
 )
 from chdstat.studies.claims import FINDINGS, ClaimTest, SceneData
 from chdstat.studies.claims.assumptions import explained_by_features, growing, uniformity, with_room
@@ -280,6 +281,18 @@ def test_adjusted_p_values_are_those_of_statsmodels():
     with_nan = holm(np.insert(p, 4, np.nan))
     assert np.isnan(with_nan[4])
     np.testing.assert_array_equal(np.delete(with_nan, 4), holm(p))
+
+
+def test_q_values_control_the_false_discoveries():
+    rng = np.random.default_rng(12)
+    p = np.concatenate([rng.random(900), rng.random(100) * 1e-6]).reshape(20, 50)
+    p[0, 0] = np.nan
+    q = q_values(p)
+    assert np.isnan(q[0, 0])
+    assert (q.ravel()[900:] < 0.05).all()
+    assert (q.ravel()[:900] < 0.05).sum() < 20
+    stacked = q_values(np.stack([p, np.ones_like(p)], axis=-1))
+    np.testing.assert_array_equal(stacked[..., 0], q)
 
 
 def test_what_cannot_be_tested_has_no_p_value_and_adjusts_none():
