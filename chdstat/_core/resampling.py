@@ -181,6 +181,10 @@ class Interval(Generic[Value]):
         """Return a number without an interval."""
         return Interval(value, math.nan, math.nan, level)
 
+    def to_dict(self) -> dict[str, Value]:
+        """Return the number and the ends of its interval by name."""
+        return {"value": self.value, "low": self.low, "high": self.high}
+
     def root(self: Interval[float]) -> Interval[float]:
         """Return the same of the square root; noise may have made squares negative: they give 0."""
         return Interval(_root(self.value), _root(self.low), _root(self.high), self.level)

@@ -160,10 +160,6 @@ class Contrast(Shown):
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers, without maps, ready for JSON."""
         y, x, height, width = self.window
-        ends = {
-            name: {"value": i.value, "low": i.low, "high": i.high}
-            for name, i in (("loss", self.loss), ("efficiency_ratio", self.efficiency_ratio))
-        }
         content = {
             "a": self.names[0],
             "b": self.names[1],
@@ -172,7 +168,8 @@ class Contrast(Shown):
             "p_value": self.p_image,
             "alpha": self.alpha,
             "share_of_pixels": self.share,
-            **ends,
+            "loss": self.loss.to_dict(),
+            "efficiency_ratio": self.efficiency_ratio.to_dict(),
             "window": {"y": y, "x": x, "height": height, "width": width},
             "window_loss": self.window_loss,
             "detectable": self.detectable,

@@ -142,7 +142,7 @@ class ClaimTest:
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
-        numbers = {n: getattr(self.interval, n) for n in ("value", "low", "high", "level")}
+        numbers = self.interval.to_dict() | {"level": self.interval.level}
         numbers |= {"least": self.least, "most": self.most}
         return {"name": self.name, "unit": self.unit, **plain(numbers), "verdict": self.verdict}
 

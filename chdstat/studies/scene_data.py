@@ -8,7 +8,7 @@ pixels, with intervals; use an instrument where the explaining quantity is noisy
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -31,7 +31,17 @@ if TYPE_CHECKING:
 
     from chdstat.comparison import Comparison
 
-__all__ = ["PixelSet", "SceneData", "correlation_of", "fold_of", "logs", "ratio_of", "slope_of"]
+__all__ = [
+    "QUANTILES_NEED",
+    "PixelSet",
+    "SceneData",
+    "correlation_of",
+    "fold_of",
+    "logs",
+    "positive_quantiles",
+    "ratio_of",
+    "slope_of",
+]
 
 
 def ratio_of(
@@ -114,6 +124,22 @@ def logs(values: Floats) -> Floats:
     with np.errstate(divide="ignore", invalid="ignore"):
         log = np.log10(values)
     return np.asarray(np.where(np.isfinite(log), log, np.nan))
+
+
+QUANTILES_NEED = 100
+"""Positive samples that a quantile at 1 % or 99 % needs."""
+
+
+def positive_quantiles(x: Floats, levels: Sequence[float]) -> Floats:
+    """Return quantiles of positive samples (pixel, sample), shape (level, pixel).
+
+    NaN of fewer than `QUANTILES_NEED` of them.
+    """
+    ordered = np.sort(np.where(x > 0, x, np.inf), axis=1)
+    n = (x > 0).sum(axis=1)
+    places = np.clip(np.ceil(np.multiply.outer(levels, n)) - 1, 0, None).astype(int)
+    found = np.take_along_axis(ordered, places.T, axis=1).T
+    return np.where(n >= QUANTILES_NEED, found, np.nan)
 
 
 def fold_of(blocks: Blocks, *, across: int, folds: int) -> Counts:
@@ -242,6 +268,12 @@ class SceneData:
         if self.given is not None or "analysis" in self.__dict__:
             return self.analysis
         return summarize(self.samples, progress=False)
+
+    @cached_property
+    def batch_light(self) -> Floats:
+        """Luminance of the means of batches of samples, shape (y, x, batch)."""
+        means = self.summary["batch_means"].to_numpy().astype(np.float64)
+        return np.asarray(luminance(means), dtype=np.float64)
 
     @cached_property
     def shorter_summary(self) -> xr.Dataset | None:

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import stats
 
-from chdstat._core.arrays import generator, luminance
+from chdstat._core.arrays import generator
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Floats, Mask
 from chdstat._core.resampling import Blocks, Interval, holm, interval_of, median_of
@@ -236,8 +236,7 @@ _LEAST = 12
 
 def measure(data: SceneData) -> Outcome:
     """Test the four assumptions; each part says that one fails."""
-    means = data.summary["batch_means"].to_numpy().astype(np.float64)
-    light = luminance(means).astype(np.float64)
+    light = data.batch_light
     batches = light.reshape(-1, light.shape[-1])
     require(batches.shape[1] >= _LEAST, f"{_LEAST * 32} spp, has {data.samples.spp}")
     blocks, level = data.whole().blocks, level_of(4)

@@ -30,14 +30,18 @@ from chdstat.studies.claims.surfaces import (
 )
 from chdstat.studies.log_chds import aligned, same_shape, shape_plot, visible
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require
-from chdstat.studies.scene_data import PixelSet, SceneData, logs
+from chdstat.studies.scene_data import (
+    QUANTILES_NEED,
+    PixelSet,
+    SceneData,
+    logs,
+    positive_quantiles,
+)
 from chdstat.summary.bins import linear_support
 
 __all__ = ["STATEMENTS", "measure_bounces", "measure_direct", "measure_similarity", "statement"]
 
 _MAJORITY = 0.5
-_LEAST = 100
-"""Positive samples that a quantile at 1 % or 99 % needs."""
 _TAIL = math.log10(math.log(100) / math.log(2))
 _DARK = math.log10(math.log(2) / -math.log1p(-0.01))
 """Decades from the median of an exponential distribution to its quantiles at 99 % and 1 %."""
@@ -63,11 +67,7 @@ def _several(x: Floats) -> Floats:
 
 def _quantiles(x: Floats) -> Floats:
     """Return log10 of the quantiles at 1 %, 50 % and 99 % of positive samples, (3, pixel)."""
-    ordered = np.sort(np.where(x > 0, x, np.inf), axis=1)
-    n = (x > 0).sum(axis=1)
-    places = np.clip(np.ceil(np.array([[0.01], [0.5], [0.99]]) * n) - 1, 0, None).astype(int)
-    found = np.take_along_axis(ordered, places.T, axis=1).T
-    return logs(np.where(n >= _LEAST, found, np.nan))
+    return logs(positive_quantiles(x, (0.01, 0.5, 0.99)))
 
 
 def _tail(x: Floats) -> Floats:
@@ -114,7 +114,7 @@ def _jagged(x: Floats) -> Floats:
     one, two = _halves(*_log_bins(x))
     n = [half.sum(axis=1, keepdims=True) for half in (one, two)]
     apart = np.abs(one / np.maximum(n[0], 1) - two / np.maximum(n[1], 1)).sum(axis=1) / 2
-    return np.where((n[0] + n[1])[:, 0] >= _LEAST, apart, np.nan)
+    return np.where((n[0] + n[1])[:, 0] >= QUANTILES_NEED, apart, np.nan)
 
 
 def _log_bins(x: Floats) -> tuple[Counts, Mask]:
@@ -146,7 +146,7 @@ def _fullest(bins: Counts, counted: Mask) -> Floats:
     one, two = _halves(bins, counted)
     row, total = np.arange(len(bins)), counted.sum(axis=1)
     found = one[row, two.argmax(axis=1)] + two[row, one.argmax(axis=1)]
-    return np.where(total >= _LEAST, found / np.maximum(total, 1), np.nan)
+    return np.where(total >= QUANTILES_NEED, found / np.maximum(total, 1), np.nan)
 
 
 # --- statements -----------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ ones, so that one render shows both variances.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -72,8 +71,10 @@ def measure(data: SceneData) -> Outcome:
             "within pixels, alike in all)",
             "sequences": count,
             **tested,
-            "ratio_by_region": {n: _plain(i) for n, i in by_region.items()},
-            "ratio_by_pattern": {n: _plain(i) for n, i in _by_pattern(data, found, pixels).items()},
+            "ratio_by_region": {n: i.to_dict() for n, i in by_region.items()},
+            "ratio_by_pattern": {
+                n: i.to_dict() for n, i in _by_pattern(data, found, pixels).items()
+            },
         },
         plot_data=PlotData.bars(
             {n: i.value for n, i in ({"image": ratio} | by_region).items()}, "ratio of variances"
@@ -217,7 +218,7 @@ def _tested(data: SceneData, spread: Samples, length: int) -> dict[str, Any]:
     shares = {}
     for side, differs in (("lower", ratio < 1), ("higher", ratio > 1)):
         rejected = np.where(known, (q <= _ALPHA) & differs, np.nan)
-        shares[f"share_{side}"] = _plain(mean_of(rejected, blocks))
+        shares[f"share_{side}"] = mean_of(rejected, blocks).to_dict()
     return {"p_value": of_all if known.any() else None, **shares}
 
 
@@ -231,7 +232,3 @@ def _by_pattern(data: SceneData, found: Floats, pixels: PixelSet) -> dict[str, I
         which.name.lower(): _ratio(found, here, pixels.blocks[here])
         for which, here in places.items()
     }
-
-
-def _plain(interval: Interval[float]) -> Mapping[str, float]:
-    return {name: getattr(interval, name) for name in ("value", "low", "high")}

@@ -145,10 +145,7 @@ def measure_complexity(scenes: Sequence[SceneData]) -> Outcome:
         p_value=p_value,
         details={
             "positive_samples": n,
-            "modes": {
-                name: {"value": mean.value, "low": mean.low, "high": mean.high}
-                for name, mean in zip(names, means, strict=True)
-            },
+            "modes": {name: mean.to_dict() for name, mean in zip(names, means, strict=True)},
             "complexity": dict(zip(names, complexity, strict=True)),
             "null_hypothesis": "modes and complexity have no common order (one-sided)",
         },
@@ -252,6 +249,7 @@ def measure_families(data: SceneData) -> Outcome:
     sums = blocks.sums(counts)
     least = interval_of(lead, blocks, bounds=(-1.0, 1.0))
     shares = {name: share_of([name], counts) for name in names}
+    level = {"level": LEVEL}
     kin = [name for name in names if name in ("gamma", "weibull")]
     others = {"gamma_or_weibull": share_of(kin, counts)}
     if "held_out_best_family" in analysis:
@@ -260,15 +258,11 @@ def measure_families(data: SceneData) -> Outcome:
     return Outcome(
         (ClaimTest("share of gamma less that of the next family", least, least=0.0),),
         details={
-            "shares": {name: _ends(share) for name, share in shares.items()},
-            **{name: _ends(share) for name, share in others.items()},
+            "shares": {name: share.to_dict() | level for name, share in shares.items()},
+            **{name: share.to_dict() | level for name, share in others.items()},
             "pixels_that_gamma_describes": float(analysis["gamma_like"].mean()),
         },
         plot_data=PlotData.bars(
             {name: share.value for name, share in shares.items()}, "share of pixel channels"
         ),
     )
-
-
-def _ends(share: Interval[float]) -> dict[str, float]:
-    return {name: getattr(share, name) for name in ("value", "low", "high", "level")}

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from chdstat._core.arrays import generator, luminance
+from chdstat._core.arrays import generator
 from chdstat._core.positive import Counts, Floats
 from chdstat._core.resampling import interval_of, largest_of, median_of
 from chdstat.rendering.recipes import Region
@@ -47,8 +47,7 @@ def measure_fireflies(data: SceneData) -> Outcome:
     of its neighbour; the means are of all other batches, and so tell nothing of the choice.
     """
     partner = _partners(data).ravel()
-    light = np.asarray(luminance(data.summary["batch_means"].to_numpy().astype(np.float64)))
-    batches = light.reshape(-1, light.shape[-1])
+    batches = data.batch_light.reshape(-1, data.batch_light.shape[-1])
     pairs = _pairs(batches, partner)
     fireflies = pairs["count"] > 0
     count = int(np.count_nonzero(fireflies))

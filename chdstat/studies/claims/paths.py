@@ -1,4 +1,10 @@
-"""Paths: null samples, indirect light, and longer paths (findings 1, 5, 9 and 28)."""
+"""Paths: null samples, indirect light, longer paths, integrators (findings 1, 5, 9, 28 and 29).
+
+Of integrators: an average of n samples has the skewness of one sample over the root of n, so that
+the n which makes it nearly Gaussian is proportional to the square of that skewness. Times n, the
+time of a sample is the time until averages are Gaussian; of two integrators, only the ratio
+matters.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +15,34 @@ import numpy as np
 
 from chdstat._core.arrays import luminance
 from chdstat._core.positive import Floats
-from chdstat._core.resampling import Interval, mean_of, median_of
+from chdstat._core.resampling import Blocks, Interval, mean_of, median_of
 from chdstat.fit import tail_index
 from chdstat.patterns import Thresholds
 from chdstat.samples import Samples
 from chdstat.studies.claims.assumptions import growing, with_room
+from chdstat.studies.claims.scene_shapes import DIFFERENT, squares
 from chdstat.studies.claims.surfaces import log_skewness
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, require, required
-from chdstat.studies.scene_data import PixelSet, SceneData, logs, ratio_of
+from chdstat.studies.scene_data import (
+    QUANTILES_NEED,
+    PixelSet,
+    SceneData,
+    logs,
+    positive_quantiles,
+    ratio_of,
+)
+from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
     import xarray as xr
 
 __all__ = [
+    "BSDF_SAMPLING",
+    "DIRECT",
     "TIMING",
     "measure_cost",
     "measure_indirect",
+    "measure_integrators",
     "measure_lengths",
     "measure_nulls",
     "seconds_per_sample",
@@ -39,8 +57,6 @@ long."""
 _KURTOSIS = 6.0
 """Excess kurtosis of the exponential distribution; beyond it, that of positive samples is high.
 Nulls would add to it, but are a part of the claim of their own."""
-_LEAST = 100
-"""Positive samples that a quantile at 1 % or 99 % needs."""
 _NEAR = (0.45, 0.75)
 """Indirect light: "around 60 %" (Elek et al. 2019, section 5.1), give or take 15 points."""
 _EXPECTED = {
@@ -82,8 +98,8 @@ def measure_indirect(data: SceneData) -> Outcome:
     x = data.light(patch)
     tail, skewness = _tail(x), log_skewness(x)
     share = np.count_nonzero(x > 0) / x.size
-    enough = f", about {2 ** math.ceil(math.log2(_LEAST / share))} spp" if share > 0 else ""
-    require(np.isfinite(tail).any(), f"{_LEAST} positive samples in a pixel{enough}")
+    enough = f", about {2 ** math.ceil(math.log2(QUANTILES_NEED / share))} spp" if share > 0 else ""
+    require(np.isfinite(tail).any(), f"{QUANTILES_NEED} positive samples in a pixel{enough}")
     grown = growing(x, x > 0, lambda moments: moments.kurtosis)
     kurtosis = with_room(median_of(grown[-1], blocks, level=level), grown)
     nulls = mean_of(patch.take(summary["null_share"].to_numpy()), blocks, level=level)
@@ -115,14 +131,8 @@ def measure_indirect(data: SceneData) -> Outcome:
 
 def _tail(x: Floats) -> Floats:
     """Return the quantile at 99 % over the median of positive samples, shape (pixel,)."""
-    ordered = np.sort(np.where(x > 0, x, np.inf), axis=1)
-    n = (x > 0).sum(axis=1)
-    middle, high = (
-        np.take_along_axis(ordered, np.clip(np.ceil(q * n) - 1, 0, None).astype(int)[:, None], 1)
-        for q in (0.5, 0.99)
-    )
-    with np.errstate(invalid="ignore"):
-        return np.asarray(np.where(n >= _LEAST, (high / middle)[:, 0], np.nan))
+    middle, high = positive_quantiles(x, (0.5, 0.99))
+    return np.asarray(high / middle)
 
 
 # --- longer paths ---------------------------------------------------------------------------------
@@ -135,10 +145,7 @@ _LEVELS = (0.01, 0.5, 0.99)
 
 def measure_lengths(data: SceneData) -> Outcome:
     """Compare pixel by pixel with an image of the same view with shorter paths."""
-    needed = "the same scene rendered with shorter paths"
-    shorter, short = required(data.shorter, needed), required(data.shorter_summary, needed)
-    long = data.summary
-    require(long["null_share"].shape == short["null_share"].shape, "shorter paths in the same size")
+    (shorter, short), long = _shorter(data), data.summary
     blocks, level = data.whole().blocks, level_of(4)
     changes = _changes(long, short)
     tests = tuple(
@@ -167,6 +174,15 @@ def measure_lengths(data: SceneData) -> Outcome:
             "change with longer paths",
         ),
     )
+
+
+def _shorter(data: SceneData) -> tuple[Samples, xr.Dataset]:
+    """Return the render with shorter paths, and its statistics."""
+    needed = "the same scene rendered with shorter paths"
+    shorter, short = required(data.shorter, needed), required(data.shorter_summary, needed)
+    same = data.summary["null_share"].shape == short["null_share"].shape
+    require(same, "shorter paths in the same size")
+    return shorter, short
 
 
 def _changes(long: xr.Dataset, short: xr.Dataset) -> dict[str, Floats]:
@@ -199,7 +215,7 @@ def _quantiles(dataset: xr.Dataset) -> Floats:
         start = np.take_along_axis(total, place, -1) - inside
         part = np.clip((level * n - start) / inside, 0, 1)
         quantiles[..., i] = (edges[place] + part * (edges[1] - edges[0]))[..., 0]
-    return np.asarray(np.where(n >= _LEAST, quantiles, np.nan))
+    return np.asarray(np.where(n >= QUANTILES_NEED, quantiles, np.nan))
 
 
 def _skewness(log_quantiles: Floats) -> Floats:
@@ -237,10 +253,8 @@ of each of five scenes, on a machine that did other things, too, differed by up 
 
 def measure_cost(data: SceneData) -> Outcome:
     """Compare mean radiance and time with those of the same view with shorter paths."""
-    needed = "the same scene rendered with shorter paths"
-    shorter, short = required(data.shorter, needed), required(data.shorter_summary, needed)
-    long, pixels, level = data.summary, data.whole(), level_of(2)
-    require(long["null_share"].shape == short["null_share"].shape, "shorter paths in the same size")
+    (shorter, short), long = _shorter(data), data.summary
+    pixels, level = data.whole(), level_of(2)
     after, before = (
         np.asarray(
             luminance(summary["mean"].to_numpy().astype(np.float64)[..., np.newaxis])
@@ -265,3 +279,106 @@ def measure_cost(data: SceneData) -> Outcome:
         plot_data=PlotData.bars(values, "over that of shorter paths"),
         few="renders on a quiet machine",
     )
+
+
+# --- integrators --------------------------------------------------------------------------------
+
+BSDF_SAMPLING = "BSDF sampling alone"
+"""Integrator that finds lights by chance, where surfaces scatter light."""
+DIRECT = "direct light, both"
+"""Integrator that other ones of direct light are compared with."""
+_SLOWEST, _FASTEST = "time until averages are Gaussian", "samples until averages are Gaussian"
+
+
+def measure_integrators(data: SceneData) -> Outcome:
+    """Compare the shapes of integrators, and the time until their averages are Gaussian."""
+    require(
+        data.integrators,
+        "the same scene by other integrators, as a study does with integrators=True",
+    )
+    sizes = {samples.shape[:3] for samples in data.integrators.values()}
+    require(sizes == {data.samples.shape[:3]}, "other integrators in the same size")
+    least = min(s.spp for s in (data.samples, *data.integrators.values()))
+    # Sample skewness grows with the number of samples: each integrator has as many.
+    renders = {"": data.samples, **data.integrators}
+    summaries = {name: _summary(samples, least) for name, samples in renders.items()}
+    pairs = {
+        name: DIRECT if name.startswith("direct light") and DIRECT in renders else ""
+        for name in data.integrators
+        if name != DIRECT
+    }
+    blocks, level = data.whole().blocks, level_of(2)
+    distances, sooner, fewer = dict[str, Interval[float]](), dict[str, Interval[float]](), {}
+    for name, base in pairs.items():
+        squared = squares(summaries[name], summaries[base])
+        distances[name] = mean_of(squared, blocks, level=1 - (1 - level) / len(pairs)).root()
+        fewer[name] = _samples_ratio(summaries[name], summaries[base], blocks, level)
+        seconds = [seconds_per_sample(renders[n]) for n in (name, base)]
+        if seconds[0] and seconds[1]:
+            sooner[name] = _timed(fewer[name], seconds[0] / seconds[1])
+    known = [d for d in distances.values() if np.isfinite(d.value)]
+    require(known, "positive samples enough for shapes")
+    # The largest of several: its ends are the largest of ends that hold together.
+    value, low, high = (max(getattr(d, end) for d in known) for end in ("value", "low", "high"))
+    tests = [
+        ClaimTest(
+            "largest distance between the shapes of two integrators",
+            Interval(value, low, high, level),
+            least=DIFFERENT,
+            unit="decade^1/2",
+        )
+    ]
+    missing = []
+    if BSDF_SAMPLING not in pairs:
+        missing.append("needs lights that sampling BSDFs can find")
+    elif BSDF_SAMPLING not in sooner:
+        missing.append("needs times of the renders, by the scalar backend")
+    else:
+        tests.append(
+            ClaimTest(
+                f"log {_SLOWEST}, {BSDF_SAMPLING} over lights, too",
+                sooner[BSDF_SAMPLING],
+                least=0.0,
+                unit="decade",
+            )
+        )
+    shown = sooner or fewer
+    return Outcome(
+        tuple(tests),
+        tuple(missing),
+        details={
+            "distances": {name: d.value for name, d in distances.items()},
+            **{
+                key: {name: i.to_dict() for name, i in found.items()}
+                for key, found in ((f"log {_SLOWEST}", sooner), (f"log {_FASTEST}", fewer))
+            },
+        },
+        plot_data=PlotData.bars(
+            {name: i.value for name, i in shown.items()},
+            f"decades of {_SLOWEST if sooner else _FASTEST}",
+        ),
+        few="renders on a quiet machine",
+    )
+
+
+def _summary(samples: Samples, spp: int) -> xr.Dataset:
+    used = samples if samples.spp == spp else samples.isel(sample=slice(0, spp))
+    return summarize(used, progress=False)
+
+
+def _samples_ratio(
+    one: xr.Dataset, two: xr.Dataset, blocks: Blocks, level: float
+) -> Interval[float]:
+    """Return the median log ratio of the samples that averages need to be Gaussian."""
+    log: list[Floats] = [
+        logs(np.abs(summary["skewness"].to_numpy().astype(np.float64))) for summary in (one, two)
+    ]
+    ratio = 2 * (log[0] - log[1])
+    return median_of(ratio.reshape(len(blocks.of_pixel), -1), blocks, level=level)
+
+
+def _timed(log_samples: Interval[float], slower: float) -> Interval[float]:
+    """Return log time from log numbers of samples, of which one takes `slower` times as long."""
+    by, room = math.log10(slower), math.log10(TIMING)
+    low, high = log_samples.low + by - room, log_samples.high + by + room
+    return Interval(log_samples.value + by, low, high, log_samples.level)

@@ -11,7 +11,6 @@ from chdstat.studies.claims import (
     assumptions,
     case_study,
     correlated,
-    integrators,
     learning,
     modes,
     neighbours,
@@ -317,7 +316,7 @@ FINDINGS = (
         "integrators",
         "CHDs depend on how paths are sampled; where lights are sampled, too, averages are "
         "Gaussian sooner, at equal time, than where surfaces alone are.",
-        integrators.measure,
+        paths.measure_integrators,
         paired=True,
         about=_TWO_RENDERS,
     ),
