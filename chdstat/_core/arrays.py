@@ -301,22 +301,12 @@ def _callers(frame: FrameType) -> list[FrameType]:
     return found
 
 
-def is_null(x: npt.NDArray[np.floating[Any]], *, channel_axis: int = -2) -> npt.NDArray[np.bool_]:
-    """Mark null samples: those whose channels are all exactly zero.
+def is_null(x: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
+    """Mark null samples, those whose channels are all exactly zero.
 
-    Parameters
-    ----------
-    x
-        Samples, shape (..., channel, sample).
-    channel_axis
-        Where the channels are.
-
-    Returns
-    -------
-    ndarray of bool
-        Shape of `x` without the channel axis.
+    From samples of shape (..., channel, sample) to shape (..., sample).
     """
-    return np.asarray((x == 0).all(axis=channel_axis))
+    return np.asarray((x == 0).all(axis=-2))
 
 
 def luminance(

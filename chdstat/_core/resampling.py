@@ -101,10 +101,8 @@ def holm(p: npt.NDArray[np.floating[Any]]) -> Floats:
     return found
 
 
-def wilson(
-    count: npt.NDArray[Any], n: npt.NDArray[Any], *, level: float = 0.95
-) -> npt.NDArray[np.float64]:
-    """Return the Wilson score interval of a share, low and high on a new last axis.
+def wilson(count: npt.NDArray[Any], n: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """Return the 95 % Wilson score interval of a share, low and high on a new last axis.
 
     NaN where `n` is 0.
 
@@ -118,12 +116,11 @@ def wilson(
     >>> wilson(np.array(10), np.array(20)).round(4)
     array([0.2993, 0.7007])
     """
-    z = special.ndtri(0.5 + level / 2)
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.asarray(count / n)
-        scale = 1 / (1 + z**2 / n)
-        centre = (share + z**2 / (2 * n)) * scale
-        half = z * np.sqrt(share * (1 - share) / n + (z / (2 * n)) ** 2) * scale
+        scale = 1 / (1 + Z_95**2 / n)
+        centre = (share + Z_95**2 / (2 * n)) * scale
+        half = Z_95 * np.sqrt(share * (1 - share) / n + (Z_95 / (2 * n)) ** 2) * scale
     # The interval ends at 0 and 1 there; rounding would leave it a little inside or outside.
     low = np.where(share == 0, 0, centre - half)
     high = np.where(share == 1, 1, centre + half)

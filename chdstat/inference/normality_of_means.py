@@ -252,7 +252,6 @@ def means_of_block(
     *,
     n_means: int = N_MEANS,
     test: TestName = "shapiro-wilk",
-    alpha: float = 0.05,
     tail: Tail | None = None,
 ) -> GaussianityOfMeans:
     """Test the averages of pixels, shape (..., channel, sample); a bad channel spoils a sample.
@@ -260,7 +259,7 @@ def means_of_block(
     `tail` is that of the same samples, if it is there.
     """
     bad = np.broadcast_to(is_bad(block).any(axis=-2, keepdims=True), block.shape)
-    return _gaussianity_of_rows(block, bad, sizes, n_means, TESTS[test], alpha, tail)
+    return _gaussianity_of_rows(block, bad, sizes, n_means, TESTS[test], 0.05, tail)
 
 
 def _gaussianity_of_rows(

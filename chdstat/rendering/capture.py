@@ -33,7 +33,7 @@ from chdstat.samples.layout import Image, part_folder
 from chdstat.samples.store import Store
 from chdstat.samples.tiles import DIRECT_DEPTH, Part
 from chdstat.scenes import SceneLike, load_scene
-from chdstat.scenes.live import LiveScene
+from chdstat.scenes.scene import LiveScene
 from chdstat.scenes.settings import LONGEST
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from chdstat.rendering.instances import IntegratorObject, own_backend
 from chdstat.rendering.seeds import SEEDS
 from chdstat.rendering.sequences import SamplerName, Sequences
 from chdstat.scenes import Scene, SceneLike, load_scene
-from chdstat.scenes.live import LiveScene, is_built
 from chdstat.scenes.plugins import Plugin, loaded, register
+from chdstat.scenes.scene import LiveScene, is_built
 from chdstat.scenes.settings import LONGEST, Asked, asked_for
 
 __all__ = ["Crop", "IntegratorLike", "Job", "scene_integrator", "scene_size"]

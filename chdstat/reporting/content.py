@@ -17,16 +17,17 @@ from chdstat.comparison.presentation import shown_ratio
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS
 from chdstat.patterns.attribution import By, attribute
-from chdstat.reporting.claims import finding_content, remake_note
 from chdstat.reporting.figures import Results
 from chdstat.reporting.result_tables import (
     atlas_content,
     estimator_table,
     family_table,
+    finding_content,
     fit_content,
     label_of,
     pattern_table,
     region_table,
+    remake_note,
     self_training_content,
 )
 from chdstat.samples import Samples

@@ -29,7 +29,7 @@ from chdstat.estimators import MLP, Progressive
 from chdstat.inference import MORE_THAN_TESTED
 from chdstat.patterns import Atlas
 from chdstat.rendering.recipes import Region
-from chdstat.reporting.claims import plot_findings
+from chdstat.reporting.result_tables import plot_findings
 from chdstat.samples import Samples
 from chdstat.studies.claims import Finding, SceneData
 from chdstat.studies.claims.neighbours import brightest_firefly
@@ -174,8 +174,7 @@ def _batches(x: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
 
 def _firefly(data: SceneData) -> Figure | None:
     """Draw the brightest firefly and the pixel above it, which sees about the same."""
-    means = data.summary["batch_means"].values
-    batches = np.asarray(luminance(means.astype(np.float64)))
+    means, batches = data.summary["batch_means"].values, data.batch_light
     found = brightest_firefly(batches)
     if found is None:
         return None

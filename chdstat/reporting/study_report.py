@@ -10,9 +10,8 @@ from chdstat import viz
 from chdstat._core.display import number, percent
 from chdstat._core.files import scratch
 from chdstat.rendering.recipes import remake_of
-from chdstat.reporting.claims import claim_content, claim_figures, remake_note
 from chdstat.reporting.figures import panels_of, scene_figures
-from chdstat.reporting.result_tables import atlas_content
+from chdstat.reporting.result_tables import atlas_content, claim_content, claim_figures, remake_note
 from chdstat.reporting.typst import Document, typeset
 from chdstat.scenes import BUILTIN
 from chdstat.studies.claims import FINDINGS

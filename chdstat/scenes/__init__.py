@@ -14,9 +14,8 @@ from typing import Any
 
 from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import is_file
-from chdstat.scenes.live import LiveScene
 from chdstat.scenes.plugins import load_plugin
-from chdstat.scenes.scene import Scene
+from chdstat.scenes.scene import LiveScene, Scene
 
 __all__ = ["BUILTIN", "REMAKES", "Scene", "SceneLike", "load_plugin", "load_scene"]
 

@@ -15,7 +15,7 @@ import mitsuba.parser
 import numpy as np
 
 from chdstat.errors import SceneError, brief
-from chdstat.scenes.live import LiveScene
+from chdstat.scenes.scene import LiveScene
 
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from chdstat.comparison import Interval
-from chdstat.reporting.claims import (
+from chdstat.reporting.result_tables import (
     claim_content,
     claim_figures,
     finding_content,

@@ -126,7 +126,7 @@ def variances(spread: Samples) -> Floats:
     return np.where(np.isfinite(found), found, np.nan).reshape(2, -1)
 
 
-def p_of_independence(x: Floats, *, seed: int = 0) -> tuple[Floats, float]:
+def p_of_independence(x: Floats) -> tuple[Floats, float]:
     """Return p-values that samples of a sequence are independent, from both sides.
 
     Independent samples may be put into sequences in any order: the variance of the averages is
@@ -137,8 +137,6 @@ def p_of_independence(x: Floats, *, seed: int = 0) -> tuple[Floats, float]:
     ----------
     x
         Samples, shape (pixel, sequence, sample).
-    seed
-        Of the shuffles, which all pixels share.
 
     Returns
     -------
@@ -158,7 +156,7 @@ def p_of_independence(x: Floats, *, seed: int = 0) -> tuple[Floats, float]:
     >>> p_of_independence(np.stack([strata[0] / 16, rng.random((8, 16))]))[0] < 0.01
     array([ True, False])
     """
-    rng, flat = generator(seed), x.reshape(len(x), -1)
+    rng, flat = generator(0), x.reshape(len(x), -1)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         flat = flat - flat.mean(axis=1, keepdims=True)
         flat = flat / np.abs(flat).max(axis=1, keepdims=True, initial=0)  # no square is too large
