@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import is_bad, luminance
+from chdstat._core.arrays import is_bad, luminance, spans
 from chdstat.errors import InputError, Reason
 from chdstat.explorer.estimators import batches_of, fixed
-from chdstat.explorer.sources import Overall, StoreSource, tiles
+from chdstat.explorer.sources import Overall, StoreSource
 from chdstat.explorer.startup import ramp
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.selection import select_part
@@ -316,7 +317,7 @@ def walk(source: StoreSource, name: str, step: Step) -> Map:
         Called with the share that is done and the values so far; whatever it raises ends the walk.
     """
     values = np.full(source.size, np.nan, np.float32)
-    places = tiles(source.size, _TILE)
+    places = list(product(*(spans(length, _TILE) for length in source.size)))
 
     def found_in(block: Image) -> tuple[npt.NDArray[Any], Mapped]:
         if name != "pattern":

@@ -27,9 +27,8 @@ from bokeh.plotting import figure
 from chdstat.explorer.estimators import fixed
 from chdstat.explorer.maps import DIFFERENCES, IMAGES, MAPS, Map
 from chdstat.explorer.plots import DASHES, LIGHT, PANELS, TEXT, panel_plot
-from chdstat.explorer.scene_source import Source
 from chdstat.explorer.selection import EXPORTS
-from chdstat.explorer.sources import StoreSource
+from chdstat.explorer.sources import Source, StoreSource
 from chdstat.explorer.startup import ramp
 from chdstat.explorer.view import BATCH_SIZES, FITS
 from chdstat.viz.estimators import NAMES

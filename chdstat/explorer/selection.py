@@ -20,9 +20,8 @@ from chdstat._core.files import scratch
 from chdstat.explorer import estimators, tables
 from chdstat.explorer.panels import panels
 from chdstat.explorer.plots import BLENDED, PanelData, series_of
-from chdstat.explorer.scene_source import SceneSource, Source
 from chdstat.explorer.shared import Shared
-from chdstat.explorer.sources import Overall, StoreSource
+from chdstat.explorer.sources import Overall, SceneSource, Source, StoreSource
 from chdstat.explorer.statistics import PlaceStatistics, goodness
 from chdstat.explorer.tables import Table, columns_of, patterns_table, statistics_table
 from chdstat.explorer.view import Box, Pixel, View

@@ -225,8 +225,8 @@ def explore(
         if render is not None:
             coarse = drawing.submit(explorer._startup.draw, render)
         # It takes seconds, in which the scene is loaded and its first image drawn.
-        from chdstat.explorer.scene_source import SceneSource
         from chdstat.explorer.shared import opened
+        from chdstat.explorer.sources import SceneSource
 
         first: Any = stored
         if render is not None and coarse is not None:

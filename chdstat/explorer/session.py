@@ -26,11 +26,11 @@ from chdstat.errors import ChdstatError, InputError
 from chdstat.explorer.estimators import ScoredEstimate
 from chdstat.explorer.page import Page, colorbar
 from chdstat.explorer.plots import PIXEL_COLORS, encode_panels
-from chdstat.explorer.scene_source import MOST_SPP, SceneSource
 from chdstat.explorer.selection import EXPORTS, SelectionPlots, SelectionResults, exported
-from chdstat.explorer.shared import Shared, Stopped, first_pixel
-from chdstat.explorer.sources import StoreSource
+from chdstat.explorer.shared import Shared, Stopped
+from chdstat.explorer.sources import MOST_SPP, SceneSource, StoreSource
 from chdstat.explorer.startup import coarse_png, isolated, rgba
+from chdstat.explorer.statistics import first_pixel
 from chdstat.explorer.tables import Table, headline
 from chdstat.explorer.view import View, box_between, check_pixel, parse_view
 

@@ -1,4 +1,4 @@
-"""State that all pages of one explorer share: sources, the image, maps, suggestions and threads.
+"""State that all pages of one explorer share: sources, the image, maps and threads.
 
 Clicks are worked on in one thread, passes over the image in another; a pass stands still while a
 click is being worked on. Reading ahead and exports have a third thread, slow estimates a fourth.
@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
@@ -19,6 +20,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import spans
 from chdstat._core.cache import Cache, user_cache
 from chdstat.errors import ChdstatError, InputError
 from chdstat.estimators.models import AnyModel
@@ -33,18 +35,23 @@ from chdstat.explorer.maps import (
     read_maps,
     walk,
 )
-from chdstat.explorer.scene_source import SceneSource, Source
-from chdstat.explorer.sources import Overall, StoreSource, stream
+from chdstat.explorer.sources import (
+    ImageAccumulator,
+    Overall,
+    SceneSource,
+    Source,
+    StoreSource,
+)
+from chdstat.explorer.statistics import suggest
 from chdstat.explorer.view import Pixel
-from chdstat.patterns import Thresholds
-from chdstat.patterns.classification import luminance_part, patterns_of
-from chdstat.patterns.pixel_statistics import PixelFits, firefly_limit
 from chdstat.samples import Samples, cache_key
 from chdstat.samples import open as open_store
 
-__all__ = ["Shared", "Stopped", "first_pixel", "kept", "opened", "suggest"]
+__all__ = ["Shared", "Stopped", "kept", "opened", "stream"]
 
 _MOST_FILES = 64
+_TILE = _BATCH = 64
+"""Edge of a tile, and samples, that the image is computed from at once."""
 _FIRST_SPP = 64
 _EVERY = 0.4
 """Seconds between two reports of a pass."""
@@ -70,6 +77,26 @@ def kept(samples: Samples, name: str, kind: type[T], compute: Callable[[], T]) -
     """
     cache = Cache(user_cache() / "explorer", cache_key(samples), most=_MOST_FILES)
     return cache.record("arrays", kind, compute, inputs=name)
+
+
+def stream(
+    source: StoreSource, step: Callable[[float], None] = lambda _: None, *, spp: int | None = None
+) -> Overall:
+    """Return the image of the first `spp` samples, None for all, in constant memory.
+
+    `step` is called with the share that is done; whatever it raises ends the pass.
+    """
+    spp = min(source.samples.spp, spp or source.samples.spp)
+    whole = Overall.empty(*source.size, len(source.channels))
+    places = list(product(*(spans(length, _TILE) for length in source.size)))
+    batches = list(spans(spp, _BATCH))
+    for i, (ys, xs) in enumerate(places):
+        sums = ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start)
+        for j, ss in enumerate(batches):
+            step((i + j / len(batches)) / len(places))
+            sums.add(source.read(ys, xs, ss))
+        whole.put(ys, xs, sums.overall())
+    return whole
 
 
 def opened(
@@ -346,77 +373,3 @@ class Shared:
     def _say(self, text: str) -> None:
         self.working = text
         self.tell("working")
-
-
-# --- suggestions --------------------------------------------------------------------------------
-
-_GRID = 12
-"""Pixels along the longer side of the image that are looked at."""
-_SPP = 512
-_AT_ONCE = 12
-_SUGGESTED = (("long tail", ("long_tail",)), ("bimodal", ("bimodal", "multimodal")),
-              ("null-heavy", ("null_heavy",)))  # fmt: skip
-"""Names, and the patterns that they stand for."""
-
-
-def first_pixel(overall: Overall) -> Pixel:
-    """Return the pixel with the brightest firefly, or the centre of an image without any.
-
-    Examples
-    --------
-    >>> first_pixel(Overall.empty(5, 9, 3))
-    (2, 4)
-    """
-    count = np.nan_to_num(overall.good_count).astype(np.int64)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = overall.extreme / (overall.extreme + overall.others)
-        is_firefly = share > firefly_limit(count, Thresholds())
-    height, width = share.shape
-    if not is_firefly.any():
-        return height // 2, width // 2
-    brightest = int(np.argmax(np.where(is_firefly, overall.extreme, -np.inf)))
-    return brightest // width, brightest % width
-
-
-def suggest(source: Source, step: Callable[[float], None]) -> list[tuple[str, Pixel]]:
-    """Return a pixel with a long tail, one with several modes and one that is null-heavy.
-
-    Of a grid of pixels, those whose pattern is surest: the lower end of the interval of its
-    statistic is the largest. What no pixel of the grid has is left out.
-
-    Parameters
-    ----------
-    source
-        Where samples come from; the first 512 of each pixel are read or drawn.
-    step
-        Called with the share that is done; whatever it raises ends the search.
-    """
-    pixels = _grid(*source.size)
-    sure: dict[str, list[npt.NDArray[np.float64]]] = {name: [] for name, _ in _SUGGESTED}
-    for i in range(0, len(pixels), _AT_ONCE):
-        step(i / len(pixels))
-        part = luminance_part(source.some(pixels[i : i + _AT_ONCE], _SPP))
-        found = patterns_of(PixelFits(part))
-        for name, patterns in _SUGGESTED:
-            lower = [
-                np.where(found.flags[p] & (part.n > 0), found.intervals[p][..., 0], -np.inf)
-                for p in patterns
-            ]
-            sure[name].append(np.fmax.reduce([*lower, np.full(len(part.n), -np.inf)]))
-    chosen: dict[str, Pixel] = {}
-    for name, parts in sure.items():
-        score = np.concatenate(parts)
-        score[[pixels.index(p) for p in chosen.values()]] = -np.inf
-        if score.max() > -np.inf:
-            chosen[name] = pixels[int(score.argmax())]
-    return list(chosen.items())
-
-
-def _grid(height: int, width: int) -> list[Pixel]:
-    """Return pixels in the middle of cells of equal size."""
-    cell = max(1.0, max(height, width) / _GRID)
-    ys, xs = (
-        ((np.arange(max(1, int(k / cell))) + 0.5) * k / max(1, int(k / cell))).astype(int).tolist()
-        for k in (height, width)
-    )
-    return [(y, x) for y in ys for x in xs]

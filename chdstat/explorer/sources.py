@@ -1,16 +1,14 @@
-"""Sources of samples: a store that is never loaded as a whole, and the image that is made of it.
-
-`stream` makes the image in constant memory.
-"""
+"""Sources of samples: a store, never loaded as a whole, or a scene, sampled where it is clicked."""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -18,27 +16,30 @@ import numpy.typing as npt
 from chdstat._core.arrays import generator, is_bad, is_null, luminance, spans
 from chdstat._core.image_scales import RadianceSums, display_stops, mean_of_pixels
 from chdstat._core.moments import Moments
-from chdstat.errors import ChdstatError, StoreError
+from chdstat.errors import ChdstatError, SceneError, StoreError
+from chdstat.explorer.render_process import RenderProcess
+from chdstat.explorer.startup import COARSE
 from chdstat.explorer.view import Box, Pixel, check_pixel
 from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_store
-from chdstat.samples.layout import BLOCK
+from chdstat.samples.layout import BLOCK, TILE, Chunk
 from chdstat.samples.tiles import sequence_of
 
 __all__ = [
+    "FIRST_SPP",
     "KEPT_BYTES",
+    "MOST_SPP",
     "ImageAccumulator",
     "Overall",
+    "SceneSource",
+    "Source",
     "StoreSource",
     "mixed",
     "pooled",
-    "stream",
-    "tiles",
 ]
 
 Image = npt.NDArray[np.float32]
 
-_TILE = _BATCH = 64
 _BLOCK_BYTES = 16 * 2**20
 KEPT_BYTES = 128 * 2**20
 _MOST_POOLED = 2**15
@@ -283,30 +284,6 @@ class StoreSource:
             raise StoreError(message)
 
 
-def tiles(size: tuple[int, int], edge: int) -> list[tuple[slice, slice]]:
-    """Return rows and columns of the tiles of an image, row by row."""
-    return [(ys, xs) for ys in spans(size[0], edge) for xs in spans(size[1], edge)]
-
-
-def stream(
-    source: StoreSource, step: Callable[[float], None] = lambda _: None, *, spp: int | None = None
-) -> Overall:
-    """Return the image of the first `spp` samples, None for all, in constant memory.
-
-    `step` is called with the share that is done; whatever it raises ends the pass.
-    """
-    spp = min(source.samples.spp, spp or source.samples.spp)
-    whole = Overall.empty(*source.size, len(source.channels))
-    places, batches = tiles(source.size, _TILE), list(spans(spp, _BATCH))
-    for i, (ys, xs) in enumerate(places):
-        sums = ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start)
-        for j, ss in enumerate(batches):
-            step((i + j / len(batches)) / len(places))
-            sums.add(source.read(ys, xs, ss))
-        whole.put(ys, xs, sums.overall())
-    return whole
-
-
 def mixed(x: Image) -> Image:
     """Return samples of several pixels, (pixel, channel, sample), as those of one place.
 
@@ -334,3 +311,133 @@ def pooled(height: int, width: int, spp: int) -> tuple[int, int]:
     step = max(1, math.ceil(math.sqrt(height * width / (_MOST_POOLED / 2))))
     pixels = -(-height // step) * -(-width // step)
     return max(1, min(spp, _MOST_POOLED // pixels)), step
+
+
+# --- a scene ------------------------------------------------------------------------------------
+
+FIRST_SPP = 2048
+MOST_SPP = 10**6
+_PIECE = 4096
+"""Samples drawn at once while a pixel is selected: a tenth of a second, which a click waits for."""
+_COARSE_SPP = 4
+"""Samples per pixel of the coarse image in the end."""
+_PASSES = (1, 1, 2, 2, 2, 2, 2, 2, 2)
+"""Samples per pixel of the passes over the image."""
+
+
+class SceneSource:
+    """A scene, sampled on demand.
+
+    Parameters
+    ----------
+    render
+        The process that renders it.
+    coarse
+        The image with at most `COARSE` pixels a side, shape (y, x, channel), to be seen until it is
+        drawn; None for none.
+    """
+
+    channels = ("R", "G", "B")
+
+    def __init__(self, render: RenderProcess, coarse: Image | None = None) -> None:
+        self._seed, self._render = render.job.seed, render
+        (width, height), self._integrator = self._render.described
+        self.size: tuple[int, int] = (height, width)
+        self.name = self.title = render.job.scene.name
+        self._coarse = coarse
+        self._preview = np.full((height, width, len(self.channels)), np.nan, np.float32)
+        if coarse is not None:
+            self._preview = self._enlarged(coarse)
+        self._pixels: dict[Pixel, Image] = {}
+        self._tiles = [
+            (ys, xs, ImageAccumulator(ys.stop - ys.start, xs.stop - xs.start))
+            for ys, xs in product(*(spans(length, TILE) for length in self.size))
+        ]
+        self._drawn = 0
+
+    def describe(self) -> str:
+        """Return size and integrator in one line."""
+        height, width = self.size
+        return f"{width} × {height} px · {self._integrator} · sampled where you click"
+
+    @property
+    def origin(self) -> dict[str, str | int]:
+        """Scene and seed."""
+        return {"scene": self.name, "seed": self._seed}
+
+    def close(self) -> None:
+        """End the process that renders."""
+        self._render.close()
+
+    def pixel(self, y: int, x: int) -> Image:
+        """Return the samples that a pixel has; the first of them are drawn on the first call."""
+        check_pixel(y, x, *self.size)
+        if (y, x) not in self._pixels:
+            self._draw(y, x, FIRST_SPP)
+        return self._pixels[y, x]
+
+    def more(self, y: int, x: int) -> Image:
+        """Draw as many samples again, a limited piece at a time, up to `MOST_SPP`."""
+        spp = self.pixel(y, x).shape[1]
+        if spp < MOST_SPP:
+            self._draw(y, x, min(_PIECE, spp, MOST_SPP - spp))
+        return self._pixels[y, x]
+
+    def some(self, pixels: Sequence[Pixel], spp: int) -> Image:
+        """Draw samples of several pixels, shape (pixel, channel, sample)."""
+        drawn: Image = self._render("pixels", np.array(pixels), spp)
+        return drawn
+
+    def region(self, box: Box) -> Image:
+        """Return pooled samples of a region, as many of each pixel, shape (channel, sample)."""
+        top, left, bottom, right = box
+        each, step = pooled(bottom - top, right - left, 64)
+        at = [(y, x) for y in range(top, bottom, step) for x in range(left, right, step)]
+        return mixed(self._render("pixels", np.array(at), each))
+
+    def passes(self) -> Iterator[float]:
+        """Draw the image better and better; yield the share that is done after each tile."""
+        if self._coarse is not None:
+            rest = _COARSE_SPP - 1
+            further: Image = self._render("preview", COARSE, rest, seed=1)
+            self._coarse += rest / _COARSE_SPP * (further - self._coarse)
+            self._preview = self._enlarged(self._coarse)
+            yield 0.0
+        columns, total = -(-self.size[1] // TILE), len(self._tiles) * len(_PASSES)
+        start = 0
+        for spp in _PASSES:
+            samples = slice(start, start + spp)
+            start += spp
+            for i, (ys, xs, sums) in enumerate(self._tiles):
+                chunk = Chunk(0, i // columns, i % columns, ys, xs, samples)
+                sums.add(self._render("chunk", chunk))
+                self._drawn += 1
+                yield self._drawn / total
+        if not np.nan_to_num(self.overall().mean).any():
+            message = f"the image of {self.name!r} is black: does it have an emitter?"
+            raise SceneError(message)
+
+    def overall(self) -> Overall:
+        """Return the image as far as it is drawn."""
+        whole = replace(Overall.empty(*self.size, len(self.channels)), mean=self._preview.copy())
+        for ys, xs, sums in self._tiles[: self._drawn]:
+            whole.put(ys, xs, sums.overall())
+        return whole
+
+    def _enlarged(self, coarse: Image) -> Image:
+        ys, xs = (np.arange(n) * m // n for n, m in zip(self.size, coarse.shape[:2], strict=True))
+        return np.asarray(coarse[ys[:, np.newaxis], xs], np.float32)
+
+    def _draw(self, y: int, x: int, spp: int) -> None:
+        there = self._pixels.get((y, x))
+        # The seed moves a pixel's stream by a golden section: its pieces never meet.
+        seed = self._seed + (0 if there is None else -(-there.shape[1] // FIRST_SPP))
+        drawn: Image = self._render("pixels", np.array([[y, x]]), spp, seed=seed)[0]
+        self._pixels.pop((y, x), None)
+        self._pixels[y, x] = drawn if there is None else np.concatenate([there, drawn], axis=1)
+        held = sum(x.nbytes for x in self._pixels.values())
+        while len(self._pixels) > 1 and held > KEPT_BYTES:
+            held -= self._pixels.pop(next(iter(self._pixels))).nbytes
+
+
+Source = StoreSource | SceneSource

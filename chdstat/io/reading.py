@@ -102,7 +102,7 @@ FORMATS = (
     ),
     Format("exr", (".exr",), "EXR images, each a sample or average", "frames:open_exr"),
     Format("rawls", (".rawls",), "Images of rawls, each a sample or average", "frames:open_rawls"),
-    Format("noisebase", (".zip",), "Sample sets of noisebase", "noisebase:open_noisebase"),
+    Format("noisebase", (".zip",), "Sample sets of noisebase", "arrays:open_noisebase"),
     Format(
         "bcd",
         (".raw",),

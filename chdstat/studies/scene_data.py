@@ -37,6 +37,7 @@ __all__ = [
     "SceneData",
     "correlation_of",
     "fold_of",
+    "largest_interval",
     "logs",
     "positive_quantiles",
     "ratio_of",
@@ -117,6 +118,12 @@ def _sums(x: Floats, y: Floats, z: Floats, blocks: Blocks) -> Floats:
     x, y, z = (np.where(known, v, 0) for v in (x, y, z))
     columns = np.stack([known, x, y, z, x * z, y * z, y * y], axis=-1)
     return blocks.sums(columns.reshape(len(x), -1, columns.shape[-1]).sum(axis=1))
+
+
+def largest_interval(intervals: Sequence[Interval[float]]) -> Interval[float]:
+    """Return the largest of several; its ends are the largest of ends that hold together."""
+    value, low, high = (max(getattr(i, end) for i in intervals) for end in ("value", "low", "high"))
+    return Interval(value, low, high)
 
 
 def logs(values: Floats) -> Floats:

@@ -18,13 +18,14 @@ from chdstat.errors import InputError, SceneError, StoreError
 from chdstat.explorer import shared
 from chdstat.explorer.maps import MAPS, Map, map_kind, of_overall, walk
 from chdstat.explorer.render_process import RenderProcess
-from chdstat.explorer.scene_source import FIRST_SPP, SceneSource
+from chdstat.explorer.shared import stream
 from chdstat.explorer.sources import (
+    FIRST_SPP,
     ImageAccumulator,
     Overall,
+    SceneSource,
     StoreSource,
     pooled,
-    stream,
 )
 from chdstat.explorer.startup import rgba
 from chdstat.fit.tail import tail_of_part

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.explorer.shared import first_pixel, suggest
-from chdstat.explorer.sources import StoreSource, stream
+from chdstat.explorer.shared import stream
+from chdstat.explorer.sources import StoreSource
+from chdstat.explorer.statistics import first_pixel, suggest
 
 
 def ignore(*_):

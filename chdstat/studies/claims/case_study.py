@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -34,6 +34,7 @@ from chdstat.studies.scene_data import (
     QUANTILES_NEED,
     PixelSet,
     SceneData,
+    largest_interval,
     logs,
     positive_quantiles,
 )
@@ -354,11 +355,7 @@ def measure_similarity(data: SceneData) -> Outcome:
     }
     known = {name: d for name, d in distances.items() if math.isfinite(d.value)}
     require(known, "shapes of two regions of indirect light")
-    # The largest of all pairs: its ends are the largest of ends that hold together.
-    value, low, high = (
-        max(getattr(d, end) for d in known.values()) for end in ("value", "low", "high")
-    )
-    farthest = Interval(value, low, high, level)
+    farthest = replace(largest_interval([*known.values()]), level=level)
     noise = _difference(
         [_noise(x), _noise(data.light(direct))], [indirect.blocks, direct.blocks], level=level
     )

@@ -9,6 +9,7 @@ matters.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +28,7 @@ from chdstat.studies.scene_data import (
     QUANTILES_NEED,
     PixelSet,
     SceneData,
+    largest_interval,
     logs,
     positive_quantiles,
     ratio_of,
@@ -318,40 +320,27 @@ def measure_integrators(data: SceneData) -> Outcome:
             sooner[name] = _timed(fewer[name], seconds[0] / seconds[1])
     known = [d for d in distances.values() if np.isfinite(d.value)]
     require(known, "positive samples enough for shapes")
-    # The largest of several: its ends are the largest of ends that hold together.
-    value, low, high = (max(getattr(d, end) for d in known) for end in ("value", "low", "high"))
-    tests = [
-        ClaimTest(
-            "largest distance between the shapes of two integrators",
-            Interval(value, low, high, level),
-            least=DIFFERENT,
-            unit="decade^1/2",
-        )
-    ]
+    name, largest = (
+        "largest distance between the shapes of two integrators",
+        largest_interval(known),
+    )
+    tests = [ClaimTest(name, replace(largest, level=level), least=DIFFERENT, unit="decade^1/2")]
     missing = []
     if BSDF_SAMPLING not in pairs:
         missing.append("needs lights that sampling BSDFs can find")
     elif BSDF_SAMPLING not in sooner:
         missing.append("needs times of the renders, by the scalar backend")
     else:
-        tests.append(
-            ClaimTest(
-                f"log {_SLOWEST}, {BSDF_SAMPLING} over lights, too",
-                sooner[BSDF_SAMPLING],
-                least=0.0,
-                unit="decade",
-            )
-        )
+        name = f"log {_SLOWEST}, {BSDF_SAMPLING} over lights, too"
+        tests.append(ClaimTest(name, sooner[BSDF_SAMPLING], least=0.0, unit="decade"))
     shown = sooner or fewer
     return Outcome(
         tuple(tests),
         tuple(missing),
         details={
             "distances": {name: d.value for name, d in distances.items()},
-            **{
-                key: {name: i.to_dict() for name, i in found.items()}
-                for key, found in ((f"log {_SLOWEST}", sooner), (f"log {_FASTEST}", fewer))
-            },
+            f"log {_SLOWEST}": {name: i.to_dict() for name, i in sooner.items()},
+            f"log {_FASTEST}": {name: i.to_dict() for name, i in fewer.items()},
         },
         plot_data=PlotData.bars(
             {name: i.value for name, i in shown.items()},
