@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,7 @@ from chdstat.fit.unimodal_bic import unimodal_scores
 from chdstat.inference.dip import dips
 from chdstat.inference.statistics import DIP_QUANTILES, interpolated_p
 from chdstat.samples import Image, Mapped, Samples, opened
+from chdstat.summary.dispatch import of_image
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -153,12 +154,7 @@ _CERTAIN = 0.01
 """Level at which no distribution of one mode is: the dip test holds its level for all of them."""
 
 
-@overload
-def modality(  # type: ignore[overload-overlap]  # a string is a path
-    x: Image, *, progress: bool | None = None
-) -> xr.Dataset: ...
-@overload
-def modality(x: npt.ArrayLike, *, null: npt.ArrayLike | None = None) -> Modality: ...
+@of_image
 def modality(
     x: Image | npt.ArrayLike, *, null: npt.ArrayLike | None = None, progress: bool | None = None
 ) -> Modality | xr.Dataset:

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,7 @@ from chdstat.errors import InputError, Reason
 from chdstat.inference import statistics
 from chdstat.inference.statistics import Rows, standardise
 from chdstat.samples import Image, Mapped, Samples, opened
+from chdstat.summary.dispatch import of_image
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -189,23 +190,7 @@ class Gaussianity(Shown):
     reason: npt.NDArray[np.int8]
 
 
-@overload
-def gaussianity(  # type: ignore[overload-overlap]  # a string is a path
-    x: Image,
-    *,
-    transform: Transform | Sequence[Transform] = ...,
-    test: TestName | Sequence[TestName] = ...,
-    alpha: float = ...,
-    progress: bool | None = None,
-) -> xr.Dataset: ...
-@overload
-def gaussianity(
-    x: npt.ArrayLike,
-    *,
-    transform: Transform | Sequence[Transform] = ...,
-    test: TestName | Sequence[TestName] = ...,
-    null: npt.ArrayLike | None = None,
-) -> Gaussianity: ...
+@of_image
 def gaussianity(
     x: Image | npt.ArrayLike,
     *,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +30,7 @@ from chdstat.inference.normality import (
     finish_tests,
 )
 from chdstat.samples import Image, Mapped, Samples, opened
+from chdstat.summary.dispatch import of_image
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -111,25 +112,7 @@ class GaussianityOfMeans(Shown):
     reason: npt.NDArray[np.int8]
 
 
-@overload
-def gaussianity_of_means(  # type: ignore[overload-overlap]  # a string is a path
-    x: Image,
-    *,
-    sizes: Sequence[int] | None = None,
-    n_means: int = ...,
-    test: TestName = ...,
-    alpha: float = ...,
-    progress: bool | None = None,
-) -> xr.Dataset: ...
-@overload
-def gaussianity_of_means(
-    x: npt.ArrayLike,
-    *,
-    sizes: Sequence[int] | None = None,
-    n_means: int = ...,
-    test: TestName = ...,
-    alpha: float = ...,
-) -> GaussianityOfMeans: ...
+@of_image
 def gaussianity_of_means(
     x: Image | npt.ArrayLike,
     *,

@@ -13,7 +13,7 @@ import enum
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,7 @@ from chdstat.fit.families import SELECTED
 from chdstat.patterns.pixel_statistics import PixelFits, Thresholds, gather
 from chdstat.patterns.table import PATTERNS
 from chdstat.samples import Image, Mapped, Samples, opened
+from chdstat.summary.dispatch import of_image
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -119,12 +120,7 @@ class Patterns(Shown):
     reason: npt.NDArray[np.int8]
 
 
-@overload
-def classify(  # type: ignore[overload-overlap]  # a string is a path
-    x: Image, *, thresholds: Thresholds | None = None, progress: bool | None = None
-) -> xr.Dataset: ...
-@overload
-def classify(x: npt.ArrayLike, *, thresholds: Thresholds | None = None) -> Patterns: ...
+@of_image
 def classify(
     x: Image | npt.ArrayLike, *, thresholds: Thresholds | None = None, progress: bool | None = None
 ) -> Patterns | xr.Dataset:

@@ -31,13 +31,22 @@ import numpy.typing as npt
 
 from chdstat._core.positive import Counts, Floats, LogStatistics, PositivePart, reason_of
 from chdstat.errors import InputError
-from chdstat.samples import Mapped, Samples
+from chdstat.samples import Image, Mapped, Samples
 from chdstat.summary.histograms import Histogram
 
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["OfSource", "Part", "PositiveHistogram", "Source", "of_source", "run"]
+__all__ = [
+    "OfImage",
+    "OfSource",
+    "Part",
+    "PositiveHistogram",
+    "Source",
+    "of_image",
+    "of_source",
+    "run",
+]
 
 _NEEDED = ("log_counts", "log_underflow", "log_overflow", "null_count", "bad_count")
 
@@ -198,6 +207,22 @@ def of_source(
 ) -> OfSource[Options, Own]:
     """Tell type checkers what a function of any `Source` returns; the function stays as it is."""
     return cast("OfSource[Options, Own]", function)
+
+
+class OfImage(Protocol[Options, Own]):
+    """Type of a function that returns a dataset for an image, or the path of one, as `OfSource`."""
+
+    @overload
+    def __call__(self, x: Image, *args: Options.args, **options: Options.kwargs) -> xr.Dataset: ...
+    @overload
+    def __call__(self, x: npt.ArrayLike, *args: Options.args, **options: Options.kwargs) -> Own: ...
+
+
+def of_image(
+    function: Callable[Concatenate[Image | npt.ArrayLike, Options], Own | xr.Dataset],
+) -> OfImage[Options, Own]:
+    """Tell type checkers what a function of an image or an array returns, as `of_source` does."""
+    return cast("OfImage[Options, Own]", function)
 
 
 def run(
