@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, is_bad, plain, seed_number, whole
+from chdstat._core.cache import checkpoints
 from chdstat._core.files import unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Counts, PositivePart
@@ -30,12 +32,14 @@ from chdstat.inference.normality_of_means import MORE_THAN_TESTED, N_MEANS, UNTE
 from chdstat.patterns import classification
 from chdstat.patterns.pixel_statistics import PixelFits, Thresholds
 from chdstat.patterns.table import PATTERNS
-from chdstat.samples import Image, Mapped, samples_of
+from chdstat.samples import Image, Mapped, checkpoint_key, samples_of
+from chdstat.samples.tiles import Work
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
+    from distributed import Client
 
 __all__ = ["Overview", "Share", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
 
@@ -58,6 +62,8 @@ def analyze(
     resamples: int = 0,
     seed: Seed = 0,
     progress: bool | None = None,
+    client: Client | None = None,
+    checkpoint: str | Path | None = None,
 ) -> xr.Dataset:
     """Return everything per pixel: statistics, fits, tails, modes, normality, patterns.
 
@@ -78,6 +84,11 @@ def analyze(
         costs about as much as the fits.
     progress
         Show progress bars; None shows them on a terminal.
+    client
+        A Dask client, whose workers analyse, one tile a task, to the same bits.
+    checkpoint
+        Folder that keeps every tile as soon as it is analysed, until all are: the same call, after
+        it was stopped in whatever way, goes on from there.
 
     Returns
     -------
@@ -104,7 +115,6 @@ def analyze(
 
     resamples, seed = whole("resamples", resamples, least=0), seed_number(seed)
     samples, thresholds = samples_of(samples), thresholds or Thresholds()
-    summary = summarize(samples, progress=progress)
     enough = samples.spp >= N_MEANS
     sizes = means.sizes_of_means(samples.spp, test=_TEST_OF_MEANS) if enough else None
 
@@ -134,7 +144,11 @@ def analyze(
             for name, variable in variables.items()
         }
 
-    found = samples.map(of_block, logarithms=True, description="analysing", progress=progress)
+    known = functools.partial(checkpoint_key, samples)
+    with checkpoints(checkpoint, known, thresholds, held_out, resamples, seed) as kept:
+        work: Work = {"progress": progress, "client": client, "checkpoint": kept}
+        summary = summarize(samples, **work)
+        found = samples.map(of_block, logarithms=True, description="analysing", **work)
     finishes = _finishes(thresholds, resamples, sizes)
     parts = [_finished(found, stage, finish) for stage, finish in finishes.items()]
     # The parts count the same samples; the summary's word on nulls and bad samples stands.

@@ -12,6 +12,7 @@ import enum
 
 __all__ = [
     "ChdstatError",
+    "ClusterError",
     "InputError",
     "LeftOutWarning",
     "Reason",
@@ -26,6 +27,10 @@ _LONGEST = 600
 
 class ChdstatError(Exception):
     """Base of all errors that chdstat raises on purpose."""
+
+
+class ClusterError(ChdstatError):
+    """A Dask cluster is lost, has no workers, or has workers of other versions."""
 
 
 class InputError(ChdstatError, ValueError):

@@ -11,7 +11,7 @@ import copy
 import operator
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from types import FrameType
 from typing import Any, SupportsIndex, TypeAlias, TypeVar, cast
@@ -254,11 +254,18 @@ class LeftOut:
         bad, nan, infinite = marked[0] - absent, marked[1] - absent, marked[2]
         self._counts.append((samples - absent, bad, nan, infinite, values, negative))
 
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """What was counted, for `add`."""
+        return tuple(map(sum, zip(*self._counts, strict=True))) or (0,) * 6
+
+    def add(self, counts: Iterable[int]) -> None:
+        """Add what another has counted, in another process or before."""
+        self._counts.append(tuple(counts))
+
     def warn(self) -> None:
         """Warn the caller of the library where more than 1 % of the samples were left out."""
-        if not self._counts:
-            return
-        samples, bad, nan, infinite, values, negative = map(sum, zip(*self._counts, strict=True))
+        samples, bad, nan, infinite, values, negative = self.counts
         if bad > _TOLERATED * samples:
             _warn(bad, samples, f"bad and were left out: {nan} NaN or masked, {infinite} infinite")
         if negative > _TOLERATED * values:

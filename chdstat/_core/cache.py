@@ -16,7 +16,7 @@ import importlib.metadata
 import json
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, TypeVar, get_origin
 
@@ -30,7 +30,7 @@ from chdstat.errors import StoreError
 if TYPE_CHECKING:
     from cattrs import Converter
 
-__all__ = ["Cache", "installed", "user_cache"]
+__all__ = ["Cache", "beside", "checkpoints", "installed", "user_cache"]
 
 T = TypeVar("T")
 
@@ -155,6 +155,44 @@ def installed(package: str) -> str:
 def user_cache() -> Path:
     """Return the folder of the user's cache, which holds what may be computed again."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "chdstat")
+
+
+@contextlib.contextmanager
+def checkpoints(
+    folder: str | Path | None, identify: Callable[[], str], *inputs: object
+) -> Iterator[Cache | None]:
+    """Yield what keeps the parts of a long computation until it is whole, then removes them.
+
+    Parameters
+    ----------
+    folder
+        Where; None keeps nothing.
+    identify
+        Returns what identifies the samples.
+    inputs
+        What else the result depends on, with a `repr` that identifies it.
+
+    Examples
+    --------
+    >>> from chdstat._core.files import scratch
+    >>> with scratch() as folder:
+    ...     with checkpoints(folder / "parts", lambda: "box-32", 0.05) as kept:
+    ...         found = kept.record("first", int, lambda: 1 + 1)
+    ...     found, (folder / "parts").exists()
+    (2, False)
+    """
+    if folder is None:
+        yield None
+        return
+    # Workers of a cluster write to it, too, from folders of their own.
+    place, options = Path(folder).absolute(), hashlib.sha256(repr(inputs).encode()).hexdigest()
+    yield Cache(place, f"{identify()}-{options[:12]}")
+    remove(place)
+
+
+def beside(out: Path | None) -> Path | None:
+    """Return the folder of the checkpoints of what becomes a file or folder; None for none."""
+    return None if out is None else out.with_name(f"{out.name}.checkpoint")
 
 
 class Cache:

@@ -1,39 +1,51 @@
-"""Threads, interrupts and progress of long work.
+"""Threads, clusters and interrupts of long work.
 
 One function runs on many pieces at once, one thread for each core: NumPy releases Python's lock
-while it computes, so threads, which share memory, are enough. Ctrl-C ends the work in all threads
-and is never lost. One progress bar shows rate and time left on the terminal's error stream; a log
-gets a line every ten seconds if progress is asked for, and nothing otherwise.
+while it computes, so threads, which share memory, are enough. With a Dask client, the workers of a
+cluster take the place of the threads, and all else stays. Ctrl-C ends the work in all threads
+and is never lost.
 """
 
 from __future__ import annotations
 
 import contextlib
 import ctypes
-import math
+import logging
 import os
 import signal
-import sys
 import threading
-import time
+from asyncio import CancelledError as AsyncCancelledError
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Collection, Iterable, Iterator
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    Future,
+    ThreadPoolExecutor,
+    wait,
+)
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from chdstat._core.display import duration
-from chdstat.errors import InputError
+from chdstat.errors import ClusterError, InputError
 
 if TYPE_CHECKING:
-    from rich.progress import ProgressColumn, Task
-    from rich.text import Text
+    from distributed import Client
 
-__all__ = ["Interrupted", "Interrupts", "check_memory", "cores", "in_order", "memory", "track"]
-
-_LINE_EVERY = 10.0
-"""Seconds between two lines of progress where no terminal is attached."""
+__all__ = [
+    "Interrupted",
+    "Interrupts",
+    "Pool",
+    "check_memory",
+    "check_workers",
+    "client_of",
+    "cores",
+    "in_order",
+    "memory",
+    "pool",
+]
 
 # Those of the signal module may be called in the main thread only.
 _get_handler = ctypes.pythonapi.PyOS_getsig
@@ -142,140 +154,187 @@ def check_memory(needed: float, what: str, advice: str) -> None:
 
 
 def in_order(
-    function: Callable[[Item], Result], items: Iterable[Item], *, workers: int | None = None
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    *,
+    workers: int | None = None,
+    client: Client | None = None,
 ) -> Iterator[Result]:
     """Yield the results of a function in the order of its items, `workers` of them at work.
 
-    No more than `workers` results wait for their turn, so that memory stays bounded. An exception
-    of the function is raised where its result would be; nothing new is begun after it.
+    About as many results wait for their turn, so that memory stays bounded. An exception of the
+    function is raised where its result would be; nothing new is begun after it. With a Dask
+    client, its workers are at work, to which function and items travel.
+
+    Raises
+    ------
+    ClusterError
+        If the cluster of the client is lost, or fails `check_workers`.
 
     Examples
     --------
     >>> list(in_order(abs, [-1, 2, -3], workers=2))
     [1, 2, 3]
     """
-    workers = workers or cores()
-    pool = ThreadPoolExecutor(workers, thread_name_prefix="chdstat")
     waiting: deque[Future[Result]] = deque()
-    try:
-        for item in items:
-            waiting.append(pool.submit(function, item))
-            if len(waiting) > workers:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+    with pool(workers, client) as at_work:
+        try:
+            for item in items:
+                waiting.append(at_work.submit(function, item))
+                if len(waiting) > at_work.window:
+                    yield at_work.result(waiting.popleft())
+            while waiting:
+                yield at_work.result(waiting.popleft())
+        finally:
+            for future in waiting:
+                future.cancel()
 
 
-@contextlib.contextmanager
-def track(
-    description: str,
-    total: float,
-    *,
-    unit: str = "it",
-    show: bool | None = None,
-    line_every: float = _LINE_EVERY,
-) -> Iterator[Callable[[float], None]]:
-    """Show the progress of a piece of work while the context lasts.
+# --- clusters -----------------------------------------------------------------------------------
 
-    Parameters
+_PATIENCE = 6
+"""Seconds to wait for a scheduler, for its first worker, or for one in place of the last."""
+_VERSIONED = ("chdstat", "mitsuba", "numpy", "scipy")
+"""Packages on whose versions results depend."""
+_LOST = (
+    "the Dask cluster was lost while it worked; what is stored is kept: start it again, or work "
+    "here, with the same command to resume"
+)
+
+
+class Pool:
+    """What works: threads of this process, or the workers of a cluster.
+
+    Attributes
     ----------
-    description
-        What is being done, a few words.
-    total
-        How much there is to do, in `unit`.
-    unit
-        What is counted; the rate is shown in it per second.
-    show
-        Show the progress, as a bar if the error stream is a terminal and as lines otherwise; None
-        draws the bar only.
-    line_every
-        Seconds between two lines.
-
-    Yields
-    ------
-    callable
-        Call it with the amount done since the last call.
-
-    Examples
-    --------
-    >>> with track("counting", 3, show=False) as advance:
-    ...     for _ in range(3):
-    ...         advance(1)
+    window
+        How many pieces of work to have under way.
     """
-    terminal = sys.stderr.isatty()
-    if not (terminal if show is None else show):
-        yield lambda _: None
-        return
-    if not terminal:
-        with _lines(description, total, line_every) as advance:
-            yield advance
-        return
-    from rich import progress as bars
-    from rich.console import Console
 
-    columns = (
-        bars.TextColumn("{task.description}"),
-        bars.BarColumn(),
-        bars.TaskProgressColumn(),
-        _rate_column(unit),
-        bars.TimeRemainingColumn(),
-    )
-    with bars.Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task(description, total=total)
-        yield lambda amount: bar.advance(task, amount)
+    def __init__(self, executor: Executor, window: int, client: Client | None = None) -> None:
+        self._executor, self.window, self._client = executor, window, client
 
+    def submit(
+        self, function: Callable[..., Result], *arguments: Any, **options: Any
+    ) -> Future[Result]:
+        """Begin a piece of work."""
+        return self._executor.submit(function, *arguments, **options)
 
-_PAUSE = 1.0
-"""Seconds without work after which new work begins."""
-_line_before = _ended = -math.inf
-"""When the last line of progress was written, and when work ended: work of many short pieces has
-lines, too."""
+    def result(self, future: Future[Result]) -> Result:
+        """Return the result of a piece of work when it is done."""
+        self.first_done([future])
+        return future.result()
+
+    def first_done(self, futures: Collection[Future[Result]]) -> set[Future[Result]]:
+        """Return those that are done, at least one of them, unless nothing works on them."""
+        while not (
+            done := wait(futures, None if self._client is None else _PATIENCE, FIRST_COMPLETED).done
+        ):
+            if self._client is not None:
+                _wait_for_workers(self._client)
+        return done
 
 
 @contextlib.contextmanager
-def _lines(description: str, total: float, every: float) -> Iterator[Callable[[float], None]]:
-    """Write a line of progress now and then while the context lasts, also where work stands."""
-    global _line_before, _ended
-    start, ended, done = time.monotonic(), threading.Event(), 0.0
-    if start > _ended + _PAUSE:
-        _line_before = start
+def pool(workers: int | None = None, client: Client | None = None) -> Iterator[Pool]:
+    """Yield threads, one for each core if `workers` is None, or the workers of a cluster.
 
-    def advance(amount: float) -> None:
-        nonlocal done
-        done += amount
+    Raises
+    ------
+    ClusterError
+        If the cluster is lost while the context lasts, or fails `check_workers`. Futures of Dask
+        raise no error of their own when their scheduler dies; they are cancelled.
+    """
+    if client is None:
+        workers = workers or cores()
+        threads = ThreadPoolExecutor(workers, thread_name_prefix="chdstat")
+        try:
+            yield Pool(threads, workers)
+        finally:
+            threads.shutdown(wait=True, cancel_futures=True)
+        return
+    from distributed import KilledWorker
+    from distributed.comm import CommClosedError
 
-    def write() -> None:
-        global _line_before
-        while not ended.wait(max(0, _line_before + every - time.monotonic())):
-            _line_before = time.monotonic()
-            share, passed = done / total if total else 1.0, duration(max(1, _line_before - start))
-            sys.stderr.write(f"{description}: {share:.0%} after {passed}\n")
-            sys.stderr.flush()
-
-    writer = threading.Thread(target=write, name="chdstat-progress", daemon=True)
-    writer.start()
     try:
-        yield advance
-    finally:
-        ended.set()
-        writer.join()
-        _ended = time.monotonic()
+        check_workers(client)
+        yield Pool(
+            client.get_executor(pure=False), 2 * max(1, sum(client.ncores().values())), client
+        )
+    except KilledWorker as error:
+        message = (
+            "workers of the Dask cluster were killed again and again by the same piece of work: "
+            "most likely they have too little memory; give them more, or fewer threads"
+        )
+        raise ClusterError(message) from error
+    except (CancelledError, AsyncCancelledError, CommClosedError) as error:
+        raise ClusterError(_LOST) from error
 
 
-def _rate_column(unit: str) -> ProgressColumn:
-    """Return a rich column that shows the speed as 1.2 M unit/s."""
-    from rich.filesize import pick_unit_and_suffix
-    from rich.progress import ProgressColumn
-    from rich.text import Text
+@contextlib.contextmanager
+def client_of(scheduler: str | None, workers: int | None) -> Iterator[Client | None]:
+    """Yield a client of a Dask scheduler, or of so many workers of this machine, or None.
 
-    class Rate(ProgressColumn):
-        def render(self, task: Task) -> Text:
-            speed = task.finished_speed or task.speed
-            if speed is None:
-                return Text("")
-            scale, suffix = pick_unit_and_suffix(int(speed), ["", "k", "M", "G"], 1000)
-            return Text(f"{speed / scale:.2f} {suffix}{unit}/s")
+    Raises
+    ------
+    InputError
+        If both are given, or there is no scheduler at the address.
+    """
+    if scheduler is None and workers is None:
+        yield None
+        return
+    if scheduler is not None and workers is not None:
+        message = "workers are started here, a scheduler has its own; give one of them"
+        raise InputError(message)
+    from distributed import Client, LocalCluster
 
-    return Rate()
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # errors come as such
+    address: Any = scheduler
+    with contextlib.ExitStack() as stack:
+        if scheduler is None:
+            threads = {"n_workers": workers, "threads_per_worker": 1}
+            quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
+            address = stack.enter_context(LocalCluster(**threads, **quiet))
+        try:
+            client = Client(address, timeout=_PATIENCE)
+        except (OSError, ValueError) as error:
+            message = f"cannot reach a Dask scheduler at {scheduler}: {error}"
+            raise InputError(message) from error
+        yield stack.enter_context(client)
+
+
+def check_workers(client: Client) -> None:
+    """Refuse a cluster that has no workers, or workers of other versions.
+
+    Raises
+    ------
+    ClusterError
+        If there are none within a few seconds, or their versions differ from those here.
+    """
+    _wait_for_workers(client)
+    versions = client.get_versions(packages=list(_VERSIONED))
+    ours = versions["client"]["packages"]
+    for address, worker in versions["workers"].items():
+        theirs = worker["packages"]
+        differing = [n for n in _VERSIONED if theirs.get(n) != ours.get(n)]
+        if differing:
+            detail = ", ".join(f"{n} {theirs.get(n)}, here {ours.get(n)}" for n in differing)
+            message = (
+                f"the Dask worker at {address} has other versions ({detail}), with which results "
+                "differ; install the same ones there"
+            )
+            raise ClusterError(message)
+
+
+def _wait_for_workers(client: Client) -> None:
+    if client.status in ("closed", "closing"):
+        raise ClusterError(_LOST)
+    try:
+        client.wait_for_workers(1, timeout=_PATIENCE)
+    except TimeoutError as error:
+        address = client.scheduler.address if client.scheduler is not None else "its address"
+        message = (
+            f"the Dask scheduler at {address} has no workers after {_PATIENCE} seconds; "
+            f"start some with: dask worker {address}"
+        )
+        raise ClusterError(message) from error

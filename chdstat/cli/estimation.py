@@ -132,6 +132,8 @@ def estimate(
     define: cli.Defines = None,
     plugin: cli.Plugins = None,
     store: cli.StoreKept = None,
+    scheduler: cli.Scheduler = None,
+    workers: cli.Workers = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
@@ -142,6 +144,8 @@ def estimate(
     reference, the last in memory that does not grow with --spp. The file holds the estimate, and as
     layers its certainty, the ends of its interval, and the mean of the samples.
     """
+    from chdstat._core.cache import beside
+    from chdstat._core.executor import client_of
     from chdstat._core.files import checked_target
     from chdstat.estimators import Progressive
     from chdstat.estimators.estimates import write_estimates
@@ -182,18 +186,21 @@ def estimate(
             store=store,
             quiet=quiet,
         )
-    path = write_estimates(
-        target,
-        samples,
-        trained,
-        spp=None if while_rendering else spp,
-        loss_weight=loss_weight,
-        level=level,
-        denoise=denoise,
-        seed=seed,
-        iterations=iterations,
-        progress=not quiet,
-    )
+    with client_of(scheduler, workers) as client:
+        path = write_estimates(
+            target,
+            samples,
+            trained,
+            spp=None if while_rendering else spp,
+            loss_weight=loss_weight,
+            level=level,
+            denoise=denoise,
+            seed=seed,
+            iterations=iterations,
+            progress=not quiet,
+            client=client,
+            checkpoint=beside(out),
+        )
     output.say_written(path, as_json=as_json)
     output.say_next(quiet, f"open {path} in an EXR viewer; certainty, low, high, mean are layers")
 
@@ -225,11 +232,14 @@ def compare(
         ),
     ] = None,
     plugin: cli.Plugins = None,
+    scheduler: cli.Scheduler = None,
+    workers: cli.Workers = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
     """Compare estimators on held-out pixels: errors, bias and fireflies."""
     import chdstat
+    from chdstat._core.executor import client_of
     from chdstat._core.files import unused
     from chdstat.comparison.candidates import DEFAULT
     from chdstat.reporting.figures import save_comparison
@@ -239,27 +249,30 @@ def compare(
         unused(out)  # refused before the work, not after
     samples, estimators = chdstat.open(store), estimator or DEFAULT
     sizes = chdstat.comparison.curve_sizes(samples, estimators) if curve else None
-    found = chdstat.compare(
-        samples,
-        estimators,
-        n=n,
-        seed=seed,
-        max_batches=max_batches,
-        denoise=denoise,
-        labels="classify" if patterns else None,
-        progress=not quiet,
-    )
     errors = None
-    if curve:
-        errors = chdstat.comparison.error_curve(
+    with client_of(scheduler, workers) as client:
+        found = chdstat.compare(
             samples,
             estimators,
-            sizes=sizes,
+            n=n,
             seed=seed,
             max_batches=max_batches,
-            model=found.reusable_models,
+            denoise=denoise,
+            labels="classify" if patterns else None,
             progress=not quiet,
+            client=client,
         )
+        if curve:
+            errors = chdstat.comparison.error_curve(
+                samples,
+                estimators,
+                sizes=sizes,
+                seed=seed,
+                max_batches=max_batches,
+                model=found.reusable_models,
+                progress=not quiet,
+                client=client,
+            )
     if out is not None:
         save_comparison(found, out, curve=errors)
     if as_json:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib
 import json
 import logging
 import re
@@ -21,8 +19,6 @@ from chdstat import __version__
 from chdstat.errors import ChdstatError, InputError, LeftOutWarning
 
 if TYPE_CHECKING:
-    from distributed import Client
-
     from chdstat.patterns import Thresholds
     from chdstat.rendering.backend import Backend
     from chdstat.samples import Samples
@@ -44,13 +40,14 @@ __all__ = [
     "RecipeSize",
     "SceneName",
     "SceneOrStore",
+    "Scheduler",
     "Seed",
     "Size",
     "Spp",
     "StoreKept",
     "StorePath",
+    "Workers",
     "app",
-    "client_of",
     "compared",
     "crop_of",
     "integrator_of",
@@ -154,6 +151,23 @@ Plugins = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for scripts.")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show no progress, and not what to do next.")
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Dask scheduler whose workers do the work.",
+        show_default="none: this process",
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        min=1,
+        metavar="N",
+        help="Worker processes of this machine that do the work.",
+        show_default="none: threads",
+    ),
 ]
 Iterations = Annotated[
     int | None, typer.Option(help="Number of training minibatches.", show_default="as many as pay")
@@ -303,18 +317,6 @@ def integrator_of(text: str | None) -> str | dict[str, Any] | None:
         return dict(json.loads(text))
     except ValueError as error:
         message = f"--integrator takes a name or JSON, got {reprlib.repr(text)}: {error}"
-        raise InputError(message) from error
-
-
-def client_of(address: str | None) -> contextlib.AbstractContextManager[Client | None]:
-    """Return a context with a Dask client, or with None."""
-    if address is None:
-        return contextlib.nullcontext()
-    distributed: Any = importlib.import_module("distributed")
-    try:
-        return contextlib.closing(distributed.Client(address, timeout="10s"))
-    except (OSError, ValueError) as error:
-        message = f"cannot reach a Dask scheduler at {address}: {error}"
         raise InputError(message) from error
 
 

@@ -86,14 +86,8 @@ def render(
     backend: cli.BackendName = "auto",
     define: cli.Defines = None,
     plugin: cli.Plugins = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Dask scheduler whose workers render.",
-            show_default="none: this machine",
-        ),
-    ] = None,
+    scheduler: cli.Scheduler = None,
+    workers: cli.Workers = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
@@ -102,11 +96,12 @@ def render(
     A store that was stopped half-way is resumed; a larger --spp appends to it.
     """
     import chdstat
+    from chdstat._core.executor import client_of
 
     cli.load_plugins(plugin)
     if not out.parent.exists():
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
-    with cli.client_of(scheduler) as client:
+    with client_of(scheduler, workers) as client:
         samples = chdstat.render(
             cli.scene_of(scene, define),
             spp=spp,
@@ -398,9 +393,7 @@ def analyze(
     store: cli.StorePath,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "--out", "-o", help="New zarr store to write all maps to.", show_default="none"
-        ),
+        typer.Option("--out", "-o", help="New zarr store for all maps.", show_default="none"),
     ] = None,
     threshold: Annotated[
         list[str] | None,
@@ -413,20 +406,30 @@ def analyze(
         int,
         typer.Option(min=0, help="Bootstrap replicates of goodness of fit: minutes for an image."),
     ] = 0,
+    scheduler: cli.Scheduler = None,
+    workers: cli.Workers = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
 ) -> None:
     """Describe the sample distributions of a store: nulls, families, tails, modes, averages."""
     import chdstat
+    from chdstat._core.cache import beside
+    from chdstat._core.executor import client_of
     from chdstat._core.files import unused
     from chdstat.analysis import overview, save
 
     if out is not None:
         unused(out)  # refused before the work, not after
     thresholds, samples = cli.thresholds_of(threshold), chdstat.open(store)
-    dataset = chdstat.analyze(
-        samples, thresholds=thresholds, resamples=resamples, progress=not quiet
-    )
+    with client_of(scheduler, workers) as client:
+        dataset = chdstat.analyze(
+            samples,
+            thresholds=thresholds,
+            resamples=resamples,
+            progress=not quiet,
+            client=client,
+            checkpoint=beside(out),
+        )
     if out is not None:
         save(dataset, out)
     if as_json:

@@ -11,10 +11,10 @@ Memory is bounded: one batch of the image, one estimate of it, and sums over blo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from itertools import repeat
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,19 +22,20 @@ from scipy import stats
 
 from chdstat._core.arrays import block_numbers
 from chdstat._core.display import Shown
-from chdstat._core.executor import track
+from chdstat._core.executor import in_order
+from chdstat._core.progress import track
 from chdstat._core.reasons import flag_attributes
 from chdstat._core.resampling import Interval
 from chdstat.comparison.candidates import Candidates
 from chdstat.comparison.metrics import bootstrap, relative_squared_error
 from chdstat.errors import InputError
 from chdstat.estimators.order import mean
-from chdstat.estimators.validation import batches
 from chdstat.patterns import Label, classify
 from chdstat.samples import Samples
 
 if TYPE_CHECKING:
     import xarray as xr
+    from distributed import Client
 
 __all__ = [
     "MEASURES",
@@ -326,11 +327,18 @@ class BatchErrors:
 
 
 def judge(
-    candidates: Candidates, units: Units, *, n: int, limit: int | None, progress: bool | None = None
+    candidates: Candidates,
+    units: Units,
+    *,
+    n: int,
+    limit: int | None,
+    progress: bool | None = None,
+    client: Client | None = None,
 ) -> BatchErrors:
     """Let every estimator that takes n samples estimate from the same batches; add up its errors.
 
-    The image is read with n samples at a time and estimated by one estimator at a time.
+    The image is read with n samples at a time and estimated by one estimator at a time; with a
+    client, each of its workers does so with a batch of its own.
 
     Parameters
     ----------
@@ -342,53 +350,38 @@ def judge(
         Samples per batch, and batches at most.
     progress
         Show a progress bar; None shows it on a terminal.
+    client
+        A Dask client.
 
     Raises
     ------
     InputError
         If an estimator returns another shape, or no batch has a reference.
     """
-    functions, samples, totals = candidates.taking(n), candidates.samples, candidates.totals
+    samples, direct = candidates.samples, candidates.direct
     height, width, channels, spp = samples.shape
     rounds = spp // n if limit is None else min(limit, spp // n)
     sums = len(SUMS), 1 + len(candidates.entries), channels
     by_unit, by_batch = np.zeros((len(units.starts), *sums)), np.zeros((rounds, *sums))
-    scene_mean = totals.mean()[totals.count > 0].mean(axis=0)
-    first: list[Array] = []
     excluded = 0
-    direct = candidates.direct
-    parts = repeat(None) if direct is None else batches(direct, n, limit=limit)
-    work = rounds * height * width * (1 + len(functions))
-    with track(f"comparing at N = {n}", work, unit="px", show=progress) as advance:
-        images = batches(samples, n, limit=limit)
-        for index, (x, part) in enumerate(zip(images, parts, strict=False)):
-            average, reference = mean(x), totals.mean_without(x)
-            truth, of_mean = units(reference), units(average)
-            usable = np.asarray(np.isfinite(truth).all(axis=-1))
-            excluded += int((~usable).sum())
+
+    def items() -> Iterator[_Batch]:
+        for index in range(rounds):
+            batch = slice(index * n, (index + 1) * n)
+            part = None if direct is None else direct.isel(sample=batch)
+            yield _Batch(samples.isel(sample=batch), part, shown=index == 0)
+
+    # What travels to workers with every batch holds no samples of others.
+    light = replace(candidates, samples=samples.isel(sample=slice(1)))
+    task = partial(_errors_of_batch, light, units, n)
+    with track(f"comparing at N = {n}", rounds * height * width, unit="px", show=progress) as told:
+        for index, found in enumerate(in_order(task, items(), workers=1, client=client)):
             if index == 0:
-                first_reference = reference
-            for k, name in enumerate(["mean", *candidates.entries]):
-                if k > 0 and name not in functions:
-                    by_unit[:, :, k] = by_batch[:, :, k] = np.nan
-                    continue
-                estimate = average if k == 0 else np.asarray(functions[name](x, part))
-                if estimate.shape != average.shape:
-                    message = (
-                        f"{name} must return one estimate for each pixel and channel, shape "
-                        f"{average.shape}, got {estimate.shape}"
-                    )
-                    raise InputError(message)
-                found = np.zeros((len(usable), len(SUMS), channels))
-                found[usable] = errors_of(
-                    units(estimate)[usable], of_mean[usable], truth[usable], scene_mean=scene_mean
-                )
-                added = units.sum(found)
-                by_unit[:, :, k] += added
-                by_batch[index, :, k] = added.sum(axis=0)
-                if index == 0:
-                    first.append(estimate.astype(np.float32))
-                advance(height * width)
+                first = found
+            by_unit += found.sums
+            by_batch[index] = found.sums.sum(axis=0)
+            excluded += found.excluded
+            told(height * width)
     if not counts(by_unit).any():
         message = (
             f"every batch of {n} samples of the test pixels holds a bad sample; none can judge"
@@ -397,6 +390,54 @@ def judge(
     blocks, block = np.unique(units.block, return_inverse=True)
     by_block = np.zeros((len(blocks), *sums))
     np.add.at(by_block, block, by_unit)
-    first_mean, *estimates = first
-    shown = np.stack(estimates), first_mean, first_reference
+    first_mean, *estimates = first.estimates
+    shown = np.stack(estimates), first_mean, first.reference
     return BatchErrors(by_unit, by_block, by_batch, excluded, *shown)
+
+
+class _Batch(NamedTuple):
+    """Samples to estimate from, their direct part, and whether the images are wanted, too."""
+
+    samples: Samples
+    direct: Samples | None
+    shown: bool
+
+
+class _OfBatch(NamedTuple):
+    """Sums over each unit, test pixels without a reference, and images if they are wanted."""
+
+    sums: Array
+    excluded: int
+    estimates: list[npt.NDArray[np.float32]]
+    reference: Array
+
+
+def _errors_of_batch(candidates: Candidates, units: Units, n: int, batch: _Batch) -> _OfBatch:
+    """Let every estimator that takes n samples estimate from one batch."""
+    x, direct = batch.samples.read(), None if batch.direct is None else batch.direct.read()
+    functions, totals = candidates.taking(n), candidates.totals
+    scene_mean = totals.mean()[totals.count > 0].mean(axis=0)
+    average, reference = mean(x), totals.mean_without(x)
+    truth, of_mean = units(reference), units(average)
+    usable = np.asarray(np.isfinite(truth).all(axis=-1))
+    names = ["mean", *candidates.entries]
+    sums = np.full((len(units.starts), len(SUMS), len(names), average.shape[-1]), np.nan)
+    estimates = []
+    for k, name in enumerate(names):
+        if k > 0 and name not in functions:
+            continue
+        estimate = average if k == 0 else np.asarray(functions[name](x, direct))
+        if estimate.shape != average.shape:
+            message = (
+                f"{name} must return one estimate for each pixel and channel, shape "
+                f"{average.shape}, got {estimate.shape}"
+            )
+            raise InputError(message)
+        found = np.zeros((len(usable), *sums.shape[1::2]))
+        found[usable] = errors_of(
+            units(estimate)[usable], of_mean[usable], truth[usable], scene_mean=scene_mean
+        )
+        sums[:, :, k] = units.sum(found)
+        if batch.shown:
+            estimates.append(estimate.astype(np.float32))
+    return _OfBatch(sums, int((~usable).sum()), estimates, reference)

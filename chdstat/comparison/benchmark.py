@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, seed_number, whole
-from chdstat._core.executor import track
 from chdstat._core.files import replacing
+from chdstat._core.progress import track
 from chdstat._core.resampling import Blocks
 from chdstat.comparison.candidates import Denoised, Entry, denoised, options_of, resolve
 from chdstat.comparison.cases import MEASURES, Bench, Case

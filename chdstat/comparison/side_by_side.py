@@ -33,6 +33,7 @@ from chdstat.samples import Image, Samples, check_equal_counts, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
+    from distributed import Client
 
 __all__ = ["LEVELS", "SelfTraining", "compare", "coverage", "error_curve", "train_alone"]
 
@@ -55,6 +56,7 @@ def compare(
     denoise: bool = False,
     labels: npt.ArrayLike | xr.DataArray | xr.Dataset | str | None = None,
     progress: bool | None = None,
+    client: Client | None = None,
 ) -> Comparison:
     r"""Measure estimators on the same batches of n samples, against held-out references.
 
@@ -105,6 +107,9 @@ def compare(
         of one batch, and is easy to improve there. Labels of an independent render do not.
     progress
         Show progress bars; None shows them on a terminal.
+    client
+        A Dask client, whose workers estimate, one batch a task, to the same bits; trainings are
+        done here.
 
     Returns
     -------
@@ -140,7 +145,7 @@ def compare(
     found = found.with_denoised() if denoise else found
     test = found.test_pixels()
     units = Units.of(test, codes)
-    errors = judge(found, units, n=n, limit=max_batches, progress=progress)
+    errors = judge(found, units, n=n, limit=max_batches, progress=progress, client=client)
     # float32 is what an image holds, and 1e30 squared is beyond it.
     with np.errstate(over="ignore"):
         squared = [np.square(p - errors.reference).astype(np.float32) for p in errors.estimates]
@@ -191,6 +196,7 @@ def error_curve(
     max_batches: int | None = 16,
     model: Given = None,
     progress: bool | None = None,
+    client: Client | None = None,
 ) -> ErrorCurve:
     r"""Measure the error of estimators at many numbers of samples, N.
 
@@ -210,7 +216,7 @@ def error_curve(
     sizes
         N, in any order; None doubles from 4 to an eighth of the samples, and adds the fewest that
         an estimator takes where these are none.
-    seed, max_batches, model, progress
+    seed, max_batches, model, progress, client
         As for `chdstat.compare`. Pixels that trained a model count at no N. Small batches are
         read one by one: `Samples.load` a store first.
 
@@ -246,7 +252,8 @@ def error_curve(
     units = Units.of(found.test_pixels())
     parts, noise, judged = [], [], []
     for n in chosen:
-        sums = judge(found, units, n=n, limit=max_batches, progress=progress).by_unit
+        errors = judge(found, units, n=n, limit=max_batches, progress=progress, client=client)
+        sums = errors.by_unit
         parts.append(measures_of(sums, seed=seed))
         judged.append(counts(sums).sum())
         # The reference adds the share N / spp of the sample mean's own error.

@@ -37,6 +37,8 @@ from chdstat.samples import Image, Samples, check_equal_counts
 from chdstat.samples.tiles import check_independent
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from chdstat.rendering import Rendering
 
 __all__ = ["check_denoiser", "estimate", "through_denoiser", "write_estimates"]
@@ -64,6 +66,8 @@ def estimate(
     seed: Seed = 0,
     iterations: int | None = None,
     progress: bool | None = None,
+    client: Client | None = None,
+    checkpoint: str | Path | None = None,
 ) -> Estimates:
     """Estimate the radiance of every pixel.
 
@@ -97,6 +101,9 @@ def estimate(
         Of a training, as for `chdstat.estimators.models.train_model`; no iterations with a model.
     progress
         Show progress bars; None shows them on a terminal. A rendering shows its own.
+    client, checkpoint
+        Where candidates are combined, as for `chdstat.analyze`: a Dask client whose workers do the
+        work, and a folder that keeps what is done, so that the same call goes on after a stop.
 
     Returns
     -------
@@ -126,7 +133,8 @@ def estimate(
     >>> found.radiance.shape, found.certainty.shape
     ((16, 16, 3), (16, 16))
     """
-    options = _Options(spp, loss_weight, level, denoise, seed_number(seed), iterations, progress)
+    work = seed_number(seed), iterations, progress, client, checkpoint
+    options = _Options(spp, loss_weight, level, denoise, *work)
     return _Estimated.of(samples, model, options).final
 
 
@@ -142,6 +150,8 @@ def write_estimates(
     seed: Seed = 0,
     iterations: int | None = None,
     progress: bool | None = None,
+    client: Client | None = None,
+    checkpoint: str | Path | None = None,
 ) -> Path:
     """Estimate the radiance of every pixel and write it to an EXR file.
 
@@ -153,7 +163,7 @@ def write_estimates(
     ----------
     path
         The file, ending in .exr; one that is there already is replaced at the end.
-    samples, model, spp, loss_weight, level, denoise, seed, iterations, progress
+    samples, model, spp, loss_weight, level, denoise, seed, iterations, progress, client, checkpoint
         As for `estimate`.
 
     Returns
@@ -178,7 +188,8 @@ def write_estimates(
     ['certainty', 'high', 'low', 'mean']
     """
     target = checked_target(path, ".exr")
-    options = _Options(spp, loss_weight, level, denoise, seed_number(seed), iterations, progress)
+    work = seed_number(seed), iterations, progress, client, checkpoint
+    options = _Options(spp, loss_weight, level, denoise, *work)
     image = _Estimated.of(samples, model, options)
     return write_exr(
         target,
@@ -200,6 +211,8 @@ class _Options:
     seed: int
     iterations: int | None
     progress: bool | None
+    client: Client | None
+    checkpoint: str | Path | None
 
 
 @dataclass(frozen=True)
@@ -260,7 +273,13 @@ class _Estimated:
 
     @classmethod
     def _combined(cls, samples: Samples, options: _Options) -> _Estimated:
-        found = combine(samples, level=options.level, progress=options.progress)
+        found = combine(
+            samples,
+            level=options.level,
+            progress=options.progress,
+            client=options.client,
+            checkpoint=options.checkpoint,
+        )
         about = {"bias": found.bias, "bias_error": found.bias_error}
         training = "before, on built-in scenes with references"
         return cls(samples, options, None, about, training, found, found.mean)

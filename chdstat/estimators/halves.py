@@ -7,17 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
 from chdstat._core.arrays import is_null
+from chdstat._core.executor import in_order
 from chdstat.estimators.shapes import ShapeStatistics
 from chdstat.estimators.similarity import ScaledSamples
 from chdstat.io.denoiser import denoise
 from chdstat.samples import Samples
+from chdstat.samples.tiles import Work
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 __all__ = ["Measured", "candidates", "compare_halves"]
 
@@ -55,7 +60,7 @@ class Measured:
     signed: bool
 
     @classmethod
-    def of(cls, image: Samples, *, progress: bool | None = None) -> Measured:
+    def of(cls, image: Samples, **work: Unpack[Work]) -> Measured:
         """Measure an image in memory that does not grow with the number of samples."""
 
         def of_tile(x: Image) -> dict[str, tuple[tuple[str, ...], Floats]]:
@@ -74,7 +79,7 @@ class Measured:
                 for name, image in found.items()
             }
 
-        maps = image.map(of_tile, dependent=True, description="estimating", progress=progress)
+        maps = image.map(of_tile, dependent=True, description="estimating", **work)
         names = [field.name for field in fields(ShapeStatistics)]
         starts: list[dict[str, Image]] = []
         for i in range(3):
@@ -86,35 +91,37 @@ class Measured:
 
 
 def candidates(
-    starts: Mapping[str, Image], features: Mapping[str, npt.NDArray[Any]]
+    starts: Mapping[str, Image],
+    features: Mapping[str, npt.NDArray[Any]],
+    client: Client | None = None,
 ) -> dict[str, Image]:
     """Return the images that are weighted, by name, each (y, x, channel); the first is the base.
 
-    Where no sample of a pixel is good, they are 0.
+    Where no sample of a pixel is good, they are 0. With a client, its workers denoise.
     """
     starts = {name: np.nan_to_num(image, posinf=0, neginf=0) for name, image in starts.items()}
     albedo = features.get("albedo")
     normal = None if albedo is None else features.get("normal")
-    found = {}
-    for name, image in starts.items():
-        of, start = "" if name == "mean" else f" {name}", np.maximum(image, 0)
-        if albedo is not None:
-            found[f"denoised with features{of}"] = _denoised(start, albedo, normal)
-        found[f"denoised{of}"] = _denoised(start)
-    return {name: image.astype(np.float32) for name, image in (found | starts).items()}
+    kinds = {"denoised with features": (albedo, normal)} if albedo is not None else {}
+    jobs = {
+        kind if name == "mean" else f"{kind} {name}": (np.maximum(image, 0), *guides)
+        for name, image in starts.items()
+        for kind, guides in {**kinds, "denoised": (None, None)}.items()
+    }
+    # One at a time here: the denoiser uses all cores by itself.
+    denoised = in_order(_denoised, jobs.values(), workers=1, client=client)
+    found = dict(zip(jobs, denoised, strict=True)) | starts
+    return {name: image.astype(np.float32) for name, image in found.items()}
 
 
-def _denoised(
-    image: Floats,
-    albedo: npt.NDArray[Any] | None = None,
-    normal: npt.NDArray[Any] | None = None,
-) -> Floats:
+def _denoised(job: tuple[Floats, Any, Any]) -> Floats:
     """Return an image denoised; a black one, in which the denoiser sees light, as it is."""
+    image, albedo, normal = job
     return denoise(image, albedo=albedo, normal=normal) if image.any() else image
 
 
 def compare_halves(
-    measured: Measured, features: Mapping[str, npt.NDArray[Any]]
+    measured: Measured, features: Mapping[str, npt.NDArray[Any]], client: Client | None = None
 ) -> tuple[list[str], Image, Image, Image]:
     """Return candidates, and how those of half the samples compare with the other half.
 
@@ -128,8 +135,9 @@ def compare_halves(
     unit : ndarray
         Radiance that errors are measured in, shape (y, x).
     """
-    names, full = _stacked(candidates(measured.starts[0], features))
-    parts = np.stack([_stacked(candidates(s, features))[1] for s in measured.starts[1:]])
+    made = [_stacked(candidates(start, features, client)) for start in measured.starts]
+    names, full = made[0]
+    parts = np.stack([images for _, images in made[1:]])
     targets = np.stack([np.nan_to_num(part["mean"]) for part in measured.starts[:0:-1]])
     inputs, unit = _inputs(
         full,

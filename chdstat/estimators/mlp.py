@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import all_good, as_samples, generator, is_bad, spans, warn_left_out
-from chdstat._core.executor import track
+from chdstat._core.progress import track
 from chdstat.errors import InputError
 from chdstat.estimators import training, validation
 from chdstat.estimators.registry import mean_of_good

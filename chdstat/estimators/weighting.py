@@ -21,20 +21,24 @@ import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import as_pixels
+from chdstat._core.cache import checkpoints
 from chdstat.errors import InputError
 from chdstat.estimators.halves import Measured, compare_halves
 from chdstat.estimators.progressive.inputs import Estimates
 from chdstat.estimators.registry import check_probability, register
 from chdstat.estimators.training import read_model
 from chdstat.estimators.validation import reordered
-from chdstat.samples import Samples
+from chdstat.samples import Samples, checkpoint_key
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 __all__ = ["LEAST", "LEVELS", "Combination", "Weighting", "combination", "combine"]
 
@@ -88,6 +92,8 @@ def combine(
     features: Mapping[str, npt.NDArray[Any]] | None = None,
     level: float = 0.9,
     progress: bool | None = False,
+    client: Client | None = None,
+    checkpoint: str | Path | None = None,
 ) -> Combination:
     """Estimate radiance by weighting candidates as the samples themselves say.
 
@@ -103,6 +109,8 @@ def combine(
         Probability of the interval.
     progress
         Show a progress bar; None shows it on a terminal.
+    client, checkpoint
+        As for `chdstat.analyze`: workers of a cluster, and a folder that keeps what they have done.
 
     Returns
     -------
@@ -137,8 +145,9 @@ def combine(
         else Samples.from_array(np.asarray(samples, np.float32))
     )
     known = (image.features if features is None else features) or {}
-    measured = Measured.of(image, progress=progress)
-    names, full, inputs, unit = compare_halves(measured, known)
+    with checkpoints(checkpoint, functools.partial(checkpoint_key, image)) as kept:
+        measured = Measured.of(image, progress=progress, client=client, checkpoint=kept)
+        names, full, inputs, unit = compare_halves(measured, known, client)
     weighting = Weighting.shipped(with_features="albedo" in known)
     weights, width = weighting(inputs)
     mean, error = measured.mean, measured.error

@@ -3,8 +3,7 @@
 `chdstat.classify` looks for patterns that are known beforehand; `atlas` finds the distributions
 that an image has. The shape of a pixel is the distribution of its log radiance, moved so that its
 mean is 0: pixels that differ only in brightness have the same shape. Shapes are found in samples,
-walking an image twice in constant memory, for the means and for counts around them; or in log
-histograms, which are moved.
+read twice in constant memory, for means and for counts around them; or in log histograms.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason
 from chdstat.patterns.clusters import Groups, find_groups, ratio
 from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of
+from chdstat.samples.tiles import Work
 from chdstat.summary.bins import Support
 from chdstat.summary.dispatch import PositiveHistogram
 from chdstat.summary.histograms import StreamingHistogram
@@ -308,10 +308,10 @@ def _of_samples(
 ) -> Shapes:
     """Return the shapes of the luminance of an image."""
 
-    def of_tile(ys: slice, xs: slice, blocks: Blocks) -> Mapped:
+    def of_tile(tile: Samples, blocks: Blocks) -> Mapped:
         log, n_good, n_null = _log_moments(blocks)
         center = np.where(log.count > 0, log.mean, np.nan)
-        again = (samples.read(ys, xs, ss) for ss in spans(samples.spp, _BATCH))
+        again = (tile.read(ss=ss) for ss in spans(tile.spp, _BATCH))
         counts = _count(again, center)
         log_variance = log.m2 / np.maximum(log.count, 1) * np.log(10) ** 2
         reason = _reason(log.count, n_good, n_null, log_variance)
@@ -324,15 +324,15 @@ def _of_samples(
             "reason": ((), reason),
         }
 
-    found = reduce_tiles(samples, of_tile, description="aligning shapes", progress=progress)
+    work: Work = {"progress": progress, "workers": 1}  # in order: they share a generator
+    found = reduce_tiles(samples, of_tile, description="aligning shapes", **work)
     return Shapes(**{str(name): array.to_numpy() for name, array in found.items()})
 
 
 def of_histograms(dataset: xr.Dataset, rng: np.random.Generator) -> Shapes:
     """Return the shapes of the log histograms of an image, of the channel in the middle.
 
-    That is green, the most of luminance, or the only channel. Bins move by fractions of a bin, as
-    if samples were spread evenly within them.
+    That is green, the most of luminance, or the only channel. Bins move by fractions of a bin.
 
     Raises
     ------

@@ -14,11 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import is_bad, luminance
-from chdstat._core.executor import in_order
 from chdstat._core.reasons import first_of, label_variables
 from chdstat.errors import InputError, Reason
-from chdstat.samples import Image, Mapped, samples_of
-from chdstat.samples.tiles import DIRECT_DEPTH, Part, assemble, tiles
+from chdstat.samples import Image, Mapped, Samples, samples_of
+from chdstat.samples.tiles import DIRECT_DEPTH, Part, over_tiles, tiles
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -101,12 +100,14 @@ def attribute(
     spp = min(part.spp for part in known.values())
     dim = "segments" if by == "depth" else "light"
 
-    def of_tile(tile: tuple[slice, slice]) -> tuple[slice, slice, Mapped]:
-        parts = [part.read(*tile, slice(spp)) for part in (*known.values(), image)]
-        return (*tile, _variables(by_part(parts, by=by), dim))
+    def of_tile(tile: Samples, _: object) -> Mapped:
+        of_parts = tile.depths if by == "depth" else tile.lights
+        read = [part.read(ss=slice(spp)) for part in (*of_parts.values(), tile)]
+        return _variables(by_part(read, by=by), dim)
 
-    walk = in_order(of_tile, tiles(image.shape))
-    found = assemble(image, walk, description="attributing light", progress=progress)
+    found = over_tiles(
+        image, of_tile, tiles(image.shape), description="attributing light", progress=progress
+    )
     found = label_variables(found, _SAID, bounds=False)
     names = np.array(part_names(list(known)), dtype=object)
     if by == "light":

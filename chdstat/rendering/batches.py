@@ -12,7 +12,7 @@ import numpy as np
 
 from chdstat._core.arrays import Seed, spans, whole
 from chdstat._core.display import Card
-from chdstat._core.executor import track
+from chdstat._core.progress import track
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.renderer import Renderer

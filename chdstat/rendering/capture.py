@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, whole
-from chdstat._core.executor import track
+from chdstat._core.progress import track
 from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
@@ -349,9 +349,13 @@ def _fill(
     with track(
         f"rendering {job.scene.name}", sum(c.size for c in chunks), unit="S", show=progress
     ) as advance:
+        store = writer if isinstance(writer, Store) else None
         try:
-            for chunk, block in rendered(job, renderer, chunks, client):
-                writer.write(chunk, block)
+            for chunk, block in rendered(job, renderer, chunks, client, store):
+                if block is not None:
+                    writer.write(chunk, block)
+                elif store is not None:
+                    store.note(chunk)
                 advance(chunk.size)
         finally:
             writer.spent(time.monotonic() - start)

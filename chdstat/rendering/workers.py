@@ -6,60 +6,66 @@ import contextlib
 import functools
 import itertools
 import threading
-from asyncio import CancelledError as AsyncCancelledError
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
-from chdstat._core.executor import Interrupts, cores
-from chdstat.errors import RenderError
+from chdstat._core.executor import Interrupts, Pool, cores, pool
+from chdstat.errors import RenderError, StoreError
 from chdstat.rendering.backend import activate
 from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import grouped
+from chdstat.samples.access import reopened
 from chdstat.samples.layout import Chunk, Image, differing
 
 if TYPE_CHECKING:
     from distributed import Client
 
+    from chdstat.samples.store import Store
+
 __all__ = ["rendered"]
 
-_PATIENCE = 8
-"""Seconds to wait for the first worker of a cluster."""
-_VERSIONED = ("chdstat", "mitsuba")
-"""Packages on whose version samples depend."""
+Group = tuple[Chunk, Sequence[Chunk]]
+"""Samples that are drawn together, and the chunks that they are stored in."""
+Drawn = Sequence[tuple[Chunk, Image | None]]
+"""Chunks with their samples; None for those that are stored already."""
 
 
 def rendered(
-    job: Job, renderer: Renderer, chunks: Sequence[Chunk], client: Client | None
-) -> Iterator[tuple[Chunk, Image]]:
+    job: Job,
+    renderer: Renderer,
+    chunks: Sequence[Chunk],
+    client: Client | None,
+    store: Store | None = None,
+) -> Iterator[tuple[Chunk, Image | None]]:
     """Yield chunks with their samples, in the order they are done.
 
-    Ctrl-C ends it with KeyboardInterrupt once no thread is at work any more.
+    Workers of a cluster write those of a `store` that they see themselves: None is yielded in their
+    place. Ctrl-C ends it with KeyboardInterrupt once no thread is at work any more.
     """
     groups = list(grouped(chunks, job.sequences))
-    together = [whole for whole, _ in groups]
-    for number, block in _drawn(job, renderer, together, client):
-        whole, parts = groups[number]
-        for chunk in parts:
-            first = chunk.ss.start - whole.ss.start
-            yield chunk, block[..., first : first + chunk.shape[2]]
-
-
-def _drawn(
-    job: Job, renderer: Renderer, chunks: Sequence[Chunk], client: Client | None
-) -> Iterator[tuple[int, Image]]:
-    """Yield numbers of chunks with their samples, in the order they are done."""
-    if client is not None:
-        yield from _remotely(job, renderer.identity, chunks, client)
+    if client is None:
+        with Interrupts() as interrupts, _workers(job) as workers, pool(workers) as threads:
+            draw = functools.partial(_samples_of, renderer, before_pass=interrupts.before_pass)
+            try:
+                yield from _collect(lambda g: threads.submit(draw, g), groups, threads)
+            finally:
+                interrupts.stop()
         return
-    with Interrupts() as interrupts, _workers(job) as workers, ThreadPoolExecutor(workers) as pool:
-        draw = functools.partial(renderer.chunk, before_pass=interrupts.before_pass)
-        try:
-            yield from _collect(lambda c: pool.submit(draw, c), chunks, workers + 1)
-        finally:
-            interrupts.stop()
+    identity, place = renderer.identity, None if store is None else store.place
+    with pool(client=client) as cluster:
+        yield from _collect(
+            lambda g: cluster.submit(_render_remote, job, identity, place, g), groups, cluster
+        )
+
+
+def _samples_of(renderer: Renderer, group: Group, **options: Any) -> list[tuple[Chunk, Image]]:
+    """Return the samples of chunks that are drawn together."""
+    whole, parts = group
+    block, first = renderer.chunk(whole, **options), whole.ss.start
+    return [(c, block[..., c.ss.start - first : c.ss.stop - first]) for c in parts]
 
 
 @contextlib.contextmanager
@@ -84,18 +90,17 @@ def _workers(job: Job) -> Iterator[int]:
 
 
 def _collect(
-    submit: Callable[[Chunk], Future[Image]], chunks: Sequence[Chunk], window: int
-) -> Iterator[tuple[int, Image]]:
-    """Keep at most `window` chunks in flight, so that memory stays bounded; yield their numbers."""
-    waiting = enumerate(chunks)
-    running = {submit(c): number for number, c in itertools.islice(waiting, window)}
+    submit: Callable[[Group], Future[Drawn]], groups: Sequence[Group], at_work: Pool
+) -> Iterator[tuple[Chunk, Image | None]]:
+    """Keep a bounded number of chunks in flight, so that memory stays bounded."""
+    waiting = iter(groups)
+    running = {submit(group) for group in itertools.islice(waiting, at_work.window + 1)}
     try:
         while running:
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield running.pop(future), future.result()
-            for number, chunk in itertools.islice(waiting, len(done)):
-                running[submit(chunk)] = number
+            for future in at_work.first_done(running):
+                running.remove(future)
+                yield from future.result()
+                running.update(map(submit, itertools.islice(waiting, 1)))
     finally:
         for future in running:
             future.cancel()
@@ -108,72 +113,43 @@ _REMOTE: dict[tuple[Any, ...], Renderer] = {}
 _REMOTE_LOCK = threading.Lock()
 
 
-def _remotely(
-    job: Job, identity: dict[str, Any], chunks: Sequence[Chunk], client: Client
-) -> Iterator[tuple[int, Image]]:
-    """Let the workers of a cluster draw chunks; what happens to it becomes an error that says so.
+def _render_remote(
+    job: Job, identity: dict[str, Any], place: tuple[Any, ...] | None, group: Group
+) -> Drawn:
+    """Render chunks in a Dask worker, of the very scene that the client has.
 
-    Futures of Dask raise no error of their own when their scheduler dies; they are cancelled.
+    They are written to the store, where there is one and this worker sees it.
     """
-    from distributed import KilledWorker
-
-    try:
-        _check_workers(client)
-        remote = client.get_executor(pure=False)
-        window = 2 * max(1, sum(client.ncores().values()))
-        yield from _collect(
-            lambda c: remote.submit(_render_remote, job, identity, c), chunks, window
-        )
-    except (CancelledError, AsyncCancelledError, KilledWorker, OSError) as error:
-        message = (
-            "the Dask cluster was lost while it rendered; what is stored is kept: start it again, "
-            "or render here, with the same command to resume"
-        )
-        raise RenderError(message) from error
-
-
-def _check_workers(client: Client) -> None:
-    """Refuse a cluster that has no workers, or workers of other versions.
-
-    Raises
-    ------
-    RenderError
-        If there are none within a few seconds, or their versions differ from those here.
-    """
-    try:
-        client.wait_for_workers(1, timeout=_PATIENCE)
-    except TimeoutError as error:
-        address = client.scheduler.address
-        message = (
-            f"the Dask scheduler at {address} has no workers after {_PATIENCE} seconds; "
-            f"start some with: dask worker {address}"
-        )
-        raise RenderError(message) from error
-    versions = client.get_versions(packages=list(_VERSIONED))
-    ours = versions["client"]["packages"]
-    for address, worker in versions["workers"].items():
-        theirs = worker["packages"]
-        differing = [n for n in _VERSIONED if theirs.get(n) != ours.get(n)]
-        if differing:
-            detail = ", ".join(f"{n} {theirs.get(n)}, here {ours.get(n)}" for n in differing)
-            message = (
-                f"the Dask worker at {address} has other versions ({detail}), with which samples "
-                "differ; install the same ones there"
-            )
-            raise RenderError(message)
-
-
-def _render_remote(job: Job, identity: dict[str, Any], chunk: Chunk) -> Image:
-    """Render one chunk in a Dask worker, of the very scene that the client has."""
     key = (identity["scene_hash"], str(identity["scene_code"]), *job.settings)
     with activate(job.verdict), _REMOTE_LOCK:
         if key not in _REMOTE:
             _REMOTE.clear()
+            _limit_threads()
             renderer = Renderer(job)
             _check_same(identity, renderer.identity)
             _REMOTE[key] = renderer
         # One at a time: a pass uses all cores, and Mitsuba's signal handler is not reentrant.
-        return _REMOTE[key].chunk(chunk)
+        drawn = _samples_of(_REMOTE[key], group)
+        store = None
+        if place is not None:
+            with contextlib.suppress(StoreError):
+                store = reopened(*place)
+        if store is None:
+            return drawn
+        for chunk, block in drawn:
+            store.put(chunk, block)
+        return [(chunk, None) for chunk, _ in drawn]
+
+
+def _limit_threads() -> None:
+    """Let Mitsuba use as many threads as this worker has, if it is a process of its own."""
+    import drjit as dr
+    from distributed import get_worker
+
+    with contextlib.suppress(ValueError):  # outside a worker
+        worker = get_worker()
+        if worker.nanny is not None:
+            dr.set_thread_count(worker.state.nthreads)
 
 
 def _check_same(here: dict[str, Any], there: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ from chdstat.samples.access import (
     Image,
     cache_key,
     check_equal_counts,
+    checkpoint_key,
     inspect,
     is_store,
     open,  # noqa: A004 - chdstat.open reads like open
@@ -24,6 +25,7 @@ __all__ = [
     "Samples",
     "cache_key",
     "check_equal_counts",
+    "checkpoint_key",
     "inspect",
     "is_store",
     "open",

@@ -6,12 +6,12 @@ does not: it walks each tile batch by batch, in constant memory.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import groupby
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +23,11 @@ from chdstat.samples.tiles import (
     DIRECT_DEPTH,
     Mapped,
     Part,
-    assemble,
+    Work,
     check_independent,
     check_single,
+    over_tiles,
+    tiles,
 )
 from chdstat.scenes.files import is_file
 
@@ -39,12 +41,14 @@ __all__ = [
     "Image",
     "cache_key",
     "check_equal_counts",
+    "checkpoint_key",
     "inspect",
     "is_store",
     "of_store",
     "open",
     "opened",
     "reduce_tiles",
+    "reopened",
     "samples_of",
 ]
 
@@ -114,6 +118,29 @@ def of_store(store: Store, parts: Mapping[Part, Samples] | None = None) -> Sampl
     )
 
 
+@functools.lru_cache(maxsize=8)
+def reopened(path: Path, identity: str, complete: int, shape: tuple[int, ...]) -> Store:
+    """Return a store in another process than that which sent its path; it is opened there once.
+
+    Raises
+    ------
+    StoreError
+        If this process does not see it, or sees another one.
+    """
+    from chdstat.samples.store import Store
+
+    try:
+        store = Store.open(path)
+    except StoreError as error:
+        message = f"a worker cannot read {path}, which all workers must see there: {error}"
+        raise StoreError(message) from error
+    _, own, done, size = store.place
+    if own != identity or done < complete or size[3] < shape[3]:
+        message = f"a worker sees another store at {path} than is read here"
+        raise StoreError(message)
+    return store
+
+
 def cache_key(samples: Samples) -> str:
     """Return what identifies samples of a store, for a `Cache`; "" for samples in memory.
 
@@ -124,6 +151,23 @@ def cache_key(samples: Samples) -> str:
         return ""
     attrs = json.dumps(samples.attrs, sort_keys=True).encode()
     return f"{samples.path.stem}-{hashlib.sha256(attrs).hexdigest()[:12]}-{samples.spp}"
+
+
+def checkpoint_key(samples: Samples) -> str:
+    """Return what identifies any samples, those in memory by their content.
+
+    Examples
+    --------
+    >>> one, two = (Samples.from_array(np.full((4, 4, 8), value)) for value in (1, 2))
+    >>> checkpoint_key(one) == checkpoint_key(two), checkpoint_key(one) == checkpoint_key(one)
+    (False, True)
+    """
+    source = samples.source
+    known = [samples.attrs, samples.shape, str(samples.part), source and str(source.path)]
+    digest = hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode())
+    if source is None:
+        digest.update(np.ascontiguousarray(samples.read()).data)
+    return digest.hexdigest()[:16]
 
 
 def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
@@ -222,10 +266,10 @@ def check_equal_counts(samples: Samples) -> None:
 
 def reduce_tiles(
     samples: Samples,
-    function: Callable[[slice, slice, Blocks], Mapped],
+    function: Callable[[Samples, Blocks], Mapped],
     *,
     description: str,
-    progress: bool | None = None,
+    **work: Unpack[Work],
 ) -> xr.Dataset:
     """Reduce the sample blocks of every tile and assemble the image.
 
@@ -234,29 +278,24 @@ def reduce_tiles(
     samples
         The image.
     function
-        Takes the rows and columns of a tile and its blocks in stored order, each (y, x, channel,
-        sample); returns, by variable name, the dims that follow (y, x) and an array (y, x, ...).
-    description
-        What the progress bar says.
-    progress
-        Show a progress bar; None shows it on a terminal.
+        Takes the samples of a tile and its blocks in stored order, each (y, x, channel, sample);
+        returns, by variable name, the dims that follow (y, x) and an array (y, x, ...).
+    description, **work
+        As for `chdstat.samples.tiles.over_tiles`.
 
     Returns
     -------
     xarray.Dataset
         The variables over the whole image, with y, x and channel coordinates.
     """
-    left_out = LeftOut()
 
-    def seen(walk: Iterable[tuple[slice, slice, slice, npt.NDArray[np.float32]]]) -> Blocks:
-        for *part, block in walk:
-            left_out.see(block, channel_axis=-2, absent=samples.absent(*part))
-            yield block
+    def of_tile(part: Samples, left_out: LeftOut) -> Mapped:
+        def blocks() -> Blocks:
+            for *place, block in part.blocks():
+                left_out.see(block, channel_axis=-2, absent=part.absent(*place))
+                yield block
 
-    parts = (
-        (ys, xs, function(ys, xs, seen(walk)))
-        for (ys, xs), walk in groupby(samples.blocks(), key=lambda block: block[:2])
-    )
-    dataset = assemble(samples, parts, description=description, progress=progress)
-    left_out.warn()
-    return dataset
+        return function(part, blocks())
+
+    places = tiles(samples.shape, streamed=True)
+    return over_tiles(samples, of_tile, places, description=description, **work)

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsIndex, overload
+from typing import TYPE_CHECKING, Any, SupportsIndex, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,7 @@ from chdstat._core.arrays import spans
 from chdstat.errors import InputError
 from chdstat.samples import tiles
 from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers
-from chdstat.samples.tiles import DIRECT_DEPTH, Image, Mapped, Part, Source
+from chdstat.samples.tiles import DIRECT_DEPTH, Image, Mapped, Part, Source, Work
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -197,9 +197,8 @@ class Samples:
     def shares_numbers_with(self, other: Samples) -> bool:
         """Return whether sample i of a pixel was drawn with the random numbers of the other's.
 
-        So it is of renders of equal seed and size by one kind of backend, whatever their scenes or
-        integrators, and of equal parts of them: their noise is correlated, and what compares them
-        compares pairs of samples. Samples that do not say their seed are taken for independent.
+        So it is of renders of equal seed and size by one kind of backend, whatever their scenes:
+        what compares them compares pairs. Samples that do not say their seed are independent.
 
         Examples
         --------
@@ -262,7 +261,7 @@ class Samples:
     ) -> Samples:
         """Return some rows, columns or samples of each pixel; nothing is read or copied for it.
 
-        Features and the direct part are cut alike. An integer keeps its axis, of length 1.
+        Features and parts are cut alike. An integer keeps its axis, of length 1.
 
         Raises
         ------
@@ -336,10 +335,8 @@ class Samples:
         ----------
         path
             The store to write.
-        append
-            Add the samples to those of an existing store.
-        progress
-            As for `map`.
+        append, progress
+            Whether to add them to those of an existing store; and to show a progress bar.
 
         Raises
         ------
@@ -416,11 +413,11 @@ class Samples:
         logarithms: bool = False,
         dependent: bool = False,
         description: str = "analysing",
-        progress: bool | None = None,
+        **work: Unpack[Work],
     ) -> xr.Dataset:
         """Apply a function to tiles with all their samples and assemble the image.
 
-        Tiles are computed in parallel, in one thread for each core.
+        Tiles are computed in parallel, in one thread for each core, or by a client's workers.
 
         Parameters
         ----------
@@ -433,10 +430,12 @@ class Samples:
             `chdstat.errors.LeftOutWarning` tells of more than 1 %.
         dependent
             Whether it takes samples that depend on each other, see `sequence_means`.
-        description, progress
-            Label of a progress bar, and whether to show it; None shows it on a terminal.
+        description, **work
+            Label of a progress bar; ``progress`` to show it, None for a terminal alone; ``client``
+            for a Dask client, whose workers then compute the tiles.
         """
-        return tiles.mapped(self, function, logarithms, dependent, description, progress)
+        kinds = {"logarithms": logarithms, "dependent": dependent}
+        return tiles.mapped(self, function, **kinds, description=description, **work)
 
     def absent(self, ys: slice = _ALL, xs: slice = _ALL, ss: slice = _ALL) -> int:
         """Return how many samples the pixels of a part lack, where some have fewer than others."""

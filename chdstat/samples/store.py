@@ -2,9 +2,9 @@
 
 `chdstat.samples.layout` says where everything lies and what a file of it holds.
 
-**Many writers.** A chunk and its label are one file that is replaced at once, written without a
-look at anything else: any number of processes may write chunks of one store. Only ``zarr.json`` and
-its copy are rewritten, by who holds the lock. Today that one writes the chunks, too.
+**Many writers.** A chunk and its label are one file, replaced at once without a look at anything
+else: any process may write chunks, as workers of a cluster do, to which a store travels as its
+path. Only ``zarr.json`` and its copy are rewritten, by who holds the lock.
 """
 
 from __future__ import annotations
@@ -22,18 +22,8 @@ from zarr.storage import LocalStore, MemoryStore
 from chdstat._core.files import Lock, checksum, sweep
 from chdstat.errors import StoreError
 from chdstat.samples import layout
-from chdstat.samples.access import of_store
-from chdstat.samples.layout import (
-    ALL,
-    BATCH,
-    FOREIGN,
-    Chunk,
-    DamageError,
-    Image,
-    Part,
-    Shape,
-    brief,
-)
+from chdstat.samples.access import of_store, reopened
+from chdstat.samples.layout import ALL, BATCH, FOREIGN, Chunk, DamageError, Image, Part, Shape
 from chdstat.samples.samples import Samples
 
 __all__ = ["Store"]
@@ -87,8 +77,7 @@ class Store:
         Raises
         ------
         StoreError
-            If something else is there, another process makes a store there, or it cannot be
-            written.
+            If something else is there, another makes a store there, or it cannot be written.
         """
         kept = {**attrs, "schema_version": layout.SCHEMA_VERSION}
         kept.pop("manifest", None)
@@ -143,6 +132,15 @@ class Store:
         for chunk in store._damaged_chunks():
             store.ledger[chunk.index] = 0
         return store
+
+    @property
+    def place(self) -> tuple[Any, ...]:
+        """What another process needs for `reopened`."""
+        held = self._manifest
+        return self.path.absolute(), held.get("identity"), held["complete"], self.shape
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return reopened, self.place
 
     def __enter__(self) -> Store:
         return self
@@ -246,8 +244,7 @@ class Store:
         Raises
         ------
         StoreError
-            If a chunk is damaged, missing or in the place of another; the message names its file
-            and how to repair it.
+            If a chunk is damaged, missing or in the place of another; the message says where.
         """
         try:
             for chunk in self._chunks(ys, xs, ss):
@@ -256,7 +253,7 @@ class Store:
             return np.asarray(self._radiance[ys, xs, :, ss], dtype=np.float32)
         except FOREIGN as error:
             files = [self.chunk_file(c) for c in self._damaged_chunks(ys, xs, ss)]
-            raise self._damage(files, brief(error)) from error
+            raise self._damage(files, layout.brief(error)) from error
 
     def _label(self, chunk: Chunk) -> tuple[int, int, int]:
         return layout.read_label(self.chunk_file(chunk), self._manifest["identity"], chunk)
@@ -292,10 +289,7 @@ class Store:
     def damaged(self, *, content: bool = True) -> list[Path]:
         """Return the files that are gone, damaged or in the place of others.
 
-        Parameters
-        ----------
-        content
-            Read all chunks; False looks only at their labels.
+        All chunks are read; without `content`, their labels only.
         """
         expected = [(self.path / name, content) for name, content in self._metadata()]
         found = [file for file, content in expected if layout.loaded(file) != content]
@@ -339,7 +333,7 @@ class Store:
             place, metadata = LocalStore(self.path), layout.feature_metadata(about["shape"])
             return np.asarray(layout.array(place, f"features/{name}", metadata)[...])
         except FOREIGN as error:
-            raise self._damage([file], brief(error)) from error
+            raise self._damage([file], layout.brief(error)) from error
 
     def _damaged_features(self) -> list[str]:
         damaged = []
@@ -374,11 +368,19 @@ class Store:
 
     def write(self, chunk: Chunk, block: Image) -> None:
         """Store one chunk; `block` is (y, x, channel, sample)."""
+        self.put(chunk, block)
+        self.note(chunk)
+
+    def put(self, chunk: Chunk, block: Image) -> None:
+        """Write the file of one chunk, as any process may."""
         self._encoder[chunk.ys, chunk.xs, :, chunk.ss] = block
         key = self.chunk_file(chunk).relative_to(self.path).as_posix()
         content = self._encoded.pop(key).to_bytes()
         with layout.writing(self.path):
             layout.put(self.path / key, layout.labelled(content, self._manifest["identity"], chunk))
+
+    def note(self, chunk: Chunk) -> None:
+        """Count a chunk as stored, whoever wrote its file."""
         self.ledger[chunk.index] = chunk.shape[2]
         if self.complete_spp() > self._manifest["complete"]:
             self.update()

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import itertools
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, SupportsIndex
+from typing import TYPE_CHECKING, Any, Protocol, Self, SupportsIndex, TypedDict, TypeVar, Unpack
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import LeftOut, spans, whole
-from chdstat._core.executor import check_memory, in_order, track
+from chdstat._core.cache import Cache
+from chdstat._core.executor import check_memory, in_order
+from chdstat._core.progress import track
 from chdstat.errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
+    from distributed import Client
 
 __all__ = [
     "BATCH",
@@ -27,6 +31,7 @@ __all__ = [
     "Mapped",
     "Part",
     "Source",
+    "Work",
     "assemble",
     "attrs_of",
     "check_independent",
@@ -37,6 +42,7 @@ __all__ = [
     "labelled",
     "lazily",
     "mapped",
+    "over_tiles",
     "read_part",
     "sequence_means",
     "sequence_of",
@@ -60,6 +66,15 @@ Part = int | str
 """A part of the light of samples: paths up to so many segments, or the lights of such names."""
 Mapped = Mapping[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
 """Variables of a tile by name: the dims that follow (y, x), and an array (y, x, ...)."""
+
+
+class Work(TypedDict, total=False):
+    """How tiles are worked on, see `over_tiles`."""
+
+    progress: bool | None
+    workers: int | None
+    client: Client | None
+    checkpoint: Cache | None
 
 
 class Source(Protocol):
@@ -105,6 +120,8 @@ class _Image(_Attributed, Protocol):
     def counts(self) -> npt.NDArray[np.int32] | None: ...
     @property
     def source(self) -> Source | None: ...
+    def isel(self, *, y: slice, x: slice) -> Self: ...
+    def load(self) -> Self: ...
     def read(
         self, ys: slice = slice(None), xs: slice = slice(None), ss: slice = slice(None)
     ) -> Image: ...
@@ -232,11 +249,16 @@ def read_part(source: Source, rows: range, columns: range, samples: range) -> Im
     return source.read(*(slice(r.start, r.stop, r.step) for r in (rows, columns, samples)))
 
 
-def tiles(shape: tuple[int, int, int, int]) -> Iterator[tuple[slice, slice]]:
-    """Cut an image (y, x, channel, sample) into rows and columns small enough to hold at once."""
+def tiles(
+    shape: tuple[int, int, int, int], *, streamed: bool = False
+) -> Iterator[tuple[slice, slice]]:
+    """Cut an image (y, x, channel, sample) into rows and columns small enough to hold at once.
+
+    Those whose samples are `streamed`, batch by batch, are as large as the chunks of a store.
+    """
     height, width, channels, spp = shape
     edge = TILE
-    while edge > 16 and edge * edge * channels * spp * 4 > _MOST_BYTES:
+    while not streamed and edge > 16 and edge * edge * channels * spp * 4 > _MOST_BYTES:
         edge //= 2
     yield from itertools.product(spans(height, edge), spans(width, edge))
 
@@ -273,26 +295,106 @@ def assemble(
 def mapped(
     image: _Image,
     function: Callable[[Image], Mapped],
+    *,
     logarithms: bool,
     dependent: bool,
     description: str,
-    progress: bool | None,
+    **work: Unpack[Work],
 ) -> xr.Dataset:
     """Apply a function to tiles with all their samples; see `Samples.map`."""
     check_single(image)
     if not dependent:
         check_independent(image)
+
+    def of_tile(part: _Image, left_out: LeftOut) -> Mapped:
+        block = part.read()
+        left_out.see(block, channel_axis=-2, absent=part.absent())
+        return function(block)
+
+    places = tiles(image.shape)
+    return over_tiles(
+        image, of_tile, places, logarithms=logarithms, description=description, **work
+    )
+
+
+Tile = TypeVar("Tile", bound=_Image)
+
+
+def over_tiles(
+    image: Tile,
+    function: Callable[[Tile, LeftOut], Mapped],
+    places: Iterable[tuple[slice, slice]],
+    *,
+    logarithms: bool = False,
+    description: str = "analysing",
+    progress: bool | None = None,
+    workers: int | None = None,
+    client: Client | None = None,
+    checkpoint: Cache | None = None,
+) -> xr.Dataset:
+    """Compute variables tile by tile and assemble the image.
+
+    Parameters
+    ----------
+    image
+        The samples.
+    function
+        Takes the samples of a tile, and what counts those that are left out; returns variables. Its
+        results must not depend on the order of the tiles.
+    places
+        Rows and columns of each tile.
+    logarithms
+        As for `Samples.map`.
+    description, progress
+        Label of a progress bar, and whether to show it; None shows it on a terminal.
+    workers
+        Tiles at a time; None takes as many as there are cores.
+    client
+        A Dask client, whose workers compute tiles in place of threads. They read a store from its
+        path, which they must see; other samples travel to them.
+    checkpoint
+        Keeps each tile as soon as it is computed, and has those that were computed before.
+    """
     left_out = LeftOut(logarithms=logarithms)
+    task = functools.partial(_of_tile, function, logarithms, description, checkpoint)
+    sent = client is not None and image.source is not None and image.source.frames
 
-    def of_tile(tile: tuple[slice, slice]) -> tuple[slice, slice, Mapped]:
-        block = image.read(*tile)
-        left_out.see(block, channel_axis=-2, absent=image.absent(*tile))
-        return (*tile, function(block))
+    def items() -> Iterator[tuple[slice, slice, Tile]]:
+        for ys, xs in places:
+            part = image.isel(y=ys, x=xs)
+            yield ys, xs, part.load() if sent else part
 
-    parts = in_order(of_tile, tiles(image.shape))
-    dataset = assemble(image, parts, description=description, progress=progress)
+    def parts() -> Iterator[tuple[slice, slice, Mapped]]:
+        for ys, xs, found, counts in in_order(task, items(), workers=workers, client=client):
+            left_out.add(counts)
+            yield ys, xs, found
+
+    dataset = assemble(image, parts(), description=description, progress=progress)
     left_out.warn()
     return dataset
+
+
+_Variables = dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]]
+
+
+def _of_tile(
+    function: Callable[[Any, LeftOut], Mapped],
+    logarithms: bool,
+    description: str,
+    checkpoint: Cache | None,
+    item: tuple[slice, slice, Any],
+) -> tuple[slice, slice, Mapped, tuple[int, ...]]:
+    """Return the variables of a tile, and how many of its samples were left out."""
+    ys, xs, part = item
+
+    def compute() -> tuple[_Variables, tuple[int, ...]]:
+        left_out = LeftOut(logarithms=logarithms)
+        return dict(function(part, left_out)), left_out.counts
+
+    if checkpoint is None:
+        return ys, xs, *compute()
+    name = f"{description}-{ys.start}-{xs.start}"
+    return ys, xs, *checkpoint.record(name, tuple[_Variables, tuple[int, ...]], compute)
 
 
 def labelled(image: _Image, variables: Mapping[str, Any]) -> xr.Dataset:

@@ -111,9 +111,9 @@ def linear_support(
     )
 
 
-def tile_support(samples: Samples, ys: slice, xs: slice) -> Support:
+def tile_support(tile: Samples) -> Support:
     """Return the linear support of a tile, whatever the batches in which it is stored."""
-    first = samples.read(ys, xs, slice(FIRST_DRAWS))
+    first = tile.read(ss=slice(FIRST_DRAWS))
     null, bad = sample_masks(first)
     return linear_support(first, null=null, bad=bad)
 

@@ -418,8 +418,8 @@ def label_histogram(dataset: xr.Dataset, scale: Scale) -> xr.Dataset:
 def _image_histogram(
     samples: Samples, scale: Scale, bins: int, support: GivenSupport | None
 ) -> xr.Dataset:
-    def of_tile(ys: slice, xs: slice, blocks: Blocks) -> Mapped:
-        chosen = tile_support(samples, ys, xs) if support is None and scale == "linear" else support
+    def of_tile(tile: Samples, blocks: Blocks) -> Mapped:
+        chosen = tile_support(tile) if support is None and scale == "linear" else support
         stream = StreamingHistogram(scale=scale, bins=bins, support=chosen)
         for block in blocks:
             null, bad = sample_masks(block)

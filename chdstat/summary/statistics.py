@@ -8,7 +8,7 @@ once, up to rounding.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import numpy.typing as npt
@@ -19,8 +19,8 @@ from chdstat._core.moments import Batches, Moments
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat.errors import InputError
-from chdstat.samples import Blocks, Image, Mapped, reduce_tiles, samples_of
-from chdstat.samples.tiles import check_sequences, sequence_of
+from chdstat.samples import Blocks, Image, Mapped, Samples, reduce_tiles, samples_of
+from chdstat.samples.tiles import Work, check_sequences, sequence_of
 from chdstat.summary.bins import SCALES, GivenSupport, sample_masks, tile_support
 from chdstat.summary.histograms import Histogram, StreamingHistogram, label_histogram
 
@@ -252,7 +252,7 @@ def summarize(
     batch_size: int = 32,
     max_batches: int = 64,
     bins: int = 100,
-    progress: bool | None = None,
+    **work: Unpack[Work],
 ) -> xr.Dataset:
     """Return the statistics of every pixel, walking the samples in constant memory.
 
@@ -267,8 +267,8 @@ def summarize(
         a store.
     batch_size, max_batches, bins
         As for `Summary`.
-    progress
-        Show a progress bar; None shows it on a terminal.
+    **work
+        As for `Samples.map`: ``progress`` and ``client``.
 
     Returns
     -------
@@ -298,8 +298,8 @@ def summarize(
     length = sequence_of(image.attrs)
     batch_size = -(-batch_size // length) * length
 
-    def of_tile(ys: slice, xs: slice, blocks: Blocks) -> Mapped:
-        support = tile_support(image, ys, xs)
+    def of_tile(tile: Samples, blocks: Blocks) -> Mapped:
+        support = tile_support(tile)
         summary = Summary(
             batch_size=batch_size, max_batches=max_batches, bins=bins, support=support
         )
@@ -317,7 +317,7 @@ def summarize(
     # A run of the batches alone says how they will end, and refuses wrong options at once.
     batches = Batches((), size=batch_size, limit=max_batches)
     batches.update(np.zeros(image.spp))
-    dataset = reduce_tiles(image, of_tile, description="summarising", progress=progress)
+    dataset = reduce_tiles(image, of_tile, description="summarising", **work)
     if image.counts is not None:  # an incomplete last batch is left out, of every pixel
         ends = np.cumsum(batches.read()[1])
         complete = (ends <= image.counts[..., np.newaxis]) | (ends == ends[0])

@@ -16,8 +16,9 @@ import pytest
 
 import chdstat as chd
 from chdstat._core.cache import read_record, write_record
-from chdstat._core.executor import in_order, track
+from chdstat._core.executor import in_order
 from chdstat._core.files import Lock, replacing, scratch, sweep
+from chdstat._core.progress import track
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
 from chdstat.patterns import Atlas

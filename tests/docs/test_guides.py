@@ -31,6 +31,7 @@ PAGES = {
 FILE = re.compile(r"""Path\("(\S+)"\)\.write_text\('''\n(.*?)'''""", re.DOTALL)
 ELSEWHERE = {
     "--scheduler": "tests/rendering/test_workers.py",  # with a scheduler of its own
+    "--workers": "tests/test_clusters.py",  # in processes of their own
     "chdstat doctor": "tests/cli/test_cli.py",  # renders in processes of its own
     "report bathroom": ".ci/wheels",  # as many lines say; here reports are of stores
     "python3.11 -m venv": ".ci/run",

@@ -230,8 +230,8 @@ def test_memory_does_not_grow_with_spp(monkeypatch):
     lengths = []
     read = Samples.read
 
-    def spy(self, *where):
-        block = read(self, *where)
+    def spy(self, *where, **ends):
+        block = read(self, *where, **ends)
         lengths.append(block.shape[-1])
         return block
 

@@ -511,7 +511,7 @@ def test_workers_of_a_cluster_render_the_same_bits(tmp_path, whole):
     from distributed import Client, LocalCluster
 
     local = {"n_workers": 1, "threads_per_worker": 2, "processes": False}
-    with LocalCluster(dashboard_address=None, **local) as cluster, Client(cluster) as client:
+    with LocalCluster(dashboard_address=":0", **local) as cluster, Client(cluster) as client:
         samples = render(size=SIZE, spp=130, out=tmp_path / "s.zarr", client=client)
     assert np.array_equal(samples.read(), whole[..., :130])
 
@@ -521,7 +521,7 @@ def test_worker_processes_render_the_same_bits(whole):
     from distributed import Client, LocalCluster
 
     local = {"n_workers": 1, "threads_per_worker": 1, "processes": True}
-    with LocalCluster(dashboard_address=None, **local) as cluster, Client(cluster) as client:
+    with LocalCluster(dashboard_address=":0", **local) as cluster, Client(cluster) as client:
         samples = render(size=SIZE, spp=70, client=client)
     assert np.array_equal(samples.read(), whole[..., :70])
 

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import RenderError
+from chdstat._core import executor
+from chdstat.errors import ClusterError, RenderError
 from chdstat.rendering import workers
 from chdstat.rendering.backend import probe
 from chdstat.rendering.job import Job
@@ -30,7 +31,7 @@ import time
 from distributed import LocalCluster
 if __name__ == "__main__":
     cluster = LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None,
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=":0",
         protocol="tcp://", host="127.0.0.1",
     )
     print(cluster.scheduler_address, flush=True)
@@ -56,11 +57,11 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
 def test_a_scheduler_without_workers_is_told(monkeypatch):
     from distributed import Client, LocalCluster
 
-    monkeypatch.setattr(workers, "_PATIENCE", 0.5)
+    monkeypatch.setattr(executor, "_PATIENCE", 0.5)
     with (
-        LocalCluster(n_workers=0, processes=False, dashboard_address=None) as cluster,
+        LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as cluster,
         Client(cluster) as client,
-        pytest.raises(RenderError, match=r"scheduler at inproc:.* has no workers after .* with: "),
+        pytest.raises(ClusterError, match=r"scheduler at inproc:.* has no workers after .* with: "),
     ):
         chd.render("cornell-box", spp=1, client=client, **SETTINGS)
 
@@ -68,16 +69,16 @@ def test_a_scheduler_without_workers_is_told(monkeypatch):
 def test_a_scheduler_that_dies_is_told_and_the_rest_is_kept(tmp_path, monkeypatch):
     from distributed import Client
 
-    out, write = tmp_path / "s.zarr", Store.write
+    out, note = tmp_path / "s.zarr", Store.note
     with scheduler(tmp_path) as (child, address), Client(address, timeout="30s") as client:
 
         def fatal(*arguments: Any) -> None:
-            write(*arguments)
+            note(*arguments)
             child.kill()
 
         with monkeypatch.context() as patch:
-            patch.setattr(Store, "write", fatal)
-            with pytest.raises(RenderError, match="cluster was lost while it rendered; what is"):
+            patch.setattr(Store, "note", fatal)
+            with pytest.raises(ClusterError, match="cluster was lost while it worked; what is"):
                 chd.render("cornell-box", spp=512, out=out, client=client, **SETTINGS)
     assert 0 < len(Store.open(out).pending()) < 8
     whole = chd.render("cornell-box", spp=512, **SETTINGS).read()
@@ -91,19 +92,24 @@ def test_workers_of_other_versions_are_refused():
         "workers": {"tcp://a": {"packages": {**packages, "mitsuba": "3.7.0"}}},
     }
     client: Any = SimpleNamespace(
-        wait_for_workers=lambda *_, **__: None, get_versions=lambda **_: answer
+        status="running", wait_for_workers=lambda *_, **__: None, get_versions=lambda **_: answer
     )
-    with pytest.raises(RenderError, match=r"tcp://a has other versions .mitsuba 3.7.0, here 3.9.1"):
-        workers._check_workers(client)
+    with pytest.raises(
+        ClusterError, match=r"tcp://a has other versions .mitsuba 3.7.0, here 3.9.1"
+    ):
+        executor.check_workers(client)
     answer["workers"]["tcp://a"]["packages"] = packages
-    workers._check_workers(client)
+    executor.check_workers(client)
 
 
 def test_a_worker_that_reads_another_scene_is_refused():
     job = Job(load_scene("cornell-box"), probe("scalar"), (8, 8))
     identity = Renderer(job).identity
     chunk = next(chunk_grid(8, 8, 1))
-    assert workers._render_remote(job, identity, chunk).shape == (8, 8, 3, 1)
+    group = chunk, [chunk]
+    ((_, block),) = workers._render_remote(job, identity, None, group)
+    assert block is not None
+    assert block.shape == (8, 8, 3, 1)
     other = {**identity, "scene_hash": "0", "scene_files": {"tex.exr": "0"}}
     with pytest.raises(RenderError, match=r"reads another scene than is read here \(tex.exr"):
-        workers._render_remote(job, other, chunk)
+        workers._render_remote(job, other, None, group)

@@ -177,7 +177,7 @@ def test_workers_of_a_cluster_have_the_plugin(write):
     from distributed import Client, LocalCluster
 
     load_plugin(write(INTEGRATOR)).path.unlink()
-    local = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
+    local = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": ":0"}
     with LocalCluster(**local) as cluster, Client(cluster) as client:
         samples = chd.render("cornell-box", **SCALAR, client=client)
     assert (samples.read() == 2).all()

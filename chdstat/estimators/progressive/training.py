@@ -16,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import generator, is_bad
-from chdstat._core.executor import track
 from chdstat._core.image_scales import mean_radiance
+from chdstat._core.progress import track
 from chdstat.errors import InputError
 from chdstat.estimators.progressive.dataset import Indices, Profile, SampleSplits, TrainingSet
 from chdstat.estimators.progressive.error_model import ErrorModel

@@ -1,0 +1,186 @@
+"""Work on a Dask cluster, and work that was stopped: the same bits as at once, here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat._core.executor import client_of, in_order
+from chdstat.errors import ClusterError, InputError, StoreError
+from chdstat.estimators import halves
+from chdstat.estimators.weighting import combine
+from chdstat.rendering import workers
+from chdstat.samples import Samples
+from chdstat.samples import tiles as cut
+from chdstat.samples.access import reopened
+from chdstat.samples.store import Store
+from chdstat.summary.statistics import Summary
+
+SETTINGS: dict[str, Any] = {"size": (24, 16), "backend": "scalar", "progress": False}
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Any]:
+    from distributed import Client, LocalCluster
+
+    quiet = {"dashboard_address": ":0", "processes": False, "protocol": "tcp://"}
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", **quiet) as cluster,
+        Client(cluster) as found,
+    ):
+        yield found
+
+
+@pytest.fixture(autouse=True)
+def small_tiles(monkeypatch):
+    monkeypatch.setattr(cut, "TILE", 8)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Samples:
+    path = tmp_path_factory.mktemp("stores") / "box.zarr"
+    return chd.render("cornell-box", spp=64, out=path, **SETTINGS)
+
+
+@pytest.mark.parametrize("held", ["store", "memory"])
+def test_workers_analyse_and_estimate_the_same_bits(client, store, held):
+    samples = store if held == "store" else store.load()
+    found = chd.analyze(samples, client=client, progress=False)
+    assert found.identical(chd.analyze(samples, progress=False))
+    for whole in (combine(samples), combine(samples, client=client)):
+        assert np.array_equal(whole.radiance, combine(store).radiance)
+
+
+def test_workers_compare_the_same_bits(client, store):
+    names = ["mean", "catoni", "shared_shape"]
+    found = [
+        chd.compare(samples, names, n=16, client=at, progress=False)
+        for samples, at in ((store, None), (store, client), (store.load(), client))
+    ]
+    tables = [repr(one.table()) for one in found]  # in which NaN equals NaN
+    assert tables[0] == tables[1] == tables[2]
+    assert np.array_equal(found[0].estimates, found[1].estimates)
+
+
+def test_workers_read_images_of_other_programs(client, store, tmp_path):
+    for i in range(4):
+        chd.io.write_exr(tmp_path / f"{i}.exr", store.read(ss=slice(i, i + 1))[..., 0])
+    frames = chd.io.read(*sorted(tmp_path.glob("*.exr")))
+    found = chd.summarize(frames, client=client)
+    assert found.identical(chd.summarize(frames))
+
+
+def test_workers_write_their_own_chunks(client, store, tmp_path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "write", None)
+        found = chd.render(
+            "cornell-box", spp=64, out=tmp_path / "a.zarr", client=client, **SETTINGS
+        )
+    assert np.array_equal(found.read(), store.read())
+
+    def unseen(*_: object) -> None:
+        message = "no store there"
+        raise StoreError(message)
+
+    monkeypatch.setattr(workers, "reopened", unseen)
+    found = chd.render("cornell-box", spp=64, out=tmp_path / "b.zarr", client=client, **SETTINGS)
+    assert np.array_equal(found.read(), store.read())
+
+
+def test_a_worker_refuses_another_store(store, tmp_path):
+    path, identity, complete, shape = store.source.place
+    with pytest.raises(StoreError, match="a worker cannot read .*, which all workers must see"):
+        reopened(tmp_path / "none.zarr", identity, complete, shape)
+    for other in (("0" * 16, complete), (identity, complete + 1)):
+        with pytest.raises(StoreError, match="a worker sees another store at"):
+            reopened(path, *other, shape)
+
+
+def test_errors_of_the_work_come_as_they_are(client, store):
+    def fails(_: object) -> Any:
+        message = "of the work"
+        raise InputError(message)
+
+    with pytest.raises(InputError, match="of the work"):
+        store.map(fails, client=client)
+
+
+def test_workers_of_this_machine_and_a_scheduler_exclude_each_other():
+    with client_of(None, None) as nobody:
+        assert nobody is None
+    with client_of(None, 1) as here:
+        assert list(in_order(abs, [-1, 2], client=here)) == [1, 2]
+    with pytest.raises(InputError, match="workers are started here"), client_of("tcp://a:1", 1):
+        pass
+
+
+def test_a_closed_client_is_told(store):
+    from distributed import Client, LocalCluster
+
+    quiet = {"dashboard_address": ":0", "processes": False}
+    with LocalCluster(n_workers=1, **quiet) as cluster, Client(cluster) as gone:
+        pass
+    with pytest.raises(ClusterError, match="cluster was lost"):
+        chd.analyze(store, client=gone, progress=False)
+
+
+def stopping(function: Callable[..., Any], calls: list[int], most: int) -> Callable[..., Any]:
+    """Return a function that raises KeyboardInterrupt after some calls, and counts them."""
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        calls.append(1)
+        if len(calls) > most:
+            raise KeyboardInterrupt
+        return function(*arguments, **options)
+
+    return counted
+
+
+TILES = 6
+"""Of 8 x 8 pixels in the image."""
+
+
+@pytest.mark.parametrize("held", ["store", "memory"])
+def test_an_analysis_that_was_stopped_goes_on(store, tmp_path, monkeypatch, held):
+    samples, folder = store if held == "store" else store.load(), tmp_path / "parts"
+    calls: list[int] = []
+    for most in (2, TILES + 1, 10 * TILES):  # in the summary, in the fits, and not at all
+        for place, name in ((Summary, "read"), ("chdstat.analysis", "PixelFits")):
+            target = place if isinstance(place, type) else __import__(place, fromlist=[name])
+            monkeypatch.setattr(target, name, stopping(getattr(target, name), calls, most))
+        try:
+            found = chd.analyze(samples, checkpoint=folder, progress=False)
+        except KeyboardInterrupt:
+            assert folder.exists()
+        monkeypatch.undo()
+        monkeypatch.setattr(cut, "TILE", 8)
+    assert not folder.exists()
+    assert found.identical(chd.analyze(samples, progress=False))
+    # Each tile twice, but for what was under way when it was stopped.
+    assert 2 * TILES <= len(calls) <= 2 * TILES + 2 * 4
+
+
+def test_an_estimate_that_was_stopped_goes_on_unless_anything_changed(store, tmp_path, monkeypatch):
+    folder, calls = tmp_path / "parts", list[int]()
+    whole = combine(store)
+    for most in (2, 10 * TILES):
+        with monkeypatch.context() as patch:
+            stopped = stopping(halves.is_null, calls, most)
+            patch.setattr(halves, "is_null", stopped)
+            if most == 2:
+                with pytest.raises(KeyboardInterrupt):
+                    combine(store, checkpoint=folder)
+            else:
+                found = combine(store, checkpoint=folder)
+    assert np.array_equal(found.radiance, whole.radiance)
+    assert TILES <= len(calls) <= TILES + 4
+    monkeypatch.setattr(halves, "is_null", stopping(halves.is_null, [], 4))
+    with pytest.raises(KeyboardInterrupt):
+        combine(store, checkpoint=folder)
+    monkeypatch.undo()
+    fewer = store.isel(sample=slice(32))
+    assert np.array_equal(combine(fewer, checkpoint=folder).radiance, combine(fewer).radiance)
