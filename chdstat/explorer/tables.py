@@ -18,7 +18,7 @@ from chdstat.explorer.estimators import ScoredEstimate
 from chdstat.explorer.statistics import MOST_TESTED, RESAMPLES, PlaceStatistics
 from chdstat.inference.differences import Difference
 from chdstat.patterns import PATTERNS, Label, Pattern, Thresholds
-from chdstat.viz.estimators import NAMES
+from chdstat.viz.estimators import called
 
 __all__ = [
     "Column",
@@ -143,7 +143,7 @@ def patterns_table(columns: Sequence[Column]) -> Table:
     places = list({id(place): place for _, place, _ in columns}.values())
     rows = []
     for pattern in PATTERNS:
-        name = NAMES.get(pattern.name, pattern.name.replace("_", " "))
+        name = called(pattern.name)
         limit = pattern.limit.format(**vars(Thresholds())).replace("%", "\u00a0%")
         values = [_pattern_value(pattern, place, alone=len(places) == 1) for place in places]
         says = [pattern.meaning] if len(places) == 1 else []
@@ -161,8 +161,7 @@ def patterns_table(columns: Sequence[Column]) -> Table:
 
 
 def _label(place: PlaceStatistics) -> str:
-    name = Label(int(place.patterns.label)).name.lower()
-    return NAMES.get(name, name.replace("_", " "))
+    return called(Label(int(place.patterns.label)).name.lower())
 
 
 def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> str:
@@ -183,7 +182,7 @@ def estimates_table(
     """
     rows = []
     for e in sorted(found, key=_rank):
-        name = NAMES.get(e.name, e.name.replace("_", " "))
+        name = called(e.name)
         if np.isfinite(e.certainty):
             name = f"{name}, {percent(e.certainty)} certain"
         values = [number(float(value)) for value in e.value]
@@ -213,7 +212,7 @@ def goodness_table(
         reason = np.where(place.constant, Reason.CONSTANT, reason)
         p_value = np.where(place.constant, np.nan, p_value)
         cells = map(_goodness, p_value, distance, reason)
-        rows.append([NAMES.get(family, family), *cells])
+        rows.append([called(family), *cells])
     note = (
         f"p-values of A² from {RESAMPLES} replicates, fitted as the samples were, and the "
         f"largest gap D; the first {min(place.spp, MOST_TESTED)} samples"
@@ -284,7 +283,7 @@ def _family(place: PlaceStatistics, row: int) -> str:
     selection = place.fits.selection
     name = str(selection.names[row])
     reason = Reason(int(selection.reason[row])).name.lower().replace("_", " ")
-    return NAMES.get(name, name) or reason
+    return called(name) or reason
 
 
 def _parameters(place: PlaceStatistics, row: int) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
+from scipy import special, stats
 
 from chdstat._core.arrays import take_rows
 from chdstat._core.positive import Floats, Mask, PositivePart
@@ -21,7 +21,7 @@ from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED
 from chdstat.fit.mixtures import Mixture
 from chdstat.fit.selection import Selection, select_part
-from chdstat.fit.tail import Tail, tail_of_part
+from chdstat.fit.tail import Tail, effective_tail_index, tail_of_part
 from chdstat.inference.modes import Modality, mixture_and_modes_of_part
 
 __all__ = ["PixelFits", "PixelStatistics", "Thresholds", "firefly_limit", "gather"]
@@ -290,11 +290,5 @@ def _gamma_table() -> tuple[Floats, Floats, Floats]:
     is right to 1e-4.
     """
     log_shapes = np.linspace(np.log(0.02), np.log(1e4), 800)
-    indices = _gamma_index(np.exp(log_shapes))
+    indices = effective_tail_index(stats.gamma(np.exp(log_shapes)), _TOP)
     return log_shapes, indices, np.gradient(indices, log_shapes)
-
-
-def _gamma_index(shape: Floats) -> Floats:
-    x = special.gammaincinv(shape, 1 - _TOP)
-    log_density = (shape - 1) * np.log(x) - x - special.gammaln(shape)
-    return np.asarray(-1 - _TOP * ((shape - 1) / x - 1) * np.exp(-log_density))

@@ -33,7 +33,7 @@ from chdstat.reporting.result_tables import (
 from chdstat.samples import Samples
 from chdstat.samples.description import provenance
 from chdstat.studies.claims import SceneData
-from chdstat.viz.estimators import NAMES
+from chdstat.viz.estimators import called
 from chdstat.viz.maps import names_of
 
 if TYPE_CHECKING:
@@ -338,7 +338,7 @@ def _best(comparison: Comparison | None) -> dict[str, Any] | None:
     return min(rows, key=lambda row: row["relmse_ratio"], default=None)
 
 
-_MEANING = {NAMES.get(p.name, p.name.replace("_", " ")): p.meaning for p in PATTERNS}
+_MEANING = {called(p.name): p.meaning for p in PATTERNS}
 
 
 # --- tables -------------------------------------------------------------------------------------

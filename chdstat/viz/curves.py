@@ -82,7 +82,7 @@ def curves(
     1
     """
     names = list(dict.fromkeys(name for panel in panels.values() for name in panel))
-    labels = [verbatim(name) for name in called(names)]
+    labels = [verbatim(called(name)) for name in names]
     looks = [
         {"color": _COLORS[i % len(_COLORS)], "marker": _MARKERS[i % len(_MARKERS)]}
         for i in range(len(names))
@@ -188,7 +188,7 @@ def error_curves(found: ErrorCurve, *, fig: Figure | None = None) -> Figure:
     figure = page(fig, 2.3 + 0.17 * -(-len(found.estimators) // 4))
     axes = grid(figure, 2, 2)
     for ax, (measure, title) in zip(axes, (("mse", "MSE"), ("relmse", "relMSE")), strict=True):
-        _draw_errors(ax, found, measure, called(found.estimators))
+        _draw_errors(ax, found, measure, [called(name) for name in found.estimators])
         ax.set(xlabel="samples in an estimate, N", ylabel=title, yscale="log")
         _by_number(ax, found.sizes)
     handles, labels = axes[0].get_legend_handles_labels()

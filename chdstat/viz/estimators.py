@@ -84,9 +84,9 @@ NAMES: Mapping[str, str] = ChainMap(
 """What text and figures call estimators, families and patterns."""
 
 
-def called(names: Sequence[str]) -> list[str]:
-    """Return what to write for names: what `NAMES` has for them, or themselves in words."""
-    return [NAMES.get(name, name.replace("_", " ")) for name in names]
+def called(name: str) -> str:
+    """Return what to write for a name: what `NAMES` has for it, or itself in words."""
+    return NAMES.get(name, name.replace("_", " "))
 
 
 @style()
@@ -140,11 +140,11 @@ def _label_table(ax: Axes, found: Breakdown, share: Array) -> None:
     rows = [
         f"{label}, {per_cent(part)}" if part >= 0.005 else f"{label}, {count} px"
         for label, part, count in zip(
-            called(found.labels), share, found.pixels.tolist(), strict=True
+            map(called, found.labels), share, found.pixels.tolist(), strict=True
         )
     ]
     ax.set_yticks(np.arange(len(rows)), rows)
-    columns = called(found.estimators)
+    columns = [called(name) for name in found.estimators]
     ax.set_xticks(np.arange(len(columns)), columns)
     if len(columns) > _LEVEL:
         ax.tick_params(axis="x", rotation=40)
@@ -184,7 +184,7 @@ def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figur
         if found.uses_neighbours.any():
             line = rows[found.uses_neighbours].min() - 0.8
             ax.axhline(line, color=_GREY, linewidth=0.6)
-    axes[0].set_yticks(rows, called(found.estimators))
+    axes[0].set_yticks(rows, list(map(called, found.estimators)))
     axes[0].set_ylim(rows.max() + 0.6, -0.6)
     if found.uses_neighbours.any():
         figure.supxlabel("below the line: those that use neighbouring pixels")
@@ -256,7 +256,7 @@ def pixel_estimates(found: PixelEstimates, *, ax: Axes | None = None) -> Axes:
     # Marks lie beside each other within a pixel's place.
     offsets = np.linspace(-0.22, 0.22, len(drawn)) if len(drawn) > 1 else [0.0]
     for k, (name, values) in enumerate(drawn):
-        label = called([name])[0]
+        label = called(name)
         look: dict[str, Any] = {"marker": "DsP^vX"[k % 6], "color": colors[k], "linewidths": 0}
         ax.scatter(places + offsets[k], values, s=11, label=label, zorder=4, **look)
     _set_radiance_axis(ax, light)

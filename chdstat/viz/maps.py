@@ -22,7 +22,7 @@ from chdstat._core.image_scales import display_stops
 from chdstat.errors import InputError
 from chdstat.inference import Contrast
 from chdstat.patterns import Atlas
-from chdstat.viz.estimators import NAMES
+from chdstat.viz.estimators import called
 from chdstat.viz.image import tonemap
 from chdstat.viz.styling import (
     MISSING,
@@ -175,7 +175,7 @@ def names_of(variable: xr.DataArray | npt.ArrayLike) -> dict[int, str]:
         )
         raise InputError(message)
     codes, names = attrs["flag_values"], str(attrs["flag_meanings"]).split()
-    words = (NAMES.get(name, name.replace("_", " ")) for name in names)
+    words = map(called, names)
     return {int(code): word for code, word in zip(codes, words, strict=True)}
 
 
