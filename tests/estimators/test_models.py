@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from safetensors.numpy import save_file
 
 import chdstat as chd
@@ -36,6 +37,27 @@ def test_what_is_saved_is_read_as_what_it_is(tmp_path, name, options, kind):
     assert type(model) is type(again) is kind
     x = image().read(ss=slice(0, 32))
     assert (again.predict(x) == model.predict(x)).all()
+
+
+@pytest.mark.parametrize(("name", "kind"), [("progressive", Progressive), ("elek2019", MLP)])
+def test_truncated_and_foreign_files_are_refused(tmp_path, name, kind):
+    path = tmp_path / "model"
+    with pytest.raises(StoreError, match="no model at"):
+        kind.load(path)
+    train_model(image(), name, iterations=1, progress=False).save(path)
+    whole, other = path.read_bytes(), MLP if kind is Progressive else Progressive
+    with pytest.raises(StoreError, match=f"not '{other.kind}'"):
+        other.load(path)
+    for size in (0, 7, 500, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(StoreError, match="damaged or not a chdstat model"):
+            kind.load(path)
+    torch.save({"weights": torch.zeros(3)}, path)
+    with pytest.raises(StoreError, match="not a chdstat model"):
+        kind.load(path)
+    save_file({"a": np.zeros(3)}, path)
+    with pytest.raises(StoreError, match="not a chdstat model"):
+        kind.load(path)
 
 
 def test_options_reach_the_training():
