@@ -9,6 +9,7 @@ A pixel that cannot be computed is data: NaN in the result and a `Reason` beside
 from __future__ import annotations
 
 import enum
+from collections.abc import Iterable
 
 __all__ = [
     "ChdstatError",
@@ -20,6 +21,8 @@ __all__ = [
     "SceneError",
     "StoreError",
     "brief",
+    "check_choice",
+    "check_probability",
 ]
 
 _LONGEST = 600
@@ -98,3 +101,41 @@ def brief(error: BaseException) -> str:
     return (
         text if len(text) <= _LONGEST else f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
     )
+
+
+def check_choice(name: str, given: object, choices: Iterable[str]) -> None:
+    """Refuse an option that is none of the choices there are.
+
+    Raises
+    ------
+    InputError
+        If it is none of them.
+
+    Examples
+    --------
+    >>> check_choice("scale", "cubic", ("linear", "log"))
+    Traceback (most recent call last):
+    chdstat.errors.InputError: scale must be one of linear, log, got 'cubic'
+    """
+    known = tuple(choices)
+    if given not in known:
+        message = f"{name} must be one of {', '.join(known)}, got {given!r}"
+        raise InputError(message)
+
+
+def check_probability(**options: float) -> None:
+    """Refuse options, by name, that do not lie between 0 and 1.
+
+    Raises
+    ------
+    InputError
+        If one does not.
+
+    Examples
+    --------
+    >>> check_probability(alpha=0.05, level=0.95)
+    """
+    for name, value in options.items():
+        if not 0 < value < 1:
+            message = f"{name} must lie between 0 and 1, got {value}"
+            raise InputError(message)

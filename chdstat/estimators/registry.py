@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import all_good, as_pixels, as_samples, is_bad, spans, warn_left_out
 from chdstat._core.display import Shown
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_probability
 from chdstat.scenes.plugins import owns_estimator
 
 __all__ = [
@@ -389,14 +389,6 @@ def check_positive(**options: float) -> None:
     for name, value in options.items():
         if not value > 0:
             message = f"{name} must be larger than 0, got {value}"
-            raise InputError(message)
-
-
-def check_probability(**options: float) -> None:
-    """Refuse options, by name, that do not lie between 0 and 1."""
-    for name, value in options.items():
-        if not 0 < value < 1:
-            message = f"{name} must lie between 0 and 1, got {value}"
             raise InputError(message)
 
 

@@ -24,7 +24,7 @@ from chdstat._core.display import Card, Shown, each, reasons, with_error, with_i
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import wilson
-from chdstat.errors import InputError, Reason
+from chdstat.errors import Reason, check_choice
 from chdstat.fit._burr import BURR
 from chdstat.fit._gamma import GAMMA
 from chdstat.fit._inverse_gaussian import INVERSE_GAUSSIAN
@@ -74,9 +74,7 @@ def get_family(family: str | Family) -> Family:
     """
     if isinstance(family, Family):
         return family
-    if family not in FAMILIES:
-        message = f"family must be one of {', '.join(FAMILIES)}, got {family!r}"
-        raise InputError(message)
+    check_choice("family", family, FAMILIES)
     return FAMILIES[family]
 
 

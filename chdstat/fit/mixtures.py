@@ -16,7 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, generator
 from chdstat._core.display import Card
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat.errors import InputError, Reason
+from chdstat.errors import InputError, Reason, check_choice
 from chdstat.fit.em import COMPONENTS, MixtureFamily
 from chdstat.fit.families import (
     ZeroInflated,
@@ -417,14 +417,9 @@ def _held_out(
 
 
 def _check(k: Any, family: str, criterion: str, max_k: Any, effort: str) -> None:
-    for name, given, choices in (
-        ("family", family, tuple(COMPONENTS)),
-        ("criterion", criterion, get_args(MixtureCriterion)),
-        ("effort", effort, tuple(EFFORTS)),
-    ):
-        if given not in choices:
-            message = f"{name} must be one of {', '.join(choices)}, got {given!r}"
-            raise InputError(message)
+    check_choice("family", family, COMPONENTS)
+    check_choice("criterion", criterion, get_args(MixtureCriterion))
+    check_choice("effort", effort, EFFORTS)
     for name, number in (("k", 1 if k is None else k), ("max_k", max_k)):
         if not isinstance(number, (int, np.integer)) or not 1 <= number <= _LARGEST_K:
             message = f"{name} must be a whole number from 1 to {_LARGEST_K}, got {number!r}"

@@ -20,7 +20,7 @@ from chdstat._core.image_scales import tonemap
 from chdstat._core.positive import Floats
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
-from chdstat.errors import InputError, Reason
+from chdstat.errors import Reason, check_probability
 from chdstat.inference.render_pairs import Compared, Pair
 from chdstat.inference.sign_flips import WindowTest, scan_windows, window_sums
 from chdstat.samples import Image, Samples
@@ -285,9 +285,7 @@ def contrast(
     >>> found.outcome, found.window
     ('differ', (0, 0, 16, 16))
     """
-    if not 0 < alpha < 1:
-        message = f"alpha must lie between 0 and 1, got {alpha}"
-        raise InputError(message)
+    check_probability(alpha=alpha)
     pair = Pair.of(a, b, seconds)
     seed = seed_number(seed)
     found = _contrasted(pair, alpha, seed)

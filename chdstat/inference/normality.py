@@ -26,7 +26,7 @@ from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
-from chdstat.errors import InputError, Reason
+from chdstat.errors import InputError, Reason, check_choice, check_probability
 from chdstat.inference import statistics
 from chdstat.inference.statistics import Rows, standardise
 from chdstat.samples import Image, Mapped, Samples, opened
@@ -42,8 +42,6 @@ __all__ = [
     "NormalityTest",
     "TestName",
     "Transform",
-    "check_choice",
-    "check_level",
     "finish_gaussianity",
     "finish_tests",
     "gaussianity",
@@ -261,7 +259,7 @@ def gaussianity(
     """
     _check_names(transform, TRANSFORMS, "transform")
     _check_names(test, TESTS, "test")
-    check_level(alpha)
+    check_probability(alpha=alpha)
     given = opened(x)
     if not isinstance(given, Samples):
         return _of_part(PositivePart.given(given, null=null), transform, test)
@@ -371,25 +369,10 @@ def _of_part(
     )
 
 
-def check_choice(choice: object, table: Iterable[str], name: str) -> None:
-    """Raise InputError if an option is none of those there are."""
-    names = tuple(table)
-    if choice not in names:
-        message = f"{name} must be one of {', '.join(names)}, got {choice!r}"
-        raise InputError(message)
-
-
-def check_level(alpha: float) -> None:
-    """Raise InputError if a level lies outside (0, 1)."""
-    if not 0 < alpha < 1:
-        message = f"alpha must lie between 0 and 1, got {alpha}"
-        raise InputError(message)
-
-
 def _check_names(choice: str | Sequence[str], table: Iterable[str], name: str) -> None:
     choices = (choice,) if isinstance(choice, str) else tuple(choice)
     if not choices or len(set(choices)) < len(choices):
         message = f"{name} must be a name or several different ones, got {choice!r}"
         raise InputError(message)
     for each in choices:
-        check_choice(each, table, name)
+        check_choice(name, each, table)

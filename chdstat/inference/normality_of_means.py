@@ -17,7 +17,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_samples, is_bad, warn_left_out
 from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat.errors import InputError
+from chdstat.errors import InputError, check_choice, check_probability
 from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference import averages
 from chdstat.inference.averages import MORE_THAN_TESTED, UNTESTED
@@ -25,8 +25,6 @@ from chdstat.inference.normality import (
     TESTS,
     NormalityTest,
     TestName,
-    check_choice,
-    check_level,
     finish_tests,
 )
 from chdstat.samples import Image, Mapped, Samples, opened
@@ -189,8 +187,8 @@ def gaussianity_of_means(
     >>> int(means.n_needed), float(means.n_predicted)
     (8, 6.0)
     """
-    check_choice(test, TESTS, "test")
-    check_level(alpha)
+    check_choice("test", test, TESTS)
+    check_probability(alpha=alpha)
     given = opened(x)
     if isinstance(given, Samples):
         chosen = sizes_of_means(given.spp, n_means, sizes=sizes, test=test)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from chdstat._core.display import Card, Shown, png
 from chdstat._core.files import check_claim, replacing
 from chdstat._core.image_scales import tonemap
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import InputError, StoreError, check_choice
 
 __all__ = ["ExrImage", "read_exr", "read_planes", "write_exr"]
 
@@ -219,9 +219,7 @@ def write_exr(
     >>> read.channels, sorted(read.extra), read.extra["low"].shape
     (('R', 'G', 'B'), ['certainty', 'low'], (4, 6, 3))
     """
-    if pixel_type not in _TYPES:
-        message = f"pixel_type must be one of {', '.join(_TYPES)}, got {pixel_type!r}"
-        raise InputError(message)
+    check_choice("pixel_type", pixel_type, _TYPES)
     array = _real("image", image)
     if array.ndim != 3 or 0 in array.shape:
         message = f"image must have shape (y, x, channel), got {array.shape}"

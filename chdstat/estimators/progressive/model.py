@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import as_pixels, generator, warn_left_out
 from chdstat._core.image_scales import mean_radiance
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import InputError, StoreError, check_probability
 from chdstat.estimators.progressive import shrinkage, training
 from chdstat.estimators.progressive.dataset import Profile
 from chdstat.estimators.progressive.error_model import ErrorModel
@@ -264,9 +264,8 @@ class Progressive(TrainedModel[training.Learned]):
             If it is not trained, `x` has another number of channels or is no image where it must
             be, features or direct part are missing, or an option is out of range.
         """
-        if level is not None and not 0 < level < 1:
-            message = f"level must lie between 0 and 1, got {level}"
-            raise InputError(message)
+        if level is not None:
+            check_probability(level=level)
         if trust is not None and not 0 <= trust <= 1:
             message = f"trust must lie between 0 and 1, or be None, got {trust}"
             raise InputError(message)
