@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from chdstat.errors import Reason
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["first_of", "flag_attributes", "label_variables"]
+__all__ = ["first_of", "flag_attributes", "label_variables", "place_attributes"]
 
 
 def first_of(
@@ -46,17 +46,25 @@ def flag_attributes(kind: type[enum.IntEnum] = Reason) -> dict[str, Any]:
     }
 
 
-def label_variables(
-    dataset: xr.Dataset, labels: Mapping[str, tuple[str, str]], *, bounds: bool = True
-) -> xr.Dataset:
+def place_attributes(names: Sequence[str]) -> dict[str, Any]:
+    """Return CF-convention attributes of a variable of places in a list of names, -1 for none."""
+    return {
+        "flag_values": [-1, *range(len(names))],
+        "flag_meanings": " ".join(["none", *names]),
+    }
+
+
+def label_variables(dataset: xr.Dataset, labels: Mapping[str, str | tuple[str, str]]) -> xr.Dataset:
     """Set long name and units of the variables that a dataset has, and what reason codes mean.
 
-    With `bounds`, the ends of intervals, dimension ``bound``, get their names, too.
+    A name alone is one of a number without unit. The ends of intervals, dimension ``bound``, get
+    their names, too.
     """
-    for name, (long_name, units) in labels.items():
+    for name, label in labels.items():
         if name in dataset:
+            long_name, units = (label, "1") if isinstance(label, str) else label
             flags = flag_attributes() if name.endswith("reason") else {}
             dataset[name].attrs.update(long_name=long_name, units=units, **flags)
-    if bounds:
+    if "bound" in dataset.dims:
         return dataset.assign_coords(bound=np.array(["low", "high"], dtype=object))
     return dataset

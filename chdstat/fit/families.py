@@ -261,8 +261,8 @@ def fit_variables(result: ZeroInflated) -> Mapped:
 def label_fit(dataset: xr.Dataset, family: str, kind: type[ZeroInflated] = Fit) -> xr.Dataset:
     """Set long names, units and flag meanings of the variables of fits of a family."""
     prefix = kind.prefix.format(family)
-    labels = {name: (text, "1") for name, text in _SHARED.items()}
-    labels |= {f"{prefix}_{name}": (text.format(family), "1") for name, text in kind.labels.items()}
+    labels: dict[str, str | tuple[str, str]] = {**_SHARED}
+    labels |= {f"{prefix}_{name}": text.format(family) for name, text in kind.labels.items()}
     components = "component" in dataset.dims
     for name, unit in {**get_family(family).units, "weight": "1"}.items():
         named = f"{name} of the {family} components" if components else f"{family} {name}"

@@ -124,9 +124,9 @@ def finish_goodness(
         q_value = p_value.copy(data=q_values(p_value.to_numpy()))
         rejected = rejections(q_value, alpha).assign_attrs(false_discovery_rate=alpha)
         dataset = dataset.assign({f"{prefix}_q_value": q_value, f"{prefix}_rejected": rejected})
-    labels = {f"{prefix}_{name}": (f"{family}: {text}", "1") for name, text in _LABELS.items()}
-    labels[f"{prefix}_reason"] = f"why there is no test of {family}", "1"
-    dataset = label_variables(dataset, labels, bounds=False)
+    labels = {f"{prefix}_{name}": f"{family}: {text}" for name, text in _LABELS.items()}
+    labels[f"{prefix}_reason"] = f"why there is no test of {family}"
+    dataset = label_variables(dataset, labels)
     return dataset.assign_coords(fit_test=np.array(tests, dtype=object))
 
 

@@ -19,7 +19,7 @@ from scipy import special
 from chdstat._core.arrays import spans
 from chdstat._core.display import Card, Shown, reasons
 from chdstat._core.positive import Floats, Mask
-from chdstat._core.reasons import label_variables
+from chdstat._core.reasons import label_variables, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import (
@@ -291,10 +291,9 @@ def finish_selection(dataset: xr.Dataset, names: Sequence[str], criterion: str) 
         "held_out_margin_se": "standard error of the held-out margin",
         "held_out_loss": "held-out loss per positive sample, in nats",
     }
-    dataset = label_variables(dataset, {name: (text, "1") for name, text in labels.items()})
+    dataset = label_variables(dataset, labels)
     for name in {"best_family", "held_out_best_family"} & set(dataset):
-        meanings = " ".join(["none", *names])
-        dataset[name].attrs.update(flag_values=[-1, *range(len(names))], flag_meanings=meanings)
+        dataset[name].attrs.update(place_attributes(names))
     if "family" in dataset.dims:
         dataset = dataset.assign_coords(family=np.array(list(names), dtype=object))
     return dataset
@@ -350,9 +349,9 @@ def family_shares(dataset: xr.Dataset, *, variable: str = "best_family") -> xr.D
         }
     )
     labels = {
-        "family_share": ("share of pixels that a family describes best", "1"),
-        "family_share_interval": ("Wilson interval of the share of pixels", "1"),
-        "n_pixels": ("pixels with any family", "1"),
+        "family_share": "share of pixels that a family describes best",
+        "family_share_interval": "Wilson interval of the share of pixels",
+        "n_pixels": "pixels with any family",
     }
     return label_variables(shares, labels)
 

@@ -402,17 +402,17 @@ def _median(x: npt.NDArray[Any]) -> float:
     return float(np.median(known)) if known.size else np.nan
 
 
-_LABELS = {
+_LABELS: dict[str, str | tuple[str, str]] = {
     "mean_a": ("mean of A", "W sr-1 m-2"),
     "mean_b": ("mean of B", "W sr-1 m-2"),
     "difference": ("mean of B minus mean of A", "W sr-1 m-2"),
     "standard_error": ("standard error of the difference", "W sr-1 m-2"),
-    "p_value": ("p-value of equal means", "1"),
-    "q_value": ("q-value of equal means, over pixels and channels", "1"),
+    "p_value": "p-value of equal means",
+    "q_value": "q-value of equal means, over pixels and channels",
     "variance_a": ("variance of the luminance of a sample of A", "W2 sr-2 m-4"),
     "variance_b": ("variance of the luminance of a sample of B", "W2 sr-2 m-4"),
-    "efficiency": ("1 / (variance x time), B over A", "1"),
-    "reason": ("why there is no p-value", "1"),
+    "efficiency": "1 / (variance x time), B over A",
+    "reason": "why there is no p-value",
 }
 
 
@@ -440,4 +440,4 @@ def _maps(found: Compared, q: Floats, pair: Pair) -> xr.Dataset:
         "x": np.arange(width),
         "channel": np.array(found.bands, dtype=object),
     }
-    return label_variables(xr.Dataset(maps, coords), _LABELS, bounds=False)
+    return label_variables(xr.Dataset(maps, coords), _LABELS)

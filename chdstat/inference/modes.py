@@ -143,8 +143,7 @@ def finish_modality(dataset: xr.Dataset) -> xr.Dataset:
     """Add the q-values over the image, and set long names, units and flag meanings."""
     p_value = dataset["dip_p_value"]
     dataset = dataset.assign(dip_q_value=p_value.copy(data=q_values(p_value.to_numpy())))
-    labels = {name: (long_name, "1") for name, long_name in _LABELS.items()}
-    return label_variables(dataset, labels, bounds=False)
+    return label_variables(dataset, _LABELS)
 
 
 _MINIMUM = 20

@@ -341,10 +341,8 @@ def finish_tests(dataset: xr.Dataset, title: str, alpha: float) -> xr.Dataset:
     p_value = dataset["p_value"]
     q_value = p_value.copy(data=q_values(p_value.to_numpy()))
     dataset = dataset.assign(q_value=q_value, rejected=rejections(q_value, alpha))
-    labels = {name: (long_name, "1") for name, long_name in _LABELS.items()}
-    return label_variables(dataset, labels, bounds=False).assign_attrs(
-        test=title, false_discovery_rate=alpha
-    )
+    labelled = label_variables(dataset, _LABELS)
+    return labelled.assign_attrs(test=title, false_discovery_rate=alpha)
 
 
 def _of_part(

@@ -318,8 +318,7 @@ def finish_means(
         dataset[name].attrs["comment"] = _ASSUMES
     dataset["n_predicted"].attrs["comment"] = "NaN where n_predicted_reason says why"
     size = ("size", sizes, {"long_name": "samples per average", "units": "1"})
-    bound = np.array(["low", "high"], dtype=object)
-    return dataset.assign_coords(size=size, bound=bound).assign_attrs(n_means=n_means)
+    return dataset.assign_coords(size=size).assign_attrs(n_means=n_means)
 
 
 _ASSUMES = "assumes finite moments; not to be trusted where the tail index is 1/2 or more"

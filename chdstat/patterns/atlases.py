@@ -18,7 +18,7 @@ from chdstat._core.arrays import Seed, generator, is_bad, luminance, spans, whol
 from chdstat._core.display import Card, Shown, each, number, percent, with_interval
 from chdstat._core.moments import Moments
 from chdstat._core.positive import CONSTANT_SPREAD, Counts, Floats, Mask
-from chdstat._core.reasons import first_of, flag_attributes
+from chdstat._core.reasons import first_of, flag_attributes, place_attributes
 from chdstat._core.resampling import wilson
 from chdstat.errors import InputError, Reason
 from chdstat.patterns.clusters import Groups, find_groups, ratio
@@ -148,11 +148,8 @@ class Atlas(Shown):
             },
             attrs={"atlas_stability": self.stability, "atlas_repeatable": self.repeatable},
         )
-        clusters = range(len(self.share))
-        dataset["atlas_labels"].attrs.update(
-            flag_values=[-1, *clusters],
-            flag_meanings=" ".join(["none", *(f"shape_{k + 1}" for k in clusters)]),
-        )
+        shapes = [f"shape_{k + 1}" for k in range(len(self.share))]
+        dataset["atlas_labels"].attrs.update(place_attributes(shapes))
         dataset["atlas_reason"].attrs.update(flag_attributes())
         return dataset
 

@@ -31,10 +31,10 @@ _ASKED = {
     "light": ("light", "by_light=['NAME'] (--light NAME)"),
 }
 _SAID = {
-    "mean_share": ("share of the mean", "1"),
-    "variance_share": ("share of the variance", "1"),
-    "brightest_share": ("share of the light of the brightest hundredth of the samples", "1"),
-    "reason": ("why there are no shares", "1"),
+    "mean_share": "share of the mean",
+    "variance_share": "share of the variance",
+    "brightest_share": "share of the light of the brightest hundredth of the samples",
+    "reason": "why there are no shares",
 }
 By = Literal["depth", "light"]
 
@@ -108,7 +108,7 @@ def attribute(
     found = over_tiles(
         image, of_tile, tiles(image.shape), description="attributing light", progress=progress
     )
-    found = label_variables(found, _SAID, bounds=False)
+    found = label_variables(found, _SAID)
     names = np.array(part_names(list(known)), dtype=object)
     if by == "light":
         return found.assign_coords(light=("light", names, {"long_name": "lights"}))

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_pixels, warn_left_out
 from chdstat._core.display import Shown
 from chdstat._core.positive import Floats, Mask, PositivePart
-from chdstat._core.reasons import first_of, flag_attributes
+from chdstat._core.reasons import first_of, flag_attributes, label_variables, place_attributes
 from chdstat._core.resampling import q_values
 from chdstat.errors import InputError, Reason
 from chdstat.fit.families import SELECTED
@@ -240,7 +240,7 @@ def finish_patterns(dataset: xr.Dataset, thresholds: Thresholds | None = None) -
     decided = {**flags, **{f"{name}_q_value": value for name, value in q.items()}, "label": label}
     decided["label_agreement"] = found.share
     dataset = dataset.assign({name: (("y", "x"), value) for name, value in decided.items()})
-    _describe(dataset)
+    dataset = _described(dataset)
     dataset["label_agreement"].attrs.update(
         observed=found.observed, by_chance=found.expected, kappa=found.kappa, z=found.z
     )
@@ -286,7 +286,7 @@ _OTHERS = {
 }
 
 
-def _describe(dataset: xr.Dataset) -> None:
+def _described(dataset: xr.Dataset) -> xr.Dataset:
     texts = {**_OTHERS, "label_agreement": "share of the neighbours with the same label"}
     for pattern in PATTERNS:
         texts[pattern.name] = f"{pattern.meaning}: {pattern.rule}"
@@ -295,14 +295,10 @@ def _describe(dataset: xr.Dataset) -> None:
         texts[f"{pattern.name}_p_value"] = f"p-value of no {pattern.name}"
         texts[f"{pattern.name}_q_value"] = f"q-value of no {pattern.name}"
         dataset[pattern.name].attrs["source"] = pattern.source
-    for name in texts.keys() & set(dataset.data_vars):
-        dataset[name].attrs.update(long_name=texts[name], units="1")
-    dataset["luminance_family"].attrs.update(
-        flag_values=[-1, *range(len(SELECTED))], flag_meanings=" ".join(["none", *SELECTED])
-    )
+    dataset = label_variables(dataset, texts)
+    dataset["luminance_family"].attrs.update(place_attributes(SELECTED))
     dataset["label"].attrs.update(flag_attributes(Label))
-    dataset["reason"].attrs.update(flag_attributes())
-    dataset.coords["bound"] = np.array(["low", "high"], dtype=object)
+    return dataset
 
 
 _OFFSETS = tuple((i, j) for i in (0, 1, 2) for j in (0, 1, 2) if (i, j) != (1, 1))

@@ -409,7 +409,7 @@ def label_histogram(dataset: xr.Dataset, scale: Scale) -> xr.Dataset:
         f"{scale}_{part}": (f"{scale} histogram: {long_name}", units)
         for part, (long_name, units) in _LABELS.items()
     }
-    label_variables(dataset, labels, bounds=False)
+    label_variables(dataset, labels)
     return dataset.assign_coords({name: (name, center, described)})
 
 
@@ -430,5 +430,5 @@ def _image_histogram(
         }
 
     dataset = reduce_tiles(samples, of_tile, description=f"{scale} histograms")
-    counted = {"null_count": ("null samples", "1"), "bad_count": ("bad samples", "1")}
-    return label_histogram(label_variables(dataset, counted, bounds=False), scale)
+    counted = {"null_count": "null samples", "bad_count": "bad samples"}
+    return label_histogram(label_variables(dataset, counted), scale)

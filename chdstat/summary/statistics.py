@@ -31,19 +31,19 @@ __all__ = ["Statistics", "Summary", "summarize"]
 
 _RADIANCE = "W sr-1 m-2"
 _PER_PIXEL = {
-    "count": ("good samples, null ones included", "1"),
-    "null_count": ("null samples: all channels are 0", "1"),
-    "null_share": ("share of null samples among the good ones", "1"),
-    "bad_count": ("samples left out: a channel is NaN or infinite", "1"),
-    "nan_count": ("samples with a NaN channel", "1"),
-    "inf_count": ("samples with an infinite channel", "1"),
-    "negative_count": ("good samples with a negative channel", "1"),
+    "count": "good samples, null ones included",
+    "null_count": "null samples: all channels are 0",
+    "null_share": "share of null samples among the good ones",
+    "bad_count": "samples left out: a channel is NaN or infinite",
+    "nan_count": "samples with a NaN channel",
+    "inf_count": "samples with an infinite channel",
+    "negative_count": "good samples with a negative channel",
 }
-_PER_CHANNEL = {
+_PER_CHANNEL: dict[str, str | tuple[str, str]] = {
     "mean": ("sample mean", _RADIANCE),
     "variance": ("unbiased sample variance", f"({_RADIANCE})2"),
-    "skewness": ("skewness", "1"),
-    "kurtosis": ("excess kurtosis", "1"),
+    "skewness": "skewness",
+    "kurtosis": "excess kurtosis",
     "minimum": ("smallest sample", _RADIANCE),
     "maximum": ("largest sample", _RADIANCE),
     "standard_error": ("standard error of the sample mean", _RADIANCE),
@@ -372,7 +372,7 @@ def _variables(statistics: Statistics) -> Mapped:
 
 def _label(dataset: xr.Dataset, batches: Batches) -> xr.Dataset:
     means = ("means of consecutive batches of samples", _RADIANCE)
-    label_variables(dataset, {**_PER_PIXEL, **_PER_CHANNEL, "batch_means": means}, bounds=False)
+    label_variables(dataset, {**_PER_PIXEL, **_PER_CHANNEL, "batch_means": means})
     spp = ("batch", batches.read()[1], {"long_name": "draws of the batch", "units": "1"})
     for scale in SCALES:
         dataset = label_histogram(dataset, scale)
