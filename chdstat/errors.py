@@ -21,7 +21,7 @@ __all__ = [
     "SceneError",
     "StoreError",
     "brief",
-    "check_choice",
+    "check_option",
     "check_probability",
 ]
 
@@ -103,7 +103,7 @@ def brief(error: BaseException) -> str:
     )
 
 
-def check_choice(name: str, given: object, choices: Iterable[str]) -> None:
+def check_option(name: str, given: object, choices: Iterable[str]) -> None:
     """Refuse an option that is none of the choices there are.
 
     Raises
@@ -113,7 +113,7 @@ def check_choice(name: str, given: object, choices: Iterable[str]) -> None:
 
     Examples
     --------
-    >>> check_choice("scale", "cubic", ("linear", "log"))
+    >>> check_option("scale", "cubic", ("linear", "log"))
     Traceback (most recent call last):
     chdstat.errors.InputError: scale must be one of linear, log, got 'cubic'
     """

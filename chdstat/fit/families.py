@@ -24,7 +24,7 @@ from chdstat._core.display import Card, Shown, each, reasons, with_error, with_i
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import wilson
-from chdstat.errors import Reason, check_choice
+from chdstat.errors import Reason, check_option
 from chdstat.fit._burr import BURR
 from chdstat.fit._gamma import GAMMA
 from chdstat.fit._inverse_gaussian import INVERSE_GAUSSIAN
@@ -74,7 +74,7 @@ def get_family(family: str | Family) -> Family:
     """
     if isinstance(family, Family):
         return family
-    check_choice("family", family, FAMILIES)
+    check_option("family", family, FAMILIES)
     return FAMILIES[family]
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, generator
 from chdstat._core.display import Card
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat.errors import InputError, Reason, check_choice
+from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.em import COMPONENTS, MixtureFamily
 from chdstat.fit.families import (
     ZeroInflated,
@@ -417,9 +417,9 @@ def _held_out(
 
 
 def _check(k: Any, family: str, criterion: str, max_k: Any, effort: str) -> None:
-    check_choice("family", family, COMPONENTS)
-    check_choice("criterion", criterion, get_args(MixtureCriterion))
-    check_choice("effort", effort, EFFORTS)
+    check_option("family", family, COMPONENTS)
+    check_option("criterion", criterion, get_args(MixtureCriterion))
+    check_option("effort", effort, EFFORTS)
     for name, number in (("k", 1 if k is None else k), ("max_k", max_k)):
         if not isinstance(number, (int, np.integer)) or not 1 <= number <= _LARGEST_K:
             message = f"{name} must be a whole number from 1 to {_LARGEST_K}, got {number!r}"

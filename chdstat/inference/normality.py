@@ -26,7 +26,7 @@ from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
-from chdstat.errors import InputError, Reason, check_choice, check_probability
+from chdstat.errors import InputError, Reason, check_option, check_probability
 from chdstat.inference import statistics
 from chdstat.inference.statistics import Rows, standardise
 from chdstat.samples import Image, Mapped, Samples, opened
@@ -373,4 +373,4 @@ def _check_names(choice: str | Sequence[str], table: Iterable[str], name: str) -
         message = f"{name} must be a name or several different ones, got {choice!r}"
         raise InputError(message)
     for each in choices:
-        check_choice(name, each, table)
+        check_option(name, each, table)

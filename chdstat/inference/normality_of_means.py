@@ -17,7 +17,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import as_samples, is_bad, warn_left_out
 from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
-from chdstat.errors import InputError, check_choice, check_probability
+from chdstat.errors import InputError, check_option, check_probability
 from chdstat.fit.tail import Tail, tail_of_part
 from chdstat.inference import averages
 from chdstat.inference.averages import MORE_THAN_TESTED, UNTESTED
@@ -187,7 +187,7 @@ def gaussianity_of_means(
     >>> int(means.n_needed), float(means.n_predicted)
     (8, 6.0)
     """
-    check_choice("test", test, TESTS)
+    check_option("test", test, TESTS)
     check_probability(alpha=alpha)
     given = opened(x)
     if isinstance(given, Samples):

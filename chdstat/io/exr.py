@@ -17,7 +17,7 @@ import numpy.typing as npt
 from chdstat._core.display import Card, Shown, png
 from chdstat._core.files import check_claim, replacing
 from chdstat._core.image_scales import tonemap
-from chdstat.errors import InputError, StoreError, check_choice
+from chdstat.errors import InputError, StoreError, check_option
 
 __all__ = ["ExrImage", "read_exr", "read_planes", "write_exr"]
 
@@ -219,7 +219,7 @@ def write_exr(
     >>> read.channels, sorted(read.extra), read.extra["low"].shape
     (('R', 'G', 'B'), ['certainty', 'low'], (4, 6, 3))
     """
-    check_choice("pixel_type", pixel_type, _TYPES)
+    check_option("pixel_type", pixel_type, _TYPES)
     array = _real("image", image)
     if array.ndim != 3 or 0 in array.shape:
         message = f"image must have shape (y, x, channel), got {array.shape}"

@@ -19,7 +19,7 @@ from chdstat._core.arrays import as_samples, spans, warn_left_out
 from chdstat._core.display import Shown
 from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
-from chdstat.errors import InputError, check_choice
+from chdstat.errors import InputError, check_option
 from chdstat.samples import Blocks, Image, Mapped, Samples, opened, reduce_tiles
 from chdstat.summary.bins import (
     LOG_SUPPORT,
@@ -254,7 +254,7 @@ class StreamingHistogram:
     def __init__(
         self, *, scale: Scale = "log", bins: int = 100, support: GivenSupport | None = None
     ) -> None:
-        check_choice("scale", scale, SCALES)
+        check_option("scale", scale, SCALES)
         if bins < 1:
             message = f"bins must be at least 1, got {bins}"
             raise InputError(message)
