@@ -17,10 +17,12 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat._core.resampling import Blocks, Interval, interval_of
+from chdstat.comparison import Interval
 from chdstat.estimators.halves import Measured, candidates
 from chdstat.io import denoise
 from chdstat.rendering import render_batches
+from chdstat.studies.claims import SceneData
+from chdstat.studies.scene_data import ratio_of
 
 REAL = {
     "bathroom": "bathroom/scene.xml",
@@ -68,10 +70,10 @@ def better_of(errors: dict[str, np.ndarray], *names: str) -> np.ndarray:
     return min((errors[name] for name in names), key=lambda e: np.prod(e.mean(axis=0)))
 
 
-def over(blocks: Blocks, one: np.ndarray, other: np.ndarray) -> list[Interval[float]]:
+def over(samples: chd.Samples, one: np.ndarray, other: np.ndarray) -> list[Interval[float]]:
     """Return MSE and relMSE over those of another image."""
-    pairs = zip(blocks.sums(one).T, blocks.sums(other).T, strict=True)
-    return [interval_of(lambda w, a=a, b=b: (w @ a) / (w @ b), blocks) for a, b in pairs]
+    blocks = SceneData(samples.name, samples).whole().blocks
+    return [ratio_of(a, b, blocks) for a, b in zip(one.T, other.T, strict=True)]
 
 
 def judged(samples: chd.Samples, reference: np.ndarray, noise: np.ndarray) -> dict[str, np.ndarray]:
@@ -99,7 +101,7 @@ def judged(samples: chd.Samples, reference: np.ndarray, noise: np.ndarray) -> di
 
 
 def test_errors_against_the_denoiser(as_benchmark, folder):
-    blocks, table, missed, biased = Blocks.grid(SIZE, SIZE), [], 0, 0
+    table, missed, biased = [], 0, 0
     print(
         f"\n{'scene':24s}{'spp':>4s}  MSE               relMSE            from it     bias"
         "          better  in 90 %"
@@ -114,7 +116,7 @@ def test_errors_against_the_denoiser(as_benchmark, folder):
             seeds = [judged(store.first(n), reference, noise) for store in renders]
             mean = {k: np.mean([found[k] for found in seeds], axis=0) for k in seeds[0]}
             denoised = better_of(mean, "denoised", "denoised with features")
-            ratios = over(blocks, mean["estimate"], denoised)
+            ratios = over(renders[0], mean["estimate"], denoised)
             started = better_of(mean, "from it", "from it with features").mean(axis=0)
             started /= denoised.mean(axis=0)
             bias, doubt, better, *thirds = mean["about"]
