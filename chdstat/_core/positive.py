@@ -27,7 +27,7 @@ __all__ = [
     "LogStatistics",
     "Mask",
     "PositivePart",
-    "reason_of",
+    "SplitRows",
 ]
 
 Floats = npt.NDArray[np.float64]
@@ -76,6 +76,44 @@ class LogStatistics:
         return np.asarray((self.n > 0) & (self.log_variance <= CONSTANT_SPREAD**2))
 
 
+class SplitRows:
+    """Rows of samples that are split by what a fit to the positive ones can use.
+
+    `PositivePart` holds the positive samples themselves; what shares their sums is another kind.
+    """
+
+    n: Counts
+    n_null: Counts
+    n_zero: Counts
+    n_negative: Counts
+
+    @property
+    def log_statistics(self) -> LogStatistics:
+        """Mean, log-mean and log-variance of the positive samples."""
+        raise NotImplementedError
+
+    @property
+    def n_good(self) -> Counts:
+        """Good samples, null and negative ones included."""
+        return np.asarray(self.n + self.n_null + self.n_zero + self.n_negative)
+
+    def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
+        """Say which rows have no usable positive part, as `Reason` codes, shape (...).
+
+        A channel that is 0 in every good sample is as good as null, whatever the other channels.
+        """
+        positive = self.log_statistics
+        return first_of(
+            {
+                Reason.ALL_BAD: self.n_good == 0,
+                Reason.NONE_POSITIVE: (positive.n == 0) & (self.n_negative > 0),
+                Reason.ALL_NULL: positive.n == 0,
+                Reason.TOO_FEW: positive.n < minimum,
+                Reason.CONSTANT: positive.constant,
+            }
+        )
+
+
 _USERS = tuple(
     f"chdstat.{part}" for part in ("_core.positive", "summary.dispatch", "fit", "inference")
 )
@@ -83,7 +121,7 @@ _USERS = tuple(
 
 
 @dataclass(frozen=True)
-class PositivePart:
+class PositivePart(SplitRows):
     """Samples with the mask of those that are good, not null and larger than 0.
 
     Attributes
@@ -164,11 +202,6 @@ class PositivePart:
             x = np.concatenate([block, _luminance(block)[..., np.newaxis, :]], axis=-2)
         return cls.of(x, null=null[..., np.newaxis, :], bad=bad[..., np.newaxis, :])
 
-    @property
-    def n_good(self) -> Counts:
-        """Good samples, null and negative ones included."""
-        return np.asarray(self.n + self.n_null + self.n_zero + self.n_negative)
-
     @cached_property
     def log_statistics(self) -> LogStatistics:
         """Mean, log-mean and log-variance of the positive samples."""
@@ -197,28 +230,6 @@ class PositivePart:
     def valid(self) -> Mask:
         """Which entries of `sorted` are samples: the first `n` of each row."""
         return np.asarray(np.arange(self.x.shape[-1]) < self.n[..., np.newaxis])
-
-    def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
-        """Say which rows have no usable positive part, as `reason_of` does."""
-        return reason_of(self.n_good, self.n_negative, self.log_statistics, minimum)
-
-
-def reason_of(
-    n_good: Counts, n_negative: Counts, statistics: LogStatistics, minimum: int
-) -> npt.NDArray[np.int8]:
-    """Say which rows have no usable positive part, as `Reason` codes, shape (...).
-
-    A channel that is 0 in every good sample is as good as null, whatever the other channels.
-    """
-    return first_of(
-        {
-            Reason.ALL_BAD: n_good == 0,
-            Reason.NONE_POSITIVE: (statistics.n == 0) & (n_negative > 0),
-            Reason.ALL_NULL: statistics.n == 0,
-            Reason.TOO_FEW: statistics.n < minimum,
-            Reason.CONSTANT: statistics.constant,
-        }
-    )
 
 
 def _luminance(block: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.floating[Any]]:

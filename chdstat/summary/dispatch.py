@@ -29,7 +29,7 @@ from typing import (
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.positive import Counts, Floats, LogStatistics, PositivePart, reason_of
+from chdstat._core.positive import Counts, Floats, LogStatistics, PositivePart, SplitRows
 from chdstat.errors import InputError
 from chdstat.samples import Image, Mapped, Samples
 from chdstat.summary.histograms import Histogram
@@ -52,7 +52,7 @@ _NEEDED = ("log_counts", "log_underflow", "log_overflow", "null_count", "bad_cou
 
 
 @dataclass(frozen=True)
-class PositiveHistogram:
+class PositiveHistogram(SplitRows):
     """Counts of positive samples in bins that divide log radiance evenly.
 
     Attributes
@@ -142,11 +142,6 @@ class PositiveHistogram:
             )
         )
 
-    @property
-    def n_good(self) -> Counts:
-        """Good samples, null and negative ones included."""
-        return np.asarray(self.n + self.n_null + self.n_zero + self.n_negative)
-
     @cached_property
     def log_statistics(self) -> LogStatistics:
         """Mean, log-mean and log-variance of the positive samples, corrected for the bins.
@@ -167,10 +162,6 @@ class PositiveHistogram:
             gap = np.where(variance > 0, np.log(ratio), np.where(self.n > 0, 0, np.nan))
             mean = np.exp(log_mean + gap)
         return LogStatistics(n=self.n, mean=mean, gap=gap, log_variance=variance)
-
-    def reason(self, minimum: int = 2) -> npt.NDArray[np.int8]:
-        """Say which rows have no usable positive part, as `reason_of` does."""
-        return reason_of(self.n_good, self.n_negative, self.log_statistics, minimum)
 
 
 def _shared(values: Floats) -> Floats:

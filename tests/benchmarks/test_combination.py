@@ -72,7 +72,7 @@ def better_of(errors: dict[str, np.ndarray], *names: str) -> np.ndarray:
 
 def over(samples: chd.Samples, one: np.ndarray, other: np.ndarray) -> list[Interval[float]]:
     """Return MSE and relMSE over those of another image."""
-    blocks = SceneData(samples.name, samples).whole().blocks
+    blocks = SceneData(samples.name, samples).whole(across=4).blocks
     return [ratio_of(a, b, blocks) for a, b in zip(one.T, other.T, strict=True)]
 
 
