@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, is_bad, plain, seed_number, whole
 from chdstat._core.cache import checkpoints
-from chdstat._core.files import unused, writing
+from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Counts, PositivePart
 from chdstat._core.resampling import wilson
@@ -208,7 +208,9 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
     """
     target = unused(path)
     with writing(target, folder=True) as partial:
-        found.to_zarr(partial, mode="w-", consolidated=False)
+        for name in found.data_vars:  # one at a time: together they may not fit into memory
+            found[[name]].to_zarr(partial, mode="a", consolidated=False)
+            release(found[name].values)
     return target
 
 

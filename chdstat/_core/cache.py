@@ -220,7 +220,7 @@ class Cache:
     """
 
     def __init__(self, folder: Path | None, key: str, *, most: int | None = None) -> None:
-        self._folder, self._key, self._most = folder if key else None, key, most
+        self.folder, self._key, self._most = folder if key else None, key, most
 
     def record(
         self,
@@ -280,7 +280,7 @@ class Cache:
                 remove(old)
 
     def _path(self, name: str) -> Path | None:
-        if self._folder is None:
+        if self.folder is None:
             return None
         file = PurePath(name)
-        return self._folder / f"{self._key}-{file.stem}-{code_digest()}{file.suffix}"
+        return self.folder / f"{self._key}-{file.stem}-{code_digest()}{file.suffix}"

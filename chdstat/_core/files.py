@@ -12,6 +12,8 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.metadata
+import math
+import mmap
 import os
 import shutil
 import socket
@@ -21,6 +23,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from chdstat.errors import InputError, StoreError
 
 __all__ = [
@@ -29,8 +34,10 @@ __all__ = [
     "checked_target",
     "checksum",
     "free_disk",
+    "release",
     "remove",
     "replacing",
+    "room",
     "scratch",
     "sweep",
     "unused",
@@ -207,6 +214,42 @@ def remove(path: Path) -> None:
     else:
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)
+
+
+# --- arrays -------------------------------------------------------------------------------------
+
+
+def room(shape: tuple[int, ...], kind: npt.DTypeLike, folder: Path | None) -> npt.NDArray[Any]:
+    """Return an array to fill: in memory, or in a nameless file of a folder.
+
+    What a file holds, the system moves out of memory where that is short, and `release` does.
+
+    Examples
+    --------
+    >>> with scratch() as folder:
+    ...     array = room((2, 3), "f4", folder)
+    >>> array[:] = 1
+    >>> release(array)
+    >>> float(array.sum())
+    6.0
+    """
+    size = math.prod(shape) * np.dtype(kind).itemsize
+    if folder is None or not size:
+        return np.empty(shape, kind)
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder) as file:
+        file.truncate(size)
+        held = mmap.mmap(file.fileno(), size)
+    return np.frombuffer(held, kind).reshape(shape)
+
+
+def release(array: npt.NDArray[Any]) -> None:
+    """Give back the memory of an array that `room` made in a file; its content stays."""
+    base: Any = array
+    while isinstance(base, np.ndarray | memoryview):
+        base = base.base if isinstance(base, np.ndarray) else base.obj
+    if isinstance(base, mmap.mmap) and hasattr(base, "madvise"):
+        base.madvise(mmap.MADV_DONTNEED)
 
 
 # --- locks --------------------------------------------------------------------------------------

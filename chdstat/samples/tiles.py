@@ -16,6 +16,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import LeftOut, spans, whole
 from chdstat._core.cache import Cache
 from chdstat._core.executor import check_memory, in_order
+from chdstat._core.files import release, room
 from chdstat._core.progress import track
 from chdstat.errors import InputError
 
@@ -269,10 +270,12 @@ def assemble(
     *,
     description: str = "analysing",
     progress: bool | None = None,
+    folder: Path | None = None,
 ) -> xr.Dataset:
     """Return the dataset of an image from variables that were computed tile by tile.
 
-    `parts` are rows, columns and variables of each tile; they are consumed one by one.
+    `parts` are rows, columns and variables of each tile; they are consumed one by one. With a
+    folder, variables are in files there, and need not fit into memory.
     """
     height, width = image.shape[:2]
     results: dict[str, tuple[tuple[str, ...], npt.NDArray[Any]]] = {}
@@ -280,9 +283,10 @@ def assemble(
         for ys, xs, variables in parts:
             for name, (dims, part) in variables.items():
                 if name not in results:
-                    whole = np.empty((height, width, *part.shape[2:]), part.dtype)
+                    whole = room((height, width, *part.shape[2:]), part.dtype, folder)
                     results[name] = (("y", "x", *dims), whole)
                 results[name][1][ys, xs] = part
+                release(results[name][1])
             advance((ys.stop - ys.start) * (xs.stop - xs.start))
     if image.counts is not None:
         absent = image.shape[3] - image.counts
@@ -311,10 +315,8 @@ def mapped(
         left_out.see(block, channel_axis=-2, absent=part.absent())
         return function(block)
 
-    places = tiles(image.shape)
-    return over_tiles(
-        image, of_tile, places, logarithms=logarithms, description=description, **work
-    )
+    shown: Any = {"logarithms": logarithms, "description": description}
+    return over_tiles(image, of_tile, tiles(image.shape), **shown, **work)
 
 
 Tile = TypeVar("Tile", bound=_Image)
@@ -327,10 +329,7 @@ def over_tiles(
     *,
     logarithms: bool = False,
     description: str = "analysing",
-    progress: bool | None = None,
-    workers: int | None = None,
-    client: Client | None = None,
-    checkpoint: Cache | None = None,
+    **work: Unpack[Work],
 ) -> xr.Dataset:
     """Compute variables tile by tile and assemble the image.
 
@@ -339,8 +338,7 @@ def over_tiles(
     image
         The samples.
     function
-        Takes the samples of a tile, and what counts those that are left out; returns variables. Its
-        results must not depend on the order of the tiles.
+        Takes the samples of a tile, and what counts those that are left out; returns variables.
     places
         Rows and columns of each tile.
     logarithms
@@ -353,9 +351,10 @@ def over_tiles(
         A Dask client, whose workers compute tiles in place of threads. They read a store from its
         path, which they must see; other samples travel to them.
     checkpoint
-        Keeps each tile as soon as it is computed, and has those that were computed before.
+        Keeps tiles as soon as they are computed, and has earlier ones; the dataset is in its files.
     """
-    left_out = LeftOut(logarithms=logarithms)
+    left_out, client = LeftOut(logarithms=logarithms), work.get("client")
+    checkpoint, workers = work.get("checkpoint"), work.get("workers")
     task = functools.partial(_of_tile, function, logarithms, description, checkpoint)
     sent = client is not None and image.source is not None and image.source.frames
 
@@ -369,7 +368,8 @@ def over_tiles(
             left_out.add(counts)
             yield ys, xs, found
 
-    dataset = assemble(image, parts(), description=description, progress=progress)
+    about: Any = {"progress": work.get("progress"), "folder": checkpoint and checkpoint.folder}
+    dataset = assemble(image, parts(), description=description, **about)
     left_out.warn()
     return dataset
 
