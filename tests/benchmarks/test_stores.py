@@ -4,7 +4,14 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
+
+import numpy as np
+
+import chdstat as chd
+from chdstat.samples import Samples, layout
 
 CLICK = 50
 """Milliseconds in which a click in the explorer has its pixel."""
@@ -38,3 +45,59 @@ def test_speed_of_stores(as_benchmark, tmp_path):
     assert here["click"] < CLICK
     for pair in (("open", "read"), ("write", "append")):
         assert sum(here[n] for n in pair) < SLOWER * sum(there[n] for n in pair)
+
+
+CODECS = {
+    "zstd 1": {"name": "zstd", "configuration": {"level": 1, "checksum": False}},
+    "zstd 3": {"name": "zstd", "configuration": {"level": 3, "checksum": False}},
+    "default": None,
+    "blosc lz4, shuffled": {
+        "name": "blosc",
+        "configuration": {
+            "cname": "lz4",
+            "clevel": 5,
+            "shuffle": "shuffle",
+            "typesize": 4,
+            "blocksize": 0,
+        },
+    },
+}
+
+
+def test_codecs(as_benchmark, tmp_path, monkeypatch):
+    """Size, rates of writing and reading, and the share of a render that writing takes."""
+    usual = layout.radiance_metadata
+    columns = ("size / raw", "write MB/s", "read MB/s", "of render")
+    print("\n" + f"{'':38}" + "".join(f"{column:>12}" for column in columns))
+    for scene in ("bathroom", "cornell-box", "night-room"):
+        start = time.process_time()
+        x = chd.render(scene, spp=256, size=(128, 128), backend="scalar", progress=False).read()
+        render = time.process_time() - start
+        for name, codec in CODECS.items():
+
+            def metadata(*arguments, codec=codec, **options):
+                found = usual(*arguments, **options)
+                if codec is not None:
+                    found["codecs"][0]["configuration"]["codecs"][1] = codec
+                return found
+
+            monkeypatch.setattr(layout, "radiance_metadata", metadata)
+            write, read, size = (
+                min(times) for times in zip(*(once(tmp_path, x) for _ in range(3)), strict=False)
+            )
+            rates = [x.nbytes / 1e6 / taken for taken in (write, read)]
+            print(
+                f"{scene:16}{name:22}{size / x.nbytes:12.3f}{rates[0]:12.0f}{rates[1]:12.0f}"
+                f"{write / render:12.1%}"
+            )
+
+
+def once(folder, x):
+    """Return seconds of processor time to write and to read a store, and its size."""
+    with tempfile.TemporaryDirectory(dir=folder) as place:
+        path, start = Path(place) / "x.zarr", time.process_time()
+        Samples.from_array(x).save(path, progress=False)
+        written = time.process_time()
+        assert np.array_equal(chd.open(path).read(), x)
+        size = sum(f.stat().st_size for f in (path / "radiance").rglob("*") if f.is_file())
+        return written - start, time.process_time() - written, size
