@@ -7,39 +7,42 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.arrays import Seed, is_bad, plain, seed_number, whole
+from chdstat._core.arrays import Seed, is_bad, seed_number, whole
 from chdstat._core.cache import checkpoints
+from chdstat._core.executor import in_order
 from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Counts, PositivePart
-from chdstat._core.resampling import wilson
-from chdstat.fit.families import SELECTED, fit_variables, label_fit
+from chdstat._core.progress import track
+from chdstat.fit.families import FAMILIES, SELECTED, fit_variables, label_fit
 from chdstat.fit.goodness_of_fit import finish_goodness, goodness_of_part, goodness_variables
-from chdstat.fit.mixtures import Mixture
-from chdstat.fit.selection import family_shares, finish_selection, selection_variables
+from chdstat.fit.mixtures import Mixture, mixture_of_part
+from chdstat.fit.selection import finish_selection, select_part, selection_variables
 from chdstat.fit.tail_fits import finish_tail, tail_variables
 from chdstat.inference import modes, normality
 from chdstat.inference import normality_of_means as means
 from chdstat.inference.normality import TESTS, TestName, Transform
-from chdstat.inference.normality_of_means import MORE_THAN_TESTED, N_MEANS, UNTESTED
+from chdstat.inference.normality_of_means import N_MEANS
 from chdstat.patterns import classification
+from chdstat.patterns.overview import Overview, Share, overview, pooled_shares
 from chdstat.patterns.pixel_statistics import PixelFits, Thresholds
-from chdstat.patterns.table import PATTERNS
 from chdstat.samples import Image, Mapped, checkpoint_key, samples_of
-from chdstat.samples.tiles import Work
+from chdstat.samples.tiles import Work, tiles
+from chdstat.summary.dispatch import PositiveHistogram
 from chdstat.summary.statistics import summarize
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
     from distributed import Client
+
+    from chdstat.rendering import Rendering
 
 __all__ = ["Overview", "Share", "analyze", "overview", "pooled_shares", "save", "to_dataframe"]
 
@@ -55,7 +58,7 @@ _COMMENT = (
 
 
 def analyze(
-    samples: Image | npt.ArrayLike,
+    samples: Image | xr.Dataset | Rendering | npt.ArrayLike,
     *,
     thresholds: Thresholds | None = None,
     held_out: bool = True,
@@ -73,7 +76,10 @@ def analyze(
     Parameters
     ----------
     samples
-        The image: `Samples`, an array (y, x, channel, sample), or the path of a store.
+        The image: `Samples`, an array (y, x, channel, sample), or the path of a store. Of a
+        rendering, as `chdstat.rendering.render_batches` makes it, no samples are kept; of it, and
+        of the dataset that `summarize` returns, there are statistics, histograms, and what follows
+        from these: families, their goodness, and mixtures.
     thresholds
         When a pattern counts; None for the defaults.
     held_out
@@ -114,7 +120,15 @@ def analyze(
     import xarray as xr
 
     resamples, seed = whole("resamples", resamples, least=0), seed_number(seed)
-    samples, thresholds = samples_of(samples), thresholds or Thresholds()
+    given: Any = samples
+    if hasattr(given, "on_demand"):  # a rendering; to test for its class would load Mitsuba here
+        with given.on_demand() as (drawn, threads):
+            at: Work = {"progress": progress, "client": client, "workers": threads}
+            summary = summarize(drawn, **at)
+        return _of_summary(summary, resamples, seed, progress, client)
+    if hasattr(given, "data_vars"):
+        return _of_summary(given, resamples, seed, progress, client)
+    samples, thresholds = samples_of(given), thresholds or Thresholds()
     enough = samples.spp >= N_MEANS
     sizes = means.sizes_of_means(samples.spp, test=_TEST_OF_MEANS) if enough else None
 
@@ -159,6 +173,50 @@ def analyze(
         for name in ("skewness", "kurtosis"):
             merged[f"averages_predicted_{name}"].attrs["comment"] = _COMMENT
     return merged.assign_attrs(samples.attrs)
+
+
+def _of_summary(
+    summary: xr.Dataset, resamples: int, seed: int, progress: bool | None, client: Client | None
+) -> xr.Dataset:
+    """Return a summary with what follows from its log histograms, tile by tile."""
+    import xarray as xr
+
+    height, width = summary.sizes["y"], summary.sizes["x"]
+    places = tiles((height, width, 1, 1))
+    task = functools.partial(_fits_of_histograms, resamples, seed)
+    counted = summary[[str(n) for n in summary if str(n).startswith("log_") or "count" in str(n)]]
+    items = (counted.isel(y=ys, x=xs) for ys, xs in places)
+    found = []
+    with track("fitting", height * width, unit="px", show=progress) as advance:
+        for part in in_order(task, items, client=client):
+            found.append(part)
+            advance(part.sizes["y"] * part.sizes["x"])
+    whole_image: Any = xr.combine_by_coords(found, combine_attrs="drop_conflicts")
+    finishes = _finishes(Thresholds(), resamples, None)
+    parts = [_finished(whole_image, s, finishes[s]) for s in ("selection", "goodness", "mixture")]
+    return xr.merge([summary, *parts], compat="override").assign_attrs(summary.attrs)
+
+
+def _fits_of_histograms(resamples: int, seed: int, counted: xr.Dataset) -> xr.Dataset:
+    """Return families, their goodness and mixtures of the log histograms of a tile."""
+    import xarray as xr
+
+    part = PositiveHistogram.of_dataset(counted)
+    selection = select_part(part, [FAMILIES[name] for name in SELECTED])
+    stages = {
+        "selection": selection_variables(selection),
+        "goodness": goodness_variables(
+            goodness_of_part(part, selection, resamples=resamples, seed=seed)
+        ),
+        "mixture": fit_variables(mixture_of_part(part, effort="fast")),
+    }
+    named = {
+        f"{stage}/{name}": (("y", "x", *dims), values)
+        for stage, variables in stages.items()
+        for name, (dims, values) in variables.items()
+    }
+    coords = {name: counted[name] for name in ("y", "x", "channel")}
+    return xr.Dataset(named, coords)
 
 
 def to_dataframe(found: xr.Dataset) -> pd.DataFrame:
@@ -261,190 +319,3 @@ def _label_luminance(dataset: xr.Dataset) -> xr.Dataset:
         long_name="standard deviation over mean of luminance", units="1"
     )
     return dataset
-
-
-_TEST = {"transform": "log", "test": "anderson-darling"}
-"""Which of the tests of normality is in the overview."""
-
-
-@dataclass(frozen=True)
-class Overview:
-    """A scene in a few numbers, from what `analyze` finds of its pixels.
-
-    Attributes
-    ----------
-    pixels, spp
-        What was analysed.
-    null_share
-        Share of null samples over the image.
-    null_pixels
-        Share of the pixels of which more than half the samples are null.
-    bad_samples
-        Bad samples over the image.
-    variation
-        Quartiles over the pixels of the coefficient of variation of luminance.
-    families, families_held_out
-        Share of the pixel channels that each family describes best, by name: by BIC, and by
-        held-out likelihood; the latter is empty where it was not asked for.
-    decided
-        Share of the choices by BIC that are very strong: a margin above 10.
-    misfit
-        Quartiles over the pixel channels of the largest distance between the distribution functions
-        of the samples and of their best family.
-    log_rejected, log_skewness
-        Share of the pixel channels in which normality of log samples is rejected, and quartiles of
-        their skewness.
-    patterns
-        Share of the pixels that show each pattern, by name.
-    label_agreement
-        Kappa of the primary labels of neighbours: 0 as by chance, 1 for complete agreement.
-    doubtful_variance
-        Share of the pixel channels with an estimated tail index of at least 1/2, beyond which the
-        variance of a generalised Pareto tail is infinite.
-    unidentified_variance
-        Share of those whose samples do not identify whether their variance is finite.
-    modes
-        Share of the pixel channels with 1, 2, 3 modes of log radiance, by their number.
-    n_needed
-        By N, the share of pixel channels whose averages pass for Gaussian from N samples on; 'more'
-        for those whose averages do not at any N that was tested.
-    averages
-        By N, the share of pixel channels in which normality of averages of N samples is rejected.
-    skewness, predicted_skewness
-        Of these averages: quartiles (3, size), and the median of what independence predicts.
-    """
-
-    pixels: int
-    spp: int
-    null_share: float
-    null_pixels: float
-    bad_samples: int
-    variation: tuple[float, float, float]
-    families: dict[str, float]
-    families_held_out: dict[str, float]
-    decided: float
-    misfit: tuple[float, float, float]
-    log_rejected: float
-    log_skewness: tuple[float, float, float]
-    patterns: dict[str, float]
-    label_agreement: float
-    doubtful_variance: float
-    unidentified_variance: float
-    modes: dict[int, float]
-    n_needed: dict[int | str, float]
-    averages: dict[int, float]
-    skewness: npt.NDArray[np.float64]
-    predicted_skewness: npt.NDArray[np.float64]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the numbers ready for JSON; what could not be computed is None."""
-        return {name: plain(value) for name, value in vars(self).items()}
-
-
-def overview(found: xr.Dataset) -> Overview:
-    """Return the numbers of the whole scene from the dataset of `analyze`."""
-    log = found[["normality_p_value", "normality_rejected", "normality_skewness"]].sel(_TEST)
-    distance = found["best_goodness_effect"].sel(fit_test="kolmogorov-smirnov")
-    null = found["null_share"].values
-    known = found["tail_index"].notnull()
-    averages, skewness, predicted = _averages(found)
-    return Overview(
-        pixels=int(found.sizes["y"] * found.sizes["x"]),
-        spp=int((found["count"] + found["bad_count"]).max()),
-        null_share=_share(found["null_count"], found["count"]),
-        null_pixels=float((null > 0.5).mean()),
-        bad_samples=int(found["bad_count"].sum()),
-        variation=_quartiles(found["coefficient_of_variation"].values),
-        families=_family_shares(found, "best_family"),
-        families_held_out=_family_shares(found, "held_out_best_family"),
-        decided=_share(found["margin"] > 10, found["margin"].notnull()),
-        misfit=_quartiles(distance.values),
-        log_rejected=_share(log["normality_rejected"] == 1, log["normality_p_value"].notnull()),
-        log_skewness=_quartiles(log["normality_skewness"].values),
-        patterns={p.name: float(found[p.name].mean()) for p in PATTERNS},
-        label_agreement=float(found["label_agreement"].attrs["kappa"]),
-        doubtful_variance=_share(found["tail_variance_suspect"], known),
-        unidentified_variance=_share(found["tail_variance_unidentified"], known),
-        modes=_counted(found["modality_modes"].values, missing=0),
-        n_needed=_n_needed(found),
-        averages=averages,
-        skewness=skewness,
-        predicted_skewness=predicted,
-    )
-
-
-def _averages(
-    found: xr.Dataset,
-) -> tuple[dict[int, float], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return rejected shares by N, quartiles of skewness, and its median prediction."""
-    if "averages_rejected" not in found:
-        return {}, np.empty((3, 0)), np.empty(0)
-    sizes = found["size"].values
-    shares = {
-        int(n): _share(
-            found["averages_rejected"].isel(size=i) == 1,
-            found["averages_p_value"].isel(size=i).notnull(),
-        )
-        for i, n in enumerate(sizes)
-    }
-    measured = [
-        _quartiles(found["averages_skewness"].isel(size=i).values) for i in range(len(sizes))
-    ]
-    predicted = found["averages_predicted_skewness"]
-    medians = [_quartiles(predicted.isel(size=i).values)[1] for i in range(len(sizes))]
-    return shares, np.array(measured).T, np.array(medians)
-
-
-class Share(NamedTuple):
-    """A share with its Wilson interval."""
-
-    share: float
-    low: float
-    high: float
-
-
-def pooled_shares(found: xr.Dataset, variable: str = "best_family") -> dict[str, Share]:
-    """Return how often each family describes a pixel channel best, all channels together."""
-    shares = family_shares(found, variable=variable)
-    total = int(shares["n_pixels"].sum())
-    counts = (shares["family_share"].fillna(0) * shares["n_pixels"]).sum("channel").round()
-    interval = wilson(counts.values, np.full(counts.shape, total))
-    return {
-        str(name): Share(float(count) / total if total else np.nan, float(low), float(high))
-        for name, count, (low, high) in zip(
-            counts["family"].values, counts.values, interval, strict=True
-        )
-    }
-
-
-def _family_shares(found: xr.Dataset, variable: str) -> dict[str, float]:
-    if variable not in found:
-        return {}
-    return {name: pooled.share for name, pooled in pooled_shares(found, variable).items()}
-
-
-def _n_needed(found: xr.Dataset) -> dict[int | str, float]:
-    if "averages_n_needed" not in found:
-        return {}
-    counted = _counted(found["averages_n_needed"].values, missing=UNTESTED)
-    named = {"more" if n == MORE_THAN_TESTED else n: share for n, share in counted.items()}
-    return dict(sorted(named.items(), key=lambda item: item[0] == "more"))
-
-
-def _counted(codes: npt.NDArray[np.integer], *, missing: int) -> dict[int, float]:
-    """Return the share of each code among those that are not missing."""
-    values, counts = np.unique(codes[codes != missing], return_counts=True)
-    return {int(v): float(c / counts.sum()) for v, c in zip(values, counts, strict=True)}
-
-
-def _share(part: Any, whole: Any) -> float:
-    total = float(np.asarray(whole).sum())
-    return float(np.asarray(part).sum()) / total if total else float("nan")
-
-
-def _quartiles(values: npt.NDArray[Any]) -> tuple[float, float, float]:
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        return (np.nan, np.nan, np.nan)
-    low, middle, high = np.percentile(finite, (25, 50, 75))
-    return float(low), float(middle), float(high)

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from xarray.testing import assert_allclose
 
 import chdstat as chd
 from chdstat._core.executor import client_of, in_order
 from chdstat.errors import ClusterError, InputError, StoreError
 from chdstat.estimators import halves
 from chdstat.estimators.weighting import combine
-from chdstat.rendering import workers
+from chdstat.rendering import render_batches, workers
 from chdstat.samples import Samples
 from chdstat.samples import tiles as cut
 from chdstat.samples.access import reopened
@@ -184,3 +185,20 @@ def test_an_estimate_that_was_stopped_goes_on_unless_anything_changed(store, tmp
     monkeypatch.undo()
     fewer = store.isel(sample=slice(32))
     assert np.array_equal(combine(fewer, checkpoint=folder).radiance, combine(fewer).radiance)
+
+
+def test_a_render_is_summarised_without_its_samples(client, store, tmp_path):
+    def drawn(**at: Any) -> Any:
+        rendering = render_batches("cornell-box", spp=64, **SETTINGS)
+        return chd.analyze(rendering, progress=False, **at)
+
+    found, kept = drawn(), chd.summarize(store)
+    for name in kept:
+        assert found[name].identical(kept[name]), name
+    fits = chd.fit.select(kept)
+    assert_allclose(found[sorted(set(fits) - set(kept))], fits[sorted(set(fits) - set(kept))])
+    assert found.equals(chd.analyze(kept, progress=False))
+    assert found.equals(drawn(client=client))
+    assert found["best_goodness_effect"].notnull().any()
+    assert found["lognormal_mixture_k"].max() >= 1
+    assert "tail_index" not in found

@@ -14,6 +14,7 @@ import logging
 import os
 import signal
 import threading
+import warnings
 from asyncio import CancelledError as AsyncCancelledError
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator
@@ -258,9 +259,11 @@ def pool(workers: int | None = None, client: Client | None = None) -> Iterator[P
 
     try:
         check_workers(client)
-        yield Pool(
-            client.get_executor(pure=False), 2 * max(1, sum(client.ncores().values())), client
-        )
+        window = 2 * max(1, sum(client.ncores().values()))
+        with warnings.catch_warnings():
+            # Samples in memory have to travel.
+            warnings.filterwarnings("ignore", "Sending large graph")
+            yield Pool(client.get_executor(pure=False), window, client)
     except KilledWorker as error:
         message = (
             "workers of the Dask cluster were killed again and again by the same piece of work: "

@@ -1,4 +1,4 @@
-"""Reports: the commands that make a PDF or a page, and say what there is and what works here."""
+"""Reports: the commands that say or show what samples are like, and what there is here."""
 
 from __future__ import annotations
 
@@ -11,7 +11,69 @@ from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.rendering.sequences import SamplerName
 
-__all__ = ["doctor", "explore", "list_names", "report", "study"]
+__all__ = ["analyze", "doctor", "explore", "list_names", "report", "study"]
+
+
+@cli.app.command(epilog="Example: chdstat analyze bathroom.zarr -o bathroom-maps.zarr")
+def analyze(
+    store: cli.StorePath,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="New zarr store for all maps.", show_default="none"),
+    ] = None,
+    threshold: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Threshold of a pattern, such as tail_index=0.3; can be repeated.",
+        ),
+    ] = None,
+    resamples: Annotated[
+        int,
+        typer.Option(min=0, help="Bootstrap replicates of goodness of fit: minutes for an image."),
+    ] = 0,
+    scheduler: cli.Scheduler = None,
+    workers: cli.Workers = None,
+    quiet: cli.Quiet = False,
+    as_json: cli.Json = False,
+) -> None:
+    """Describe the sample distributions of a store: nulls, families, tails, modes, averages."""
+    import chdstat
+    from chdstat._core.cache import beside
+    from chdstat._core.executor import client_of
+    from chdstat._core.files import unused
+    from chdstat.analysis import overview, save
+
+    if out is not None:
+        unused(out)  # refused before the work, not after
+    thresholds, samples = cli.thresholds_of(threshold), chdstat.open(store)
+    with client_of(scheduler, workers) as client:
+        dataset = chdstat.analyze(
+            samples,
+            thresholds=thresholds,
+            resamples=resamples,
+            progress=not quiet,
+            client=client,
+            checkpoint=beside(out),
+        )
+    if out is not None:
+        save(dataset, out)
+    if as_json:
+        output.print_json(overview(dataset).to_dict())
+    else:
+        from chdstat.reporting.content import analysis_content
+
+        found = analysis_content(samples, dataset)
+        output.print_sentences(found["sentences"])
+        typer.echo()
+        output.print_sentences(found["findings"], bullet="- ")
+        typer.echo()
+        columns = {"name": "pattern", "share": "pixels", "meaning": "meaning"}
+        output.print_rows(found["patterns"], columns, text=["meaning"])
+        typer.echo()
+        columns = {"name": "best family", "bic": "by BIC", "held_out": "by held-out likelihood"}
+        output.print_rows(found["families"], columns)
+    output.say_next(quiet, f"chdstat explore {store}", f"chdstat compare {store}")
 
 
 @cli.app.command(epilog="Example: chdstat report bathroom -o report.pdf")

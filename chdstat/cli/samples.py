@@ -1,4 +1,4 @@
-"""Samples: the commands that render, describe, convert and analyse them."""
+"""Samples: the commands that render, import, describe and convert them."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import typer
 
 from chdstat.cli import output
 from chdstat.cli import program as cli
-from chdstat.errors import ChdstatError
+from chdstat.errors import ChdstatError, InputError
 from chdstat.rendering.backend import Color
 from chdstat.rendering.sequences import SamplerName
 
-__all__ = ["analyze", "convert", "export", "import_samples", "include", "info", "render"]
+__all__ = ["convert", "export", "import_samples", "include", "info", "render"]
 
 
 @cli.app.command(
@@ -83,6 +83,13 @@ def render(
             show_default="none",
         ),
     ] = None,
+    summary_only: Annotated[
+        bool,
+        typer.Option(
+            "--summary-only",
+            help="Keep no samples: write maps of statistics, histograms and families instead.",
+        ),
+    ] = False,
     backend: cli.BackendName = "auto",
     define: cli.Defines = None,
     plugin: cli.Plugins = None,
@@ -93,34 +100,52 @@ def render(
 ) -> None:
     """Render a scene and keep every sample.
 
-    A store that was stopped half-way is resumed; a larger --spp appends to it.
+    A store that was stopped half-way is resumed; a larger --spp appends to it. With --summary-only,
+    nothing is kept but maps, as 'analyze -o' writes them, of what needs no samples at once.
     """
     import chdstat
     from chdstat._core.executor import client_of
+    from chdstat._core.files import unused
+    from chdstat.analysis import save
+    from chdstat.rendering import render_batches
 
     cli.load_plugins(plugin)
     if not out.parent.exists():
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
+    settings: dict[str, Any] = {
+        "spp": spp,
+        "size": cli.size_of(size),
+        "seed": seed,
+        "max_depth": max_depth,
+        "sensor": sensor,
+        "integrator": cli.integrator_of(integrator),
+        "crop": cli.crop_of(crop),
+        "color": color,
+        "sampler": sampler,
+        "sequence": sequence,
+        "backend": backend,
+    }
+    described = cli.scene_of(scene, define)
+    if summary_only:
+        if direct or by_depth or light:
+            message = "--summary-only keeps no samples, which --direct, --by-depth and --light need"
+            raise InputError(message)
+        unused(out)
+        with client_of(scheduler, workers) as client:
+            rendering = render_batches(described, progress=False, **settings)
+            save(chdstat.analyze(rendering, client=client, progress=not quiet), out)
+        output.say_written(out, as_json=as_json)
+        return
     with client_of(scheduler, workers) as client:
         samples = chdstat.render(
-            cli.scene_of(scene, define),
-            spp=spp,
-            size=cli.size_of(size),
-            seed=seed,
-            max_depth=max_depth,
-            sensor=sensor,
-            integrator=cli.integrator_of(integrator),
-            crop=cli.crop_of(crop),
-            color=color,
-            sampler=sampler,
-            sequence=sequence,
+            described,
             direct=direct,
             by_depth=by_depth,
             by_light=light or (),
             out=out,
-            backend=backend,
             client=client,
             progress=not quiet,
+            **settings,
         )
     output.say_samples(samples, as_json=as_json, quiet=quiet)
 
@@ -386,65 +411,3 @@ def convert(
     of = None if scene is None else cli.scene_of(scene, define)
     samples = converted(store, out, scene=of, progress=not quiet)
     output.say_samples(samples, as_json=as_json, quiet=quiet)
-
-
-@cli.app.command(epilog="Example: chdstat analyze bathroom.zarr -o bathroom-maps.zarr")
-def analyze(
-    store: cli.StorePath,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", help="New zarr store for all maps.", show_default="none"),
-    ] = None,
-    threshold: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME=VALUE",
-            help="Threshold of a pattern, such as tail_index=0.3; can be repeated.",
-        ),
-    ] = None,
-    resamples: Annotated[
-        int,
-        typer.Option(min=0, help="Bootstrap replicates of goodness of fit: minutes for an image."),
-    ] = 0,
-    scheduler: cli.Scheduler = None,
-    workers: cli.Workers = None,
-    quiet: cli.Quiet = False,
-    as_json: cli.Json = False,
-) -> None:
-    """Describe the sample distributions of a store: nulls, families, tails, modes, averages."""
-    import chdstat
-    from chdstat._core.cache import beside
-    from chdstat._core.executor import client_of
-    from chdstat._core.files import unused
-    from chdstat.analysis import overview, save
-
-    if out is not None:
-        unused(out)  # refused before the work, not after
-    thresholds, samples = cli.thresholds_of(threshold), chdstat.open(store)
-    with client_of(scheduler, workers) as client:
-        dataset = chdstat.analyze(
-            samples,
-            thresholds=thresholds,
-            resamples=resamples,
-            progress=not quiet,
-            client=client,
-            checkpoint=beside(out),
-        )
-    if out is not None:
-        save(dataset, out)
-    if as_json:
-        output.print_json(overview(dataset).to_dict())
-    else:
-        from chdstat.reporting.content import analysis_content
-
-        found = analysis_content(samples, dataset)
-        output.print_sentences(found["sentences"])
-        typer.echo()
-        output.print_sentences(found["findings"], bullet="- ")
-        typer.echo()
-        columns = {"name": "pattern", "share": "pixels", "meaning": "meaning"}
-        output.print_rows(found["patterns"], columns, text=["meaning"])
-        typer.echo()
-        columns = {"name": "best family", "bic": "by BIC", "held_out": "by held-out likelihood"}
-        output.print_rows(found["families"], columns)
-    output.say_next(quiet, f"chdstat explore {store}", f"chdstat compare {store}")

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from chdstat._core.arrays import Seed, spans, whole
 from chdstat._core.display import Card
+from chdstat._core.executor import Interrupts
 from chdstat._core.progress import track
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import SamplerName
-from chdstat.rendering.workers import rendered
+from chdstat.rendering.workers import at_once, render_remote, rendered
 from chdstat.rendering.writers import provenance, renderer_of
-from chdstat.samples import description
+from chdstat.samples import Samples, description
 from chdstat.samples.layout import BATCH, Chunk, Image, chunk_grid
 from chdstat.scenes import SceneLike
 
@@ -154,6 +158,25 @@ class Rendering:
         with activate(self._job.verdict):
             return self._renderer.features()
 
+    @contextlib.contextmanager
+    def on_demand(self) -> Iterator[tuple[Samples, int]]:
+        """Yield samples that are drawn when they are read, and how many to read at once.
+
+        None are kept but those of the last chunks: read tile by tile, each is drawn once. To the
+        workers of a cluster they travel as the scene, which they must see.
+
+        Yields
+        ------
+        samples : Samples
+            To be read while the context lasts.
+        workers : int
+            Threads that may read at once.
+        """
+        with activate(self._job.verdict), Interrupts() as interrupts, at_once(self._job) as threads:
+            draw = partial(self._renderer.chunk, before_pass=interrupts.before_pass)
+            source = _Drawn(self._job, self._renderer.identity, self.shape, draw)
+            yield Samples(source, attrs=self.attrs, features={}), threads
+
     def _repr_html_(self) -> str:
         return Card("Rendering", description.provenance(self.attrs, self.shape)).html()
 
@@ -214,3 +237,55 @@ def _cut(blocks: Iterator[Image], batch: int) -> Iterator[Image]:
             rest = rest[..., batch:]
     if rest is not None and rest.shape[-1]:
         yield rest
+
+
+class _Drawn:
+    """A `chdstat.samples.tiles.Source` that draws what is read, chunk by chunk.
+
+    `draw` draws a chunk; in a worker of a cluster, to which it does not travel, the scene is built.
+    """
+
+    frames = False
+
+    def __init__(
+        self,
+        job: Job,
+        identity: dict[str, Any],
+        shape: tuple[int, int, int, int],
+        draw: Callable[[Chunk], Image] | None = None,
+    ) -> None:
+        self.path, self.shape, self._last = Path(job.scene.name), shape, threading.local()
+        self._job, self._identity, self._draw = job, identity, draw
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _Drawn, (self._job, self._identity, self.shape)
+
+    def read(self, ys: slice, xs: slice, ss: slice) -> Image:
+        """Return a part of the samples."""
+        height, width, channels, spp = self.shape
+        wanted = [
+            range(n)[part] for part, n in zip((ys, xs, ss), (height, width, spp), strict=True)
+        ]
+        size = [part.stop - part.start for part in wanted]
+        found = np.empty((*size[:2], channels, size[2]), np.float32)
+        for chunk in chunk_grid(height, width, spp, ys=ys, xs=xs, ss=ss):
+            to, at = [], []
+            for part, has in zip(wanted, (chunk.ys, chunk.xs, chunk.ss), strict=True):
+                ends = max(part.start, has.start), min(part.stop, has.stop)
+                to.append(slice(*(end - part.start for end in ends)))
+                at.append(slice(*(end - has.start for end in ends)))
+            found[to[0], to[1], :, to[2]] = self._chunk(chunk)[at[0], at[1], :, at[2]]
+        return found[:: wanted[0].step, :: wanted[1].step, :, :: wanted[2].step]
+
+    def read_features(self) -> dict[str, Image]:
+        """Return no features."""
+        return {}
+
+    def _chunk(self, chunk: Chunk) -> Image:
+        if getattr(self._last, "chunk", None) != chunk:
+            if self._draw is None:
+                ((_, block),) = render_remote(self._job, self._identity, None, (chunk, [chunk]))
+            else:
+                block = self._draw(chunk)
+            self._last.block, self._last.chunk = block, chunk
+        return np.asarray(self._last.block)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from chdstat.samples.store import Store
 
-__all__ = ["rendered"]
+__all__ = ["at_once", "render_remote", "rendered"]
 
 Group = tuple[Chunk, Sequence[Chunk]]
 """Samples that are drawn together, and the chunks that they are stored in."""
@@ -47,7 +47,7 @@ def rendered(
     """
     groups = list(grouped(chunks, job.sequences))
     if client is None:
-        with Interrupts() as interrupts, _workers(job) as workers, pool(workers) as threads:
+        with Interrupts() as interrupts, at_once(job) as workers, pool(workers) as threads:
             draw = functools.partial(_samples_of, renderer, before_pass=interrupts.before_pass)
             try:
                 yield from _collect(lambda g: threads.submit(draw, g), groups, threads)
@@ -57,7 +57,7 @@ def rendered(
     identity, place = renderer.identity, None if store is None else store.place
     with pool(client=client) as cluster:
         yield from _collect(
-            lambda g: cluster.submit(_render_remote, job, identity, place, g), groups, cluster
+            lambda g: cluster.submit(render_remote, job, identity, place, g), groups, cluster
         )
 
 
@@ -69,7 +69,7 @@ def _samples_of(renderer: Renderer, group: Group, **options: Any) -> list[tuple[
 
 
 @contextlib.contextmanager
-def _workers(job: Job) -> Iterator[int]:
+def at_once(job: Job) -> Iterator[int]:
     """Yield how many chunks to render at once, with Mitsuba's own threads set to match.
 
     A scalar pass is too short to be shared among threads: one chunk per core, each pass in the
@@ -113,7 +113,7 @@ _REMOTE: dict[tuple[Any, ...], Renderer] = {}
 _REMOTE_LOCK = threading.Lock()
 
 
-def _render_remote(
+def render_remote(
     job: Job, identity: dict[str, Any], place: tuple[Any, ...] | None, group: Group
 ) -> Drawn:
     """Render chunks in a Dask worker, of the very scene that the client has.

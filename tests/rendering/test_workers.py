@@ -107,9 +107,9 @@ def test_a_worker_that_reads_another_scene_is_refused():
     identity = Renderer(job).identity
     chunk = next(chunk_grid(8, 8, 1))
     group = chunk, [chunk]
-    ((_, block),) = workers._render_remote(job, identity, None, group)
+    ((_, block),) = workers.render_remote(job, identity, None, group)
     assert block is not None
     assert block.shape == (8, 8, 3, 1)
     other = {**identity, "scene_hash": "0", "scene_files": {"tex.exr": "0"}}
     with pytest.raises(RenderError, match=r"reads another scene than is read here \(tex.exr"):
-        workers._render_remote(job, other, None, group)
+        workers.render_remote(job, other, None, group)
