@@ -22,7 +22,7 @@ from chdstat._core.files import replacing
 from chdstat._core.progress import track
 from chdstat._core.resampling import Blocks
 from chdstat.comparison.candidates import Denoised, Entry, denoised, options_of, resolve
-from chdstat.comparison.cases import MEASURES, Bench, Case
+from chdstat.comparison.cases import MEASURES, Bench, Case, flip
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import through_denoiser
 from chdstat.estimators.registry import LearnedEstimator
@@ -70,7 +70,9 @@ def bench(
     With p an estimate, y its reference of variance v, and m the mean reference of the scene:
     ``mse`` is :math:`\overline{(p - y)^2 - v}`, ``relmse``
     :math:`\overline{((p - y)^2 - v) / (y^2 + 0.01\, m^2)}`, without the noise of the reference, and
-    ``smape`` :math:`\overline{2 |p - y| / (|p| + |y| + 0.01\, m)}`, with it.
+    ``smape`` :math:`\overline{2 |p - y| / (|p| + |y| + 0.01\, m)}`, with it. Where
+    ``flip-evaluator`` is installed (``pip install chdstat[flip]``), ``flip`` is what an observer
+    sees of the differences (Andersson et al. 2021, doi:10.2312/egs.20211015).
 
     Parameters
     ----------
@@ -293,8 +295,10 @@ def _measured(
             apart = np.nan_to_num(image.astype(np.float64)) - reference
             squared = np.square(apart) - variance
             relative = 2 * np.abs(apart) / (np.abs(image) + np.abs(reference) + 0.01 * mean)
-            each = np.stack([squared, squared * weight, relative], axis=-1).mean(axis=2)
-            errors[name] = blocks.sums(each.reshape(-1, len(MEASURES)))
+            each = [x.mean(axis=2) for x in (squared, squared * weight, relative)]
+            if "flip" in MEASURES:
+                each.append(flip(image, reference))
+            errors[name] = blocks.sums(np.stack(each, axis=-1).reshape(-1, len(MEASURES)))
             bias[name] = float(apart.mean() / mean)
             fireflies[name] = float((apart * np.sqrt(weight) > _FIREFLY).mean())
         cases.append(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,15 +20,38 @@ from chdstat._core.resampling import Blocks, Interval, interval_of
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["FORMATS", "MEASURES", "Bench", "Case"]
+__all__ = ["FORMATS", "MEASURES", "Bench", "Case", "flip"]
 
 Array = npt.NDArray[Any]
 
-MEASURES = ("mse", "relmse", "smape")
+_NAMES = {"mse": "MSE", "relmse": "relMSE", "smape": "SMAPE", "flip": "FLIP"}
+_HAS_FLIP = importlib.util.find_spec("flip_evaluator") is not None
+MEASURES = tuple(name for name in _NAMES if name != "flip" or _HAS_FLIP)
+"""Errors that are added up over pixels; FLIP where its package is installed."""
 FORMATS = (".csv", ".tex", ".json")
 """What a benchmark is written to."""
 _LEAST = 1e-3
 """Least ratio of errors: where the noise of the reference is subtracted, one may be below 0."""
+
+
+def flip(image: Array, reference: Array) -> Array:
+    """Return the FLIP error of every pixel of linear radiance, shape (y, x), from 0 to 1.
+
+    HDR-FLIP with its defaults: 67 pixels per degree, exposures from the reference.
+
+    References
+    ----------
+    P. Andersson, J. Nilsson, P. Shirley and T. Akenine-Möller, "Visualizing errors in rendered high
+    dynamic range images", Eurographics Short Papers 2021, doi:10.2312/egs.20211015.
+    """
+    evaluator: Any = importlib.import_module("flip_evaluator")
+    shape = (*reference.shape[:2], 3)
+    shown = (
+        np.array(np.broadcast_to(np.maximum(x, 0), shape), np.float32, order="C")
+        for x in (reference, np.nan_to_num(image, posinf=0))
+    )
+    found, _, _ = evaluator.evaluate(*shown, "HDR", applyMagma=False, computeMeanError=False)
+    return np.asarray(found, np.float64).reshape(shape[:2])
 
 
 @dataclass(frozen=True)
@@ -243,9 +267,7 @@ def _shown(row: Mapping[str, Any]) -> dict[str, str]:
     ratios = {m: f"{row[m]:.2f} [{row[f'{m}_low']:.2f}, {row[f'{m}_high']:.2f}]" for m in MEASURES}
     return {
         "estimator": row["estimator"],
-        "MSE": ratios["mse"],
-        "relMSE": ratios["relmse"],
-        "SMAPE": ratios["smape"],
+        **{_NAMES[measure]: ratio for measure, ratio in ratios.items()},
         "rank": f"{row['rank']:.1f}",
         "worst": number(row["worst"]),
     }

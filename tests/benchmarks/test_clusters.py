@@ -1,6 +1,7 @@
 """Workers of a cluster: the same bits as threads, whatever dies, and how much faster they are.
 
-Run with ``--benchmark-only -s -n 0``; CHDSTAT_WORKERS, such as ``1,2,4``, says how many to measure.
+Run with ``--benchmark-only -s -n 0``; CHDSTAT_WORKERS, such as ``1,2,4``, says how many to measure,
+CHDSTAT_SPP how many samples of a pixel.
 """
 
 from __future__ import annotations
@@ -21,7 +22,13 @@ import chdstat as chd
 from chdstat._core.executor import in_order
 
 WORKERS = [int(n) for n in os.environ.get("CHDSTAT_WORKERS", "1,2,4").split(",")]
-SETTINGS: dict[str, Any] = {"spp": 256, "size": (128, 128), "backend": "scalar", "progress": False}
+SPP = int(os.environ.get("CHDSTAT_SPP", "256"))
+SETTINGS: dict[str, Any] = {
+    "spp": SPP,
+    "size": (128, 128),
+    "backend": "scalar",
+    "progress": False,
+}
 ESTIMATORS = ["mean", "catoni", "shared_shape"]
 
 

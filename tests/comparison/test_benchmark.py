@@ -52,6 +52,19 @@ def test_errors_and_biases_are_those_that_are_known(found):
             assert mean["mse_ratio"] == 1
 
 
+def test_flip_is_between_what_cannot_and_what_must_be_seen():
+    pytest.importorskip("flip_evaluator")
+    from chdstat.comparison.cases import flip
+
+    same = flip(TRUTH, TRUTH)
+    assert same.shape == SHAPE
+    assert np.abs(same).max() < 1e-6
+    little, much = (flip(factor * TRUTH, TRUTH).mean() for factor in (1.02, 0.0))
+    assert 0 < little < 0.1 < 0.5 < much <= 1
+    grey = flip(np.full((*SHAPE, 1), np.nan), np.ones((*SHAPE, 1)))
+    assert grey.mean() > 0.5
+
+
 def test_geometric_means_and_ranks_are_over_all_cases(found):
     ratios = [(2.25 / n + 0.25) * n for n in (16, 64)] * 2
     mean = found.geometric_mean("x1.5")
