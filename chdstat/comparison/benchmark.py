@@ -7,6 +7,7 @@ reference beside its samples.
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -229,10 +230,6 @@ class _Inputs:
                 )
                 raise InputError(message)
             return _mean(held.isel(sample=slice(self.numbers[-1], None)))
-        kept = None if self.folder is None else Path(self.folder) / f"{name}-reference.npz"
-        if kept is not None and kept.exists():
-            held_images = np.load(kept)
-            return held_images["image"], held_images["variance"]
         batches = render_batches(
             scene,
             spp=self.reference_spp,
@@ -241,6 +238,15 @@ class _Inputs:
             seed=self.seed + _APART,
             progress=False,
         )
+        kept = None
+        if self.folder is not None:
+            # Another scene of this name, or other settings, have another file.
+            about = [batches.attrs[k] for k in ("scene_hash", "scene_code", "size", "spp", "seed")]
+            digest = hashlib.sha256(repr(about).encode()).hexdigest()[:8]
+            kept = Path(self.folder) / f"{name}-reference-{digest}.npz"
+        if kept is not None and kept.exists():
+            held_images = np.load(kept)
+            return held_images["image"], held_images["variance"]
         means = np.stack([batch.mean(axis=-1, dtype=np.float64) for batch in batches])
         image, variance = means.mean(axis=0), means.var(axis=0, ddof=1) / len(means)
         if kept is not None:

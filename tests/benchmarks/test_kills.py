@@ -205,7 +205,7 @@ def kill(
 
 @pytest.mark.slow
 def test_some_kills(campaign):
-    fates = kill(campaign, ["render", "analyze"], 2, "moment", 1)
+    fates = kill(campaign, ["render", "estimate"], 2, "moment", 1)
     fates += kill(campaign, ["append"], 1, "access", 2)
     assert sum(fates.values()) == sum(n for key, n in fates.items() if key[2] == "same") == 3
 

@@ -92,9 +92,13 @@ def test_samples_that_are_left_over_judge_and_seeds_are_averaged(tmp_path):
     entries = ["mean", denoised("mean"), "median"]
     two = chd.bench(["cornell-box"], entries, seeds=2, progress=False, **options)
     files = {path.name for path in tmp_path.iterdir()}
-    assert files == {"cornell-box-0.zarr", "cornell-box-1.zarr", "cornell-box-reference.npz"}
+    (reference,) = (f for f in files if f.endswith(".npz"))
+    assert files == {"cornell-box-0.zarr", "cornell-box-1.zarr", reference}
     again = chd.bench(["cornell-box"], entries, seeds=2, progress=False, **options)
     one = chd.bench(["cornell-box"], entries, progress=False, **options)
+    other = chd.bench(["cornell-box"], entries, progress=False, **(options | {"reference_spp": 32}))
+    assert len(list(tmp_path.glob("*-reference-*.npz"))) == 2  # that of 64 spp is not taken for it
+    assert other.table()[0]["mse"] != one.table()[0]["mse"]
     errors = [[row["mse"] for row in table.table()] for table in (two, again, one)]
     assert errors[0] == errors[1] != errors[2]
     assert two.table()[1]["seconds"] > 0
