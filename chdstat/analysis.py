@@ -122,8 +122,12 @@ def analyze(
     resamples, seed = whole("resamples", resamples, least=0), seed_number(seed)
     given: Any = samples
     if hasattr(given, "on_demand"):  # a rendering; to test for its class would load Mitsuba here
-        with given.on_demand() as (drawn, threads):
+        with (
+            given.on_demand() as (drawn, threads),
+            checkpoints(checkpoint, functools.partial(checkpoint_key, drawn)) as drawn_tiles,
+        ):
             at: Work = {"progress": progress, "client": client, "workers": threads}
+            at["checkpoint"] = drawn_tiles
             summary = summarize(drawn, **at)
         return _of_summary(summary, resamples, seed, progress, client)
     if hasattr(given, "data_vars"):

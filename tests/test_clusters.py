@@ -187,7 +187,7 @@ def test_an_estimate_that_was_stopped_goes_on_unless_anything_changed(store, tmp
     assert np.array_equal(combine(fewer, checkpoint=folder).radiance, combine(fewer).radiance)
 
 
-def test_a_render_is_summarised_without_its_samples(client, store, tmp_path):
+def test_a_render_is_summarised_without_its_samples(client, store, tmp_path, monkeypatch):
     def drawn(**at: Any) -> Any:
         rendering = render_batches("cornell-box", spp=64, **SETTINGS)
         return chd.analyze(rendering, progress=False, **at)
@@ -199,6 +199,16 @@ def test_a_render_is_summarised_without_its_samples(client, store, tmp_path):
     assert_allclose(found[sorted(set(fits) - set(kept))], fits[sorted(set(fits) - set(kept))])
     assert found.equals(chd.analyze(kept, progress=False))
     assert found.equals(drawn(client=client))
+    monkeypatch.setattr(Summary, "read", stopping(Summary.read, [], 2))
+    with pytest.raises(KeyboardInterrupt):
+        drawn(checkpoint=tmp_path / "parts")
+    calls: list[int] = []
+    monkeypatch.undo()
+    monkeypatch.setattr(cut, "TILE", 8)
+    monkeypatch.setattr(Summary, "read", stopping(Summary.read, calls, 100))
+    assert found.equals(drawn(checkpoint=tmp_path / "parts"))
+    assert 0 < len(calls) <= TILES - 2
+    assert not (tmp_path / "parts").exists()
     assert found["best_goodness_effect"].notnull().any()
     assert found["lognormal_mixture_k"].max() >= 1
     assert "tail_index" not in found

@@ -104,6 +104,7 @@ def render(
     nothing is kept but maps, as 'analyze -o' writes them, of what needs no samples at once.
     """
     import chdstat
+    from chdstat._core.cache import beside
     from chdstat._core.executor import client_of
     from chdstat._core.files import unused
     from chdstat.analysis import save
@@ -133,7 +134,8 @@ def render(
         unused(out)
         with client_of(scheduler, workers) as client:
             rendering = render_batches(described, progress=False, **settings)
-            save(chdstat.analyze(rendering, client=client, progress=not quiet), out)
+            work: dict[str, Any] = {"client": client, "progress": not quiet}
+            save(chdstat.analyze(rendering, checkpoint=beside(out), **work), out)
         output.say_written(out, as_json=as_json)
         return
     with client_of(scheduler, workers) as client:
