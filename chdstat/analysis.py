@@ -93,7 +93,8 @@ def analyze(
     client
         A Dask client, whose workers analyse, one tile a task, to the same bits.
     checkpoint
-        Folder that keeps every tile as soon as it is analysed, until all are: the same call, after
+        Folder that keeps every tile as soon as it is analysed, until all are; what else is in it
+        stays. The same call, after
         it was stopped in whatever way, goes on from there.
 
     Returns
@@ -129,7 +130,8 @@ def analyze(
             at: Work = {"progress": progress, "client": client, "workers": threads}
             at["checkpoint"] = drawn_tiles
             summary = summarize(drawn, **at)
-        return _of_summary(summary, resamples, seed, progress, client)
+            # What was drawn is kept until all that follows from it is there.
+            return _of_summary(summary, resamples, seed, progress, client)
     if hasattr(given, "data_vars"):
         return _of_summary(given, resamples, seed, progress, client)
     samples, thresholds = samples_of(given), thresholds or Thresholds()

@@ -10,7 +10,9 @@ import pytest
 from xarray.testing import assert_allclose
 
 import chdstat as chd
+from chdstat._core.cache import beside
 from chdstat._core.executor import client_of, in_order
+from chdstat.cli import app
 from chdstat.errors import ClusterError, InputError, StoreError
 from chdstat.estimators import halves
 from chdstat.estimators.weighting import combine
@@ -163,6 +165,35 @@ def test_an_analysis_that_was_stopped_goes_on(store, tmp_path, monkeypatch, held
     assert found.identical(chd.analyze(samples, progress=False))
     # Each tile twice, but for what was under way when it was stopped.
     assert 2 * TILES <= len(calls) <= 2 * TILES + 2 * 4
+
+
+def test_checkpoints_remove_nothing_of_others_and_need_a_folder(store, tmp_path):
+    own = tmp_path / "thesis.txt"
+    own.write_text("years of work")
+    combine(store, checkpoint=tmp_path)
+    assert list(tmp_path.iterdir()) == [own]
+    with pytest.raises(StoreError, match=r"cannot keep checkpoints in .*; give another folder"):
+        combine(store, checkpoint=own)
+    assert own.exists()
+
+
+def test_checkpoints_stay_until_the_output_is_there(tmp_path, monkeypatch):
+    def full(*_: object, **__: object) -> None:
+        message = "the disk is full"
+        raise StoreError(message)
+
+    out = tmp_path / "maps.zarr"
+    command = ["render", "cornell-box", "-o", str(out), "--summary-only", "--spp=64", "-q"]
+    command += ["--size=24x16", "--backend=scalar"]
+    with monkeypatch.context() as patch:
+        patch.setattr("chdstat.analysis.writing", full)
+        with pytest.raises(StoreError, match="the disk is full"):
+            app(command, standalone_mode=False)
+    assert beside(out).is_dir()
+    monkeypatch.setattr(Summary, "read", stopping(Summary.read, [], 0))
+    app(command, standalone_mode=False)
+    assert out.is_dir()
+    assert not beside(out).exists()
 
 
 def test_an_estimate_that_was_stopped_goes_on_unless_anything_changed(store, tmp_path, monkeypatch):

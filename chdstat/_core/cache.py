@@ -30,7 +30,7 @@ from chdstat.errors import StoreError
 if TYPE_CHECKING:
     from cattrs import Converter
 
-__all__ = ["Cache", "beside", "checkpoints", "installed", "user_cache"]
+__all__ = ["Cache", "beside", "checkpoints", "installed", "kept_until_written", "user_cache"]
 
 T = TypeVar("T")
 
@@ -186,13 +186,53 @@ def checkpoints(
         return
     # Workers of a cluster write to it, too, from folders of their own.
     place, options = Path(folder).absolute(), hashlib.sha256(repr(inputs).encode()).hexdigest()
-    yield Cache(place, f"{identify()}-{options[:12]}")
-    remove(place)
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        message = f"cannot keep checkpoints in {place}: {error.strerror}; give another folder"
+        raise StoreError(message) from error
+    try:
+        yield Cache(place, f"{_CHECKPOINT}{identify()}-{options[:12]}")
+    except BaseException:
+        with contextlib.suppress(OSError):
+            place.rmdir()  # if nothing was kept
+        raise
+    if place not in _held:
+        _clear(place)
 
 
-def beside(out: Path | None) -> Path | None:
-    """Return the folder of the checkpoints of what becomes a file or folder; None for none."""
-    return None if out is None else out.with_name(f"{out.name}.checkpoint")
+_CHECKPOINT = "checkpoint-"
+_held: set[Path] = set()
+"""Folders whose checkpoints stay until what was computed is written."""
+
+
+@contextlib.contextmanager
+def kept_until_written(out: Path | None) -> Iterator[Path | None]:
+    """Yield the folder of the checkpoints of an output, which stay while the context lasts."""
+    place = None if out is None else beside(out).absolute()
+    if place is None:
+        yield None
+        return
+    _held.add(place)
+    try:
+        yield place
+    finally:
+        _held.discard(place)
+    _clear(place)
+
+
+def beside(out: Path) -> Path:
+    """Return the folder of the checkpoints of what becomes a file or folder."""
+    return out.with_name(f"{out.name}.checkpoint")
+
+
+def _clear(place: Path) -> None:
+    """Remove checkpoints, and their folder unless it holds anything else."""
+    for pattern in (f"{_CHECKPOINT}*.npz", f".{_CHECKPOINT}*.partial.npz"):
+        for file in place.glob(pattern):
+            remove(file)
+    with contextlib.suppress(OSError):
+        place.rmdir()
 
 
 class Cache:

@@ -144,7 +144,7 @@ def estimate(
     reference, the last in memory that does not grow with --spp. The file holds the estimate, and as
     layers its certainty, the ends of its interval, and the mean of the samples.
     """
-    from chdstat._core.cache import beside
+    from chdstat._core.cache import kept_until_written
     from chdstat._core.executor import client_of
     from chdstat._core.files import checked_target
     from chdstat.estimators import Progressive
@@ -186,7 +186,7 @@ def estimate(
             store=store,
             quiet=quiet,
         )
-    with client_of(scheduler, workers) as client:
+    with client_of(scheduler, workers) as client, kept_until_written(out) as checkpoint:
         path = write_estimates(
             target,
             samples,
@@ -199,7 +199,7 @@ def estimate(
             iterations=iterations,
             progress=not quiet,
             client=client,
-            checkpoint=beside(out),
+            checkpoint=checkpoint,
         )
     output.say_written(path, as_json=as_json)
     output.say_next(quiet, f"open {path} in an EXR viewer; certainty, low, high, mean are layers")

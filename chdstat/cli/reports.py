@@ -39,7 +39,7 @@ def analyze(
 ) -> None:
     """Describe the sample distributions of a store: nulls, families, tails, modes, averages."""
     import chdstat
-    from chdstat._core.cache import beside
+    from chdstat._core.cache import kept_until_written
     from chdstat._core.executor import client_of
     from chdstat._core.files import unused
     from chdstat.analysis import overview, save
@@ -47,17 +47,17 @@ def analyze(
     if out is not None:
         unused(out)  # refused before the work, not after
     thresholds, samples = cli.thresholds_of(threshold), chdstat.open(store)
-    with client_of(scheduler, workers) as client:
+    with client_of(scheduler, workers) as client, kept_until_written(out) as checkpoint:
         dataset = chdstat.analyze(
             samples,
             thresholds=thresholds,
             resamples=resamples,
             progress=not quiet,
             client=client,
-            checkpoint=beside(out),
+            checkpoint=checkpoint,
         )
-    if out is not None:
-        save(dataset, out)
+        if out is not None:
+            save(dataset, out)
     if as_json:
         output.print_json(overview(dataset).to_dict())
     else:

@@ -104,7 +104,7 @@ def render(
     nothing is kept but maps, as 'analyze -o' writes them, of what needs no samples at once.
     """
     import chdstat
-    from chdstat._core.cache import beside
+    from chdstat._core.cache import kept_until_written
     from chdstat._core.executor import client_of
     from chdstat._core.files import unused
     from chdstat.analysis import save
@@ -132,10 +132,10 @@ def render(
             message = "--summary-only keeps no samples, which --direct, --by-depth and --light need"
             raise InputError(message)
         unused(out)
-        with client_of(scheduler, workers) as client:
+        with client_of(scheduler, workers) as client, kept_until_written(out) as checkpoint:
             rendering = render_batches(described, progress=False, **settings)
             work: dict[str, Any] = {"client": client, "progress": not quiet}
-            save(chdstat.analyze(rendering, checkpoint=beside(out), **work), out)
+            save(chdstat.analyze(rendering, checkpoint=checkpoint, **work), out)
         output.say_written(out, as_json=as_json)
         return
     with client_of(scheduler, workers) as client:

@@ -45,12 +45,11 @@ class Measured:
         The mean and `shared_shape` of all samples, and of every other of them, by name; NaN where
         no sample is good.
     mean, error
-        Mean of the samples that are good in all channels, and its standard error, shape (y, x,
-        channel).
+        Mean of each channel's good samples, and its standard error, shape (y, x, channel).
     null
         Share of null samples, shape (y, x).
     signed
-        Whether any sample is negative.
+        Whether any good sample is negative.
     """
 
     starts: Sequence[Mapping[str, Image]]
@@ -69,7 +68,7 @@ class Measured:
                 "mean": mean,
                 "error": error,
                 "null": is_null(x).mean(axis=-1),
-                "signed": (x < 0).any(axis=(2, 3)),
+                "signed": ((x < 0) & np.isfinite(x)).any(axis=(2, 3)),
             }
             for i, part in enumerate((x, x[..., ::2], x[..., 1::2])):
                 measured = vars(ShapeStatistics.of(ScaledSamples.of(np.ascontiguousarray(part))))
@@ -155,13 +154,15 @@ def _stacked(images: Mapping[str, Image]) -> tuple[list[str], Image]:
 
 
 def _mean_and_error(x: Image) -> tuple[Floats, Floats]:
-    """Return the mean of the samples that are good in all channels, and its standard error."""
-    good = np.isfinite(x).all(axis=2, keepdims=True)
+    """Return the mean of each channel's good samples, and its standard error."""
+    good = np.isfinite(x)
     n = np.maximum(good.sum(axis=-1), 1)
     kept = np.where(good, x, 0)
     mean = kept.sum(axis=-1, dtype=np.float64) / n
     apart = np.where(good, kept - mean[..., np.newaxis], 0)
-    return mean, np.sqrt(np.square(apart).sum(axis=-1) / (n * np.maximum(n - 1, 1)))
+    error = np.sqrt(np.square(apart).sum(axis=-1) / (n * np.maximum(n - 1, 1)))
+    # One sample says nothing of its error, which is as large as the mean if all others were null.
+    return mean, np.where(n == 1, np.abs(mean), error)
 
 
 def _inputs(

@@ -209,3 +209,16 @@ def test_a_network_sees_ratios_only(samples):
     assert np.allclose(inputs, scaled, atol=0.05)
     assert np.isfinite(inputs).all()
     assert Weighting.shipped(with_features=False).centre.shape == inputs.shape[-1:]
+
+
+def test_bad_samples_of_one_pixel_spoil_no_other_and_make_nothing_certain():
+    x = np.random.default_rng(0).gamma(0.5, size=(24, 24, 3, 16)).astype(np.float32)
+    x[6, 6, 1], x[12, 12, 0, 0] = np.nan, -np.inf
+    x[18, 18, :, 1:], x[18, 18, :, 0] = np.nan, 1000
+    found = combine(x)
+    assert np.argwhere(np.isnan(found.radiance)).tolist() == [[6, 6, 1]]
+    kept = np.isfinite(found.radiance)
+    assert np.isfinite(found.high[kept]).all()
+    assert (found.low[kept] >= 0).all()  # no finite sample is negative
+    assert (found.high - found.low)[kept].min() > 0
+    assert (found.radiance[18, 18] < 100).all()  # of a single bright sample, nothing is known
