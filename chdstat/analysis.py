@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Counts, PositivePart
 from chdstat._core.progress import track
+from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED, fit_variables, label_fit
 from chdstat.fit.goodness_of_fit import finish_goodness, goodness_of_part, goodness_variables
 from chdstat.fit.mixtures import Mixture, mixture_of_part
@@ -94,8 +96,7 @@ def analyze(
         A Dask client, whose workers analyse, one tile a task, to the same bits.
     checkpoint
         Folder that keeps every tile as soon as it is analysed, until all are; what else is in it
-        stays. The same call, after
-        it was stopped in whatever way, goes on from there.
+        stays. The same call, after it was stopped in whatever way, goes on from there.
 
     Returns
     -------
@@ -187,17 +188,29 @@ def _of_summary(
     """Return a summary with what follows from its log histograms, tile by tile."""
     import xarray as xr
 
-    height, width = summary.sizes["y"], summary.sizes["x"]
-    places = tiles((height, width, 1, 1))
+    height, width = (summary.sizes.get(dim, 0) for dim in ("y", "x"))
+    if not height or not width or "channel" not in summary.dims:
+        message = (
+            "expected the dataset of an image, over y, x and channel, as chdstat.summarize returns "
+            f"it, got one over {dict(summary.sizes)}"
+        )
+        raise InputError(message)
+    PositiveHistogram.of_dataset(summary.isel(y=[0], x=[0]))  # refused before the work
+    summary = summary.transpose("y", "x", "channel", ...)
     task = functools.partial(_fits_of_histograms, resamples, seed)
     counted = summary[[str(n) for n in summary if str(n).startswith("log_") or "count" in str(n)]]
-    items = (counted.isel(y=ys, x=xs) for ys, xs in places)
+    counted = counted.drop_vars(
+        ["y", "x"], errors="ignore"
+    )  # tiles are put together by their places
+    items = (counted.isel(y=ys, x=xs) for ys, xs in tiles((height, width, 1, 1)))
     found = []
     with track("fitting", height * width, unit="px", show=progress) as advance:
         for part in in_order(task, items, client=client):
             found.append(part)
             advance(part.sizes["y"] * part.sizes["x"])
-    whole_image: Any = xr.combine_by_coords(found, combine_attrs="drop_conflicts")
+    across = math.ceil(width / found[0].sizes["x"])
+    rows = [found[i : i + across] for i in range(0, len(found), across)]
+    whole_image = xr.combine_nested(rows, ["y", "x"], combine_attrs="drop_conflicts")
     finishes = _finishes(Thresholds(), resamples, None)
     parts = [_finished(whole_image, s, finishes[s]) for s in ("selection", "goodness", "mixture")]
     return xr.merge([summary, *parts], compat="override").assign_attrs(summary.attrs)
@@ -221,8 +234,7 @@ def _fits_of_histograms(resamples: int, seed: int, counted: xr.Dataset) -> xr.Da
         for stage, variables in stages.items()
         for name, (dims, values) in variables.items()
     }
-    coords = {name: counted[name] for name in ("y", "x", "channel")}
-    return xr.Dataset(named, coords)
+    return xr.Dataset(named, {"channel": counted["channel"]})
 
 
 def to_dataframe(found: xr.Dataset) -> pd.DataFrame:

@@ -243,3 +243,24 @@ def test_a_render_is_summarised_without_its_samples(client, store, tmp_path, mon
     assert found["best_goodness_effect"].notnull().any()
     assert found["lognormal_mixture_k"].max() >= 1
     assert "tail_index" not in found
+
+
+def test_a_summary_is_taken_by_its_places_and_anything_else_refused(store):
+    summary = chd.summarize(store)
+    whole = chd.analyze(summary, progress=False)
+    for changed in (
+        summary.assign_coords(y=[0] * 16),
+        summary.drop_vars(["y", "x"]),
+        summary.transpose("x", "y", ...),
+    ):
+        found = chd.analyze(changed, progress=False)
+        assert found["gamma_shape"].dims == ("y", "x", "channel")
+        assert np.array_equal(found["gamma_shape"], whole["gamma_shape"], equal_nan=True)
+    for other, words in (
+        (summary.isel(y=0), "expected the dataset of an image, over y, x and channel"),
+        (summary.isel(y=slice(0)), "expected the dataset of an image, over y, x and channel"),
+        (summary[["mean"]], "got one without log_counts"),
+        (store.to_dataset(), "got one without log_counts"),
+    ):
+        with pytest.raises(InputError, match=words):
+            chd.analyze(other, progress=False)

@@ -10,6 +10,7 @@ same place removes it.
 from __future__ import annotations
 
 import contextlib
+import errno
 import importlib
 import importlib.metadata
 import math
@@ -224,6 +225,11 @@ def room(shape: tuple[int, ...], kind: npt.DTypeLike, folder: Path | None) -> np
 
     What a file holds, the system moves out of memory where that is short, and `release` does.
 
+    Raises
+    ------
+    StoreError
+        If the disk has no room for it.
+
     Examples
     --------
     >>> with scratch() as folder:
@@ -236,11 +242,28 @@ def room(shape: tuple[int, ...], kind: npt.DTypeLike, folder: Path | None) -> np
     size = math.prod(shape) * np.dtype(kind).itemsize
     if folder is None or not size:
         return np.empty(shape, kind)
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder) as file:
-        file.truncate(size)
-        held = mmap.mmap(file.fileno(), size)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            _reserve(file.fileno(), size)
+            held = mmap.mmap(file.fileno(), size)
+    except OSError as error:
+        message = f"cannot keep {size / 1e6:.3g} MB of maps in {folder}: {error.strerror or error}"
+        raise StoreError(message) from error
     return np.frombuffer(held, kind).reshape(shape)
+
+
+def _reserve(file: int, size: int) -> None:
+    """Give a file its size on disk: to write to holes where the disk is full is a bus error."""
+    if hasattr(os, "posix_fallocate"):
+        try:
+            os.posix_fallocate(file, 0, size)
+        except OSError as error:
+            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL, errno.ENOSYS):
+                raise
+        else:
+            return
+    os.truncate(file, size)
 
 
 def release(array: npt.NDArray[Any]) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import math
+import os
 import subprocess
 import sys
 import tempfile
@@ -17,7 +19,7 @@ import pytest
 import chdstat as chd
 from chdstat._core.cache import read_record, write_record
 from chdstat._core.executor import in_order
-from chdstat._core.files import Lock, replacing, scratch, sweep
+from chdstat._core.files import Lock, replacing, room, scratch, sweep
 from chdstat._core.progress import track
 from chdstat.comparison import Comparison
 from chdstat.errors import StoreError
@@ -228,3 +230,13 @@ def test_a_log_stays_clean_otherwise(capfd, show):
     with track("counting", 4, show=show, line_every=0.0) as advance:
         advance(1)
     assert capfd.readouterr().err == ""
+
+
+def test_maps_that_the_disk_has_no_room_for_are_an_error(tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    with pytest.raises(StoreError, match=r"cannot keep 4 MB of maps in .*: No space left"):
+        room((1000, 1000), "f4", tmp_path)
+    assert not list(tmp_path.iterdir())
