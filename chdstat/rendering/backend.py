@@ -31,6 +31,7 @@ __all__ = [
     "Verdict",
     "activate",
     "examine",
+    "one_thread",
     "probe",
     "resolve",
 ]
@@ -158,6 +159,19 @@ def activate(verdict: Verdict) -> Iterator[Any]:
     finally:
         if previous is not None:
             mi.set_variant(previous)
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Let Mitsuba's scalar passes run in the thread that asks for them."""
+    import drjit as dr
+
+    before = dr.thread_count()
+    dr.set_thread_count(1)
+    try:
+        yield
+    finally:
+        dr.set_thread_count(before)
 
 
 def llvm_libraries() -> list[str]:

@@ -26,7 +26,7 @@ from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.lights import check_lights
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import SamplerName
-from chdstat.rendering.workers import rendered
+from chdstat.rendering.workers import features_restored, rendered
 from chdstat.rendering.writers import MemoryWriter, Writer, opened_store, provenance, renderer_of
 from chdstat.samples import Samples, is_store
 from chdstat.samples.layout import Image, part_folder
@@ -200,13 +200,14 @@ def render(
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
             _log.warning(message, out, existing.shape[3], spp)
         with _writer(job, renderer, spp, out) as writer:
-            _fill(job, renderer, writer, client, progress)
+            with features_restored(job, renderer, client, writer):
+                _fill(job, renderer, writer, client, progress)
             parts = {}
             for which, of_part in partial.items():
                 del renderer  # kernels are frozen where one scene is alive only
                 renderer = Renderer(of_part)
                 folder = None if out is None else Path(out) / part_folder(which)
-                with _writer(of_part, renderer, spp, folder, features=False) as part:
+                with _writer(of_part, renderer, spp, folder) as part:
                     _fill(of_part, renderer, part, client, progress)
                     parts[which] = part.finish()
             return writer.finish(parts)
@@ -326,15 +327,13 @@ def _cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[Pa
 
 
 @contextlib.contextmanager
-def _writer(
-    job: Job, renderer: Renderer, spp: int, out: str | Path | None, *, features: bool = True
-) -> Iterator[Writer]:
+def _writer(job: Job, renderer: Renderer, spp: int, out: str | Path | None) -> Iterator[Writer]:
     """Yield what keeps samples: a store, which may be there already, or memory."""
     attrs = provenance(job, renderer, spp)
     if out is None:
-        yield MemoryWriter(attrs, renderer, spp, features=features)
+        yield MemoryWriter(attrs, renderer.size, spp)
         return
-    with opened_store(Path(out), attrs, renderer, spp, features=features) as store:
+    with opened_store(Path(out), attrs, renderer.size, spp) as store:
         yield store
 
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from chdstat._core.executor import Interrupted
 from chdstat.errors import InputError, RenderError, SceneError, brief
-from chdstat.rendering.backend import activate
+from chdstat.rendering.backend import activate, one_thread
 from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.job import Job
 from chdstat.rendering.lights import darken, flush, light_names
@@ -189,7 +189,9 @@ class Renderer:
         aovs = ",".join(f"{name}:{kind}" for name, kind in _FEATURES.items())
         integrator = self._mi.load_dict({"type": "aov", "aovs": aovs, "block_size": _BLOCK})
         sensor = self._sensor((0, 0), self.size)
-        stack = np.array(integrator.render(self._scene, sensor, seed=0, spp=_FEATURE_SPP))
+        # For each sample the integrator copies the list of shapes: threads wait for its counters.
+        with one_thread() if self._scalar else contextlib.nullcontext():
+            stack = np.array(integrator.render(self._scene, sensor, seed=0, spp=_FEATURE_SPP))
         parts = dict(zip(_FEATURES, np.split(stack, (3, 6, 7), axis=-1), strict=True))
         images = {name: p.astype(np.float32) for name, p in parts.items()}
         return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in images.items()}

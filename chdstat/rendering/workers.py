@@ -6,13 +6,13 @@ import contextlib
 import functools
 import itertools
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any
 
 from chdstat._core.executor import Interrupts, Pool, cores, pool
 from chdstat.errors import RenderError, StoreError
-from chdstat.rendering.backend import activate
+from chdstat.rendering.backend import activate, one_thread
 from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
@@ -23,9 +23,10 @@ from chdstat.samples.layout import Chunk, Image, differing
 if TYPE_CHECKING:
     from distributed import Client
 
+    from chdstat.rendering.writers import Writer
     from chdstat.samples.store import Store
 
-__all__ = ["at_once", "render_remote", "rendered"]
+__all__ = ["at_once", "features_remote", "features_restored", "render_remote", "rendered"]
 
 Group = tuple[Chunk, Sequence[Chunk]]
 """Samples that are drawn together, and the chunks that they are stored in."""
@@ -61,6 +62,29 @@ def rendered(
         )
 
 
+@contextlib.contextmanager
+def features_restored(
+    job: Job, renderer: Renderer, client: Client | None, writer: Writer
+) -> Iterator[None]:
+    """Give a writer the first-hit features that it lacks, while its samples are rendered.
+
+    One worker of a cluster draws them beside the others, which would wait for them otherwise: they
+    take as long as some dozen samples per pixel.
+    """
+    if client is None or not writer.lacks_features:
+        writer.restore(renderer.features)
+        yield
+        return
+    with pool(client=client) as cluster:
+        drawn = cluster.submit(features_remote, job, renderer.identity)
+        try:
+            yield
+            features = cluster.result(drawn)
+        finally:
+            drawn.cancel()
+        writer.restore(lambda: features)
+
+
 def _samples_of(renderer: Renderer, group: Group, **options: Any) -> list[tuple[Chunk, Image]]:
     """Return the samples of chunks that are drawn together."""
     whole, parts = group
@@ -78,15 +102,9 @@ def at_once(job: Job) -> Iterator[int]:
     if job.verdict.backend != "scalar":
         yield 1
         return
-    import drjit as dr
-
-    before = dr.thread_count()
-    dr.set_thread_count(1)
-    try:
-        alone = isinstance(job.integrator, IntegratorObject) and job.integrator.in_python
+    alone = isinstance(job.integrator, IntegratorObject) and job.integrator.in_python
+    with one_thread():
         yield 1 if alone else cores()  # a class in Python may keep what it draws with
-    finally:
-        dr.set_thread_count(before)
 
 
 def _collect(
@@ -120,16 +138,8 @@ def render_remote(
 
     They are written to the store, where there is one and this worker sees it.
     """
-    key = (identity["scene_hash"], str(identity["scene_code"]), *job.settings)
-    with activate(job.verdict), _REMOTE_LOCK:
-        if key not in _REMOTE:
-            _REMOTE.clear()
-            _limit_threads()
-            renderer = Renderer(job)
-            _check_same(identity, renderer.identity)
-            _REMOTE[key] = renderer
-        # One at a time: a pass uses all cores, and Mitsuba's signal handler is not reentrant.
-        drawn = _samples_of(_REMOTE[key], group)
+    with _remote(job, identity) as renderer:
+        drawn = _samples_of(renderer, group)
         store = None
         if place is not None:
             with contextlib.suppress(StoreError):
@@ -139,6 +149,29 @@ def render_remote(
         for chunk, block in drawn:
             store.put(chunk, block)
         return [(chunk, None) for chunk, _ in drawn]
+
+
+def features_remote(job: Job, identity: dict[str, Any]) -> Mapping[str, Image]:
+    """Render first-hit features in a Dask worker, of the very scene that the client has."""
+    with _remote(job, identity) as renderer:
+        return renderer.features()
+
+
+@contextlib.contextmanager
+def _remote(job: Job, identity: dict[str, Any]) -> Iterator[Renderer]:
+    """Yield the renderer of this worker, in one thread at a time.
+
+    A pass uses all cores, and Mitsuba's signal handler is not reentrant.
+    """
+    key = (identity["scene_hash"], str(identity["scene_code"]), *job.settings)
+    with activate(job.verdict), _REMOTE_LOCK:
+        if key not in _REMOTE:
+            _REMOTE.clear()
+            _limit_threads()
+            renderer = Renderer(job)
+            _check_same(identity, renderer.identity)
+            _REMOTE[key] = renderer
+        yield _REMOTE[key]
 
 
 def _limit_threads() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import logging
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -104,11 +104,9 @@ def renderer_of(job: Job, spp: int, *, kept: int, out: str | Path | None) -> Ren
 class MemoryWriter:
     """Keeps rendered samples in memory."""
 
-    def __init__(
-        self, attrs: dict[str, Any], renderer: Renderer, spp: int, *, features: bool = True
-    ) -> None:
-        width, height = renderer.size
-        self._attrs, self._features = attrs, renderer.features() if features else {}
+    def __init__(self, attrs: dict[str, Any], size: tuple[int, int], spp: int) -> None:
+        width, height = size
+        self._attrs, self._features = attrs, dict[str, Image]()
         self._array = np.full((height, width, 3, spp), np.nan, np.float32)
 
     def pending(self) -> list[Chunk]:
@@ -119,6 +117,15 @@ class MemoryWriter:
     def write(self, chunk: Chunk, block: Image) -> None:
         """Keep the samples of a chunk."""
         self._array[chunk.ys, chunk.xs, :, chunk.ss] = block
+
+    @property
+    def lacks_features(self) -> bool:
+        """Whether there are no first-hit features yet."""
+        return not self._features
+
+    def restore(self, features: Callable[[], Mapping[str, Image]]) -> None:
+        """Keep first-hit features."""
+        self._features = dict(features())
 
     def spent(self, seconds: float) -> None:
         """Record how long rendering took."""
@@ -133,19 +140,14 @@ Writer = MemoryWriter | Store
 """What keeps rendered samples."""
 
 
-def opened_store(
-    out: Path, attrs: dict[str, Any], renderer: Renderer, spp: int, *, features: bool = True
-) -> Store:
+def opened_store(out: Path, attrs: dict[str, Any], size: tuple[int, int], spp: int) -> Store:
     """Open or create a store that is written to, with room for the samples asked for."""
     if not is_store(out):
-        width, height = renderer.size
-        images = renderer.features() if features else {}
-        return Store.create(out, shape=(height, width, 3, spp), attrs=attrs, features=images)
+        width, height = size
+        return Store.create(out, shape=(height, width, 3, spp), attrs=attrs)
     check_appendable(out)
     _check_identity(Store.open(out), attrs)
     store = Store.open(out, writable=True)
-    if features:
-        store.restore(renderer.features)
     store.extend(spp)
     return store
 

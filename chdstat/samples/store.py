@@ -94,9 +94,7 @@ class Store:
             attributes = json.loads(layout.canonical({**kept, "manifest": manifest}))
             store = cls(path, attributes, lock)
             store._save()
-            for name, image in (features or {}).items():
-                store._write_feature(name, image)
-            store._save()
+        store.restore(lambda: features or {})
         return store
 
     @classmethod
@@ -419,14 +417,17 @@ class Store:
         self._lay_out()
         self.update(spp=spp)
 
+    @property
+    def lacks_features(self) -> bool:
+        """Whether there are no first-hit features, or damaged ones."""
+        return not self.feature_names or bool(self._damaged_features())
+
     def restore(self, features: Callable[[], Mapping[str, Image]]) -> None:
-        """Write what is damaged of the features again."""
-        damaged = self._damaged_features()
-        if damaged or not self.feature_names:
+        """Write the features, where any is missing or damaged."""
+        if self.lacks_features:
             with layout.writing(self.path):
                 for name, image in features().items():
-                    if name in damaged or name not in self.feature_names:
-                        self._write_feature(name, image)
+                    self._write_feature(name, image)
                 self._save()
 
     def _write_feature(self, name: str, image: Image) -> None:

@@ -56,7 +56,7 @@ def test_capture_against_plain_rendering(benchmark, tmp_path, scene, request, ba
 
         def turn() -> None:
             path, attrs = tmp_path / f"{len(ratios)}.zarr", provenance(job, renderer, SPP)
-            writer = opened_store(path, attrs, renderer, SPP)
+            writer = opened_store(path, attrs, renderer.size, SPP)
 
             def captured() -> None:
                 capture._fill(job, renderer, writer, None, False)

@@ -76,7 +76,9 @@ def bits(found: Any) -> list[np.ndarray[Any, Any]]:
         return [found[name].values for name in sorted(found.data_vars)]
     if hasattr(found, "measures"):
         return [found.estimates, *(m.value for m in found.measures.values())]
-    return [found.radiance, found.low] if hasattr(found, "radiance") else [found.read()]
+    if hasattr(found, "radiance"):
+        return [found.radiance, found.low]
+    return [found.read(), *found.features.values()]
 
 
 def same(one: Any, two: Any) -> bool:
