@@ -85,7 +85,9 @@ def test_workers_write_their_own_chunks(client, store, tmp_path, monkeypatch):
         )
     assert np.array_equal(found.read(), store.read())
     assert found.features.keys() == store.features.keys()
-    assert all(np.array_equal(found.features[name], store.features[name]) for name in found.features)
+    assert all(
+        np.array_equal(found.features[name], store.features[name]) for name in found.features
+    )
 
     def unseen(*_: object) -> None:
         message = "no store there"

@@ -20,6 +20,7 @@ from typing import Any
 import numpy.typing as npt
 
 from chdstat._core.image_scales import mean_radiance
+from chdstat.estimators.collaborative import boughida2017
 from chdstat.estimators.estimates import estimate, write_estimates
 from chdstat.estimators.mlp import MLP, PRESETS, Preset
 from chdstat.estimators.models import load_model, train_model
@@ -55,6 +56,7 @@ __all__ = [
     "Profile",
     "Progressive",
     "Stream",
+    "boughida2017",
     "combine",
     "estimate",
     "james_stein",

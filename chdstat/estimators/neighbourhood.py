@@ -112,7 +112,7 @@ def delbracio2014(
     fields = (similarity.histograms(image, exposed), counts)
 
     def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
-        distance, used = _chi_square(*here, *there)
+        distance, used = similarity.chi_square(*here, *there)
         similar = similarity.window_sum(distance, patch) <= threshold * similarity.window_sum(
             used, patch
         )
@@ -285,19 +285,6 @@ def shared_patches(
     averaged, its = pooled((mean, variance), _FIRST, mean, np.nan_to_num(variance, posinf=0))
     found, _ = pooled((averaged, _CORRELATED * its), _SECOND, own)
     return image.radiance(found)
-
-
-def _chi_square(h: Floats, n: Floats, other: Floats, m: Floats) -> tuple[Floats, Floats]:
-    """Return the chi-square distance of histograms of n and m samples, and the bins used.
-
-    ``sum (m h - n h')^2 / (n m (h + h'))``: Delbracio et al. 2014, doi:10.1145/2532708. Bins with
-    no more than one sample of both are not used, as in the code of Boughida and Boubekeur 2017.
-    """
-    both = h + other
-    used = (both > 1) & (n > 0) & (m > 0)
-    apart = np.sqrt(m / np.maximum(n, 1)) * h - np.sqrt(n / np.maximum(m, 1)) * other
-    terms = np.divide(apart * apart, both, out=np.zeros_like(both), where=used)
-    return terms.sum(axis=-1), np.count_nonzero(used, axis=-1).astype(np.float64)
 
 
 def _statistics(image: similarity.ScaledSamples) -> similarity.Means:

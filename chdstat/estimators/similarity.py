@@ -27,9 +27,11 @@ from chdstat.estimators.registry import Floats, mean_of_good, whole_samples
 __all__ = [
     "ScaledSamples",
     "Window",
+    "chi_square",
     "corrected_means",
     "histograms",
     "not_different",
+    "pairs",
     "root",
     "shape_means",
     "significance",
@@ -213,6 +215,19 @@ def histograms(image: ScaledSamples, unit: float) -> Floats:
     return image.walk(work)[0]
 
 
+def chi_square(h: Floats, n: Floats, other: Floats, m: Floats) -> tuple[Floats, Floats]:
+    """Return the chi-square distance of histograms of n and m samples, and the bins used.
+
+    ``sum (m h - n h')^2 / (n m (h + h'))``: Delbracio et al. 2014, doi:10.1145/2532708. Bins with
+    no more than one sample of both are not used, as in the code of Boughida and Boubekeur 2017.
+    """
+    both = h + other
+    used = (both > 1) & (n > 0) & (m > 0)
+    apart = np.sqrt(m / np.maximum(n, 1)) * h - np.sqrt(n / np.maximum(m, 1)) * other
+    terms = np.divide(apart * apart, both, out=np.zeros_like(both), where=used)
+    return terms.sum(axis=-1), np.count_nonzero(used, axis=-1).astype(np.float64)
+
+
 def significance(
     means: Means, count: npt.NDArray[np.number[Any]], alpha: float
 ) -> tuple[Floats, Floats]:
@@ -282,7 +297,7 @@ class Window:
             own, own_squares = values[strip], squares[strip]
             compared = [field[strip] for field in self.fields]
             total, total_squares = own.copy(), own_squares.copy()
-            for pair in _pairs(len(own), width, self.radius):
+            for pair in pairs(len(own), width, self.radius):
                 here, there = (tuple(field[place] for field in compared) for place in pair)
                 weight = self.weigh(here, there)[..., np.newaxis]
                 for target, source in (pair, pair[::-1]):
@@ -317,7 +332,7 @@ class Window:
             return total / weights, squared / weights[..., : squared.shape[-1]] ** 2
 
 
-def _pairs(
+def pairs(
     height: int, width: int, radius: int
 ) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice]]]:
     """Yield, for every offset in one half of the window, the places of both pixels of the pairs."""

@@ -1,0 +1,110 @@
+"""Bayesian collaborative denoising, against a loop over patches that follows the publication."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat import estimators
+from chdstat.errors import InputError
+from chdstat.estimators import similarity
+
+
+def by_loop(x, threshold, radius, patch):
+    """Denoise one scale of (y, x, 1, sample), one patch after the other."""
+    image = similarity.ScaledSamples.of(x)
+    assert image.unit == 1
+    mean, n = x[:, :, 0].mean(axis=-1), x.shape[-1]
+    noise, bins = x[:, :, 0].var(axis=-1, ddof=1) / n, similarity.histograms(image, 1.0)
+    height, width = mean.shape
+    centres = [*itertools.product(range(patch, height - patch), range(patch, width - patch))]
+    total, times = np.zeros_like(mean), np.zeros_like(mean)
+
+    def square(y, x):
+        return slice(y - patch, y + patch + 1), slice(x - patch, x + patch + 1)
+
+    for y, x in centres:
+        alike = []
+        for v, u in centres:
+            if max(abs(v - y), abs(u - x)) <= radius:
+                h, g = bins[square(y, x)], bins[square(v, u)]
+                used = h + g > 1
+                terms = (n * h - n * g)[used] ** 2 / (n * n * (h + g)[used])
+                if terms.sum() <= threshold * used.sum() or (v, u) == (y, x):
+                    alike.append((v, u))
+        p = np.array([mean[square(*at)].ravel() for at in alike])
+        if len(alike) <= p.shape[1]:
+            total[square(y, x)] += p.mean(axis=0).reshape(2 * patch + 1, -1)
+            times[square(y, x)] += 1
+            continue
+        of_noise = np.diag(np.mean([noise[square(*at)].ravel() for at in alike], axis=0))
+        level, axes = np.linalg.eigh(np.cov(p.T) - of_noise)
+        inverse = np.linalg.pinv(axes @ np.diag(np.maximum(level, 0)) @ axes.T + of_noise)
+        first = p - (p - p.mean(axis=0)) @ inverse @ of_noise
+        inverse = np.linalg.pinv(np.cov(first.T) + of_noise)
+        for at, one in zip(alike, p - (p - first.mean(axis=0)) @ inverse @ of_noise, strict=True):
+            total[square(*at)] += one.reshape(2 * patch + 1, -1)
+            times[square(*at)] += 1
+    return total / times
+
+
+@pytest.mark.parametrize("patch", [0, 1])
+def test_it_is_the_publication_patch_by_patch(patch):
+    rng = np.random.default_rng(3)
+    level = 1 + np.sin(np.arange(8))[:, np.newaxis] / 2 + np.arange(9) / 20
+    x = level[..., np.newaxis, np.newaxis] * rng.gamma(4, 0.05, size=(8, 9, 1, 24))
+    options = {"threshold": 1.4, "radius": 3, "patch": patch}
+    found = estimators.boughida2017(x, **options, scales=1, unit=1.0)[..., 0]
+    expected = by_loop(x, **options)
+    assert np.allclose(found, expected, rtol=1e-5)
+    assert np.abs(found / x[:, :, 0].mean(axis=-1) - 1).max() > 0.02
+
+
+def test_noise_vanishes_and_edges_stay_at_every_scale():
+    rng = np.random.default_rng(1)
+    x = rng.exponential(size=(40, 41, 3, 32))  # an odd width has no pair for its last column
+    x[:, 20:] *= 20
+    mean = x.mean(axis=-1)
+    for scales in (1, 2, 3):
+        found = estimators.boughida2017(x, scales=scales)
+        assert found[:, :20].std() < 0.3 * mean[:, :20].std()
+        assert np.allclose([found[:, :20].mean(), found[:, 20:].mean()], [1, 20], rtol=0.03)
+    coarse = np.lib.stride_tricks.sliding_window_view(found[:, :20, 0], (8, 8)).mean(axis=(2, 3))
+    fine = estimators.boughida2017(x, scales=1)[:, :20, 0]
+    fine = np.lib.stride_tricks.sliding_window_view(fine, (8, 8)).mean(axis=(2, 3))
+    assert coarse.std() < fine.std()  # low frequencies are those of the coarser scales
+
+
+def test_patches_without_noise_stay():
+    x = np.repeat(np.random.default_rng(0).random((12, 13, 3, 1)), 8, axis=-1)
+    assert np.allclose(estimators.boughida2017(x), x[..., 0])
+
+
+def test_pixels_that_are_bad_touch_no_other():
+    x = np.random.default_rng(2).exponential(size=(16, 16, 3, 8))
+    x[5, 6], x[9, 9, 0, 1:], x[12, 3] = np.nan, np.inf, 0
+    found = estimators.boughida2017(x)
+    assert np.isnan(found[5, 6]).all()
+    assert found[9, 9, 0] == x[9, 9, 0, 0]
+    assert np.isfinite(np.delete(found.reshape(-1, 3), 5 * 16 + 6, axis=0)).all()
+    assert found[8:, 8:].min() > 0
+
+
+def test_small_images_are_taken_and_what_is_none_refused():
+    x = np.random.default_rng(2).exponential(size=(2, 5, 3, 8))
+    assert np.allclose(estimators.boughida2017(x), x.mean(axis=-1))
+    with pytest.raises(InputError, match="threshold"):
+        estimators.boughida2017(x, threshold=0)
+    with pytest.raises(InputError, match="scales"):
+        estimators.boughida2017(x, scales=0)
+
+
+def test_it_is_better_than_the_mean_on_a_scene():
+    settings = {"size": (48, 48), "backend": "scalar", "progress": False}
+    x = chd.render("bathroom", spp=32, **settings).read()
+    right = chd.render("bathroom", spp=256, seed=1, **settings).read().mean(axis=-1, dtype=float)
+    errors = [
+        np.square(image - right).mean() for image in (estimators.boughida2017(x), x.mean(axis=-1))
+    ]
+    assert errors[0] < 0.6 * errors[1]
