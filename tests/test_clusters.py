@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -123,6 +127,33 @@ def test_workers_of_this_machine_and_a_scheduler_exclude_each_other():
         assert list(in_order(abs, [-1, 2], client=here)) == [1, 2]
     with pytest.raises(InputError, match="workers are started here"), client_of("tcp://a:1", 1):
         pass
+
+
+@pytest.mark.skipif(os.name != "posix", reason="processes inherit no signal mask there")
+def test_ctrl_c_while_workers_start_waits_and_they_do_not_hear_it(monkeypatch):
+    import distributed
+
+    begun = []
+
+    class Begins:
+        def __init__(self, **_: object) -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+            blocked = "import signal; print(signal.SIGINT in signal.pthread_sigmask(0, []))"
+            said = subprocess.run([sys.executable, "-c", blocked], capture_output=True, check=True)
+            begun.append(said.stdout.strip())
+
+        def __enter__(self) -> None: ...
+        def __exit__(self, *_: object) -> None:
+            begun.append(b"ended")
+
+    monkeypatch.setattr(distributed, "LocalCluster", Begins)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # xdist ignores it
+    try:
+        with pytest.raises(KeyboardInterrupt), client_of(None, 1):
+            pass
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert begun == [b"True", b"ended"]
 
 
 def test_a_closed_client_is_told(store):

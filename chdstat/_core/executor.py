@@ -26,6 +26,7 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
+from multiprocessing import resource_tracker
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -297,13 +298,32 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Client | N
         if scheduler is None:
             threads = {"n_workers": workers, "threads_per_worker": 1}
             quiet = {"dashboard_address": ":0", "silence_logs": logging.CRITICAL}
-            address = stack.enter_context(LocalCluster(**threads, **quiet))
+            with _unheard_by_children():
+                address = stack.enter_context(LocalCluster(**threads, **quiet))
         try:
             client = Client(address, timeout=_PATIENCE)
         except (OSError, ValueError) as error:
             message = f"cannot reach a Dask scheduler at {scheduler}: {error}"
             raise InputError(message) from error
         yield stack.enter_context(client)
+
+
+@contextlib.contextmanager
+def _unheard_by_children() -> Iterator[None]:
+    """Let processes begun here not hear of Ctrl-C, which a terminal tells all; here it waits.
+
+    A cluster that is interrupted while it starts may never end, and workers print tracebacks.
+    """
+    with Interrupts():
+        if not hasattr(signal, "pthread_sigmask"):
+            yield
+            return
+        resource_tracker.ensure_running()  # it would clear the mask, which processes inherit
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def check_workers(client: Client) -> None:
