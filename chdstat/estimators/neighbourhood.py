@@ -9,7 +9,8 @@ two passes; on rendered scenes at 32 samples, its error is the smallest of all t
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +37,8 @@ colour of what is around."""
 _ROUNDING = 1e-6
 _ALPHA = 0.005
 """Level of the test of means."""
+_GUIDES = {"albedo": 0.02, "normal": 0.1}
+"""Standard deviations of what guides (authors' code)."""
 _CUT = 7.0
 """Weights below e^-7 are none."""
 _FAR = 1e6
@@ -130,28 +133,42 @@ def delbracio2014(
     place=7,
     minimum_samples=2,
     uses_neighbours=True,
+    uses_features=True,
 )
-def sakai2024(x: Array, *, alpha: float = 0.005, radius: int = 5) -> Array:
+def sakai2024(
+    x: Array,
+    *,
+    features: Mapping[str, npt.NDArray[Any]] | None = None,
+    alpha: float = 0.005,
+    radius: int = 20,
+    spread: float = 10.0,
+) -> Array:
     """Statistical denoising: average pixels whose means do not differ significantly.
 
     Pixels i and j share their samples if, in every channel, ``(m_i - m_j)^2 <= t_i^2 SE_i^2 + t_j^2
     SE_j^2``: Welch's test on the samples after a Box-Cox transform with lambda = 1/2, their means
-    corrected for skewness as by Johnson. The estimate is the mean of all their samples.
+    corrected for skewness as by Johnson. They share by ``exp(-d^2 / 2)``, where d^2 adds up the
+    squared differences of place, albedo and shading normal, each in its own unit: `spread` pixels,
+    0.02 and 0.1.
 
-    Formulas are those of the authors' published code; the root of a negative sample, minus that of
-    its size, is that of Bickel and Doksum 1981. Of their denoiser this is the membership of pixels;
-    its Gaussian weights in space and in albedo and normals are left out, and its window is a
-    square.
+    Formulas and settings are those of the authors' published code, which repeats the border of the
+    image; here there is nothing outside. The root of a negative sample, minus that of its size, is
+    that of Bickel and Doksum 1981.
 
     Parameters
     ----------
     x
         Samples, shape (y, x, channel, sample). A sample of which any channel is NaN or infinite
         is left out.
+    features
+        First-hit features of the image, as of `Samples.features`; ``albedo`` and ``normal`` are
+        used where they are there, each of shape (y, x, 3).
     alpha
         Level of the two-sided test, between 0 and 1: the smaller, the more is shared.
     radius
-        Of the window, in pixels: 5 for 11 x 11.
+        Of the round window, in pixels.
+    spread
+        Standard deviation of the Gaussian that weighs the window, in pixels, larger than 0.
 
     Returns
     -------
@@ -162,7 +179,8 @@ def sakai2024(x: Array, *, alpha: float = 0.005, radius: int = 5) -> Array:
     Raises
     ------
     InputError
-        If `x` is no image, has less than 2 samples, or an option is out of range.
+        If `x` is no image, has less than 2 samples, a feature is no image of its size, or an option
+        is out of range.
 
     References
     ----------
@@ -180,15 +198,41 @@ def sakai2024(x: Array, *, alpha: float = 0.005, radius: int = 5) -> Array:
     >>> image = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
     >>> image[:, 4:] *= 100
     >>> sakai2024(image)[4, [0, 3, 4, 7], 0].round(1).tolist()
-    [1.0, 1.0, 95.0, 95.0]
+    [1.0, 1.0, 95.1, 94.9]
     """
     whole("radius", radius, least=0)
     check_probability(alpha=alpha)
+    check_positive(spread=spread)
     image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
+    place = np.moveaxis(np.indices(image.count.shape, dtype=np.float64), 0, -1)
+    guides = np.concatenate(_guides(features or {}, image.count.shape), axis=-1)
     # 2 (sqrt(x) - 1) gives the same test as sqrt(x).
-    fields = similarity.significance(similarity.corrected_means(image), image.count, alpha)
-    window = similarity.Window(similarity.not_different, fields, radius)
+    tested = similarity.significance(similarity.corrected_means(image), image.count, alpha)
+
+    def weigh(here: tuple[Floats, ...], there: tuple[Floats, ...]) -> Floats:
+        far = np.square(here[0] - there[0]).sum(axis=-1)
+        unlike = np.square(here[1] - there[1]).sum(axis=-1)
+        weight = np.exp(-far / (2 * spread**2) - unlike / 2)
+        weight *= (far <= radius**2) * similarity.not_different(here[2:], there[2:])
+        return np.asarray(weight)
+
+    window = similarity.Window(weigh, (place, guides, *tested), radius)
     return image.radiance(window.average(image.mean(), image.count[..., np.newaxis])[0])
+
+
+def _guides(
+    features: Mapping[str, npt.NDArray[Any]], shape: tuple[int, int]
+) -> Sequence[npt.NDArray[np.float64]]:
+    """Return the features that guide `sakai2024`, in units of their standard deviations."""
+    found = [np.empty((*shape, 0))]
+    for name, unit in _GUIDES.items():
+        if name in features:
+            image = np.asarray(features[name], np.float64)
+            if image.shape != (*shape, 3):
+                message = f"expected {name} of shape {(*shape, 3)}, got {image.shape}"
+                raise InputError(message)
+            found.append(np.nan_to_num(image) / unit)
+    return found
 
 
 @register("shared_patches", _OURS, place=7, minimum_samples=2, uses_neighbours=True)

@@ -180,7 +180,7 @@ def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:
 def fixed(*, neighbours: bool = False) -> dict[str, registry.Estimator]:
     """Return the fixed estimators of one pixel by name, or those that look at the pixels around.
 
-    Those that take first-hit features are left out: they learn from a whole image.
+    Those that take first-hit features are left out, as no place has any.
     """
     entries = {name: registry.lookup(name) for name in registry.names("fixed")}
     return {

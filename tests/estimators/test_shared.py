@@ -37,8 +37,8 @@ def window(y, x, radius, height, width):
 # --- the published estimators, pixel by pixel ----------------------------------------------------
 
 
-def sakai_by_hand(x, alpha, radius):
-    """Welch's test on 2 (sqrt(x) - 1) in every channel, literally."""
+def sakai_by_hand(x, alpha, radius, spread, features):
+    """Welch's test on 2 (sqrt(x) - 1) in every channel, and the weights, literally."""
     height, width, channels, n = x.shape
     y = 2 * (np.sqrt(x) - 1)
     s2 = y.var(axis=-1, ddof=1)
@@ -51,9 +51,17 @@ def sakai_by_hand(x, alpha, radius):
         members[i, j] = [
             (k, m)
             for k, m in window(i, j, radius, height, width)
-            if ((mean[i, j] - mean[k, m]) ** 2 <= t**2 * (s2[i, j] + s2[k, m]) / n).all()
+            if (i - k) ** 2 + (j - m) ** 2 <= radius**2
+            and ((mean[i, j] - mean[k, m]) ** 2 <= t**2 * (s2[i, j] + s2[k, m]) / n).all()
         ]
-        result[i, j] = np.mean([x[p].mean(axis=-1) for p in members[i, j]], axis=0)
+        weights = [
+            np.exp(-((i - k) ** 2 + (j - m) ** 2) / (2 * spread**2))
+            * np.exp(-((features["albedo"][i, j] - features["albedo"][k, m]) ** 2).sum() / 2 / 4e-4)
+            * np.exp(-((features["normal"][i, j] - features["normal"][k, m]) ** 2).sum() / 2 / 1e-2)
+            for k, m in members[i, j]
+        ]
+        means = [x[p].mean(axis=-1) for p in members[i, j]]
+        result[i, j] = np.average(means, axis=0, weights=weights)
     return result, members
 
 
@@ -61,8 +69,11 @@ def sakai_by_hand(x, alpha, radius):
 def test_sakai_shares_what_the_formula_says(radius):
     x = image(sigma=0.5)
     x[:, 5:] *= 1.3
-    expected, members = sakai_by_hand(x, 0.05, radius)
-    assert estimators.sakai2024(x, alpha=0.05, radius=radius) == pytest.approx(expected, rel=1e-12)
+    rng = np.random.default_rng(1)
+    features = {name: rng.normal(0, 0.02, (9, 11, 3)) for name in ("albedo", "normal", "position")}
+    options = {"alpha": 0.05, "radius": radius, "spread": 2.5, "features": features}
+    expected, members = sakai_by_hand(x, **options)
+    assert estimators.sakai2024(x, **options) == pytest.approx(expected, rel=1e-12)
     sizes = {len(found) for found in members.values()}
     assert radius == 0 or len(sizes) > 3
     assert all(p in members[q] for p, found in members.items() for q in found)
@@ -324,6 +335,8 @@ def test_fireflies_are_limited_or_kept():
         (estimators.delbracio2014, {"unit": 0.0}),
         (estimators.sakai2024, {"alpha": 1.0}),
         (estimators.sakai2024, {"radius": -1}),
+        (estimators.sakai2024, {"spread": 0}),
+        (estimators.sakai2024, {"features": {"albedo": np.zeros((2, 3, 3))}}),
         (estimators.shared_patches, {"threshold": np.nan}),
         (estimators.shared_patches, {"fireflies": "hunt"}),
         (estimators.shared_shape, {"alpha": 0.0}),
