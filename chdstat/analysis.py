@@ -6,9 +6,9 @@
 from __future__ import annotations
 
 import functools
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from chdstat._core.executor import in_order
 from chdstat._core.files import release, unused, writing
 from chdstat._core.moments import Moments
 from chdstat._core.positive import Counts, PositivePart
-from chdstat._core.progress import track
 from chdstat.errors import InputError
 from chdstat.fit.families import FAMILIES, SELECTED, fit_variables, label_fit
 from chdstat.fit.goodness_of_fit import finish_goodness, goodness_of_part, goodness_variables
@@ -35,7 +34,7 @@ from chdstat.patterns import classification
 from chdstat.patterns.overview import Overview, Share, overview, pooled_shares
 from chdstat.patterns.pixel_statistics import PixelFits, Thresholds
 from chdstat.samples import Image, Mapped, checkpoint_key, samples_of
-from chdstat.samples.tiles import Work, tiles
+from chdstat.samples.tiles import Work, assemble, tiles
 from chdstat.summary.dispatch import PositiveHistogram
 from chdstat.summary.statistics import summarize
 
@@ -132,7 +131,8 @@ def analyze(
             at["checkpoint"] = drawn_tiles
             summary = summarize(drawn, **at)
             # What was drawn is kept until all that follows from it is there.
-            return _of_summary(summary, resamples, seed, progress, client)
+            folder = drawn_tiles.folder if drawn_tiles else None
+            return _of_summary(summary, resamples, seed, progress, client, folder)
     if hasattr(given, "data_vars"):
         return _of_summary(given, resamples, seed, progress, client)
     samples, thresholds = samples_of(given), thresholds or Thresholds()
@@ -183,9 +183,14 @@ def analyze(
 
 
 def _of_summary(
-    summary: xr.Dataset, resamples: int, seed: int, progress: bool | None, client: Client | None
+    summary: xr.Dataset,
+    resamples: int,
+    seed: int,
+    progress: bool | None,
+    client: Client | None,
+    folder: Path | None = None,
 ) -> xr.Dataset:
-    """Return a summary with what follows from its log histograms, tile by tile."""
+    """Return a summary with what follows from its log histograms, tile by tile, maybe in files."""
     import xarray as xr
 
     height, width = (summary.sizes.get(dim, 0) for dim in ("y", "x"))
@@ -199,27 +204,37 @@ def _of_summary(
     summary = summary.transpose("y", "x", "channel", ...)
     task = functools.partial(_fits_of_histograms, resamples, seed)
     counted = summary[[str(n) for n in summary if str(n).startswith("log_") or "count" in str(n)]]
-    counted = counted.drop_vars(
-        ["y", "x"], errors="ignore"
-    )  # tiles are put together by their places
-    items = (counted.isel(y=ys, x=xs) for ys, xs in tiles((height, width, 1, 1)))
-    found = []
-    with track("fitting", height * width, unit="px", show=progress) as advance:
-        for part in in_order(task, items, client=client):
-            found.append(part)
-            advance(part.sizes["y"] * part.sizes["x"])
-    across = math.ceil(width / found[0].sizes["x"])
-    rows = [found[i : i + across] for i in range(0, len(found), across)]
-    whole_image = xr.combine_nested(rows, ["y", "x"], combine_attrs="drop_conflicts")
+    # Tiles are put together by their places, whatever their coordinates.
+    counted = counted.drop_vars(["y", "x"], errors="ignore")
+    places = [*tiles((height, width, 1, 1))]
+
+    def placed() -> Iterator[tuple[slice, slice, Mapped]]:
+        items = (counted.isel(y=ys, x=xs) for ys, xs in places)
+        for place, variables in zip(places, in_order(task, items, client=client), strict=True):
+            yield *place, variables
+            if folder is not None:
+                _released(counted)
+
+    image: Any = SimpleNamespace(
+        shape=(height, width), channels=tuple(counted["channel"].values), counts=None, attrs={}
+    )
+    about: Any = {"progress": progress, "folder": folder}
+    whole_image = assemble(image, placed(), description="fitting", **about).drop_vars(["y", "x"])
     finishes = _finishes(Thresholds(), resamples, None)
     parts = [_finished(whole_image, s, finishes[s]) for s in ("selection", "goodness", "mixture")]
+    if folder is not None:
+        _released(whole_image)
     return xr.merge([summary, *parts], compat="override").assign_attrs(summary.attrs)
 
 
-def _fits_of_histograms(resamples: int, seed: int, counted: xr.Dataset) -> xr.Dataset:
-    """Return families, their goodness and mixtures of the log histograms of a tile."""
-    import xarray as xr
+def _released(found: xr.Dataset) -> None:
+    """Give back the memory of maps in files, which were read or written."""
+    for name in found.data_vars:
+        release(found[name].values)
 
+
+def _fits_of_histograms(resamples: int, seed: int, counted: xr.Dataset) -> Mapped:
+    """Return families, their goodness and mixtures of the log histograms of a tile."""
     part = PositiveHistogram.of_dataset(counted)
     selection = select_part(part, [FAMILIES[name] for name in SELECTED])
     stages = {
@@ -229,12 +244,11 @@ def _fits_of_histograms(resamples: int, seed: int, counted: xr.Dataset) -> xr.Da
         ),
         "mixture": fit_variables(mixture_of_part(part, effort="fast")),
     }
-    named = {
-        f"{stage}/{name}": (("y", "x", *dims), values)
+    return {
+        f"{stage}/{name}": variable
         for stage, variables in stages.items()
-        for name, (dims, values) in variables.items()
+        for name, variable in variables.items()
     }
-    return xr.Dataset(named, {"channel": counted["channel"]})
 
 
 def to_dataframe(found: xr.Dataset) -> pd.DataFrame:
