@@ -43,10 +43,21 @@ def store(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("stage", ["estimate", "analyze"])
+def commands(store: Path, folder: Path) -> dict[str, list[str]]:
+    """Return what reads or makes as many samples, by name."""
+    size = [f"--size={WIDTH}x{HEIGHT}", f"--spp={SPP}"]
+    return {
+        "estimate": ["estimate", str(store), "-o", str(folder / "out.exr")],
+        "analyze": ["analyze", str(store), "-o", str(folder / "out.zarr")],
+        "train": ["train", str(store), "--iterations=200", "-o", str(folder / "out.safetensors")],
+        "report": ["report", str(store), "-e", "mean", "-o", str(folder / "out.pdf")],
+        "summary-only": ["render", "cornell-box", *size, "--summary-only", "-o", str(folder / "m")],
+    }
+
+
+@pytest.mark.parametrize("stage", commands(Path(), Path()))
 def test_memory_of_a_large_store(as_benchmark, store, stage, tmp_path):
-    out = tmp_path / ("out.exr" if stage == "estimate" else "out.zarr")
-    command = [sys.executable, "-m", "chdstat", stage, str(store), "-o", str(out), "-q"]
+    command = [sys.executable, "-m", "chdstat", *commands(store, tmp_path)[stage], "-q"]
     done = subprocess.run(
         [sys.executable, "-c", WATCH, *command], capture_output=True, text=True, check=True
     )
