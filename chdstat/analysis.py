@@ -109,6 +109,14 @@ def analyze(
         variables are absent. `atlas`, which looks at the image as a whole, is not part of it.
         `chdstat.analysis.to_dataframe` makes a table of it.
 
+    Raises
+    ------
+    InputError
+        If an option is out of range, or a rendering or a summary is given with `thresholds` or
+        without `held_out`.
+    StoreError
+        If the samples or the checkpoint cannot be read or written.
+
     Examples
     --------
     >>> import chdstat as chd
@@ -122,6 +130,13 @@ def analyze(
 
     resamples, seed = whole("resamples", resamples, least=0), seed_number(seed)
     given: Any = samples
+    summarised = hasattr(given, "on_demand") or hasattr(given, "data_vars")
+    if summarised and (thresholds is not None or not held_out):
+        message = (
+            "thresholds and held_out are for patterns and held-out likelihoods, which need all "
+            "samples at once; leave them out, or give samples"
+        )
+        raise InputError(message)
     if hasattr(given, "on_demand"):  # a rendering; to test for its class would load Mitsuba here
         with (
             given.on_demand() as (drawn, threads),

@@ -280,6 +280,15 @@ def test_a_render_is_summarised_without_its_samples(client, store, tmp_path, mon
     assert "tail_index" not in found
 
 
+def test_options_that_a_rendering_or_a_summary_cannot_take_are_refused(client, store):
+    rendering = render_batches("cornell-box", spp=64, **SETTINGS)
+    for summarised in (rendering, chd.summarize(store)):
+        with pytest.raises(InputError, match="thresholds and held_out are for patterns"):
+            chd.analyze(summarised, held_out=False, progress=False)
+    with pytest.raises(InputError, match="trains on a rendering in one process"):
+        chd.estimate(rendering, client=client)
+
+
 def test_a_summary_is_taken_by_its_places_and_anything_else_refused(store):
     summary = chd.summarize(store)
     whole = chd.analyze(summary, progress=False)

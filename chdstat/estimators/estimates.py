@@ -257,6 +257,12 @@ class _Estimated:
         own = load_model(own) if isinstance(own, str | Path) else own
         # A rendering has batches; to test for its class would load Mitsuba here.
         if hasattr(source, "batch"):
+            if options.client is not None:
+                message = (
+                    "a network trains on a rendering in one process: leave client or --workers out,"
+                    " or render first and estimate from the store"
+                )
+                raise InputError(message)
             return cls._of_rendering(source, own, options)
         samples = first_samples(source, options.spp)
         check_equal_counts(samples)
