@@ -13,6 +13,7 @@ from typing import Any
 
 from joblib import Parallel, delayed
 
+from chdstat._core.cache import kept_until_written
 from chdstat._core.executor import cores
 from chdstat._core.files import checked_target, scratch
 from chdstat._core.progress import track
@@ -145,9 +146,11 @@ def report(
         samples = samples.load()
     regions = named.regions if named else regions_of(samples)
     trained = _trainings(samples, estimators, iterations, as_published=as_published)
-    document = _document(samples, regions, estimators, trained, progress)
-    with scratch() as folder:
-        return typeset(document, folder, target)
+    # What is analysed is in files beside the report until that is there: it may not fit in memory.
+    with kept_until_written(target) as checkpoint:
+        document = _document(samples, regions, estimators, trained, progress, checkpoint)
+        with scratch() as folder:
+            return typeset(document, folder, target)
 
 
 def _settings_of(scene: Scene, recipe: Recipe | None, *, as_published: bool) -> dict[str, Any]:
@@ -205,10 +208,11 @@ def _document(
     estimators: Sequence[str],
     trainings: Mapping[str, Any],
     progress: bool | None,
+    checkpoint: Path | None,
 ) -> Document:
     """Compute everything that the report shows, and return it ready to typeset."""
     with _in_background(trainings.values()) as results:
-        dataset = analyze(samples, progress=progress)
+        dataset = analyze(samples, progress=progress, checkpoint=checkpoint)
         shapes = atlas(samples, progress=progress)
         models, why_not = _trained(trainings, results, progress)
     alone = models.pop("self_trained", None)
