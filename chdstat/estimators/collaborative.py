@@ -94,7 +94,7 @@ def boughida2017(
     --------
     >>> image = np.random.default_rng(0).exponential(size=(8, 8, 3, 32))
     >>> alone, denoised = image.mean(axis=-1), boughida2017(image)
-    >>> bool(denoised.std() < alone.std() / 3)
+    >>> bool(denoised.std() < alone.std() / 2)
     True
     """
     whole("radius", radius, least=0)
