@@ -38,7 +38,7 @@ __all__ = [
     "written",
 ]
 
-_LINES, _WIDTH = 10, 100
+_LINES, _WIDTH = 10, 108
 """Largest size of a representation as text."""
 _SENTENCE = 84
 """Letters after which sentences wrap."""

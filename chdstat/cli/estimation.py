@@ -376,7 +376,9 @@ def bench(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Table to write: .csv, .tex, .json.", show_default="none"),
+        typer.Option(
+            "--out", "-o", help="Table to write: .csv, .tex, .json, .pdf.", show_default="none"
+        ),
     ] = None,
     plugin: cli.Plugins = None,
     quiet: cli.Quiet = False,

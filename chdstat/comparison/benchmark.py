@@ -47,6 +47,8 @@ _BATCH = 64
 _APART = 2**30
 """Added to the seed of a reference, so that it shares no random number with what it judges."""
 _FIREFLY = 3.0
+_CROP = 128
+"""Largest edge in pixels of the images that are kept to be shown."""
 _SMALL = 16
 """Edge in pixels of what is estimated before time is taken."""
 
@@ -317,9 +319,18 @@ def _measured(
                 fireflies,
                 {name: seconds for name, (_, seconds) in found.items()},
                 float(few.attrs.get("render_seconds") or np.nan),
+                _middles(found, reference) if n == numbers[0] else {},
             )
         )
     return cases
+
+
+def _middles(found: Mapping[str, tuple[Array, float]], reference: Array) -> dict[str, Array]:
+    """Return what `Case.images` keeps of the estimates, and of the reference."""
+    starts = [max(0, edge - _CROP) // 2 for edge in reference.shape[:2]]
+    middle = tuple(slice(start, start + _CROP) for start in starts)
+    images = {name: image for name, (image, _) in found.items()} | {"reference": reference}
+    return {name: image[middle].astype(np.float32) for name, image in images.items()}
 
 
 def _estimated(entry: Entry, samples: Samples) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.display import Card, Shown, number
+from chdstat._core.display import Card, Shown, number, percent
 from chdstat._core.files import checked_target, replacing
 from chdstat._core.resampling import Blocks, Interval, interval_of
 
@@ -28,7 +28,7 @@ _NAMES = {"mse": "MSE", "relmse": "relMSE", "smape": "SMAPE", "flip": "FLIP"}
 _HAS_FLIP = importlib.util.find_spec("flip_evaluator") is not None
 MEASURES = tuple(name for name in _NAMES if name != "flip" or _HAS_FLIP)
 """Errors that are added up over pixels; FLIP where its package is installed."""
-FORMATS = (".csv", ".tex", ".json")
+FORMATS = (".csv", ".tex", ".json", ".pdf")
 """What a benchmark is written to."""
 _LEAST = 1e-3
 """Least ratio of errors: where the noise of the reference is subtracted, one may be below 0."""
@@ -73,6 +73,10 @@ class Case:
         That each estimate took, by estimator; NaN for finished images.
     render_seconds
         That the samples took; NaN where it is unknown.
+    images
+        By estimator, and last the "reference": the middle of the image of the first render, at most
+        128 x 128 pixels of linear radiance, (y, x, channel). Only at the least number of samples,
+        where one sees the most; whole images of all cases would fill the memory.
     """
 
     scene: str
@@ -83,6 +87,7 @@ class Case:
     fireflies: Mapping[str, float]
     seconds: Mapping[str, float]
     render_seconds: float
+    images: Mapping[str, Array] = field(default_factory=dict)
 
     @staticmethod
     def average(cases: Sequence[Case]) -> Case:
@@ -205,7 +210,12 @@ class Bench(Shown):
         return interval_of(statistic, blocks, bounds=(1, len(self.estimators)))
 
     def summary(self) -> list[dict[str, Any]]:
-        """Return a row for each estimator: geometric means and ranks over all cases."""
+        """Return a row for each estimator: what all cases say of it.
+
+        Geometric means of the ratios of errors and average ranks of the MSE, each with its
+        interval of 95 %; ``worst``, the largest ratio of the MSE in a case; ``bias``, the largest
+        in size of a case; ``fireflies``, the average of their shares; the number of cases.
+        """
         rows = []
         for name in self.estimators:
             row: dict[str, Any] = {"estimator": name}
@@ -213,9 +223,12 @@ class Bench(Shown):
                 found = self.geometric_mean(name, measure)
                 row |= {measure: found.value, f"{measure}_low": found.low}
                 row[f"{measure}_high"] = found.high
-            row["rank"] = self.rank(name).value
+            rank = self.rank(name)
+            row |= {"rank": rank.value, "rank_low": rank.low, "rank_high": rank.high}
             cases = [case for case in self.cases if name in case.errors]
             row["worst"] = max(case.ratio(name, self.baseline, "mse").value for case in cases)
+            row["bias"] = max((case.bias[name] for case in cases), key=abs)
+            row["fireflies"] = float(np.mean([case.fireflies[name] for case in cases]))
             row["cases"] = len(cases)
             rows.append(row)
         return rows
@@ -223,8 +236,14 @@ class Bench(Shown):
     def _card(self) -> Card:
         scenes, spp = {c.scene: None for c in self.cases}, {c.spp: None for c in self.cases}
         facts = {"scenes": ", ".join(scenes), "spp": ", ".join(map(str, spp))}
+        if not _HAS_FLIP:
+            facts["FLIP"] = "not measured; pip install 'chdstat[flip]' adds it"
         title = f"Benchmark: errors over those of {self.baseline}"
-        return Card(title, facts, [_shown(row) for row in self.summary()])
+        return Card(title, facts, self.shown(intervals=("mse", "relmse")))
+
+    def shown(self, *, intervals: Sequence[str] = MEASURES) -> list[dict[str, str]]:
+        """Return the summary as text under titles, these measures with their intervals."""
+        return [_shown(row, intervals) for row in self.summary()]
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
@@ -240,11 +259,12 @@ class Bench(Shown):
         """Return the summary as LaTeX, for a paper; it needs the package booktabs."""
         import pandas as pd
 
-        shown = pd.DataFrame([_shown(row) for row in self.summary()])
-        return str(shown.to_latex(index=False, escape=True))
+        return str(pd.DataFrame(self.shown()).to_latex(index=False, escape=True))
 
     def save(self, path: str | Path) -> Path:
-        """Write `table` to a .csv, the summary to a .tex, or both to a .json file.
+        """Write `table` to a .csv, the summary to a .tex, both to a .json file, or a .pdf.
+
+        The PDF has both, curves of the errors and images of every scene.
 
         Raises
         ------
@@ -252,6 +272,10 @@ class Bench(Shown):
             If the path ends otherwise, or cannot be written to.
         """
         target = checked_target(path, *FORMATS)
+        if target.suffix == ".pdf":
+            from chdstat.reporting.bench_report import save_pdf
+
+            return save_pdf(self, target)
         if target.suffix == ".csv":
             text = str(self.to_dataframe().to_csv(index=False))
         elif target.suffix == ".tex":
@@ -263,11 +287,16 @@ class Bench(Shown):
         return target
 
 
-def _shown(row: Mapping[str, Any]) -> dict[str, str]:
-    ratios = {m: f"{row[m]:.2f} [{row[f'{m}_low']:.2f}, {row[f'{m}_high']:.2f}]" for m in MEASURES}
+def _shown(row: Mapping[str, Any], intervals: Sequence[str]) -> dict[str, str]:
+    def ratio(measure: str) -> str:
+        ends = f" [{row[f'{measure}_low']:.2f}, {row[f'{measure}_high']:.2f}]"
+        return f"{row[measure]:.2f}{ends if measure in intervals else ''}"
+
     return {
         "estimator": row["estimator"],
-        **{_NAMES[measure]: ratio for measure, ratio in ratios.items()},
+        **{_NAMES[measure]: ratio(measure) for measure in MEASURES},
+        "bias": percent(row["bias"], sign=True),
+        "fireflies": percent(row["fireflies"]),
         "rank": f"{row['rank']:.1f}",
         "worst": number(row["worst"]),
     }

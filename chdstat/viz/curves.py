@@ -50,9 +50,10 @@ def curves(
     ylabel: str = "",
     level: float | None = None,
     columns: int = 2,
+    log: bool = False,
     fig: Figure | None = None,
 ) -> Figure:
-    """Draw shares, or other quantities from 0 to 1, against the number of samples.
+    """Draw shares, or other quantities, against the number of samples.
 
     Parameters
     ----------
@@ -67,6 +68,9 @@ def curves(
         Drawn as a dotted line.
     columns
         Panels side by side.
+    log
+        Give each panel a logarithmic axis of its own, as errors need; otherwise all share one from
+        0 to 1.
     fig
         Where to draw; None makes a figure.
 
@@ -89,7 +93,7 @@ def curves(
     ]
     rows, alone = -(-len(panels) // columns), len(panels) == 1
     figure = page(fig, 2.8 if alone else 1.85 * rows + 0.4)
-    axes = grid(figure, len(panels), 1 if alone else columns, sharey=True)
+    axes = grid(figure, len(panels), 1 if alone else columns, sharey=not log)
     for ax, (title, panel) in zip(axes, panels.items(), strict=True):
         for name, values in panel.items():
             i = names.index(name)
@@ -98,7 +102,10 @@ def curves(
         if level is not None:
             ax.axhline(level, color=_GREY, linewidth=0.8, linestyle=":")
         ax.set_title(verbatim(title))
-        ax.set_ylim(0, 1.03)
+        if log:
+            ax.set_yscale("log", nonpositive="mask")
+        else:
+            ax.set_ylim(0, 1.03)
         _by_number(ax, numbers)
     for ax in axes[-columns:]:
         ax.set_xlabel("samples")

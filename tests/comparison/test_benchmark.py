@@ -4,11 +4,12 @@ import json
 
 import numpy as np
 import pandas as pd
+import pypdfium2
 import pytest
 
 import chdstat as chd
 from chdstat.cli import main
-from chdstat.comparison import denoised
+from chdstat.comparison import cases, denoised
 from chdstat.errors import InputError
 from chdstat.estimators import Estimator
 
@@ -71,7 +72,34 @@ def test_geometric_means_and_ranks_are_over_all_cases(found):
     assert mean.low < np.exp(np.log(ratios).mean()) < mean.high
     assert mean.high < 1.1 * mean.low
     assert [found.rank(name).value for name in found.estimators] == [1, 2, 3]
-    assert found.summary()[2]["worst"] == pytest.approx(64, rel=0.06)
+    brighter, black = found.summary()[1:]
+    assert black["worst"] == pytest.approx(64, rel=0.06)
+    assert (brighter["rank_low"], brighter["rank"], brighter["rank_high"]) == (2, 2, 2)
+    assert brighter["bias"] == pytest.approx(0.5, abs=0.02)
+    assert (black["bias"], black["fireflies"]) == (pytest.approx(-1), 0)
+
+
+def test_the_summary_says_bias_fireflies_and_how_to_get_flip(found, monkeypatch):
+    monkeypatch.setattr(cases, "_HAS_FLIP", False)
+    lines = repr(found).splitlines()
+    head, *_, black = lines[-4:]
+    assert head.split()[-4:] == ["bias", "fireflies", "rank", "worst"]
+    assert black.replace("\xa0", " ").split()[-6:-2] == ["−100", "%", "0", "%"]
+    assert sum("pip install 'chdstat[flip]'" in line for line in lines) == 1
+    monkeypatch.setattr(cases, "_HAS_FLIP", True)
+    assert "pip install" not in repr(found)
+
+
+def test_the_middle_of_each_image_is_kept_at_the_least_number_of_samples():
+    wide = chd.Samples.from_array(np.ones((4, 140, 3, 8), np.float32))
+    truth = np.broadcast_to(np.arange(140.0)[:, np.newaxis], (4, 140, 3))
+    few, many = chd.bench(
+        {"a": wide}, ["mean"], spp=[4, 8], references={"a": truth}, progress=False
+    ).cases
+    assert list(few.images) == ["mean", "reference"]
+    assert few.images["reference"].shape == (4, 128, 3)
+    assert few.images["reference"][0, 0, 0] == 6
+    assert not many.images
 
 
 def test_it_shows_itself_and_is_written(found, tmp_path):
@@ -81,7 +109,17 @@ def test_it_shows_itself_and_is_written(found, tmp_path):
     table = pd.read_csv(found.save(tmp_path / "a.csv"))
     assert list(table["estimator"]) == [row["estimator"] for row in found.table()]
     assert json.loads(found.save(tmp_path / "a.json").read_text())["baseline"] == "mean"
-    with pytest.raises(InputError, match=r"\.csv, \.tex, \.json, got"):
+    pdf = pypdfium2.PdfDocument(found.save(tmp_path / "a.pdf"))
+    words = " ".join(page.get_textpage().get_text_range() for page in pdf)
+    pdf.close()
+    ratio = found.geometric_mean("x1.5")
+    for part in (
+        f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]",
+        "3.0 [3.0, 3.0]",
+        "sample mean",
+    ):
+        assert part in " ".join(words.split())
+    with pytest.raises(InputError, match=r"\.csv, \.tex, \.json, \.pdf, got"):
         found.save(tmp_path / "a.xls")
 
 

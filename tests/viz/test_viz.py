@@ -169,6 +169,10 @@ def test_curves_of_several_panels_share_looks_and_one_legend():
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
     assert [tick.get_text() for tick in second.get_xticklabels()] == ["8", "16"]
+    errors = {"dark": {"a": [1e-4, -1e-5]}, "bright": {"a": [10, 5]}}
+    dark, bright = viz.curves([8, 16], errors, log=True).axes
+    assert dark.get_yscale() == "log"
+    assert dark.get_ylim()[1] < bright.get_ylim()[0]
 
 
 @pytest.mark.parametrize("measured", [(0.5, 0.9), (0.02, 0.3), (np.nan, np.nan)])
