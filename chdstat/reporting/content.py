@@ -352,6 +352,7 @@ def scene_content(found: Results) -> dict[str, Any]:
         "title": data.samples.name,
         "remake": remake_note([data.samples]),
         "spp": data.samples.spp,
+        "luminance": data.samples.shape[2] == 3,
         "abstract": abstract(found),
         "key_figures": [figure._asdict() for figure in key_figures(found)],
         "findings": [headline._asdict() for headline in headlines(found)],

@@ -7,6 +7,7 @@ a folder, as numbers, maps and figures.
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -112,8 +113,19 @@ def report_figures(found: Results, curve: ErrorCurve | None) -> dict[str, Figure
 
 
 def panels_of(data: SceneData) -> list[viz.Panel]:
-    """Return the CHD of the pixel in the middle of each region: histograms and best fits."""
-    return [data.samples.pixel(*mark.pixel).panel(mark.name) for mark in _marks(data)]
+    """Return the CHD of the pixel in the middle of each region: histograms and best fits.
+
+    Beside those of three channels the luminance of this pixel and of those in the corners.
+    """
+    samples, panels = data.samples, []
+    for mark in _marks(data):
+        panel = samples.pixel(*mark.pixel).panel(mark.name)
+        if samples.shape[2] == 3:
+            corners = itertools.product(*((s.start, s.stop - 1) for s in (mark.ys, mark.xs)))
+            pixels = dict.fromkeys((mark.pixel, *corners))
+            panel = panel.with_luminance(np.stack([samples[pixel] for pixel in pixels]))
+        panels.append(panel)
+    return panels
 
 
 def _marks(data: SceneData) -> list[viz.Mark]:

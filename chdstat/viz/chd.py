@@ -1,60 +1,30 @@
-"""CHDs of pixels: histograms with their fits, and how batches of samples and their means scatter.
+"""CHDs of pixels: histograms of radiance, linear and logarithmic, with luminance and fits.
 
-`chd_axes` and `chd_grid` draw linear or log10 histograms per channel, `fits` several fits of one
-channel. `batch_histograms` follows the first figure of Elek et al. 2019: many batches of samples
-superimposed, and below them the histogram of their means.
+A `Panel` is the CHD of one pixel. `chd_pair` draws one, `chd_grid` several: pixels of an image, or
+the same pixels of several renderings side by side.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from chdstat._core.arrays import is_bad, is_null, take_rows
+from chdstat._core.arrays import is_bad, is_null, luminance, take_rows
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram, histogram
-from chdstat.viz.styling import (
-    CHANNELS,
-    PALETTE,
-    UNIT,
-    WIDTH,
-    axes_in,
-    grid,
-    page,
-    per_cent,
-    qualitative,
-    style,
-    verbatim,
-)
+from chdstat.viz.histograms import Density, by_channel, chd_axes, colors_of, draw_histograms
+from chdstat.viz.styling import PALETTE, UNIT, grid, page, per_cent, qualitative, style, verbatim
 
-__all__ = [
-    "Panel",
-    "batch_histograms",
-    "by_channel",
-    "chd_axes",
-    "chd_grid",
-    "chd_pair",
-    "draw_histograms",
-    "fits",
-]
+__all__ = ["Panel", "chd_grid", "chd_pair"]
 
-Array = npt.NDArray[Any]
-Density = Callable[[Array], Array]
-
-_CURVE_POINTS = 400
-_LINES = (PALETTE[4], PALETTE[5], PALETTE[2], PALETTE[3], PALETTE[0], "black")
-_DASHES = ("-", "--", "-.", (0, (4, 1, 1, 1, 1, 1)), ":", (0, (1, 1)))
-_ROOM = 1.35
-"""Height of a panel with fits over that of its histogram: a density may be infinite at 0."""
-_BINS = 40
+_LUMINANCE = "#333333"
 
 
 @dataclass(frozen=True)
@@ -75,6 +45,9 @@ class Panel:
         Mean radiance of each channel, drawn as a dashed line.
     note
         A line of text in the log panel, such as the share of nulls and the fitted family.
+    luminance
+        Log histograms of the luminance of the pixel and, after it, of others of its region, of
+        shape (pixel, bin), drawn beside the radiance; None for none. See `with_luminance`.
     """
 
     name: str
@@ -84,6 +57,7 @@ class Panel:
     fits: Sequence[Density | None] = ()
     mean: Sequence[float] = ()
     note: str = ""
+    luminance: Histogram | None = None
 
     @classmethod
     def of(
@@ -119,176 +93,99 @@ class Panel:
         note = f"{per_cent(null.mean())} nulls" if note is None else note
         return cls(name, linear, log, channels, fits, mean, note)
 
+    def with_luminance(self, x: npt.ArrayLike) -> Self:
+        """Return the panel with luminance beside the radiance.
 
-@style()
-def chd_axes(
-    found: Histogram,
-    *,
-    channels: Sequence[str] | None = None,
-    fits: Sequence[Density | None] = (),
-    ax: Axes | None = None,
-) -> Axes:
-    """Draw the histograms of all channels of a pixel over each other.
+        Parameters
+        ----------
+        x
+            Linear radiance, shape (pixel, channel, sample): of the pixel and, after it, of others
+            of its region; a sample with a bad channel is left out.
 
-    Parameters
-    ----------
-    found
-        What `chdstat.histogram` returns for one pixel, of shape (channel, bin) or (bin,). A log
-        histogram has a log axis of radiance.
-    channels
-        Their names; those called R, G and B, as three channels are by default, have these colours.
-    fits
-        For each channel the density of its positive samples per unit of radiance, such as
-        ``fit.pdf`` of a `chdstat.fit.Fit` of the channel; None draws none.
-    ax
-        Where to draw; None makes a figure.
+        Raises
+        ------
+        InputError
+            If there are not three axes, or neither 1 nor 3 channels.
 
-    Raises
-    ------
-    InputError
-        If the histogram is not one of a single pixel, or has another number of channels.
-
-    Examples
-    --------
-    >>> import chdstat as chd
-    >>> samples = np.random.default_rng(0).gamma(1.0, size=(3, 256))
-    >>> ax = chd_axes(chd.histogram(samples, scale="log"))
-    >>> ax.get_xscale()
-    'log'
-    """
-    rows = by_channel(found, channels)
-    colors = _colors(rows)
-    spine = ax is not None and ax.spines["left"].get_visible()  # those of one's own stay
-    ax = axes_in(ax, 1.8)
-    draw_histograms(ax, rows, colors=colors)
-    ax.spines["left"].set_visible(spine)
-    for counted, density, color in zip(rows.values(), fits, colors, strict=False):
-        if density is not None:
-            _draw_fit(ax, counted, density, color=color, linewidth=1.3)
-    return ax
-
-
-def by_channel(found: Histogram, channels: Sequence[str] | None = None) -> dict[str, Histogram]:
-    """Return the histogram of each channel of one pixel, by the name of the channel.
-
-    Raises
-    ------
-    InputError
-        If the histogram is not one of a single pixel, or there are not as many names.
-    """
-    shape = found.counts.shape
-    count = 1 if len(shape) == 1 else shape[0]
-    names = channels or ("RGB" if count == 3 else [f"channel{i}" for i in range(count)])
-    if len(shape) > 2 or len(names) != count:
-        message = (
-            f"expected the histogram of one pixel, of shape (channel, bin), and {len(names)} "
-            f"channels, got one of shape {shape}"
-        )
-        raise InputError(message)
-    if len(shape) == 1:
-        return {names[0]: found}
-    return {name: take_rows(found, i, axis=0) for i, name in enumerate(names)}
-
-
-def draw_histograms(
-    ax: Axes,
-    found: Mapping[str, Histogram],
-    *,
-    colors: Sequence[Any],
-    outlines: Sequence[Any] | None = None,
-    dashes: Sequence[Any] = ("-",),
-) -> tuple[float, float]:
-    """Draw histograms of one scale over each other, over the radiance that holds samples.
-
-    Parameters
-    ----------
-    ax
-        Where to draw.
-    found
-        Histograms of shape (bin,), by their names in the legend.
-    colors, outlines
-        Colours of their areas and, where these are not the same, of their outlines.
-    dashes
-        Line styles of their outlines, in turn.
-
-    Returns
-    -------
-    tuple of float
-        Ends of the bins that hold samples. The axis goes on to a whole decade, or to 0.
-    """
-    scale = next(iter(found.values())).scale
-    ends: list[float] = []
-    for i, (name, counted) in enumerate(found.items()):
-        density, edges = counted.density, counted.edges
-        filled = np.flatnonzero(np.nan_to_num(density) > 0)
-        if not filled.size:
-            continue
-        ends += [edges[filled[0]], edges[filled[-1] + 1]]
-        ax.stairs(density, edges, fill=True, color=colors[i], alpha=0.22)
-        look = {"color": (outlines or colors)[i], "linestyle": dashes[i % len(dashes)]}
-        ax.stairs(density, edges, linewidth=0.7, label=verbatim(name), **look)
-    if not ends:
-        where = (0.5, 0.5)
-        ax.annotate("no positive samples", where, xycoords="axes fraction", ha="center")
-    ax.set_xscale(scale)
-    if scale == "log":
-        low, high = min(ends, default=1e-5), max(ends, default=1e5)
-        ax.set_xlim(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
-    else:
-        low, high = min(ends, default=0.0), max(ends, default=1.0)
-        ax.set_xlim(min(0.0, low), high)
-    ax.set_ylim(bottom=0)
-    ax.set_yticks([])
-    ax.spines["left"].set_visible(False)
-    return low, high
-
-
-def _draw_fit(ax: Axes, counted: Histogram, density: Density, **look: Any) -> None:
-    """Draw a density over a histogram, per unit of radiance or per decade as its bins are."""
-    space = np.geomspace if counted.scale == "log" else np.linspace
-    x = space(*ax.get_xlim(), _CURVE_POINTS)
-    y = np.full(x.shape, np.nan)
-    with np.errstate(all="ignore"):
-        y[x > 0] = density(x[x > 0])
-    y = y * x * np.log(10) if counted.scale == "log" else y
-    if not np.isfinite(y).any():
-        return
-    top = max(ax.get_ylim()[1], _ROOM * float(np.nanmax(counted.density, initial=0)))
-    ax.plot(x, y, **look)
-    ax.set_ylim(0, top)
-
-
-def _colors(channels: Sequence[str] | Mapping[str, Any]) -> list[str]:
-    return [CHANNELS.get(name, PALETTE[i % len(PALETTE)]) for i, name in enumerate(channels)]
+        Examples
+        --------
+        >>> x = np.random.default_rng(0).gamma(1.0, size=(5, 3, 64))
+        >>> Panel.of("wall", x[0]).with_luminance(x).luminance.counts.shape
+        (5, 100)
+        """
+        samples = np.asarray(x, np.float64)
+        if samples.ndim != 3:
+            message = f"expected samples of shape (pixel, channel, sample), got {samples.shape}"
+            raise InputError(message)
+        bad, null = np.asarray(is_bad(samples).any(axis=1)), is_null(samples)
+        light = np.asarray(luminance(np.where(bad[:, np.newaxis], 0.0, samples)))
+        return replace(self, luminance=histogram(light, scale="log", null=null, bad=bad))
 
 
 @style()
-def chd_grid(panels: Sequence[Panel], *, columns: int = 2, fig: Figure | None = None) -> Figure:
+def chd_grid(
+    panels: Sequence[Panel] | Mapping[str, Sequence[Panel]],
+    *,
+    columns: int | None = None,
+    fig: Figure | None = None,
+) -> Figure:
     """Draw linear and log10 CHDs of several pixels, each framed in the colour of its region.
+
+    A panel that has luminance is followed by it: the pixel in black, others of its region as lines.
 
     Parameters
     ----------
     panels
-        In the order of the marks in the image, so that colours agree.
+        In the order of the marks in the image, so that colours agree. By the names of several
+        renderings of one view, such as its day and its night, the same pixels of each: these stand
+        side by side, without the linear histograms, and a row has one axis of radiance.
     columns
-        Pixels side by side; each takes two panels.
+        Pixels side by side; each takes two panels, three with luminance. None takes two pixels,
+        and as many as there are renderings.
     fig
         Where to draw; None makes a figure.
 
     Raises
     ------
     InputError
-        If there is no panel.
+        If there is no panel, or renderings have different numbers of them.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).gamma(1.0, size=(2, 4, 3, 64))  # rendering, pixel
+    >>> panels = [[Panel.of("wall", one[0]).with_luminance(one)] for one in x]
+    >>> len(chd_grid({"day": panels[0], "night": panels[1]}).axes)
+    4
     """
-    rows = -(-len(panels) // columns)
-    figure = page(fig, 1.27 * rows + 0.3, wspace=0.02, hspace=0.04)
-    axes = grid(figure, 2 * len(panels), 2 * columns)
-    for i, (panel, color) in enumerate(zip(panels, qualitative(len(panels)), strict=True)):
-        pair = axes[2 * i : 2 * i + 2]
-        _draw_pair(pair, panel, f"{i + 1} {panel.name}", below=i + columns >= len(panels))
-        for ax in pair:
-            ax.spines["bottom"].set(color=color, linewidth=2.2)
-    _name_channels(axes[0], panels[0])
+    named = panels if isinstance(panels, Mapping) else {"": panels}
+    renderings = list(named.values())
+    numbers = {name: len(those) for name, those in named.items()}
+    if len(set(numbers.values())) > 1:
+        message = f"expected the same pixels of each rendering, got numbers of panels {numbers}"
+        raise InputError(message)
+    several = len(renderings) > 1
+    columns = len(renderings) if several else columns or 2
+    # Pixel by pixel, and of each all renderings.
+    shown = [(i, name, those[i]) for i in range(max(numbers.values(), default=0))
+             for name, those in named.items()]  # fmt: skip
+    each = (1 if several else 2) + any(panel.luminance is not None for _, _, panel in shown)
+    figure = page(fig, 1.27 * -(-len(shown) // columns) + 0.3, wspace=0.02, hspace=0.04)
+    axes = grid(figure, each * len(shown), each * columns)
+    colors = qualitative(len(renderings[0]))
+    for k, (i, name, panel) in enumerate(shown):
+        own = axes[each * k : each * (k + 1)]
+        title = f"{i + 1} {panel.name}" + (f", {name}" if name else "")
+        below = k + columns >= len(shown)
+        _draw_pixel(
+            own, panel, title, below=below, leftmost=k % columns == 0, linear=not several,
+            color=colors[i],
+        )  # fmt: skip
+        for ax in own:
+            ax.spines["bottom"].set(color=colors[i], linewidth=2.2)
+    if several:
+        for row in range(0, len(axes), each * columns):
+            _share_radiance(axes[row : row + each * columns])
+    _name_channels(figure, axes[0], shown[0][2])
     return figure
 
 
@@ -299,7 +196,7 @@ def chd_pair(panel: Panel, *, fig: Figure | None = None) -> Figure:
     Parameters
     ----------
     panel
-        The pixel.
+        The pixel; if it has luminance, that stands beside them.
     fig
         Where to draw; None makes a figure.
 
@@ -310,141 +207,76 @@ def chd_pair(panel: Panel, *, fig: Figure | None = None) -> Figure:
     2
     """
     figure = page(fig, 2.2)
-    axes = grid(figure, 2, 2)
-    _draw_pair(axes, panel, panel.name, below=True)
-    _name_channels(axes[0], panel)
+    number = 2 + (panel.luminance is not None)
+    axes = grid(figure, number, number)
+    _draw_pixel(axes, panel, panel.name, below=True)
+    _name_channels(figure, axes[0], panel)
     return figure
 
 
-def _draw_pair(pair: Sequence[Axes], panel: Panel, title: str, *, below: bool) -> None:
-    """Draw a pixel into two axes, which are named if nothing stands below them."""
-    for ax, counted in zip(pair, (panel.linear, panel.log), strict=True):
+def _draw_pixel(
+    axes: Sequence[Axes],
+    panel: Panel,
+    title: str,
+    *,
+    below: bool,
+    leftmost: bool = True,
+    linear: bool = True,
+    color: str = PALETTE[4],
+) -> None:
+    """Draw a pixel into its axes, which are named if nothing stands below them."""
+    scales = [panel.linear, panel.log] if linear else [panel.log]
+    for ax, counted in zip(axes, scales, strict=False):
         chd_axes(counted, channels=panel.channels, fits=panel.fits, ax=ax)
-        for mean, shade in zip(panel.mean, _colors(panel.channels or "RGB"), strict=False):
+        for mean, shade in zip(panel.mean, colors_of(panel.channels or "RGB"), strict=False):
             if np.isfinite(mean) and mean > 0:
                 ax.axvline(mean, 0, 0.92, color=shade, linewidth=0.8, linestyle=(0, (3, 2)))
-    pair[0].set_title(verbatim(title), loc="left", fontweight="bold", pad=3)
-    pair[1].set_title(panel.note, loc="right", pad=3, color="#444444")
-    pair[0].set(ylabel="density", xlabel=f"radiance ({UNIT})" if below else "")
-    pair[1].set_xlabel(f"radiance ({UNIT}), log scale" if below else "")
+        narrow = len(axes) > 2
+        log = "radiance, log scale" if narrow else f"radiance ({UNIT}), log scale"
+        name = f"radiance ({UNIT})" if counted.scale == "linear" else log
+        ax.set_xlabel(name if below else "")
+    if panel.luminance is not None:
+        _draw_luminance(axes[-1], panel.luminance, color)
+        axes[-1].set_xlabel("luminance, log scale" if below else "")
+        _share_radiance(axes[-2:])
+    elif len(axes) > len(scales):
+        axes[-1].set_axis_off()
+    axes[0].set_title(verbatim(title), loc="left", fontweight="bold", pad=3)
+    axes[-1].set_title(panel.note, loc="right", pad=3, color="#444444")
+    axes[0].set_ylabel("density" if leftmost else "")
 
 
-def _name_channels(ax: Axes, panel: Panel) -> None:
+def _draw_luminance(ax: Axes, found: Histogram, color: str) -> None:
+    """Draw the luminance of a pixel, and over it that of others of its region as lines."""
+    first, *others = (take_rows(found, i, axis=0) for i in range(len(found.counts)))
+    draw_histograms(ax, {"": first}, colors=[_LUMINANCE])
+    for other in others:
+        ax.stairs(other.density, other.edges, color=color, linewidth=0.7, zorder=0.9)
+    ax.set_ylim(0, 1.05 * float(np.nanmax(found.density, initial=0)) or 1.0)
+    ax.spines["left"].set_visible(True)
+
+
+def _share_radiance(axes: Sequence[Axes]) -> None:
+    """Give axes with samples one range of radiance."""
+    ends = [ax.get_xlim() for ax in axes if ax.patches]
+    if ends:
+        lows, highs = zip(*ends, strict=True)
+        for ax in axes:
+            ax.set_xlim(min(lows), max(highs))
+
+
+def _name_channels(figure: Figure, ax: Axes, panel: Panel) -> None:
+    """Name the colours: in the axes where these are of radiance alone, else above all."""
     names = list(by_channel(panel.log, panel.channels))
-    channels = [
+    handles = [
         Line2D([], [], color=color, label=verbatim(name))
-        for name, color in zip(names, _colors(names), strict=True)
+        for name, color in zip(names, colors_of(names), strict=True)
     ]
-    ax.legend(handles=channels, loc="upper right", handlelength=1, borderaxespad=0)
-
-
-@style()
-def fits(
-    linear: Histogram,
-    log: Histogram,
-    fitted: Mapping[str, Density],
-    *,
-    title: str = "",
-    fig: Figure | None = None,
-) -> Figure:
-    """Draw several fits of one pixel over its linear and its log10 histogram.
-
-    Parameters
-    ----------
-    linear, log
-        Histograms of the same samples, for one pixel and channel.
-    fitted
-        By name, the density of the positive samples per unit of radiance: ``fit.pdf`` of a
-        `chdstat.fit.Fit`, of a mixture, or of a SciPy distribution.
-    title
-        What is shown.
-    fig
-        Where to draw; None makes a figure.
-
-    Raises
-    ------
-    InputError
-        If a histogram is one of several pixels or channels.
-
-    Examples
-    --------
-    >>> import chdstat as chd
-    >>> from chdstat import viz
-    >>> x = np.random.default_rng(1).gamma(2.0, size=500)
-    >>> histograms = chd.histogram(x, scale="linear"), chd.histogram(x, scale="log")
-    >>> names = ("gamma", "lognormal")
-    >>> figure = viz.fits(*histograms, {name: chd.fit.fit(x, name).pdf for name in names})
-    >>> len(figure.axes)
-    2
-    """
-    figure = page(fig, 2.2)
-    axes = grid(figure, 2, 2)
-    for ax, counted in zip(axes, (linear, log), strict=True):
-        draw_histograms(ax, by_channel(counted, ["samples"]), colors=["#AAAAAA"])
-        for i, (name, density) in enumerate(fitted.items()):
-            look = {"color": _LINES[i % len(_LINES)], "linestyle": _DASHES[i % len(_DASHES)]}
-            _draw_fit(ax, counted, density, label=name, **look)
-    axes[0].set_xlabel(f"radiance ({UNIT})")
-    axes[0].set_ylabel("density per unit of radiance")
-    axes[1].set_xlabel(f"radiance ({UNIT}), log scale")
-    axes[1].set_ylabel("density per decade")
-    if axes[0].get_legend_handles_labels()[0]:
-        axes[0].legend(loc="upper right")
-    axes[0].set_title(title, loc="left")
-    return figure
-
-
-@style()
-def batch_histograms(batches: Mapping[str, npt.ArrayLike], *, fig: Figure | None = None) -> Figure:
-    """Draw superimposed histograms of batches and, below, the histogram of their means.
-
-    The axis of the batches ends where 1 % of the samples are brighter: a firefly must not squeeze
-    all others into the first bin.
-
-    Parameters
-    ----------
-    batches
-        Samples by the name of their pixel, radiance of shape (batch, sample), as many of each. A
-        dashed line is their mean.
-    fig
-        Where to draw; None makes a figure.
-
-    Raises
-    ------
-    InputError
-        If there is no pixel.
-
-    Examples
-    --------
-    >>> x = np.random.default_rng(0).gamma(0.5, size=(64, 32))
-    >>> len(batch_histograms({"wall": x}).axes)
-    2
-    """
-    count = len(batches)
-    figure = page(fig, 2.1, WIDTH * min(1.0, 0.26 * count))
-    axes = grid(figure, 2 * count, max(1, count))
-    for i, (name, samples) in enumerate(batches.items()):
-        x, color = np.asarray(samples, dtype=np.float64), qualitative(count)[i]
-        means, expected = x.mean(axis=1), float(x.mean())
-        top = float(np.quantile(x, 0.99)) or float(x.max()) or 1.0
-        edges = np.linspace(0, max(top, 1.5 * expected), _BINS + 1)
-        counts = np.stack([np.histogram(row, edges)[0] for row in x])
-        # The outlines of all batches, shape (batch, corner, 2), are drawn as one.
-        y = np.pad(np.repeat(counts, 2, axis=1), ((0, 0), (1, 1)))
-        outlines = np.stack([np.broadcast_to(np.repeat(edges, 2), y.shape), y], axis=-1)
-        upper, lower = axes[i], axes[count + i]
-        alpha = min(0.5, max(0.03, 2.5 / len(x)))
-        upper.add_collection(PolyCollection([*outlines], facecolor=color, lw=0, alpha=alpha))
-        upper.stairs(counts.mean(axis=0), edges, color="#222222", linewidth=0.6)
-        upper.set_ylim(0, 1.15 * float(np.max(counts[:, 1:])) or 1.0)
-        upper.set_title(verbatim(name))
-        lower.hist(means, bins=_BINS // 2, color=color)
-        for ax in (upper, lower):
-            ax.axvline(expected, color="black", linewidth=0.9, linestyle="--")
-            ax.set(yticks=[], xlim=(min(0.0, float(means.min())), None))
-            ax.locator_params(axis="x", nbins=3)
-            ax.spines["left"].set_visible(False)
-    axes[0].set_ylabel(f"{len(x)} batches\nof {x.shape[1]} samples")
-    axes[count].set_ylabel(f"their {len(x)}\nmeans")
-    figure.supxlabel(f"radiance in {UNIT}")
-    return figure
+    if panel.luminance is None:
+        ax.legend(handles=handles, loc="upper right", handlelength=1, borderaxespad=0)
+        return
+    handles.append(Line2D([], [], color=_LUMINANCE, label="luminance"))
+    if len(panel.luminance.counts) > 1:
+        others = "in the colour of the region: its other pixels"
+        handles.append(Line2D([], [], linestyle="", label=others))
+    figure.legend(handles=handles, loc="outside upper center", ncols=5, handlelength=1)

@@ -22,8 +22,9 @@ from matplotlib.patches import Rectangle
 from chdstat._core.image_scales import display_stops, tonemap
 from chdstat.errors import InputError
 from chdstat.summary.histograms import Histogram
-from chdstat.viz.chd import Panel, by_channel, draw_histograms
+from chdstat.viz.chd import Panel
 from chdstat.viz.estimators import NAMES
+from chdstat.viz.histograms import by_channel, draw_histograms
 from chdstat.viz.styling import PALETTE, UNIT, WIDTH, bare, grid, page, qualitative, style, verbatim
 
 __all__ = [

@@ -106,6 +106,44 @@ def test_chd_grid_shows_every_panel():
         viz.chd_grid([])
 
 
+def test_luminance_of_several_pixels_stands_beside_the_radiance():
+    x = np.random.default_rng(3).gamma(1.0, size=(3, 3, 64))
+    x[0, :, :16], x[1, 0, 0] = 0, np.nan
+    panel = viz.Panel.of("wall", x[0]).with_luminance(x)
+    light = panel.luminance
+    assert light.null_count.tolist() == [16, 0, 0]
+    assert light.bad_count.tolist() == [0, 1, 0]
+    # Rec. 709
+    own = histogram(np.tensordot([0.2126, 0.7152, 0.0722], x[2], 1), scale="log")
+    np.testing.assert_array_equal(light.counts[2], own.counts)
+    linear, log, beside = viz.chd_grid([panel]).axes
+    drawn = [p.get_data().values for p in beside.patches if not p.get_fill()]
+    np.testing.assert_allclose(drawn, light.density)
+    assert beside.get_xlim() == log.get_xlim() != linear.get_xlim()
+    assert "luminance" in texts(viz.chd_pair(panel))
+    with pytest.raises(InputError, match=r"\(pixel, channel, sample\), got \(3, 64\)"):
+        panel.with_luminance(x[0])
+    with pytest.raises(InputError, match="1 or 3 channels"):
+        panel.with_luminance(x[:, :2])
+
+
+def test_renderings_stand_side_by_side_on_one_axis_of_radiance():
+    x = np.random.default_rng(4).gamma(1.0, size=(2, 3, 64))
+    day, night = ([viz.Panel.of(f"p{i}", s * x[i]) for i in range(2)] for s in (100, 1))
+    figure = viz.chd_grid({"by day": day, "by night": night})
+    assert [ax.get_title("left") for ax in figure.axes] == [
+        f"{i + 1} p{i}, {name}" for i in range(2) for name in ("by day", "by night")
+    ]
+    for first, second in (figure.axes[:2], figure.axes[2:]):
+        assert first.get_xscale() == "log"
+        assert first.get_xlim() == second.get_xlim()
+        assert first.patches[0].get_data().edges[0] == second.patches[0].get_data().edges[0]
+    with pytest.raises(InputError, match="'by day': 2, 'by night': 1"):
+        viz.chd_grid({"by day": day, "by night": night[:1]})
+    with pytest.raises(InputError, match="at least one panel"):
+        viz.chd_grid({})
+
+
 def test_a_pixel_without_samples_says_so():
     linear, log = (histogram(np.zeros((3, 8)), scale=scale) for scale in ("linear", "log"))
     figure = viz.chd_grid([viz.Panel("dark", linear, log)])
