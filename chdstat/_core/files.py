@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.places import is_remote
 from chdstat.errors import InputError, StoreError
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "checked_target",
     "checksum",
     "free_disk",
+    "locked",
     "release",
     "remove",
     "replacing",
@@ -140,6 +142,9 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
     ...     [path.name for path in Path(folder).iterdir()]
     ['found.json']
     """
+    if is_remote(path):
+        yield path
+        return
     sweep(path.parent, path)
     with _partial(path, folder=folder) as partial:
         yield partial
@@ -179,7 +184,7 @@ def sweep(folder: Path, path: Path | None = None) -> None:
 
     What is locked belongs to a process that is alive, and stays.
     """
-    if _fcntl is None:
+    if _fcntl is None or is_remote(folder):
         return
     if path is None:
         found = folder.rglob(".*.partial*")
@@ -337,6 +342,15 @@ class Lock:
             self.release()
 
 
+def locked(folder: Path, name: str) -> Lock | None:
+    """Take the lock of a folder, and remove what killed writers left in it; None behind a URL."""
+    if is_remote(folder):
+        return None
+    lock = Lock(folder / name, folder)
+    sweep(folder)
+    return lock
+
+
 def _made(path: Path, *, folder: bool = False) -> int | None:
     """Make a file or folder, and return what holds its lock; None where another process has it."""
     for _ in range(_TRIES):  # who sweeps may have removed it between the two
@@ -374,8 +388,11 @@ def _locked(path: Path) -> int | None:
 def free_disk(path: Path) -> int | None:
     """Return the free bytes of the disk that a path, which need not exist yet, would be on.
 
-    None where there is no disk, as in /proc: whoever writes there learns what is wrong.
+    None where there is no disk, as in /proc or behind a URL: whoever writes there learns what is
+    wrong.
     """
+    if is_remote(path):
+        return None
     existing = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
     usage = shutil.disk_usage(existing)
     return usage.free if usage.total else None

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chdstat._core.places import place_of
 from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import InputError
@@ -285,10 +286,10 @@ def compare(
 
 @cli.app.command(epilog="Example: chdstat contrast path.zarr changed.zarr -o contrast.pdf")
 def contrast(
-    a: Annotated[Path, typer.Argument(metavar="A", help="A finished store.")],
+    a: Annotated[Path, typer.Argument(metavar="A", help="A finished store.", parser=place_of)],
     b: Annotated[
         Path,
-        typer.Argument(metavar="B", help="Another store of the view, or a converged EXR image."),
+        typer.Argument(metavar="B", help="Another store, or a converged EXR.", parser=place_of),
     ],
     alpha: Annotated[
         float, typer.Option(help="Probability of a difference found where there is none.")

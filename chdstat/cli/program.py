@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 import typer
 
 from chdstat import __version__
+from chdstat._core.places import is_path, place_of
 from chdstat.errors import ChdstatError, InputError, LeftOutWarning
 
 if TYPE_CHECKING:
@@ -99,7 +100,9 @@ SceneOrStore = Annotated[
         autocompletion=_scene_names,
     ),
 ]
-StorePath = Annotated[Path, typer.Argument(metavar="STORE", help="A finished store.")]
+StorePath = Annotated[
+    Path, typer.Argument(metavar="STORE", help="A finished store, or its URL.", parser=place_of)
+]
 Spp = Annotated[
     int | None,
     typer.Option(
@@ -176,6 +179,8 @@ StoreKept = Annotated[
     Path | None,
     typer.Option(
         "--store",
+        metavar="PATH",
+        parser=place_of,
         help="Store in which the samples are kept, and resumed from.",
         show_default="none: in memory",
     ),
@@ -217,7 +222,7 @@ def source_of(source: str, define: list[str] | None) -> Path | Scene:
     if not is_store(source):
         return scene_of(source, define)
     refuse_render(source, {"-D": define or None})
-    return Path(source)
+    return place_of(source)
 
 
 def samples_of(
@@ -238,7 +243,7 @@ def samples_of(
     from chdstat.samples import open as open_store
 
     found = source_of(source, define)
-    if isinstance(found, Path):
+    if is_path(found):
         # A seed may be that of a training, and spp the number of first samples.
         asked = {"size": size, "store": store, "max_depth": max_depth, "backend": backend}
         refuse_render(source, asked)

@@ -120,10 +120,11 @@ def report(
     import chdstat
     from chdstat.comparison.candidates import DEFAULT
     from chdstat.reporting.typst import pages_of
+    from chdstat.scenes import Scene
 
     cli.load_plugins(plugin)
     given = cli.source_of(source, define)
-    if as_published and not isinstance(given, Path):
+    if as_published and isinstance(given, Scene):
         from chdstat.reporting.scene_report import published_seconds
 
         hours = published_seconds(given, recipe, backend=backend) / 3600

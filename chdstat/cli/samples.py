@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
+from chdstat._core.places import place_of
 from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError, InputError
@@ -22,7 +23,16 @@ __all__ = ["convert", "export", "import_samples", "include", "info", "render"]
 )
 def render(
     scene: cli.SceneName,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Store to write, resume or append to.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="PATH",
+            parser=place_of,
+            help="Store to write, resume or append to.",
+        ),
+    ],
     spp: Annotated[int, typer.Option("--spp", help="Number of samples per pixel.")] = cli.SPP,
     size: cli.Size = None,
     seed: cli.Seed = 0,
@@ -165,7 +175,12 @@ def import_samples(
         list[str],
         typer.Argument(metavar="SOURCE...", help="Files of samples in their order, or a folder."),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Store to write or append to.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="PATH", parser=place_of, help="Store to write or append to."
+        ),
+    ],
     format: Annotated[  # noqa: A002 - what users call it
         str | None,
         typer.Option(metavar="NAME", help="Format.", show_default="by the names of the files"),
@@ -389,7 +404,10 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
 @cli.app.command(epilog="Example: chdstat convert old.zarr -o new.zarr --scene bathroom")
 def convert(
     store: cli.StorePath,
-    out: Annotated[Path, typer.Option("--out", "-o", help="New store to write.")],
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="PATH", parser=place_of, help="New store to write."),
+    ],
     scene: Annotated[
         str | None,
         typer.Option(

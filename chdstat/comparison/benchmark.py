@@ -262,8 +262,7 @@ def _held(given: Any) -> Samples | None:
     """Return samples that are there, be they given or in a store."""
     if isinstance(given, Samples):
         return given
-    stored = isinstance(given, str | Path) and is_store(given)
-    return open_samples(given) if stored else None
+    return open_samples(given) if is_store(given) else None
 
 
 def _mean(samples: Samples) -> tuple[Array, Array]:

@@ -21,6 +21,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from chdstat._core.places import place_of
 from chdstat.errors import InputError
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.startup import Startup, startup_handler
@@ -213,7 +214,7 @@ def explore(
     render = explorer = coarse = None
     if isinstance(source, Samples) or is_store(source):
         stored = source
-        name = source.name if isinstance(source, Samples) else Path(source).name
+        name = source.name if isinstance(source, Samples) else place_of(source).name
     else:
         job = Job.of(source, size=size, seed=seed, max_depth=max_depth, backend="scalar")
         render, name, stored = RenderProcess(job), job.scene.name, None

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, whole
+from chdstat._core.places import place_of
 from chdstat._core.progress import track
 from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.rendering.backend import Backend, Color, activate
@@ -119,7 +120,7 @@ def render(
         of a light (of its shape, in most scenes) or a pattern such as ``"lamp-*"`` that names a
         group of them. What comes from each is a share of `chdstat.patterns.attribute`, too.
     out
-        Where to store the samples; None keeps them in memory.
+        Where to store the samples, a path or a URL; None keeps them in memory.
     backend
         "auto" takes the fastest backend that has proved itself on this machine.
     client
@@ -152,7 +153,7 @@ def render(
     loaded, spp = load_scene(scene), whole("spp", spp, least=1)
     deepest = DIRECT_DEPTH if by_depth is None else whole("by_depth", by_depth, least=DIRECT_DEPTH)
     depths = set(range(DIRECT_DEPTH, deepest + 1)) if direct or by_depth else set()
-    existing = Store.open(Path(out)) if out is not None and is_store(out) else None
+    existing = Store.open(place_of(out)) if out is not None and is_store(out) else None
     if existing is not None:
         held = existing.parts()  # parts of other samples are refused here
         depths |= {part for part in held if isinstance(part, int)}
@@ -206,7 +207,7 @@ def render(
             for which, of_part in partial.items():
                 del renderer  # kernels are frozen where one scene is alive only
                 renderer = Renderer(of_part)
-                folder = None if out is None else Path(out) / part_folder(which)
+                folder = None if out is None else place_of(out) / part_folder(which)
                 with _writer(of_part, renderer, spp, folder) as part:
                     _fill(of_part, renderer, part, client, progress)
                     parts[which] = part.finish()
@@ -333,7 +334,7 @@ def _writer(job: Job, renderer: Renderer, spp: int, out: str | Path | None) -> I
     if out is None:
         yield MemoryWriter(attrs, renderer.size, spp)
         return
-    with opened_store(Path(out), attrs, renderer.size, spp) as store:
+    with opened_store(place_of(out), attrs, renderer.size, spp) as store:
         yield store
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from chdstat._core.executor import check_memory
 from chdstat._core.files import free_disk
+from chdstat._core.places import place_of
 from chdstat.errors import InputError, StoreError
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
@@ -83,7 +84,7 @@ def check_room(size: tuple[int, int], spp: int, out: str | Path | None) -> None:
     what = f"{spp} samples for each of {size[0]} x {size[1]} pixels"
     if out is None:
         check_memory(needed, what, "use fewer samples or pixels, or give a store to write to")
-    elif (free := free_disk(Path(out))) is not None and needed > _MOST_COMPRESSION * free:
+    elif (free := free_disk(place_of(out))) is not None and needed > _MOST_COMPRESSION * free:
         message = (
             f"{what} take {needed / 1e9:.3g} GB, more than the disk can hold; use fewer samples "
             "or pixels, or free some space"

@@ -11,12 +11,13 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, Unpack
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, Unpack, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import LeftOut
+from chdstat._core.places import exists, is_path, is_remote, place_of
 from chdstat.errors import InputError, StoreError
 from chdstat.samples.samples import Samples
 from chdstat.samples.tiles import (
@@ -65,8 +66,10 @@ def is_store(source: object) -> TypeGuard[str | Path]:
     >>> is_store("cornell-box")
     False
     """
-    manifests = ("zarr.json", "radiance/zarr.json")
-    return isinstance(source, str | Path) and any(is_file(Path(source) / m) for m in manifests)
+    if not is_path(source):
+        return False
+    manifests = [place_of(source) / name for name in ("zarr.json", "radiance/zarr.json")]
+    return any(exists(file) if is_remote(file) else is_file(file) for file in manifests)
 
 
 def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like open
@@ -78,7 +81,8 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
     Parameters
     ----------
     path
-        The store, as written by `chdstat.render` or ``chdstat render``.
+        The store, as written by `chdstat.render` or ``chdstat render``: a folder, or any URL that
+        fsspec reaches, such as ``s3://bucket/room.zarr``.
 
     Raises
     ------
@@ -88,7 +92,7 @@ def open(path: str | Path) -> Samples:  # noqa: A001 - chdstat.open reads like o
     """
     from chdstat.samples.store import Store
 
-    store = Store.open(Path(path))
+    store = Store.open(place_of(path))
     if not store.complete_spp():
         message = (
             f"{path} holds no sample that every pixel has: its rendering was stopped early. "
@@ -188,7 +192,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
     """
     from chdstat.samples.store import Store
 
-    store = Store.open(Path(path))
+    store = Store.open(place_of(path))
     parts, counts = store.parts(), store.counts()
     height, width, channels, spp = store.shape
     files = [f for f in store.path.rglob("*") if f.is_file()]
@@ -213,7 +217,7 @@ def inspect(path: str | Path, *, verify: bool = False) -> dict[str, Any]:
 
 def opened(x: Image | npt.ArrayLike) -> Samples | npt.ArrayLike:
     """Return the samples of a store that is given by its path; everything else passes through."""
-    return open(x) if isinstance(x, str | Path) else x
+    return open(x) if is_path(x) else cast("Samples | npt.ArrayLike", x)
 
 
 def samples_of(

@@ -21,8 +21,8 @@ its label checked first, so no file counts in another place than its own, nor an
 newer one. Two stores of one identity hold equal chunks, as samples depend on nothing else.
 
 **Other places than a folder.** All that is asked of a place is to replace, read and list small
-files by name, and a lock; nothing is renamed but by `replacing`, no folder is moved, nothing is
-appended. A store of objects would put a chunk with one request, and need a lease for the lock.
+files by name; nothing is renamed but by `replacing`, no folder is moved, nothing is appended.
+Behind a URL a chunk is put with one request, and there is no lock.
 
 **The manifest** is the attribute of that name: shape, identity, the samples that every pixel is
 known to have, the checksum of each feature, whether there is a direct part, and a checksum of all
@@ -39,7 +39,6 @@ import hashlib
 import itertools
 import json
 import math
-import os
 import re
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -51,6 +50,7 @@ import zarr
 from zarr.storage import StorePath
 
 from chdstat._core.files import checksum, replacing
+from chdstat._core.places import is_remote, tail
 from chdstat.errors import StoreError
 from chdstat.samples.access import is_store
 from chdstat.samples.tiles import BATCH, DIRECT_DEPTH, TILE, Image, Part
@@ -231,9 +231,7 @@ def labelled(content: bytes, identity: str, chunk: Chunk) -> bytes:
 def read_label(file: Path, identity: str, chunk: Chunk) -> tuple[int, int, int]:
     """Return how many samples the file of a chunk holds, its length and its checksum."""
     try:
-        with file.open("rb") as opened:
-            length = opened.seek(-_LABEL.size, os.SEEK_END)
-            label = opened.read(_LABEL.size)
+        label, length = tail(file, _LABEL.size)
     except OSError as error:
         raise DamageError(brief(error)) from error
     mark, held, y, x, batch, samples, told, content, own = _LABEL.unpack(label)
@@ -396,10 +394,11 @@ def _refuse(constant: str) -> None:
 
 def put(file: Path, content: bytes) -> None:
     """Replace a file of a store, or a folder without files in its place."""
-    file.parent.mkdir(parents=True, exist_ok=True)
-    if file.is_dir():
-        for folder in (*sorted(file.rglob("*"), reverse=True), file):
-            folder.rmdir()
+    if not is_remote(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        if file.is_dir():
+            for folder in (*sorted(file.rglob("*"), reverse=True), file):
+                folder.rmdir()
     with replacing(file) as partial:
         partial.write_bytes(content)
 
@@ -409,7 +408,7 @@ def check_free(path: Path) -> None:
     if is_store(path):
         message = f"{path} was made by another process just now; run the command again to go on"
         raise StoreError(message)
-    for name in os.listdir(path):  # noqa: PTH208 - names alone
+    for name in [file.name for file in path.iterdir()] if path.is_dir() else []:
         if name != LOCK and not (name.startswith(".zarr.") and ".partial" in name):
             raise occupied(path)
 

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import spans
+from chdstat._core.places import place_of
 from chdstat.errors import InputError
 from chdstat.samples import tiles
 from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers
@@ -334,7 +335,7 @@ class Samples:
         Parameters
         ----------
         path
-            The store to write.
+            The store to write, a path or a URL.
         append, progress
             Whether to add them to those of an existing store; and to show a progress bar.
 
@@ -354,7 +355,7 @@ class Samples:
         """
         from chdstat.samples.saving import save
 
-        return save(self, Path(path), append=append, progress=progress)
+        return save(self, place_of(path), append=append, progress=progress)
 
     def first(self, spp: int) -> Samples:
         """Return the first samples of each pixel, in memory.

@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from zarr.storage import LocalStore, MemoryStore
+from zarr.storage import MemoryStore
 
-from chdstat._core.files import Lock, checksum, sweep
+from chdstat._core.files import Lock, checksum, locked
+from chdstat._core.places import exists, zarr_store
 from chdstat.errors import StoreError
 from chdstat.samples import layout
 from chdstat.samples.access import of_store, reopened
@@ -84,13 +85,12 @@ class Store:
         manifest = {"shape": list(shape), "complete": 0, "features": {}, "direct": False}
         manifest["identity"] = layout.identity(kept, shape)
         with layout.writing(path):
-            if path.exists() and not path.is_dir():
+            if exists(path) and not path.is_dir():
                 raise layout.occupied(path)
             path.mkdir(parents=True, exist_ok=True)
             layout.check_free(path)
-            lock = Lock(path / layout.LOCK, path)
+            lock = locked(path, layout.LOCK)
             layout.check_free(path)
-            sweep(path)
             attributes = json.loads(layout.canonical({**kept, "manifest": manifest}))
             store = cls(path, attributes, lock)
             store._save()
@@ -111,7 +111,7 @@ class Store:
             If there is none, its manifest is damaged, or, for one that is writable, another process
             writes to it, or it is of schema 1 or cannot be written to.
         """
-        if not path.exists():
+        if not exists(path):
             message = f"no store at {path}; render one with: chdstat render SCENE -o {path}"
             raise StoreError(message)
         if not writable:
@@ -123,8 +123,7 @@ class Store:
             return FirstStore(path, attributes)
         layout.check_appendable(path)
         with layout.writing(path):
-            lock = Lock(path / layout.LOCK, path)
-            sweep(path)
+            lock = locked(path, layout.LOCK)
             store = cls(path, layout.attributes_of(path), lock)
             store._save()
         for chunk in store._damaged_chunks():
@@ -178,7 +177,7 @@ class Store:
     def _lay_out(self) -> None:
         """Make the arrays that chunks are decoded and encoded with; nothing is read for it."""
         metadata = layout.radiance_metadata(self.shape, {}, index=self._index_location)
-        self._radiance = layout.array(LocalStore(self.path, read_only=True), "radiance", metadata)
+        self._radiance = layout.array(zarr_store(self.path), "radiance", metadata)
         self._encoded: dict[str, Any] = {}
         self._encoder = layout.array(MemoryStore(self._encoded), "radiance", metadata)
 
@@ -328,7 +327,7 @@ class Store:
             if checksum(file.read_bytes()) != about["checksum"]:
                 message = "its checksum is another"
                 raise DamageError(message)
-            place, metadata = LocalStore(self.path), layout.feature_metadata(about["shape"])
+            place, metadata = zarr_store(self.path), layout.feature_metadata(about["shape"])
             return np.asarray(layout.array(place, f"features/{name}", metadata)[...])
         except FOREIGN as error:
             raise self._damage([file], layout.brief(error)) from error

@@ -565,7 +565,10 @@ def test_samples_that_no_machine_holds_are_refused_at_once(tmp_path, out, place)
 
 
 INTERRUPTED = """
+import signal
 import sys
+# A shell lets its background jobs, and their children, ignore SIGINT.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 import chdstat as chd
 
 try:
@@ -600,7 +603,6 @@ def test_ctrl_c_ends_the_render_and_spoils_no_sample(tmp_path, turn):
 def test_ctrl_c_works_after_a_render():
     program = (
         "import os, signal, sys, time\n"
-        # A shell lets its background jobs, and their children, ignore SIGINT.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "import chdstat as chd\n"
         "chd.render('cornell-box', spp=64, size=(130, 70), backend='scalar')\n"

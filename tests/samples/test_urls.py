@@ -1,0 +1,150 @@
+"""Stores behind URLs: in memory, and in buckets of a server of this machine that speaks S3."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import uuid
+from collections.abc import Iterator
+from typing import Any
+
+import fsspec
+import numpy as np
+import pytest
+from distributed import Client, LocalCluster
+from moto.server import ThreadedMotoServer
+from upath import UPath
+
+import chdstat as chd
+import chdstat.samples
+from chdstat._core import files
+from chdstat.cli import main
+from chdstat.errors import InputError, StoreError
+from chdstat.samples import Samples
+
+SETTINGS: dict[str, Any] = {"size": (70, 20), "seed": 3, "backend": "scalar", "progress": False}
+
+
+@pytest.fixture(scope="module")
+def bucket():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(logging.getLogger("werkzeug"), "level", logging.ERROR)
+        server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+        server.start()
+        host, port = server.get_host_and_port()
+        patch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+        for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+            patch.setenv(name, "any")
+        patch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+        fsspec.filesystem("s3").mkdir("renders")
+        yield "s3://renders"
+        server.stop()
+
+
+@pytest.fixture(params=["memory", "s3"])
+def url(request):
+    root = "memory://renders" if request.param == "memory" else request.getfixturevalue("bucket")
+    return f"{root}/{uuid.uuid4().hex}/box.zarr"
+
+
+@pytest.fixture(scope="module")
+def expected() -> Samples:
+    return chd.render("cornell-box", spp=130, **SETTINGS)
+
+
+@contextlib.contextmanager
+def workers() -> Iterator[Client]:
+    """Yield a client of two workers in this process, which see ``memory://``, too."""
+    quiet: dict[str, Any] = {"dashboard_address": ":0", "processes": False, "protocol": "tcp://"}
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", **quiet) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+def test_a_store_is_rendered_read_and_grows(url, expected, monkeypatch):
+    for name in ("Lock", "_partial"):  # nothing is locked, and nothing written beside
+        monkeypatch.setattr(files, name, None)
+    made = chd.render("cornell-box", spp=70, out=url, direct=True, **SETTINGS)
+    assert str(made.path) == url
+    assert np.array_equal(chd.open(url).read(), expected.first(70).read())
+    assert np.array_equal(chd.open(UPath(url))[3, 66], expected.first(70)[3, 66])
+    assert chd.open(url).features.keys() == expected.features.keys()
+    assert set(chd.open(url).parts) == {2}
+    grown = chd.render("cornell-box", spp=130, out=url, **SETTINGS)
+    assert np.array_equal(grown.read(), expected.read())
+    found = chdstat.samples.inspect(url, verify=True)
+    assert (found["complete_spp"], found["damaged"]) == (130, [])
+
+
+def test_what_is_computed_of_it_is_that_of_a_folder(url, expected, tmp_path):
+    expected.save(url, progress=False)
+    expected.save(tmp_path / "box.zarr", progress=False)
+    with workers() as client:
+        remote = chd.summarize(url, progress=False, client=client)
+    local = chd.summarize(tmp_path / "box.zarr", progress=False)
+    assert remote.drop_attrs().identical(local.drop_attrs())
+
+
+def test_workers_write_their_chunks(url, expected):
+    with workers() as client:
+        made = chd.render("cornell-box", spp=130, out=url, client=client, **SETTINGS)
+    assert np.array_equal(made.read(), expected.read())
+
+
+def test_damage_is_named_and_repaired(url, expected):
+    chd.render("cornell-box", spp=130, out=url, **SETTINGS)
+    changed, cut, gone = (UPath(url) / f"radiance/c/0/1/0/{batch}" for batch in range(3))
+    content = bytearray(changed.read_bytes())
+    content[100] ^= 1
+    changed.write_bytes(bytes(content))
+    cut.write_bytes(cut.read_bytes()[:300])
+    gone.unlink()
+    for batch, file in enumerate((changed, cut, gone)):
+        with pytest.raises(StoreError, match=f"cannot read {file} "):
+            chd.open(url).read(ss=slice(64 * batch, 64 * batch + 2))
+    damaged = chdstat.samples.inspect(url, verify=True)["damaged"]
+    assert damaged == [str(changed), str(cut), str(gone)]
+    repaired = chd.render("cornell-box", spp=130, out=url, **SETTINGS)
+    assert np.array_equal(repaired.read(), expected.read())
+
+
+def test_other_things_are_not_overwritten(url):
+    note = UPath(url) / "note.txt"
+    note.write_text("mine")
+    with pytest.raises(StoreError, match="exists and is not a chdstat store"):
+        chd.render("cornell-box", spp=2, out=url, **SETTINGS)
+    assert [file.name for file in UPath(url).iterdir()] == ["note.txt"]
+
+
+def test_the_command_line_takes_urls(url, expected, monkeypatch, capsys):
+    def run(*arguments: str) -> str:
+        monkeypatch.setattr("sys.argv", ["chdstat", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert not ended.value.code
+        return capsys.readouterr().out
+
+    drawn = ["--size", "70x20", "--seed", "3", "--backend", "scalar", "--quiet"]
+    run("render", "cornell-box", "-o", url, "--spp", "130", *drawn)
+    assert "130" in run("info", url)
+    assert np.array_equal(chd.open(url).read(), expected.read())
+
+
+@pytest.mark.parametrize(
+    ("bad", "error", "message"),
+    [
+        ("memory://nothing/here.zarr", StoreError, "no store at memory://nothing/here.zarr"),
+        ("tape://box.zarr", InputError, "cannot reach tape://box.zarr: Unsupported"),
+    ],
+)
+def test_what_is_not_there_is_told(bad, error, message):
+    with pytest.raises(error, match=message):
+        chd.open(bad)
+
+
+def test_a_service_that_does_not_answer_is_told(bucket, monkeypatch):
+    place = UPath(f"{bucket}/box.zarr", endpoint_url="http://127.0.0.1:9")
+    with pytest.raises(StoreError, match="cannot reach s3://renders/box.zarr.*: Could not connect"):
+        chd.open(place)
