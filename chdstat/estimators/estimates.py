@@ -96,7 +96,9 @@ def estimate(
         Probability of the interval.
     denoise
         Put the image through Open Image Denoise, with first-hit features where there are any.
-        Certainty and interval remain those of the estimate before it.
+        Certainty and interval remain those of the estimate before it. Where candidates are
+        combined, a pixel is denoised once more only as far as its weights are those of denoised
+        images, and stays within the interval of its mean.
     seed, iterations
         Of a training, as for `chdstat.estimators.models.train_model`; no iterations with a model.
     progress
@@ -367,6 +369,8 @@ class _Estimated:
         if not self.options.denoise:
             return self.first
         radiance = through_denoiser(self.first.radiance, self.source.features)
+        if isinstance(self.first, Combination):
+            radiance = self.first.guarded(radiance)
         return replace(self.first, radiance=radiance)
 
     def layers(self) -> dict[str, npt.NDArray[Any]]:

@@ -78,12 +78,29 @@ class Combination(Estimates):
         of it.
     bias_error
         Standard error of that mean, as a share of it: a bias below twice this may be none.
+    least
+        The lower end of the mean's interval, shape (y, x, channel).
     """
 
     mean: Image = field(default_factory=lambda: np.empty(0, np.float32))
     weights: Mapping[str, Image] = field(default_factory=dict)
     bias: float = np.nan
     bias_error: float = np.nan
+    least: Image = field(default_factory=lambda: np.empty(0, np.float32))
+
+    def guarded(self, denoised: Image) -> Image:
+        """Return a denoised image of these estimates as far as the samples agree with it.
+
+        Where they said that denoising does not pay, it does not pay afterwards, either: candidates
+        that no denoiser has seen keep their weight. And no denoiser moves a pixel out of the
+        interval of its mean.
+        """
+        unseen = [image for name, image in self.weights.items() if "denoised" not in name]
+        kept = np.clip(np.sum(unseen, axis=0), 0, 1)[..., np.newaxis]
+        least, most = self.least, 2 * self.mean - self.least
+        found = kept * self.radiance + (1 - kept) * denoised
+        within = np.clip(found, np.minimum(self.radiance, least), np.maximum(self.radiance, most))
+        return np.asarray(within, np.float32)
 
 
 def combine(
@@ -151,7 +168,8 @@ def combine(
     weighting = Weighting.shipped(with_features="albedo" in known)
     weights, width = weighting(inputs)
     mean, error = measured.mean, measured.error
-    radiance = np.maximum(np.einsum("yxj,jyxc->yxc", weights, full), _floor(mean, error, image.spp))
+    least = _floor(mean, error, image.spp)
+    radiance = np.maximum(np.einsum("yxj,jyxc->yxc", weights, full), least)
     radiance = _balanced(radiance, mean, error)
     half = (weighting.quantile(level) * width * unit)[..., np.newaxis]
     lost = np.isnan(measured.starts[0]["mean"])
@@ -170,6 +188,7 @@ def combine(
         weights={name: weights[..., j] for j, name in enumerate(names)},
         bias=bias,
         bias_error=bias_error,
+        least=least.astype(np.float32),
     )
 
 

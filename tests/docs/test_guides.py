@@ -38,6 +38,7 @@ ELSEWHERE = {
     "pip install": ".ci/wheels",
     "sphinx-build": ".ci/run",
     "study -o study.pdf": "tests/studies/test_study.py",  # the same with every scene
+    "fog -o study.pdf": "docs/how-to/studies.rst",  # which has the line, too
 }
 SMALL = {
     "bench": "--size 12x12 --reference-spp 64",

@@ -9,8 +9,9 @@ import pytest
 import chdstat as chd
 from chdstat.errors import InputError
 from chdstat.estimators import combine, estimate, write_estimates
+from chdstat.estimators.estimates import through_denoiser
 from chdstat.estimators.halves import Measured, candidates, compare_halves
-from chdstat.estimators.weighting import LEVELS, Weighting
+from chdstat.estimators.weighting import LEVELS, Combination, Weighting
 from chdstat.io import read_exr
 
 pytestmark = pytest.mark.skipif(
@@ -127,6 +128,26 @@ def test_a_lamp_that_many_samples_find_is_no_firefly():
     found = combine(x).radiance
     assert (found[20, 20] > 40).all()
     assert (found[30, 30] < 4).all()
+
+
+def test_it_is_denoised_once_more_as_far_as_the_samples_agree(samples, found):
+    def row(*values):
+        return np.array(values, np.float32).reshape(1, -1, 1)
+
+    # Not denoised; half; denoised; out of the interval of the mean to each side; outside before.
+    seen = row(0, 0.5, 1, 1, 1, 1)[..., 0]
+    estimates = Combination(
+        *[row(2, 2, 2, 2, 2, 0.5)] * 4,
+        level=0.9,
+        mean=row(2, 2, 2, 2, 2, 2),
+        least=row(1, 1, 1, 1, 1, 1),
+        weights={"mean": 1 - seen, "denoised": seen},
+    )
+    denoised = row(1.5, 1.5, 1.5, 9, 0.1, 0.7)
+    assert estimates.guarded(denoised).ravel() == pytest.approx([2, 1.75, 1.5, 3, 1, 0.7])
+    again = estimate(samples, denoise=True).radiance
+    expected = found.guarded(through_denoiser(found.radiance, samples.features))
+    assert np.array_equal(again, expected)
 
 
 def test_one_channel_is_taken():
