@@ -239,7 +239,10 @@ class Bench(Shown):
         if not _HAS_FLIP:
             facts["FLIP"] = "not measured; pip install 'chdstat[flip]' adds it"
         title = f"Benchmark: errors over those of {self.baseline}"
-        return Card(title, facts, self.shown(intervals=("mse", "relmse")))
+        rows = self.shown(intervals=("mse", "relmse"))
+        for row in rows:  # as wide as a page; SMAPE is in files and in `summary`
+            del row[_NAMES["smape"]]
+        return Card(title, facts, rows)
 
     def shown(self, *, intervals: Sequence[str] = MEASURES) -> list[dict[str, str]]:
         """Return the summary as text under titles, these measures with their intervals."""

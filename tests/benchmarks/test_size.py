@@ -52,6 +52,7 @@ def commands(store: Path, folder: Path) -> dict[str, list[str]]:
         "analyze": ["analyze", str(store), "-o", str(folder / "out.zarr")],
         "train": ["train", str(store), "--iterations=200", "-o", str(folder / "out.safetensors")],
         "report": ["report", str(store), "-e", "mean", "-o", str(folder / "out.pdf")],
+        "study": ["study", str(store), "-e", "mean", "-o", str(folder / "out.pdf")],
         "summary-only": ["render", "cornell-box", *size, "--summary-only", "-o", str(folder / "m")],
     }
 
