@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from chdstat._core.cache import Cache
+from chdstat._core.cache import Cache, kept_until_written
+from chdstat._core.files import release, room
 from chdstat.analysis import analyze, save
 from chdstat.comparison import Comparison, compare
 from chdstat.errors import InputError, StoreError
@@ -258,28 +259,44 @@ class Stores:
 
     def analysis(self, samples: Samples) -> xr.Dataset:
         """Return what `chdstat.analyze` does, from the cache where it is there."""
-        return self._dataset(
-            samples, "analysis", lambda: analyze(_at_hand(samples), progress=self.progress)
-        )
+
+        def analysed(checkpoint: Path | None) -> xr.Dataset:
+            return analyze(_at_hand(samples), progress=self.progress, checkpoint=checkpoint)
+
+        return self._dataset(samples, "analysis", analysed)
 
     def summary(self, samples: Samples) -> xr.Dataset:
         """Return what `chdstat.summarize` does, from the cache where it is there."""
-        return self._dataset(samples, "summary", lambda: summarize(samples, progress=self.progress))
+        return self._dataset(
+            samples, "summary", lambda _: summarize(samples, progress=self.progress)
+        )
 
     def _dataset(
-        self, samples: Samples, name: str, compute: Callable[[], xr.Dataset]
+        self, samples: Samples, name: str, compute: Callable[[Path | None], xr.Dataset]
     ) -> xr.Dataset:
+        """Return maps, in files where there is a folder: they may be larger than memory."""
         import xarray as xr
 
-        def read(path: Path) -> xr.Dataset:
-            # Without chunks: all of it is read at once; with Dask it would take three times as long
-            dataset: xr.Dataset = xr.open_zarr(path, consolidated=False, chunks=None)
-            return dataset.load()
+        cache, key = self.cache(samples), f"dataset.{name}"
+        folder = cache.folder
 
-        dataset = self.cache(samples).read(f"dataset.{name}", read)
+        def read(path: Path) -> xr.Dataset:
+            # Without chunks: with Dask it would take three times as long.
+            how: Any = {"engine": "zarr", "consolidated": False, "chunks": None, "cache": False}
+            with xr.open_dataset(path, **how) as kept:
+                variables = {}
+                for name, variable in kept.data_vars.items():
+                    held = room(variable.shape, variable.dtype, folder)
+                    held[...] = variable.values
+                    release(held)
+                    variables[name] = (variable.dims, held, variable.attrs)
+                return xr.Dataset(variables, kept.coords.copy(deep=True), kept.attrs)
+
+        dataset = cache.read(key, read)
         if dataset is None:
-            dataset = computed = compute()
-            self.cache(samples).write(f"dataset.{name}", lambda path: save(computed, path))
+            with kept_until_written(folder and folder / f"{cache_key(samples)}.{name}") as kept:
+                dataset = computed = compute(kept)
+                cache.write(key, lambda path: save(computed, path))
         return dataset
 
     def comparison(

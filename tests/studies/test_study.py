@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import mmap
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -175,6 +176,22 @@ def test_an_interrupted_study_is_taken_up(tmp_path, monkeypatch):
     assert len(left) == 4
     study("cornell-box", folder=tmp_path, **TINY)
     assert set(tmp_path.glob("*.zarr")) == left
+    assert not list(tmp_path.glob("*.checkpoint"))
+
+
+def test_maps_are_in_files_and_read_back_as_they_were(tmp_path):
+    rendered = chd.render(
+        "cornell-box", spp=32, size=(16, 12), out=tmp_path / "box.zarr", progress=False
+    )
+    kept = stores.Stores(tmp_path / "kept", progress=False)
+    first = kept.analysis(rendered)
+    again = kept.analysis(rendered)
+    assert first.identical(again)
+    for dataset in (first, again):
+        base = dataset["log_counts"].values
+        while isinstance(base, np.ndarray):
+            base = base.base
+        assert isinstance(base, memoryview | mmap.mmap)
 
 
 def test_more_samples_append_and_a_damaged_analysis_is_made_again(found, folder, tmp_path):
