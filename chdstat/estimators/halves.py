@@ -48,6 +48,8 @@ class Measured:
         Mean of each channel's good samples, and its standard error, shape (y, x, channel).
     null
         Share of null samples, shape (y, x).
+    count
+        Good samples of each channel, shape (y, x, channel).
     signed
         Whether any good sample is negative.
     """
@@ -56,6 +58,7 @@ class Measured:
     mean: Floats
     error: Floats
     null: Floats
+    count: Floats
     signed: bool
 
     @classmethod
@@ -68,6 +71,7 @@ class Measured:
                 "mean": mean,
                 "error": error,
                 "null": is_null(x).mean(axis=-1),
+                "count": np.isfinite(x).sum(axis=-1),
                 "signed": ((x < 0) & np.isfinite(x)).any(axis=(2, 3)),
             }
             for i, part in enumerate((x, x[..., ::2], x[..., 1::2])):
@@ -85,8 +89,10 @@ class Measured:
             part = ShapeStatistics(*(maps[f"{name} {i}"].values for name in names))
             limited = part.or_mean(part.limited()).astype(np.float32)
             starts.append({"mean": part.good_mean.astype(np.float32), "shared_shape": limited})
-        mean, error, null = (maps[name].values for name in ("mean", "error", "null"))
-        return cls(starts, mean, error, null, bool(maps["signed"].any()))
+        mean, error, null, count = (
+            maps[name].values for name in ("mean", "error", "null", "count")
+        )
+        return cls(starts, mean, error, null, count, bool(maps["signed"].any()))
 
 
 def candidates(

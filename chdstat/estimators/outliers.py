@@ -269,12 +269,16 @@ def karis2013(x: Array, *, unit: float | None = None) -> Array:
     1.06
     """
     kept, whole = registry.whole_samples(x)
-    bright, count = luminance(kept), np.count_nonzero(whole, axis=-1)
-    exposed = exposure_unit(bright.sum(axis=-1, dtype=np.float64) / np.maximum(count, 1), unit)
-    weight = whole / (1 + np.maximum(bright, 0) / np.float64(exposed))
+    weight = whole / (1 + np.maximum(luminance(kept), 0) / _exposed(kept, whole, unit))
     total = weight.sum(axis=-1)[..., np.newaxis]
     found = np.vecdot(kept, weight[..., np.newaxis, :])
     return np.where(total > 0, found / np.where(total > 0, total, 1), registry.mean_of_good(x))
+
+
+def _exposed(kept: Array, whole: npt.NDArray[np.bool_], unit: float | None) -> np.float64:
+    """Return the radiance of 1: that of an exposure of the pixels' means, unless it is given."""
+    total = luminance(kept).sum(axis=-1, dtype=np.float64)
+    return np.float64(exposure_unit(total / np.maximum(np.count_nonzero(whole, axis=-1), 1), unit))
 
 
 @register("clamped", "Pharr, Jakob and Humphreys 2023, pbr-book.org", joint_channels=True)
@@ -318,9 +322,8 @@ def clamped(x: Array, *, limit: float = 10.0, unit: float | None = None) -> Arra
     """
     registry.check_positive(limit=limit)
     kept, whole = registry.whole_samples(x)
-    bright, count = luminance(kept), np.count_nonzero(whole, axis=-1)
-    exposed = exposure_unit(bright.sum(axis=-1, dtype=np.float64) / np.maximum(count, 1), unit)
-    largest, highest = kept.max(axis=-2), limit * np.float64(exposed)
+    count = np.count_nonzero(whole, axis=-1)
+    largest, highest = kept.max(axis=-2), limit * _exposed(kept, whole, unit)
     weight = np.where(largest > highest, highest / np.where(largest > 0, largest, 1), 1.0)
     found = np.vecdot(kept, weight[..., np.newaxis, :]) / np.maximum(count, 1)[..., np.newaxis]
     return np.where(count[..., np.newaxis] > 0, found, registry.mean_of_good(x))

@@ -124,15 +124,12 @@ def without(
     return np.where(np.abs(rest) <= _ROUNDING * np.abs(total), 0, rest)
 
 
-def batches(
-    samples: Samples, n: int, *, limit: int | None = None
-) -> Iterator[npt.NDArray[np.float32]]:
+def batches(samples: Samples, n: int) -> Iterator[npt.NDArray[np.float32]]:
     """Yield the image with n consecutive samples at a time, shape (y, x, channel, n).
 
     Samples that do not fill a batch are left over.
     """
-    count = samples.spp // n if limit is None else min(limit, samples.spp // n)
-    for first in range(0, count * n, n):
+    for first in range(0, samples.spp // n * n, n):
         yield samples.read(ss=slice(first, first + n))
 
 

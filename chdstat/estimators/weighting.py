@@ -168,7 +168,7 @@ def combine(
     weighting = Weighting.shipped(with_features="albedo" in known)
     weights, width = weighting(inputs)
     mean, error = measured.mean, measured.error
-    least = _floor(mean, error, image.spp)
+    least = _floor(mean, error, measured.count)
     radiance = np.maximum(np.einsum("yxj,jyxc->yxc", weights, full), least)
     radiance = _balanced(radiance, mean, error)
     half = (weighting.quantile(level) * width * unit)[..., np.newaxis]
@@ -241,15 +241,16 @@ def combination(
     return combine(reordered(samples)[0], features=features).radiance
 
 
-def _floor(mean: Floats, error: Floats, spp: int) -> Floats:
+def _floor(mean: Floats, error: Floats, count: Floats) -> Floats:
     """Return what a pixel's radiance is at least, so that no lamp is taken for fireflies.
 
     The lower end of Student's interval. One bright sample of n makes mean and standard error
     alike, k of them a standard error of about mean / sqrt(k): only light that many samples found
     is kept by it. Skewness to the bright, as of radiance, makes this end the more certain.
     """
-    certain = special.stdtrit(spp - 1, 1 - _BELOW)
-    return np.asarray(mean - certain * error)
+    counts, place = np.unique(count, return_inverse=True)
+    certain = special.stdtrit(np.maximum(counts.astype(np.float64) - 1, 1), 1 - _BELOW)
+    return np.asarray(mean - certain[place] * error)
 
 
 def _balanced(radiance: Floats, mean: Floats, error: Floats) -> Floats:

@@ -80,9 +80,8 @@ def test_nulls_alone_leave_a_black_reference():
     assert (Totals.of(samples).mean_without(next(batches(samples, 4))) == 0).all()
 
 
-def test_the_number_of_batches_can_be_limited(samples):
-    assert len(list(batches(samples, 10, limit=3))) == 3
-    assert len(list(batches(samples, 10, limit=300))) == 7
+def test_samples_that_fill_no_batch_are_left_over(samples):
+    assert len(list(batches(samples, 10))) == 7
 
 
 def test_training_batches_are_those_of_the_pixels_named(samples):

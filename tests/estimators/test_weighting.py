@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import chdstat as chd
 from chdstat.errors import InputError
@@ -148,6 +149,17 @@ def test_it_is_denoised_once_more_as_far_as_the_samples_agree(samples, found):
     again = estimate(samples, denoise=True).radiance
     expected = found.guarded(through_denoiser(found.radiance, samples.features))
     assert np.array_equal(again, expected)
+
+
+def test_a_mean_of_few_good_samples_is_less_certain():
+    x = np.random.default_rng(0).exponential(size=(16, 16, 3, 32)).astype(np.float32)
+    x[4, 5, :, 4:] = np.nan
+    least = combine(x).least
+    for pixel, good in (((4, 5), 4), ((9, 9), 32)):
+        kept = x[pixel][:, :good].astype(np.float64)
+        error = kept.std(axis=-1, ddof=1) / np.sqrt(good)
+        expected = kept.mean(axis=-1) - stats.t(good - 1).isf(0.001) * error
+        assert least[pixel] == pytest.approx(expected, rel=1e-5)
 
 
 def test_one_channel_is_taken():
