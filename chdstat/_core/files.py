@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chdstat._core.places import is_remote
+from chdstat._core.places import is_remote, local
 from chdstat.errors import InputError, StoreError
 
 __all__ = [
@@ -104,7 +104,7 @@ def checked_target(path: str | Path, *suffixes: str) -> Path:
         ...
     chdstat.errors.InputError: the path to write must end in .exr, got 'image.png'
     """
-    target = Path(path)
+    target = local(path)
     if target.suffix.lower() not in suffixes:
         message = f"the path to write must end in {', '.join(suffixes)}, got {str(target)!r}"
         raise InputError(message)
@@ -119,7 +119,7 @@ def checked_target(path: str | Path, *suffixes: str) -> Path:
 
 def unused(path: str | Path) -> Path:
     """Return a path to write to, or raise StoreError if something is there already."""
-    target = Path(path)
+    target = local(path)
     if target.exists():
         message = f"{target} exists; nothing was overwritten. Give another path or move it away"
         raise StoreError(message)

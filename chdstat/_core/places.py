@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any, TypeGuard, cast
 
@@ -10,7 +11,7 @@ from upath import UPath
 
 from chdstat.errors import InputError, StoreError
 
-__all__ = ["exists", "is_path", "is_remote", "place_of", "tail", "zarr_store"]
+__all__ = ["exists", "is_path", "is_remote", "local", "place_of", "tail", "zarr_store"]
 
 
 def is_path(x: object) -> TypeGuard[str | Path]:
@@ -51,6 +52,27 @@ def place_of(path: str | Path) -> Path:
         message = f"cannot reach {path}: {error}"
         raise InputError(message) from error
     return Path(place.path) if place.protocol in ("file", "local") else cast("Path", place)
+
+
+def local(path: str | Path) -> Path:
+    """Return a path of this machine.
+
+    Raises
+    ------
+    InputError
+        If it is a URL, of which a `Path` has one slash left.
+
+    Examples
+    --------
+    >>> local(Path("s3://bucket/maps.zarr"))
+    Traceback (most recent call last):
+        ...
+    chdstat.errors.InputError: only stores of samples may lie behind URLs, got s3:/bucket/maps.zarr
+    """
+    if re.match(r"\w[\w+.-]+:/", str(path)):
+        message = f"only stores of samples may lie behind URLs, got {path}"
+        raise InputError(message)
+    return Path(path)
 
 
 def is_remote(path: Any) -> bool:

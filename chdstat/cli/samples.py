@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from chdstat._core.places import place_of
+from chdstat._core.places import is_remote, place_of
 from chdstat.cli import output
 from chdstat.cli import program as cli
 from chdstat.errors import ChdstatError, InputError
@@ -121,7 +121,7 @@ def render(
     from chdstat.rendering import render_batches
 
     cli.load_plugins(plugin)
-    if not out.parent.exists():
+    if not is_remote(out) and not out.parent.exists():
         typer.echo(f"chdstat: making the folder {out.parent}", err=True)
     settings: dict[str, Any] = {
         "spp": spp,
@@ -292,7 +292,10 @@ def include(as_json: cli.Json = False) -> None:
 @cli.app.command(epilog="Example: chdstat export bathroom.zarr --as bcd -o bathroom.exr")
 def export(
     source: Annotated[
-        Path, typer.Argument(metavar="SOURCE", help="A store; of maps, what analyze -o wrote.")
+        Path,
+        typer.Argument(
+            metavar="SOURCE", parser=place_of, help="A store; of maps, what analyze -o wrote."
+        ),
     ],
     out: Annotated[
         Path, typer.Option("--out", "-o", help="File to write; its name is that of them all.")
@@ -404,10 +407,7 @@ def _state(found: Mapping[str, Any]) -> dict[str, str]:
 @cli.app.command(epilog="Example: chdstat convert old.zarr -o new.zarr --scene bathroom")
 def convert(
     store: cli.StorePath,
-    out: Annotated[
-        Path,
-        typer.Option("--out", "-o", metavar="PATH", parser=place_of, help="New store to write."),
-    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="New store to write, in a folder.")],
     scene: Annotated[
         str | None,
         typer.Option(

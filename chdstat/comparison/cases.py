@@ -204,7 +204,7 @@ class Bench(Shown):
                     w = weights[:, places[case.scene]]
                     own = w @ case.errors[name][:, k]
                     others = [w @ e[:, k] for n, e in case.errors.items() if n != name]
-                    ranks.append(1 + np.sum([own > other for other in others], axis=0))
+                    ranks.append(sum((own > other for other in others), np.ones(len(w))))
             return np.asarray(np.mean(ranks, axis=0), np.float64)
 
         return interval_of(statistic, blocks, bounds=(1, len(self.estimators)))

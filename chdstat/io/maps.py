@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from chdstat._core.files import checked_target, writing
+from chdstat._core.places import local
 from chdstat.errors import InputError, StoreError
 from chdstat.io.exr import write_exr
 
@@ -31,7 +32,7 @@ def open_maps(path: str | Path) -> xr.Dataset:
 
     asked = "give what 'chdstat analyze STORE -o MAPS' wrote"
     try:
-        found: xr.Dataset = xr.open_zarr(path, consolidated=False, chunks=None)
+        found: xr.Dataset = xr.open_zarr(local(path), consolidated=False, chunks=None)
         _ = found.sizes["y"], found.sizes["x"]
     except (OSError, ValueError, KeyError) as error:
         message = f"no maps at {path}: {asked}"

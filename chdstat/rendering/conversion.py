@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from chdstat._core.files import replacing, unused
+from chdstat._core.places import place_of
 from chdstat.errors import StoreError
 from chdstat.rendering.capture import render
 from chdstat.samples import Samples
@@ -64,7 +65,7 @@ def convert(
     """
     target = unused(new)
     told = {} if scene is None else _proved(open_samples(old), scene, progress)
-    store = Store.open(Path(old))
+    store = Store.open(place_of(old))
     if store.attrs["schema_version"] != FIRST_SCHEMA:
         message = f"{store.path} is of schema {SCHEMA_VERSION} already: there is nothing to convert"
         raise StoreError(message)

@@ -133,6 +133,21 @@ def test_the_command_line_takes_urls(url, expected, monkeypatch, capsys):
     assert np.array_equal(chd.open(url).read(), expected.read())
 
 
+@pytest.mark.parametrize("words", ["analyze {} -o", "render cornell-box --summary-only -o"])
+def test_maps_go_to_folders(expected, tmp_path, monkeypatch, capsys, words):
+    monkeypatch.chdir(tmp_path)
+    url = "memory://maps/box.zarr"
+    if not chdstat.samples.is_store(url):
+        expected.save(url, progress=False)
+    command = ["chdstat", *words.format(url).split(), "memory://maps/maps.zarr"]
+    monkeypatch.setattr("sys.argv", command)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code
+    assert "only stores of samples may lie behind URLs" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("bad", "error", "message"),
     [
