@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy import special
+from scipy import special, stats
 
 from chdstat._core.arrays import as_pixels
 from chdstat._core.cache import checkpoints
@@ -171,7 +171,7 @@ def combine(
     least = _floor(mean, error, measured.count)
     radiance = np.maximum(np.einsum("yxj,jyxc->yxc", weights, full), least)
     radiance = _balanced(radiance, mean, error)
-    half = (weighting.quantile(level) * width * unit)[..., np.newaxis]
+    half = (weighting.quantile(level, unit) * width * unit)[..., np.newaxis]
     lost = np.isnan(measured.starts[0]["mean"])
     radiance = np.where(lost, np.nan, radiance).astype(np.float32)
     low, high = radiance - half, radiance + half
@@ -293,7 +293,8 @@ class Weighting:
     centre, spread
         By which inputs are standardised.
     quantiles
-        Widths of intervals of the probabilities `LEVELS`.
+        Widths of intervals of the probabilities `LEVELS`, in the dark, middle and bright third of
+        an image, shape (third, level).
     """
 
     layers: Sequence[tuple[Floats, Floats]]
@@ -331,11 +332,18 @@ class Weighting:
                 x = np.where(x > 0, x, 0.01 * x)
         return np.asarray(x, np.float32)
 
-    def quantile(self, level: float) -> float:
-        """Return how many widths an interval of this probability reaches to each side."""
-        # Between those measured, and beyond, errors fall off about exponentially.
+    def quantile(self, level: float, brightness: Image) -> Image:
+        """Return how many widths an interval of this probability reaches to each side.
+
+        Shape of `brightness` (y, x), of which only the order of pixels counts.
+        """
+        # Between levels that were measured, and beyond, errors fall off about exponentially.
         places = -np.log1p(-np.array((0, *LEVELS)))
-        widths = np.concatenate([[0], self.quantiles])
         place = -np.log1p(-level)
-        beyond = max(0, place - places[-1]) * (widths[-1] - widths[-2]) / (places[-1] - places[-2])
-        return float(np.interp(place, places, widths) + beyond)
+        beyond = max(0, place - places[-1]) / (places[-1] - places[-2])
+        widths = [
+            np.interp(place, places, [0, *third]) + beyond * (third[-1] - third[-2])
+            for third in self.quantiles
+        ]
+        share = (stats.rankdata(brightness) - 0.5).reshape(brightness.shape) / brightness.size
+        return np.asarray(np.interp(share, np.array((1, 3, 5)) / 6, widths), np.float32)
