@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -52,6 +52,8 @@ _TESTS: tuple[TestName, ...] = tuple(TESTS)
 _TEST_OF_MEANS: TestName = "shapiro-wilk"
 _PREFIXED = ("modality", "normality", "averages")
 """Stages whose variables carry their name."""
+_AT_ONCE = 2**26
+"""Bytes of maps that are written together."""
 _COMMENT = (
     "where tail_variance_suspect, the moments behind this may be infinite: do not trust it; "
     "where tail_variance_unidentified, the samples do not identify them"
@@ -313,10 +315,27 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
     """
     target = unused(path)
     with writing(target, folder=True) as partial:
-        for name in found.data_vars:  # one at a time: together they may not fit into memory
-            found[[name]].to_zarr(partial, mode="a", consolidated=False)
-            release(found[name].values)
+        for names in _batches(found):
+            found[names].to_zarr(partial, mode="a", consolidated=False)
+            for name in names:
+                release(found[name].values)
     return target
+
+
+def _batches(found: xr.Dataset) -> Iterator[list[Hashable]]:
+    """Yield the names of maps to write together: each time, zarr lists all that is there.
+
+    All at once may not fit into memory.
+    """
+    batch: list[Hashable] = []
+    size = 0
+    for name, maps in found.data_vars.items():
+        if batch and size + maps.nbytes > _AT_ONCE:
+            yield batch
+            batch, size = [], 0
+        batch.append(name)
+        size += maps.nbytes
+    yield batch
 
 
 def _finishes(
