@@ -323,9 +323,9 @@ def save(found: xr.Dataset, path: str | Path) -> Path:
 
 
 def _batches(found: xr.Dataset) -> Iterator[list[Hashable]]:
-    """Yield the names of maps to write together: each time, zarr lists all that is there.
+    """Yield names of maps that are written together.
 
-    All at once may not fit into memory.
+    Every write lists the whole store; and all maps at once may not fit into memory.
     """
     batch: list[Hashable] = []
     size = 0

@@ -202,32 +202,29 @@ def train(cases: list[Case], steps: int = STEPS, seed: int = 0) -> Network:
 
 
 def left_out(cases: list[Case], steps: int) -> np.ndarray:
-    """Return how many widths errors reach, by networks that have not seen the scene.
+    """Return quantiles of errors, in predicted widths, of networks that have not seen the scene.
 
     Shape (third of brightness, level). Each image counts the same, however its errors are
     distributed.
     """
     rng = np.random.default_rng(0)
-    table, drawn = [], []
+    table: list[list[float]] = []
+    drawn: list[list[np.ndarray]] = [[], [], []]
     for scene in sorted({c.scene for c in cases}):
         network = train([c for c in cases if c.scene != scene], steps)
         for c in (c for c in cases if c.scene == scene):
             with torch.no_grad():
                 found, width = combined(network, c)
                 table.append([float(r) for r in ratios(c, found)])
-                scores = [(e * torch.exp(-width)).numpy() for e in errors(c, found)]
+                scores = torch.stack(errors(c, found)) * torch.exp(-width)
             order = np.argsort(c.unit.numpy().ravel(), kind="stable")
-            for third, rows in enumerate(np.array_split(order, 3)):
-                some = rng.choice(rows, PER_THIRD)
-                drawn.append((third, *(score[some].ravel() for score in scores)))
+            for third, rows in zip(drawn, np.array_split(order, 3), strict=True):
+                third.append(scores.numpy()[:, rng.choice(rows, PER_THIRD)].reshape(2, -1))
             say(f"{c.name:24s} {table[-1][0]:6.2f} {table[-1][1]:6.2f}")
     means = np.exp(np.log(np.maximum(table, 0.02)).mean(axis=0))
     say(f"{'geometric mean':24s} {means[0]:6.2f} {means[1]:6.2f}")
-    widths = []
-    for third in range(3):
-        score, noisier = (np.concatenate([d[i] for d in drawn if d[0] == third]) for i in (1, 2))
-        widths.append(2 * np.quantile(score, LEVELS) - np.quantile(noisier, LEVELS))
-    return np.array(widths, np.float32)
+    quantiles = [np.quantile(np.concatenate(third, axis=1), LEVELS, axis=1) for third in drawn]
+    return np.array([2 * once - twice for once, twice in np.swapaxes(quantiles, 1, 2)], np.float32)
 
 
 def main() -> None:

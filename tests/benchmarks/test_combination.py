@@ -2,11 +2,11 @@
 
 For each scene and number of samples: MSE and relMSE over those of the better denoiser (with or
 without features: the smaller product of both), without the noise of the reference; the bias of the
-image, the share of estimates that got better than the mean, and the share of the truth in 90 %
-intervals by thirds of brightness, without that noise, too. Built-in scenes trained the network,
-those of CHDSTAT_SCENES did not. Run with ``--benchmark-only -s``; CHDSTAT_REFERENCES names a folder
-that keeps the renders, CHDSTAT_FILM the edge of the images, CHDSTAT_NAMES some of the scenes, apart
-by semicolons.
+image, the share of estimates that got better than the mean, and the share of 90 % intervals that
+hold the truth, by thirds of brightness, without that noise, too. Built-in scenes trained the
+network, those of CHDSTAT_SCENES did not. Run with ``--benchmark-only -s``; CHDSTAT_REFERENCES names
+a folder that keeps the renders, CHDSTAT_FILM the edge of the images, CHDSTAT_NAMES some of the
+scenes, apart by semicolons.
 """
 
 from __future__ import annotations
@@ -89,21 +89,21 @@ def errors_of(image: np.ndarray, reference: np.ndarray, noise: np.ndarray) -> np
     return np.stack([squared, squared * weight]).mean(axis=-1).reshape(2, -1).T
 
 
-def held(found: Combination, reference: np.ndarray, noise: np.ndarray) -> np.ndarray:
+def coverage(found: Combination, reference: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Return the share of intervals that hold the reference and the truth, by thirds of brightness.
 
-    Shape (2, third). What the noise of the reference adds is measured by as much noise again
+    Shape (2, third). As much noise again as the reference has tells what it takes from the truth's
     (simulation extrapolation: Cook and Stefanski 1994, doi:10.1080/01621459.1994.10476871).
     """
     light = reference.mean(axis=-1)
     third = np.digitize(light, np.quantile(light, [1 / 3, 2 / 3]))
     rng = np.random.default_rng(0)
     noisier = reference + np.sqrt(noise) * rng.standard_normal(reference.shape)
-    one, two = (
+    once, twice = (
         np.array([inside[third == k].mean() for k in range(3)])
         for inside in ((found.low <= r) & (r <= found.high) for r in (reference, noisier))
     )
-    return np.array([one, 2 * one - two])
+    return np.array([once, 2 * once - twice])
 
 
 def judged(samples: chd.Samples, reference: np.ndarray, noise: np.ndarray) -> dict[str, np.ndarray]:
@@ -117,7 +117,7 @@ def judged(samples: chd.Samples, reference: np.ndarray, noise: np.ndarray) -> di
     differ = np.abs(found.radiance - mean) > 1e-6 * np.abs(mean)
     closer = np.abs(found.radiance - reference) < np.abs(mean - reference)
     about = [found.radiance.mean() / reference.mean() - 1, found.bias_error, closer[differ].mean()]
-    about += held(found, reference, noise).ravel().tolist()
+    about += coverage(found, reference, noise).ravel().tolist()
     found = {name: errors_of(image, reference, noise) for name, image in images.items()}
     return found | {"about": np.array(about)}
 
