@@ -5,12 +5,10 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
-import io
 import pkgutil
 import re
 import subprocess
 import sys
-import tokenize
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -66,7 +64,6 @@ HEAVY = (
     "bokeh",
 )
 
-LONGEST_MODULE = 450
 
 RENDERING = {"scenes", "rendering"}
 """What may import Mitsuba."""
@@ -112,45 +109,6 @@ def shown(importer: str, name: str) -> bool:
         importer == f"chdstat.{one}" and name.startswith(f"chdstat.{other}")
         for one, other in DOWNSTREAM
     )
-
-
-# --- size ---------------------------------------------------------------------------------------
-
-
-def code_lines(path: Path) -> int:
-    """Return how many lines of a module hold code: no comment, no docstring, not blank."""
-    text = path.read_text(encoding="utf-8")
-    silent = {tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT}
-    lines = {
-        line
-        for token in tokenize.generate_tokens(io.StringIO(text).readline)
-        if token.type not in silent and token.string
-        for line in range(token.start[0], token.end[0] + 1)
-    }
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            lines -= set(range(node.lineno, node.end_lineno + 1))
-    return len(lines)
-
-
-def test_the_package_keeps_its_size():
-    """With ``-s``: modules, lines of code and statements of each folder."""
-    sizes: dict[str, list[int]] = {}
-    long = {}
-    for path in sorted(ROOT.rglob("*.py")):
-        text = path.read_text(encoding="utf-8")
-        statements = sum(isinstance(node, ast.stmt) for node in ast.walk(ast.parse(text)))
-        counts = 1, code_lines(path), statements
-        for name in (str(path.parent.relative_to(ROOT)), "in all"):
-            sizes[name] = [a + b for a, b in zip(sizes.get(name, (0, 0, 0)), counts, strict=True)]
-        if (length := text.count("\n")) > LONGEST_MODULE:
-            long[str(path.relative_to(ROOT))] = length
-    print(f"\n{'folder':26}{'modules':>8}{'code':>8}{'statements':>12}")
-    for name, (count, code, statements) in sorted(sizes.items()):
-        print(f"{name:26}{count:8}{code:8}{statements:12}")
-    assert not long, f"modules of more than {LONGEST_MODULE} lines: {long}"
-    assert sizes["."][0] <= 4
-    assert len({name.split("/")[0] for name in sizes} - {".", "in all"}) <= 16
 
 
 # --- names --------------------------------------------------------------------------------------

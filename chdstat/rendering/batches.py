@@ -156,7 +156,7 @@ class Rendering:
     def features(self) -> dict[str, Image]:
         """First-hit features, as `Samples.features`; rendered when they are first asked for."""
         with activate(self._job.verdict):
-            return self._renderer.features()
+            return self._renderer.features()[0]
 
     @contextlib.contextmanager
     def on_demand(self) -> Iterator[tuple[Samples, int]]:

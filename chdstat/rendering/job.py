@@ -132,14 +132,14 @@ class Job:
         InputError, SceneError, RenderError
             If there is no such sensor, or its film, the integrator or a plugin cannot be used.
         """
-        variant = self.verdict.variant
-        register(self.plugins, variant)
-        state, integrator = self.scene.parse(variant), None
+        from chdstat.scenes.loading import parse
+
+        register(self.plugins, self.verdict.variant)
+        parsed, instead = parse(self.scene), None
         if self.integrator is not None:
             given = self.integrator if isinstance(self.integrator, Mapping) else {"type": "path"}
-            alone = {"type": "scene", "integrator": dict(given)}
-            integrator = Scene("integrator", alone).parse(variant)
-        return asked_for(self.scene.name, state, self.sensor, integrator, self.sampler)
+            instead = parsed.sole(given)
+        return asked_for(parsed, self.sensor, instead, self.sampler)
 
 
 def scene_size(scene: SceneLike) -> tuple[int, int]:
@@ -165,7 +165,7 @@ def scene_integrator(scene: SceneLike) -> str:
     """
     job = Job(load_scene(scene), resolve("scalar"))
     with activate(job.verdict):
-        return str(job.asked().integrator.plugin_name())
+        return job.asked().integrator.plugin(0)
 
 
 def _described(integrator: IntegratorLike) -> dict[str, Any]:

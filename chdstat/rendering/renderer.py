@@ -8,34 +8,38 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import logging
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.executor import Interrupted
-from chdstat.errors import InputError, RenderError, SceneError, brief
+from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import activate, one_thread
 from chdstat.rendering.instances import IntegratorObject
 from chdstat.rendering.job import Job
 from chdstat.rendering.lights import darken, flush, light_names
-from chdstat.rendering.rays import drawn
+from chdstat.rendering.rays import drawn, sensed
 from chdstat.rendering.seeds import Streams
-from chdstat.rendering.sequences import Sequences
-from chdstat.samples.layout import TILE, Chunk, Image
+from chdstat.samples.layout import BATCH, TILE, Chunk, Image
 from chdstat.scenes.files import code_of, plugins_made
 from chdstat.scenes.plugins import failure, used
+from chdstat.scenes.scene import LiveScene
+from chdstat.scenes.settings import check_variant
 
 __all__ = ["Renderer"]
 
+_log = logging.getLogger("chdstat")
+_FAILING = (ChdstatError, RuntimeError, TypeError, ValueError, AttributeError, LookupError)
+"""What materials of one's own may raise that were written for radiance only."""
 _BLOCK = 32
 _RUN = 16
 """Independent samples of a pixel in neighbouring lanes: their paths begin alike, which saves a
 tenth."""
 _FEATURE_SPP = 16
-_FEATURES = {"albedo": "albedo", "normal": "sh_normal", "depth": "depth", "position": "position"}
 
 
 class Renderer:
@@ -59,33 +63,30 @@ class Renderer:
             self._mi = mi
             self._scalar, self._plugins = job.verdict.backend == "scalar", job.plugins
             self.files, self.scene_hash = job.scene.files(), job.scene.hash
-            asked = job.asked()
+            self._asked = asked = job.asked()
             self.notes = list(asked.notes)
-            self._sensor_properties = asked.sensor
+            live = job.scene.source if isinstance(job.scene.source, LiveScene) else None
             self.film, note = asked.film.resized(job.size)
             self.notes += note
             if job.crop is not None:
                 self.film = self.film.cropped(job.crop)
             self.size = self.film.crop_size
-            properties = mi.Properties(asked.integrator)
-            for name in ("samples_per_pass", "timeout", "block_size"):
-                if name in properties:
-                    del properties[name]
             if job.max_depth is not None:
-                properties["max_depth"] = job.max_depth
-            self.integrator: dict[str, Any] = {"type": properties.plugin_name(), **properties}
-            properties["block_size"] = _BLOCK  # the default depends on the number of cores
-            self._integrator_properties = properties
+                asked.integrator.node(0).props["max_depth"] = job.max_depth
             self._given = job.integrator if isinstance(job.integrator, IntegratorObject) else None
-            if self._given is not None:
-                self.integrator = self._given.description
+            self.integrator: dict[str, Any] = {"type": asked.integrator.plugin(0)}
             self._streams, self._sequences = Streams(self.size, job.seed), job.sequences
             self._local = threading.local()
             with self._telling(), plugins_made(mi, asked.plugins) as made:
                 _ = self._integrator  # one that cannot be used is refused before any work
-                if isinstance(job.integrator, Mapping):
-                    self._refuse_unknown(job.integrator)
-                self._scene = job.scene.build(asked.state)
+                self._scene = live.value if live else asked.scene.make(parallel=True)
+            # Only now, for Mitsuba takes note of which settings were looked at.
+            given = self._given.description if self._given else asked.integrator.node(0).props
+            self.integrator |= dict(given)
+            self._loaded_sensor = self._scene.sensors()[job.sensor]
+            self._sensor_medium = self._loaded_sensor.get_medium()
+            self._as_it_is = live is not None and not live.is_described(job.sensor)
+            self._refuse_view(job)
             if job.light is not None:
                 darken(mi, self._scene, job.light)
             self._darkened = job.light is not None
@@ -94,14 +95,13 @@ class Renderer:
                 self.code |= self._given.code
                 made.append(self._given.value)
             self.plugins = used(job.plugins, str(mi.variant()), asked.plugins, made)
-            self._sensor_medium = self._scene.sensors()[job.sensor].get_medium()
             if job.scene.files() != self.files:
                 message = f"files of scene {job.scene.name!r} changed while they were read; again"
                 raise SceneError(message)
-            sensor = self._sensor((0, 0), (1, 1))
+            self._sensor((0, 0), self.size)  # Mitsuba refuses what a sensor cannot be
             if self._scalar:  # one sample costs nothing: what cannot be drawn is refused at once
                 with self._telling():
-                    self._integrator.render(self._scene, sensor, seed=0, spp=1)
+                    self._pixel_scalar(0, 0, 0, 1)
 
     @property
     def identity(self) -> dict[str, Any]:
@@ -125,9 +125,12 @@ class Renderer:
 
     def _drawn(self, chunk: Chunk, before_pass: Callable[[], None]) -> Image:
         if self._sequences is not None:
-            return self._chunk_of_sequences(chunk, self._sequences, before_pass)
-        if self._scalar:
+            step = self._sequences.length if self._scalar else self._sequences.drawn_together
+            return self._chunk_of_sequences(chunk, step, before_pass)
+        if self._scalar and (self._crops or chunk.shape[1::-1] == self.size):
             return self._chunk_scalar(chunk, before_pass)
+        if self._scalar:
+            return self._chunk_of_sequences(chunk, BATCH, before_pass)
         before_pass()
         (height, width, samples), corner = chunk.shape, (chunk.xs.start, chunk.ys.start)
         number = self._streams.of_chunk(chunk)
@@ -145,6 +148,12 @@ class Renderer:
         top, bottom = (height * i // band[1] for i in (band[0], band[0] + 1))
         if top == bottom:
             return np.empty((0, width, 3), np.float32)
+        if not self._crops:
+            rows, columns = np.arange(top, bottom) / height, np.arange(width) / width
+            places = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1)
+            pixels = (places * self.size[::-1]).astype(np.intp)
+            means = self.pixels(pixels.reshape(-1, 2), spp, seed=seed).mean(axis=-1)
+            return np.asarray(means.reshape(*pixels.shape[:2], 3), np.float32)
         with self._telling():
             sensor = self._sensor((0, top), (width, bottom - top), scale)
             drawn = self._integrator.render(self._scene, sensor, seed=seed, spp=spp)
@@ -179,22 +188,68 @@ class Renderer:
         """
         if self._given is not None:
             return None
-        properties = self._mi.Properties(self._integrator_properties)
+        properties = self._mi.Properties(self._asked.integrator.node(0).props)
         properties["max_depth"] = longest = int(properties.get("max_depth", -1))
         self._mi.PluginManager.instance().create_object(properties)
         return longest if properties.was_queried("max_depth") else None
 
-    def features(self) -> dict[str, Image]:
-        """Render the first-hit features: albedo, shading normal, depth and position."""
-        aovs = ",".join(f"{name}:{kind}" for name, kind in _FEATURES.items())
-        integrator = self._mi.load_dict({"type": "aov", "aovs": aovs, "block_size": _BLOCK})
-        sensor = self._sensor((0, 0), self.size)
-        # For each sample the integrator copies the list of shapes: threads wait for its counters.
-        with one_thread() if self._scalar else contextlib.nullcontext():
-            stack = np.array(integrator.render(self._scene, sensor, seed=0, spp=_FEATURE_SPP))
-        parts = dict(zip(_FEATURES, np.split(stack, (3, 6, 7), axis=-1), strict=True))
-        images = {name: p.astype(np.float32) for name, p in parts.items()}
-        return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in images.items()}
+    def features(self) -> tuple[dict[str, Image], str]:
+        """Return the first-hit features, and why there are none where they cannot be drawn."""
+        try:
+            with self._telling():
+                return self._first_hits(), ""
+        except _FAILING as error:
+            _log.warning("no first-hit features: %s", brief(error))
+            return {}, brief(error)
+
+    def _first_hits(self) -> dict[str, Image]:
+        from chdstat.rendering.features import AOVS, FEATURES, first_hit, is_plain
+
+        aov = self._mi.load_dict({"type": "aov", "aovs": AOVS, "block_size": _BLOCK})
+        hides = bool(getattr(self._integrator, "hide_emitters", False))
+        name, sensor = self.integrator["type"], self._sensor((0, 0), self.size)
+        if self._as_it_is or not is_plain(self._mi, self._scene, sensor, name, hides=hides):
+
+            def hit(ray: Any, sampler: Any) -> list[Any]:
+                mi, scene, medium = self._mi, self._scene, self._sensor_medium
+                return first_hit(mi, scene, aov, ray, sampler, medium, name, hides=hides)
+
+            stack = self._followed(hit, sensor)
+        else:
+            # For each sample, it copies the list of shapes: threads wait for its counters.
+            with one_thread() if self._scalar else contextlib.nullcontext():
+                drawn = aov.render(self._scene, sensor, seed=0, spp=_FEATURE_SPP)
+                stack = np.array(drawn, np.float32)[..., -sum(FEATURES.values()) :]
+        ends = np.cumsum(list(FEATURES.values()))[:-1]
+        parts = zip(FEATURES, np.split(stack, ends, axis=-1), strict=True)
+        return {name: p[..., 0] if p.shape[-1] == 1 else p for name, p in parts}
+
+    def _followed(self, hit: Callable[[Any, Any], list[Any]], sensor: Any) -> Image:
+        """Return the mean of what many rays of each pixel hit, shape (y, x, number)."""
+        mi, (width, height) = self._mi, self.size
+        sampler = mi.load_dict({"type": "independent"})
+        if not self._scalar:
+            import drjit as dr
+
+            lanes = width * height * _FEATURE_SPP
+            sampler.seed(0, lanes)
+            index = dr.arange(mi.UInt32, lanes) // _FEATURE_SPP
+            pixel = mi.Point2f(mi.Float(index % width), mi.Float(index // width))
+            position = (pixel + sampler.next_2d()) / mi.Point2f(width, height)
+            found = hit(sensed(mi, position, sensor, sampler)[0], sampler)
+            stack = np.stack([np.broadcast_to(np.array(v), lanes) for v in found], axis=-1)
+            stack = stack.reshape(height, width, _FEATURE_SPP, -1)
+            return np.asarray(stack.mean(axis=2), np.float32)
+        sampler.seed(0, 1)
+        means = []
+        for y, x in np.ndindex(height, width):
+            hits = []
+            for _ in range(_FEATURE_SPP):
+                dx, dy = sampler.next_2d()
+                position = mi.Point2f((x + dx) / width, (y + dy) / height)
+                hits.append(hit(sensed(mi, position, sensor, sampler)[0], sampler))
+            means.append(np.mean(hits, axis=0))
+        return np.array(means, np.float32).reshape(height, width, -1)
 
     @contextlib.contextmanager
     def _telling(self) -> Iterator[None]:
@@ -204,21 +259,37 @@ class Renderer:
         except Exception as error:
             told = failure(self._plugins, error)
             if isinstance(error, RuntimeError) and told is error:
-                told = _unusable(self.integrator["type"], error)
+                told = RenderError(
+                    f"Mitsuba cannot sample this scene by integrator {self.integrator['type']!r}: "
+                    f"{brief(error)}"
+                )
             if told is error:
                 raise
             raise told from error
 
     # --- Mitsuba objects ------------------------------------------------------------------------
 
+    def _refuse_view(self, job: Job) -> None:
+        """Refuse a view that the sensor cannot show."""
+        kind = self._asked.sensor.plugin(0)
+        if job.crop is not None and self.film.crop is not None and not self._asked.crops:
+            message = (
+                f"a {kind} sensor cannot be cropped, as Mitsuba shows all of it in any crop; leave "
+                "out the crop"
+            )
+            raise InputError(message)
+        own = self._asked.film.crop_size
+        if self._as_it_is and (self.size != own or job.crop is not None):
+            message = (
+                f"the {self._loaded_sensor.class_name()} of a scene that Mitsuba has built shows "
+                f"{own[0]} x {own[1]} pixels only; give the file or dict that it was made of"
+            )
+            raise RenderError(message)
+
     def _sensor(self, offset: tuple[int, int], extent: tuple[int, int], scale: float = 1.0) -> Any:
         """Return the scene's sensor with a film that covers a part of the image, maybe coarser."""
-        mi = self._mi
-        properties = mi.Properties(self._sensor_properties)
-        kinds = mi.Properties.Type
-        for name in list(properties.keys()):
-            if properties.type(name) in (kinds.Object, kinds.Reference, kinds.ResolvedReference):
-                del properties[name]
+        if self._as_it_is:
+            return self._loaded_sensor
         film = {
             "type": "hdrfilm",
             "width": max(round(scale * self.film.size[0]), extent[0]),
@@ -231,45 +302,35 @@ class Renderer:
             "component_format": "float32",
             "rfilter": {"type": "box"},
         }
-        properties["film"] = mi.load_dict(film)
-        properties["sampler"] = mi.load_dict({"type": "independent"})
+        described = self._asked.sensor.branch(0)
+        described.put(0, "film", film)
+        described.put(0, "sampler", {"type": "independent"})
         if self._sensor_medium is not None:
-            properties["medium"] = self._sensor_medium
-        try:
-            return mi.PluginManager.instance().create_object(properties)
-        except RuntimeError as error:
-            message = f"sensor {properties.plugin_name()!r} cannot be used: {brief(error)}"
-            raise RenderError(message) from error
+            described.node(0).props["medium"] = self._sensor_medium
+        sensor = described.make()
+        sensor.set_scene(self._scene)
+        if (shape := self._loaded_sensor.get_shape()) is not None:
+            sensor.set_shape(shape)
+        return sensor
 
     @property
     def _integrator(self) -> Any:
         """The integrator of the calling thread; it keeps state while it renders."""
         if not hasattr(self._local, "integrator"):
-            create = self._mi.PluginManager.instance().create_object
-            name = self.integrator["type"]
-            try:
-                properties = self._mi.Properties(self._integrator_properties)
-                integrator = self._given.value if self._given else create(properties)
-            except RuntimeError as error:
-                raise _unusable(name, error) from error
-            if not isinstance(integrator, self._mi.SamplingIntegrator):
-                raise _unusable(name, "does not sample pixel by pixel")
-            self._local.integrator = integrator
+            described = self._asked.integrator.branch(0)
+            check_variant(described)
+            made = self._given.value if self._given else described.make()
+            if not isinstance(made, self._mi.SamplingIntegrator):
+                message = (
+                    f"integrator {self.integrator['type']!r} does not sample pixel by pixel; use "
+                    "one that does, such as path, volpath or direct"
+                )
+                raise RenderError(message)
+            if self._given is None:
+                described.node(0).props["block_size"] = _BLOCK  # the default depends on the cores
+                made = described.make()
+            self._local.integrator = made
         return self._local.integrator
-
-    def _refuse_unknown(self, given: Mapping[str, Any]) -> None:
-        """Refuse settings that the integrator given for the scene's own does not look at."""
-        properties = self._mi.Properties(given["type"])  # of which nothing was looked at yet
-        for name, value in given.items():
-            if name != "type":
-                properties[name] = value
-        self._mi.PluginManager.instance().create_object(properties)
-        if unknown := properties.unqueried():
-            message = (
-                f"integrator {self.integrator['type']!r} has no setting {', '.join(unknown)}; "
-                "leave it out, or correct its name"
-            )
-            raise InputError(message)
 
     # --- sequences of dependent samples ---------------------------------------------------------
 
@@ -284,12 +345,16 @@ class Renderer:
             sampler.set_samples_per_wavefront(length)
         return sampler
 
+    @property
+    def _crops(self) -> bool:
+        """Whether the sensor can show a part of the image alone."""
+        return self._asked.crops and not self._as_it_is
+
     def _chunk_of_sequences(
-        self, chunk: Chunk, sequences: Sequences, before_pass: Callable[[], None]
+        self, chunk: Chunk, step: int, before_pass: Callable[[], None]
     ) -> Image:
-        """Draw whole sequences, and keep those samples of them that belong to the chunk."""
+        """Draw whole sequences of `step` samples, and keep those that belong to the chunk."""
         (height, width, _), corner = chunk.shape, (chunk.xs.start, chunk.ys.start)
-        step = sequences.length if self._scalar else sequences.drawn_together
         first, drawn = chunk.ss.start // step, list[Image]()
         for i in range(first, -(-chunk.ss.stop // step)):
             samples = min(step, chunk.ss.stop - i * step)
@@ -313,7 +378,7 @@ class Renderer:
         """
         number = self._streams.of_sequence(chunk, sequence)
         sampler = self._sampler()
-        sample = self._sampling_scalar(sampler)
+        sample = self._sampling_scalar(sampler, self.size)
         height, width, _ = chunk.shape
         block = np.empty((height, width, 3, samples), np.float32)
         for y in range(height):
@@ -343,12 +408,12 @@ class Renderer:
     def _pixel_scalar(self, number: int, y: int, x: int, spp: int) -> Image:
         sampler = self._mi.load_dict({"type": "independent"})
         sampler.seed(number, 1)
-        sample = self._sampling_scalar(sampler)
+        sample = self._sampling_scalar(sampler, self.size)
         return np.stack([sample(x, y) for _ in range(spp)], axis=-1)
 
-    def _sampling_scalar(self, sampler: Any) -> Callable[[int, int], Any]:
-        """Return a function that draws the next sample of the pixel at (x, y)."""
-        mi, (width, height), sensor = self._mi, self.size, self._sensor((0, 0), self.size)
+    def _sampling_scalar(self, sampler: Any, size: tuple[int, int]) -> Callable[[int, int], Any]:
+        """Return a function that draws the next sample of the pixel at (x, y) of so many."""
+        mi, (width, height), sensor = self._mi, size, self._sensor((0, 0), self.size)
         objects = self._scene, sensor, self._integrator, sampler, self._sensor_medium
 
         def sample(x: int, y: int) -> Any:
@@ -431,11 +496,3 @@ def _uncollected() -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
-
-
-def _unusable(integrator: str, why: str | Exception) -> RenderError:
-    reason = why if isinstance(why, str) else f"cannot sample this scene here ({brief(why)})"
-    return RenderError(
-        f"integrator {integrator!r} {reason}; "
-        "use one that samples pixel by pixel, such as path, volpath or direct"
-    )

@@ -71,8 +71,11 @@ def features_restored(
     One worker of a cluster draws them beside the others, which would wait for them otherwise: they
     take as long as some dozen samples per pixel.
     """
-    if client is None or not writer.lacks_features:
-        writer.restore(renderer.features)
+    if not writer.lacks_features:
+        yield
+        return
+    if client is None:
+        writer.restore(*renderer.features())
         yield
         return
     with pool(client=client) as cluster:
@@ -82,7 +85,7 @@ def features_restored(
             features = cluster.result(drawn)
         finally:
             drawn.cancel()
-        writer.restore(lambda: features)
+        writer.restore(*features)
 
 
 def _samples_of(renderer: Renderer, group: Group, **options: Any) -> list[tuple[Chunk, Image]]:
@@ -151,7 +154,7 @@ def render_remote(
         return [(chunk, None) for chunk, _ in drawn]
 
 
-def features_remote(job: Job, identity: dict[str, Any]) -> Mapping[str, Image]:
+def features_remote(job: Job, identity: dict[str, Any]) -> tuple[Mapping[str, Image], str]:
     """Render first-hit features in a Dask worker, of the very scene that the client has."""
     with _remote(job, identity) as renderer:
         return renderer.features()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -97,8 +97,8 @@ def renderer_of(job: Job, spp: int, *, kept: int, out: str | Path | None) -> Ren
     renderer = Renderer(job)
     check_spp(job.verdict.backend, *renderer.size, spp, job.sequences)
     check_room(renderer.size, kept, out)
-    for note in renderer.notes:
-        _log.warning("%s", note)
+    if renderer.notes:
+        _log.warning("%s: %s", job.scene.name, "; ".join(renderer.notes))
     return renderer
 
 
@@ -124,9 +124,11 @@ class MemoryWriter:
         """Whether there are no first-hit features yet."""
         return not self._features
 
-    def restore(self, features: Callable[[], Mapping[str, Image]]) -> None:
-        """Keep first-hit features."""
-        self._features = dict(features())
+    def restore(self, features: Mapping[str, Image], why_none: str = "") -> None:
+        """Keep first-hit features, or why there are none."""
+        self._features = dict(features)
+        if why_none:
+            self._attrs["why_no_features"] = why_none
 
     def spent(self, seconds: float) -> None:
         """Record how long rendering took."""

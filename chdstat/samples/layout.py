@@ -96,7 +96,7 @@ Shape = tuple[int, int, int, int]
 SCHEMA_VERSION = 2
 FIRST_SCHEMA = 1
 LOCK = ".lock"
-_GROWING = ("spp", "render_seconds", "appended")
+_GROWING = ("spp", "render_seconds", "appended", "why_no_features")
 """Attributes that change while samples are added; all others are the identity of a store."""
 FOREIGN = (
     ArithmeticError,

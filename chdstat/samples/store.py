@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +94,7 @@ class Store:
             attributes = json.loads(layout.canonical({**kept, "manifest": manifest}))
             store = cls(path, attributes, lock)
             store._save()
-        store.restore(lambda: features or {})
+        store.restore(features or {})
         return store
 
     @classmethod
@@ -421,13 +421,15 @@ class Store:
         """Whether there are no first-hit features, or damaged ones."""
         return not self.feature_names or bool(self._damaged_features())
 
-    def restore(self, features: Callable[[], Mapping[str, Image]]) -> None:
-        """Write the features, where any is missing or damaged."""
+    def restore(self, features: Mapping[str, Image], why_none: str = "") -> None:
+        """Write the features that are missing or damaged, or why there are none."""
         if self.lacks_features:
             with layout.writing(self.path):
-                for name, image in features().items():
+                for name, image in features.items():
                     self._write_feature(name, image)
                 self._save()
+            if why_none:
+                self.update(why_no_features=why_none)
 
     def _write_feature(self, name: str, image: Image) -> None:
         held: dict[str, Any] = {}

@@ -66,6 +66,11 @@ class Description:
         for path in self.find(name):
             self.note(name, path)
 
+    def search(self, name: str, places: list[Path]) -> None:
+        """Look for relative names in another folder first, which is in one of some places."""
+        folders = [place / name for place in places]
+        self.folders[:0] = [next(filter(Path.is_dir, folders), folders[0])]
+
     def note(self, name: str, path: Path) -> None:
         """Note a file; another one of the same name is numbered."""
         names = itertools.chain([name], (f"{name} ({i})" for i in itertools.count(2)))
@@ -88,6 +93,9 @@ def described(
         reader.read(source, source.name, 0)
         names: Iterator[str] = iter(reader.names)
     else:
+        for part in source.values():
+            if isinstance(part, Mapping) and part.get("type") == "resources":
+                found.search(str(part.get("path", "")), [Path()])
         names = _texts(source)
     # Only now are all folders known: Mitsuba opens most files after it has read the description.
     for name in filter(None, names):
@@ -187,8 +195,7 @@ class _Reader:
         if tag == "default":
             self._parameters.setdefault(attributes.get("name", ""), value)
         elif tag == "path":
-            folders = [folder / value for folder in (*self._found.folders, Path())]
-            self._found.folders[:0] = [next(filter(Path.is_dir, folders), folders[0])]
+            self._found.search(value, [*self._found.folders, Path()])
         elif tag == "include":
             name = attributes.get("filename", "")
             for path in self._found.find(name):

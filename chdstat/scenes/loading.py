@@ -1,4 +1,8 @@
-"""Mitsuba's parser state of scene descriptions, and the scenes built from it.
+"""Scenes as Mitsuba reads them: its parser, its resolver of file names, its messages.
+
+What chdstat changes of a scene, it changes between the two steps of Mitsuba's own loader: the
+parser has read and transformed the description, and no object is made yet. A part of a scene, such
+as its sensor, can be made alone, and again.
 
 With `chdstat.rendering` the only part of the library that imports Mitsuba.
 """
@@ -6,8 +10,9 @@ With `chdstat.rendering` the only part of the library that imports Mitsuba.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
@@ -15,72 +20,209 @@ import mitsuba.parser
 import numpy as np
 
 from chdstat.errors import SceneError, brief
-from chdstat.scenes.scene import LiveScene
 
 if TYPE_CHECKING:
     from chdstat.scenes.scene import Scene
 
-__all__ = ["instantiate", "parse"]
+__all__ = ["ParsedScene", "parse"]
+
+_RESOLVING = threading.RLock()
+"""Held while Mitsuba's resolver, which belongs to the process, is that of a scene."""
 
 
-def parse(scene: Scene, variant: str) -> Any:
-    """Return Mitsuba's parser state of a scene; the variant must be the one that is set."""
-    config, folders = _config(variant), scene.described().folders
-    with _naming(scene, "read"), _resolving(folders):
-        source = scene.source
-        if isinstance(source, LiveScene):
-            source = source.description()
+@dataclass(frozen=True)
+class ParsedScene:
+    """A scene description, or a part of one, as Mitsuba's parser has read it.
+
+    Parameters
+    ----------
+    name
+        What errors call the scene.
+    state
+        Mitsuba's parser state; the first node is the root.
+    resolver
+        Where Mitsuba looks for files that the description names.
+    """
+
+    name: str
+    state: Any
+    resolver: Any
+
+    def node(self, index: int) -> Any:
+        """Return a node of the state."""
+        return self.state.nodes[index]
+
+    def plugin(self, index: int) -> str:
+        """Return the name of a node's plugin."""
+        return str(self.node(index).props.plugin_name())
+
+    def held(self, index: int, kind: str | None = None) -> list[int]:
+        """Return the nodes that a node holds, those of a kind such as ``"Film"`` if told."""
+        found = [i for _, i in self.references(index)]
+        return [i for i in found if kind in (None, self.node(i).type.name)]
+
+    def children(self) -> list[int]:
+        """Return the nodes that the root holds, in Mitsuba's order."""
+        found = []
+        for index in self.held(0):
+            found += self.held(index) if self.plugin(index) == "merge" else [index]
+        return found
+
+    def drop(self, parts: Iterable[int]) -> None:
+        """Take some nodes away from those that hold them."""
+        gone = set(parts)
+        for holder in range(len(self.state.nodes)):
+            for key, index in self.references(holder):
+                if index in gone:
+                    del self.node(holder).props[key]
+
+    def sole(self, part: Mapping[str, Any]) -> ParsedScene:
+        """Return what a dict in Mitsuba's form describes, of which files are found as here."""
+        with _naming(self.name, "read"), _resolving(self.resolver):
+            state = mi.parser.parse_dict(_config(), dict(part))
+        return ParsedScene(self.name, state, self.resolver)
+
+    def put(self, holder: int, key: str, part: Mapping[str, Any]) -> None:
+        """Give a node a new part, described by a dict in Mitsuba's form."""
+        added, first = self.sole(part).state, len(self.state.nodes)
+        for node in added.nodes:
+            self.state.nodes.append(_moved(node, lambda i: first + i))
+        if self.state.node_paths:
+            self.state.node_paths = [*self.state.node_paths, *added.node_paths]
+        self.node(holder).props[key] = mi.Properties.ResolvedReference(first)
+
+    def branch(self, root: int) -> ParsedScene:
+        """Return a node and all that it holds, copied."""
+        order: dict[int, int] = {}
+
+        def visit(index: int) -> None:
+            if index not in order:
+                order[index] = len(order)
+                for held in self.held(index):
+                    visit(held)
+
+        visit(root)
+        state = mi.parser.ParserState(self.state)
+        state.nodes.clear()
+        for index in order:
+            state.nodes.append(_moved(self.node(index), order.__getitem__))
+        if state.node_paths:
+            state.node_paths = [self.state.node_paths[index] for index in order]
+        return ParsedScene(self.name, state, self.resolver)
+
+    def make(self, *, parallel: bool = False) -> Any:
+        """Return the Mitsuba object of the root, its models and textures read.
+
+        Raises
+        ------
+        SceneError
+            If a plugin, a model or a texture is missing or broken.
+        """
+        config = _config()
+        config.parallel = parallel
+        with _naming(self.name, "build"), _resolving(self.resolver):
+            return mi.parser.instantiate(config, self.state)
+
+    def references(self, index: int) -> list[tuple[str, int]]:
+        """Return the names and nodes of what a node holds."""
+        resolved, props = mi.Properties.Type.ResolvedReference, self.node(index).props
+        keys = [key for key in props.keys() if props.type(key) == resolved]  # noqa: SIM118
+        return [(key, props[key].index()) for key in keys]
+
+
+def _moved(node: Any, place: Callable[[int], int]) -> Any:
+    """Return a copy of a node whose references point to where its parts are now."""
+    copy, resolved = mi.parser.SceneNode(node), mi.Properties.Type.ResolvedReference
+    for key in list(copy.props.keys()):
+        if copy.props.type(key) == resolved:
+            index = place(copy.props[key].index())
+            copy.props[key] = mi.Properties.ResolvedReference(index)
+    return copy
+
+
+def parse(scene: Scene) -> ParsedScene:
+    """Return a scene as Mitsuba's parser reads it for the variant that is set.
+
+    Raises
+    ------
+    SceneError
+        If Mitsuba cannot read it; its message is passed on.
+    """
+    source = scene.description()
+    # Mitsuba's names belong to the variant that is set, so a type checker cannot know them.
+    mitsuba_now: Any = mi
+    resolver = mitsuba_now.FileResolver(mitsuba_now.file_resolver())
+    if not isinstance(source, Mapping):
+        resolver.prepend(str(source.parent))
+    config = _config()
+    with _naming(scene.name, "read"), _resolving(resolver):
         if isinstance(source, Mapping):
             state = mi.parser.parse_dict(config, _to_mitsuba(source))
         else:
             state = mi.parser.parse_file(config, str(source), **dict(scene.parameters))
         mi.parser.transform_all(config, state)
-    return state
+    parsed = ParsedScene(scene.name, state, resolver)
+    _merge(parsed)
+    return parsed
 
 
-def instantiate(scene: Scene, state: Any) -> Any:
-    """Return the Mitsuba scene of a parser state, its models and textures read."""
-    if isinstance(scene.source, LiveScene):
-        return scene.source.value
-    folders = scene.described().folders
-    with _naming(scene, "build"), _resolving(folders):
-        return mi.parser.instantiate(_config(str(mi.variant())), state)
+def _merge(parsed: ParsedScene) -> None:
+    """Merge meshes of one material, as Mitsuba's loader does, in an order that is always the same.
+
+    Mitsuba orders materials by where they are in memory, and lights with them, so that the same
+    random numbers would choose other lights in each process. Here each material is merged by
+    itself, and lights are not.
+    """
+    groups: dict[tuple[Any, ...], dict[str, int]] = {}
+    for key, index in parsed.references(0):
+        held = parsed.held(index)
+        kinds = {parsed.node(i).type.name for i in held}
+        if parsed.node(index).type.name == "Shape" and kinds and kinds <= {"BSDF", "Medium"}:
+            flat = parsed.node(index).props.get("face_normals", False)
+            group = (parsed.plugin(index), flat, *sorted(held))
+            groups.setdefault(group, {})[key] = index
+    root = parsed.node(0).props
+    for number, meshes in enumerate(g for g in groups.values() if len(g) > 1):
+        merged = mi.parser.SceneNode()
+        merged.type = mi.ObjectType.Shape
+        merged.props.set_plugin_name("merge")
+        for key, index in meshes.items():
+            merged.props[key] = mi.Properties.ResolvedReference(index)
+            del root[key]
+        root[f"_merged_{number}"] = mi.Properties.ResolvedReference(len(parsed.state.nodes))
+        parsed.state.nodes.append(merged)
+        if parsed.state.node_paths:
+            parsed.state.node_paths = [*parsed.state.node_paths, f"merged {number}"]
 
 
-def _config(variant: str) -> Any:
-    """Return how strict to be: an unknown property is worth a warning, as in Mitsuba itself."""
-    config = mi.parser.ParserConfig(variant)
-    config.unused_properties = mi.LogLevel.Warn
+def _config() -> Any:
+    """Return the settings of Mitsuba's loader, but for the merging of meshes; see `_merge`."""
+    config = mi.parser.ParserConfig(str(mi.variant()))
+    config.merge_meshes = False
     return config
 
 
 @contextlib.contextmanager
-def _naming(scene: Scene, doing: str) -> Iterator[None]:
+def _naming(scene: str, doing: str) -> Iterator[None]:
     """Turn what Mitsuba says of a scene that it cannot use into an error that names the scene."""
     try:
         yield
     except (RuntimeError, ValueError, TypeError) as error:  # ValueError: text that is no UTF-8
-        message = f"Mitsuba cannot {doing} the scene {scene.name!r}: {brief(error)}"
+        message = f"Mitsuba cannot {doing} the scene {scene!r}: {brief(error)}"
         raise SceneError(message) from error
 
 
 @contextlib.contextmanager
-def _resolving(folders: Sequence[Path]) -> Iterator[None]:
-    """Let Mitsuba look for files in these folders first while the context lasts.
-
-    A ``<path>`` of the scene is forgotten afterwards, too, which Mitsuba would keep for the next.
-    """
-    # Mitsuba's names belong to the variant that is set, so a type checker cannot know them.
+def _resolving(resolver: Any) -> Iterator[None]:
+    """Let Mitsuba look for files where a scene says, while the context lasts."""
     mitsuba_now: Any = mi
-    previous = mitsuba_now.file_resolver()
-    resolver = mitsuba_now.FileResolver(previous)
-    for folder in reversed(folders):
-        resolver.prepend(str(folder))
-    mitsuba_now.set_file_resolver(resolver)
-    try:
-        yield
-    finally:
-        mitsuba_now.set_file_resolver(previous)
+    with _RESOLVING:
+        previous = mitsuba_now.file_resolver()
+        mitsuba_now.set_file_resolver(resolver)
+        try:
+            yield
+        finally:
+            mitsuba_now.set_file_resolver(previous)
 
 
 def _to_mitsuba(value: Any, *, key: str = "") -> Any:

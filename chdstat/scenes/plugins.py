@@ -11,6 +11,7 @@ import contextlib
 import hashlib
 import importlib.abc
 import importlib.util
+import re
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -211,20 +212,22 @@ def own_names(mi: Any) -> set[str]:
 def failure(plugins: Iterable[Plugin], error: BaseException) -> BaseException:
     """Return an error that names the line of a plugin where another was raised, else that one.
 
-    One of chdstat's own is in words already.
+    Where the plugin was called by Mitsuba's loader, the traceback is text in Mitsuba's message.
     """
-    if isinstance(error, ChdstatError):
-        return error
-    frames = [(f.filename, f.lineno) for f in traceback.extract_tb(error.__traceback__)]
-    told = str(error)
-    if isinstance(error, SyntaxError):
-        frames.append((str(error.filename), error.lineno))
-        told = error.msg
+    cause = error.__cause__ or error
+    frames = [(f.filename, f.lineno) for f in traceback.extract_tb(cause.__traceback__)]
+    told = f"{type(cause).__name__}: {cause}"
+    if isinstance(cause, SyntaxError):
+        frames.append((str(cause.filename), cause.lineno))
+        told = f"SyntaxError: {cause.msg}"
+    if quoted := re.findall(r'File "([^"]+)", line (\d+)', str(cause)):
+        frames += quoted
+        told = str(cause).strip().splitlines()[-1]
     names = {str(plugin.path) for plugin in plugins}
     where = [f"{name}, line {line}" for name, line in frames if name in names]
-    if not where:
+    if isinstance(cause, ChdstatError) or not where:
         return error
-    return InputError(f"plugin {where[-1]}: {type(error).__name__}: {told}; correct it there")
+    return InputError(f"plugin {where[-1]}: {told}; correct it there")
 
 
 class _Loader(importlib.abc.SourceLoader):

@@ -1,8 +1,7 @@
 """Scene: what is to be rendered, independent of any Mitsuba variant.
 
 A scene is described without Mitsuba (a file and its parameters, or a dict of plain values), so it
-can be hashed, pickled and sent to another process. `Scene.parse` turns the description into
-Mitsuba's parser state, in which the capture code replaces film, sampler and integrator settings.
+can be hashed, pickled and sent to another process; `chdstat.scenes.loading` has Mitsuba read it.
 
 A scene that Mitsuba has built already is rendered as it is, in this process.
 
@@ -116,29 +115,21 @@ class Scene(Shown):
         with _bounded(self.name):
             return described(self.name, self.source, self.parameters)
 
-    def parse(self, variant: str) -> Any:
-        """Return Mitsuba's parser state of this scene for a variant that is set.
+    def load(self) -> Any:
+        """Return the Mitsuba scene, as Mitsuba's loader makes it in the variant that is set.
 
         Raises
         ------
         SceneError
-            If Mitsuba cannot parse the description.
+            If Mitsuba cannot load it; its message is passed on.
         """
-        from chdstat.scenes import loading
+        from chdstat.scenes.loading import parse
 
-        return loading.parse(self, variant)
+        return parse(self).make(parallel=True)
 
-    def build(self, state: Any) -> Any:
-        """Return the Mitsuba scene of a parser state that `parse` gave.
-
-        Raises
-        ------
-        SceneError
-            If a plugin, a model or a texture is missing or broken.
-        """
-        from chdstat.scenes import loading
-
-        return loading.instantiate(self, state)
+    def description(self) -> Path | Mapping[str, Any]:
+        """Return the file, or a dict; of a scene that Mitsuba has built, its sensors alone."""
+        return self.source.sensors() if isinstance(self.source, LiveScene) else self.source
 
 
 @contextlib.contextmanager
@@ -328,16 +319,17 @@ class LiveScene:
         shapes = self.value.shapes()
         return [*shapes, *(shape.bsdf() for shape in shapes), *self.value.emitters()]
 
-    def description(self) -> dict[str, Any]:
-        """Return a scene dict of its sensors and films, which are built anew for each tile.
+    def sensors(self) -> dict[str, Any]:
+        """Return a scene dict of its sensors and films, which are made anew for each tile.
 
-        Raises
-        ------
-        SceneError
-            If it has a sensor that cannot be described.
+        Of a sensor that cannot be described (`is_described`), the film is right.
         """
         sensors = {f"sensor_{i}": _sensor(s) for i, s in enumerate(self.value.sensors())}
-        return {"type": "scene", "integrator": {"type": "path"}, **sensors}
+        return {"type": "scene", **sensors}
+
+    def is_described(self, sensor: int) -> bool:
+        """Return whether another sensor like the one of a number can be made."""
+        return self.value.sensors()[sensor].class_name() in _SENSORS
 
     def __reduce__(self) -> NoReturn:
         raise InputError(_ELSEWHERE)
@@ -346,23 +338,17 @@ class LiveScene:
 def _sensor(sensor: Any) -> dict[str, Any]:
     import mitsuba as mi
 
-    name = sensor.class_name()
-    if name not in _SENSORS:
-        message = (
-            f"a scene that Mitsuba has built can be rendered with {', '.join(_SENSORS.values())}, "
-            f"but it has a sensor {name}; give the file or dict that it was made of"
-        )
-        raise SceneError(message)
     held, film = mi.traverse(sensor), sensor.film()
 
     def number(key: str) -> float:
         return float(np.ravel(np.array(held[key]))[0])
 
     size, crop, corner = film.size(), film.crop_size(), film.crop_offset()
-    found: dict[str, Any] = {"type": _SENSORS[name]}
-    found |= {key: number(key) for key in _SETTINGS if key in held}
-    found["shutter_close"] = number("shutter_open") + number("shutter_open_time")
-    found["to_world"] = np.array(held["to_world"].matrix, np.float64).reshape(4, 4)
+    found: dict[str, Any] = {"type": _SENSORS.get(sensor.class_name(), "radiancemeter")}
+    if found["type"] != "radiancemeter":
+        found |= {key: number(key) for key in _SETTINGS if key in held}
+        found["shutter_close"] = number("shutter_open") + number("shutter_open_time")
+        found["to_world"] = np.array(held["to_world"].matrix, np.float64).reshape(4, 4)
     if "x_fov" in held:
         found |= {"fov": number("x_fov"), "fov_axis": "x"}
     found["film"] = {

@@ -1,19 +1,22 @@
-"""Settings that a scene asks for: its sensor, film and integrator, from Mitsuba's parser state.
+"""Settings of a scene: what it asks for, and what is changed so that its samples can be kept.
 
-The renderer replaces some of them (sampler and filter, so that samples are independent and
-unmixed), and says so in notes; nothing that the scene asks for is left out in silence.
+Sampler and filter are replaced, so that samples are independent and unmixed, and the film, so that
+it gives linear sRGB of the size that is rendered. Notes name each setting that is replaced or left
+out; one without which samples would mean something else is refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from chdstat.errors import InputError, RenderError, SceneError
 
-__all__ = ["LONGEST", "Asked", "asked_for"]
+if TYPE_CHECKING:
+    from chdstat.scenes.loading import ParsedScene
+
+__all__ = ["LONGEST", "Asked", "Film", "asked_for", "check_variant"]
 
 _INTEGRATOR = "path"
 """What renders a scene that names no integrator."""
@@ -21,6 +24,18 @@ LONGEST = 2**20
 """Most pixels of a film in width and in height."""
 _WRAPPERS = ("aov", "moment")
 """Integrators that record more about the samples of the one within."""
+_CROPPING = ("perspective", "thinlens", "orthographic")
+"""Sensors that show the part of the image that their film is cropped to; others map what they
+measure to the crop, whatever it is."""
+_SIZES = ("width", "height", "crop_offset_x", "crop_offset_y", "crop_width", "crop_height")
+_UNUSED = ("samples_per_pass", "timeout")
+"""Settings of integrators that do not apply to samples drawn chunk by chunk."""
+_SAME_SAMPLES = ("block_size",)
+"""Settings of integrators that no sample depends on."""
+_SPECTRAL_FILM = "specfilm"
+_INSTEAD = "samples are linear sRGB"
+_SAME_FILM = ("file_format", "component_format", "sample_border", "compensate", "banner")
+"""Settings of films that no sample depends on."""
 
 
 @dataclass(frozen=True)
@@ -83,14 +98,18 @@ class Film:
 
 @dataclass(frozen=True)
 class Asked:
-    """What a scene asks for.
+    """What a scene asks for, and the parts of it that are made as often as they are needed.
 
     Parameters
     ----------
-    state
-        Mitsuba's parser state of the scene.
-    sensor, integrator
-        Mitsuba's properties of the sensor and of the integrator; of a wrapper, of that within.
+    scene
+        The scene without its integrator.
+    sensor
+        The sensor that is asked for, with its children, without film, sampler and medium.
+    number
+        Its place among the scene's sensors.
+    integrator
+        The integrator that draws the samples; of a wrapper, that within.
     film
         The film of the sensor.
     plugins
@@ -99,145 +118,203 @@ class Asked:
         What is not as the scene asks for it.
     """
 
-    state: Any
-    sensor: Any
-    integrator: Any
+    scene: ParsedScene
+    sensor: ParsedScene
+    number: int
+    integrator: ParsedScene
     film: Film
     plugins: set[str]
     notes: list[str]
 
+    @property
+    def crops(self) -> bool:
+        """Whether the sensor shows the part of the image that its film is cropped to."""
+        return self.sensor.plugin(0) in _CROPPING
+
 
 def asked_for(
-    name: str, state: Any, sensor: int, instead: Any = None, sampler: str = "independent"
+    parsed: ParsedScene,
+    sensor: int,
+    instead: ParsedScene | None = None,
+    sampler: str = "independent",
 ) -> Asked:
     """Return what a scene asks for, of the sensor of a number.
 
-    The parser state `instead` is of a scene whose integrator takes the place of its own; `sampler`
-    is the one that is used.
+    The integrator `instead` takes the place of its own; `sampler` is the one that is used.
 
     Raises
     ------
     InputError, SceneError, RenderError
         If there is no such sensor, or its film or the integrator cannot be used.
     """
-    nodes = _Nodes(state)
-    sensors = nodes.of("Sensor")
+    sensors = _sensors(parsed)
     if not sensors:
-        message = f"scene {name!r} has no sensor; add a <sensor> to it"
+        parsed.make()  # where a plugin is misspelt, Mitsuba says which
+        message = f"scene {parsed.name!r} has no sensor; add a <sensor> to it"
         raise SceneError(message)
     if sensor >= len(sensors):
-        message = f"sensor must be below {len(sensors)}, the sensors of {name!r}, got {sensor}"
+        message = f"sensor must be below {len(sensors)}, those of {parsed.name!r}, got {sensor}"
         raise InputError(message)
-    chosen = sensors[sensor]
-    if chosen.props.plugin_name() == "irradiancemeter":
-        message = (
-            "sensor 'irradiancemeter' measures what falls on a shape, and sees no image; use one "
-            "that does, such as perspective"
-        )
-        raise RenderError(message)
-    notes = []
+    chosen, notes = sensors[sensor], []
     if len(sensors) > 1:
-        number = f"sensor {sensor}" + (f" ({chosen.props.id()!r})" if chosen.props.id() else "")
+        name = parsed.node(chosen).props.id()
+        number = f"sensor {sensor}" + (f" ({name!r})" if name else "")
         notes.append(f"the scene has {len(sensors)} sensors; {number} is used")
-    films = nodes.within(chosen, "Film")
-    filters = [f for film in films for f in nodes.within(film, "ReconstructionFilter")]
-    notes += _replaced("filter", filters, "box")
+    films = parsed.held(chosen, "Film")
+    filters = [f for film in films for f in parsed.held(film, "ReconstructionFilter")]
+    notes += _of_film(parsed, films)
+    notes += _replaced(parsed, "filter", filters, "box")
     if sampler == "independent":  # another one was chosen by name
-        notes += _replaced("sampler", nodes.within(chosen, "Sampler"), sampler)
-    if instead is None:
-        integrator, more = nodes.integrator()
-    else:
-        nodes.forget_integrators()
-        integrator, more = _Nodes(instead).integrator(alone=True)
+        notes += _replaced(parsed, "sampler", parsed.held(chosen, "Sampler"), sampler)
+    own = _integrators(parsed)
+    integrator, more = _sampled(parsed, own) if instead is None else _sampled(instead, [0])
+    plugins = {parsed.plugin(i) for i in range(len(parsed.state.nodes))} - {"", "scene"}
+    part = parsed.branch(chosen)
+    part.drop(i for kind in ("Film", "Sampler", "Medium") for i in part.held(0, kind))
+    film = _film(parsed.name, parsed.node(films[0]).props if films else {})
+    parsed.drop(own)
+    _without_bands(parsed)
     return Asked(
-        state=state,
-        sensor=chosen.props,
+        scene=parsed,
+        sensor=part,
+        number=sensor,
         integrator=integrator,
-        film=_film(name, films[0].props if films else {}),
-        plugins={str(node.props.plugin_name()) for node in state.nodes} - {"", "scene"}
-        | {str(integrator.plugin_name())},
+        film=film,
+        plugins=plugins | {integrator.plugin(0)},
         notes=notes + more,
     )
 
 
-class _Nodes:
-    """The nodes of a parser state, by kind and by what holds them."""
-
-    def __init__(self, state: Any) -> None:
-        import mitsuba as mi
-
-        self._mi, self._nodes = mi, list(state.nodes)
-
-    def of(self, kind: str) -> list[Any]:
-        """Return the nodes of a kind, in the order of the scene."""
-        return [n for n in self._nodes if n.type == getattr(self._mi.ObjectType, kind)]
-
-    def within(self, node: Any, kind: str) -> list[Any]:
-        """Return the nodes of a kind that a node holds."""
-        wanted = getattr(self._mi.ObjectType, kind)
-        held = (self._nodes[index] for index in self._held(node))
-        return [n for n in held if n.type == wanted]
-
-    def integrator(self, *, alone: bool = False) -> tuple[Any, list[str]]:
-        """Return the properties of the integrator that draws the samples, and notes on it.
-
-        One that is `alone` is all of a scene, and must be one.
-        """
-        others = self.of("Unknown") if alone else self._of_other_variants()
-        found = [*self.of("Integrator"), *others]
-        if alone and not found:
-            names = [str(n.props.plugin_name()) for n in self._nodes]
+def _sensors(parsed: ParsedScene) -> list[int]:
+    """Return the sensors of a scene, those of shapes among them, in Mitsuba's order."""
+    found = []
+    for index in parsed.children():
+        kind = parsed.node(index).type.name
+        if kind == "Sensor" and parsed.plugin(index) == "irradiancemeter":
             message = (
-                f"{names[1]!r} is no integrator; give one that samples pixel by pixel, such as "
-                "path, volpath or direct"
+                "sensor 'irradiancemeter' measures what falls on a shape; put it into one, or use "
+                "one that sees an image, such as perspective"
             )
             raise RenderError(message)
-        inner = {id(i) for node in found for i in self.within(node, "Integrator")}
-        outer = [node for node in found if id(node) not in inner]
-        if not outer:
-            return self._mi.Properties(_INTEGRATOR), []
-        node, notes = outer[0], []
-        while node.props.plugin_name() in _WRAPPERS:
-            name, within = node.props.plugin_name(), self.within(node, "Integrator")
-            if len(within) != 1:
-                message = (
-                    f"integrator {name!r} must hold one integrator whose samples are to be kept, "
-                    f"such as path or volpath, got {len(within)}"
-                )
-                raise RenderError(message)
-            (node,) = within
-            notes.append(
-                f"the scene asks for the {name} integrator; the {node.props.plugin_name()} "
-                "integrator within it is used, whose samples are kept"
-            )
-        if any(True for _ in self._held(node)):
+        if kind == "Sensor":
+            found.append(index)
+        elif kind == "Shape":
+            found += parsed.held(index, "Sensor")
+    return found
+
+
+def _integrators(parsed: ParsedScene) -> list[int]:
+    """Return the integrators of a scene, also those that Mitsuba has in other variants only."""
+    return [
+        index
+        for index in parsed.children()
+        if parsed.node(index).type.name == "Integrator" or _in_python(parsed.plugin(index))
+    ]
+
+
+def _in_python(plugin: str) -> bool:
+    """Return whether an integrator is one of Mitsuba's in Python, which no scalar variant has."""
+    import mitsuba as mi
+
+    return (Path(mi.__file__).parent / f"python/ad/integrators/{plugin}.py").is_file()
+
+
+def check_variant(integrator: ParsedScene) -> None:
+    """Refuse an integrator that the variant that is set does not have.
+
+    Raises
+    ------
+    RenderError
+        If it is one of Mitsuba's in Python, and the variant scalar.
+    """
+    import mitsuba as mi
+
+    name = integrator.plugin(0)
+    if str(mi.variant()).startswith("scalar") and _in_python(name):
+        message = (
+            f"integrator {name!r} is there with Mitsuba's llvm and cuda backends only; use one of "
+            "these, or another integrator such as path"
+        )
+        raise RenderError(message)
+
+
+def _sampled(parsed: ParsedScene, found: list[int]) -> tuple[ParsedScene, list[str]]:
+    """Return the integrator that draws the samples, of those found, and notes on it.
+
+    Raises
+    ------
+    RenderError
+        If it is none of this variant, or wraps integrators whose samples cannot be kept.
+    """
+    if not found:
+        return parsed.sole({"type": _INTEGRATOR}), []
+    index, notes = found[0], []
+    while (name := parsed.plugin(index)) in _WRAPPERS:
+        within = parsed.held(index, "Integrator")
+        if len(within) != 1:
             message = (
-                f"integrator {node.props.plugin_name()!r} wraps another integrator or object; "
-                "name the inner one (such as path or volpath) in the scene"
+                f"integrator {name!r} must hold one integrator whose samples are to be kept, "
+                f"such as path or volpath, got {len(within)}"
             )
             raise RenderError(message)
-        return node.props, notes
+        (index,) = within
+        notes.append(
+            f"the scene asks for the {name} integrator; the {parsed.plugin(index)} integrator "
+            "within it is used, whose samples are kept"
+        )
+    kind = parsed.node(index).type.name
+    if kind not in ("Integrator", "Unknown"):
+        message = (
+            f"{name!r} is no integrator; give one that samples pixel by pixel, such as path, "
+            "volpath or direct"
+        )
+        raise RenderError(message)
+    if parsed.held(index, "Integrator"):
+        message = (
+            f"integrator {name!r} wraps another integrator; name the inner one (such as path or "
+            "volpath) in the scene"
+        )
+        raise RenderError(message)
+    properties = parsed.node(index).props
+    unused = [key for key in _UNUSED if key in properties]
+    if unused:
+        notes.append(f"{', '.join(unused)} of the {name} integrator: not used")
+    for key in (*unused, *_SAME_SAMPLES):
+        if key in properties:
+            del properties[key]
+    return parsed.branch(index), notes
 
-    def forget_integrators(self) -> None:
-        """Make those integrators usable that this variant does not know, when none is used."""
-        for node in self._of_other_variants():
-            node.props.set_plugin_name(_INTEGRATOR)
 
-    def _of_other_variants(self) -> list[Any]:
-        """Return integrators of Mitsuba's in Python that this variant does not know."""
-        folder = Path(self._mi.__file__).parent / "python" / "ad" / "integrators"
-        names = {path.stem for path in folder.glob("*.py")}
-        return [n for n in self.of("Unknown") if n.props.plugin_name() in names]
+def _of_film(parsed: ParsedScene, films: list[int]) -> list[str]:
+    """Return notes on what a film asks for that samples have in another form."""
+    if not films:
+        return []
+    properties, name = parsed.node(films[0]).props, parsed.plugin(films[0])
+    if name == "hdrfilm":
+        form = str(properties.get("pixel_format", "rgb")).lower()
+        return [] if form in ("rgb", "rgba") else [f"the film's pixel_format {form}: {_INSTEAD}"]
+    kinds, same = type(properties).Type, (*_SIZES, *_SAME_FILM)
+    others = [key for key in properties.keys() if key not in same]  # noqa: SIM118
+    bands = [key for key in others if properties.type(key) != kinds.ResolvedReference]
+    held = [key for key in others if key not in bands]
+    filters = {parsed.node(i).props.id() for i in parsed.held(films[0], "ReconstructionFilter")}
+    bands += [key for key in held if key not in filters]
+    settings = f" and its {', '.join(bands)}" if bands else ""
+    return [f"the scene asks for the {name} film{settings}: {_INSTEAD}"]
 
-    def _held(self, node: Any) -> Iterator[int]:
-        kinds, props = self._mi.Properties.Type, node.props
-        for key in props.keys():  # noqa: SIM118 - Mitsuba's properties are no mapping
-            if props.type(key) == kinds.ResolvedReference:
-                yield props[key].index()
+
+def _without_bands(parsed: ParsedScene) -> None:
+    """Make the spectral films of a scene plain ones, which exist without wavelengths, too."""
+    for index in range(len(parsed.state.nodes)):
+        if parsed.plugin(index) == _SPECTRAL_FILM:
+            properties = parsed.node(index).props
+            for key in set(properties.keys()) - set(_SIZES):
+                del properties[key]
+            properties.set_plugin_name("hdrfilm")
 
 
-def _replaced(word: str, found: list[Any], used: str) -> list[str]:
-    asked = {n.props.plugin_name() for n in found} - {used}
+def _replaced(parsed: ParsedScene, word: str, found: list[int], used: str) -> list[str]:
+    asked = {parsed.plugin(index) for index in found} - {used}
     if not asked:
         return []
     return [

@@ -148,7 +148,7 @@ if sys.argv[1].endswith(".xml"):
 else:
     import chdstat as chd
     described = chd.load_scene(sys.argv[1])
-    scene = described.build(described.parse("scalar_rgb"))
+    scene = described.load()
 sensor = mi.traverse(scene.sensors()[0])
 width, height = sensor["film.size"]
 scale = 128 / max(width, height)

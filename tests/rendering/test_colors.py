@@ -52,7 +52,7 @@ def by_mitsuba(backend: str, color: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean of renders by Mitsuba alone, and its standard error."""
     with activate(resolve(backend, color)) as mi:
         scene = chd.load_scene(SCENE)
-        built = scene.build(scene.parse(mi.variant()))
+        built = scene.load()
         images = [np.array(mi.render(built, spp=256, seed=10_000 + i)) for i in range(16)]
     stack = np.array(images, np.float64)
     assert stack.shape[1:] == (8, 8, 1 if color == "mono" else 3)

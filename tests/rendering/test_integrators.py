@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import ChdstatError, InputError, RenderError, StoreError
+from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, StoreError
 from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import activate, probe
 
@@ -42,7 +42,7 @@ def test_its_settings_and_the_longest_path_count():
         ("pth", ChdstatError, "pth"),
         ("diffuse", RenderError, "is no integrator"),
         ("ptracer", RenderError, "ptracer"),
-        ({"type": "path", "max_dpth": 3}, InputError, "no setting max_dpth"),
+        ({"type": "path", "max_dpth": 3}, SceneError, "max_dpth"),
         ({"max_depth": 3}, InputError, "must be a name such as"),
         ({"type": "path", "max_depth": [1]}, InputError, "numbers, strings or booleans"),
         (3, InputError, "must be a name such as"),

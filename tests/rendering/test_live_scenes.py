@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError, SceneError, StoreError
+from chdstat.errors import InputError, RenderError, StoreError
 from chdstat.rendering import render_batches, render_pixels
 from chdstat.rendering.backend import activate, probe
+from chdstat.scenes.scene import look_at
 
 VIEW = {"spp": 4, "size": (24, 24), "seed": 3, "progress": False}
 PATH = {"type": "path", "max_depth": 8}
@@ -30,6 +31,8 @@ BALL = {
     "ball": {"type": "sphere", "center": [0, 0, 4]},
     "sky": {"type": "constant"},
 }
+FLOOR = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 0.5}}
+LOOKING_DOWN = look_at([0, 0, 2], [0, 0, 0], up=[0, 1, 0])
 METER = {"type": "radiancemeter", "film": {"type": "hdrfilm", "width": 1, "height": 1}}
 
 
@@ -99,6 +102,23 @@ def test_its_hash_does_not_depend_on_where_or_in_which_order_objects_are_built(m
     assert chd.load_scene(mi.load_dict(glass)).hash != chd.load_scene(built[0]).hash
 
 
+def test_a_sensor_that_cannot_be_described_is_used_as_it_is(mi):
+    down = mi.ScalarTransform4f(LOOKING_DOWN)
+    sky = {"type": "scene", "sky": {"type": "constant", "radiance": 0.5}, "floor": FLOOR}
+    view = {**VIEW, "size": None, "integrator": PATH}
+    spot = chd.render(mi.load_dict({**sky, "sensor": METER}), **view)
+    assert spot.shape == (1, 1, 3, 4)
+    assert (spot.read() == 0.5).all()
+    assert (spot.features["depth"] == 0).all()
+    above = {"type": "orthographic", "to_world": down, "film": METER["film"]}
+    pair = {"type": "batch", "a": above, "b": above, "film": {**METER["film"], "width": 70}}
+    both = chd.render(mi.load_dict({**sky, "sensor": pair}), **view)
+    assert both.shape == (1, 70, 3, 4)
+    mean = both.read().mean(axis=(0, 2, 3))
+    assert mean[:35].mean() == pytest.approx(mean[35:].mean(), abs=0.05)
+    assert both.features["depth"] == pytest.approx(1.99, abs=1e-3)  # from the near clip
+
+
 def test_what_it_cannot_do_is_told(mi):
     built = mi.load_dict(mi.cornell_box())
     with pytest.raises(InputError, match="of the variant scalar_rgb, which cannot render with"):
@@ -108,7 +128,7 @@ def test_what_it_cannot_do_is_told(mi):
     with pytest.raises(InputError, match="can only be rendered in this process"):
         chd.render(built, **VIEW, integrator=PATH, client=object())
     spot = mi.load_dict({"type": "scene", "sensor": METER})
-    with pytest.raises(SceneError, match="has a sensor RadianceMeter"):
+    with pytest.raises(RenderError, match="the RadianceMeter of .* shows 1 x 1 pixels only"):
         chd.render(spot, **VIEW, integrator=PATH)
     with pytest.raises(InputError, match="got a mitsuba"):
         chd.render(built.sensors()[0], **VIEW)

@@ -273,8 +273,7 @@ def moments() -> tuple[np.ndarray, np.ndarray, int]:
     film = {**source["sensor"]["film"], "width": SIZE[0], "height": SIZE[1]}
     scene = load_scene({**source, "sensor": {**source["sensor"], "film": film}})
     with activate(probe("scalar")) as mi:
-        config = mi.parser.ParserConfig(mi.variant())
-        built = mi.parser.instantiate(config, scene.parse(mi.variant()))
+        built = scene.load()
         moment = mi.load_dict({"type": "moment", "nested": source["integrator"]})
         # Layers: R, G, B, X, Y, Z, then the second moments of X, Y, Z.
         image = np.array(moment.render(built, seed=100_000, spp=spp), np.float64)

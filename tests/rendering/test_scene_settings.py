@@ -44,8 +44,7 @@ def render(scene: Any, **options: Any) -> chd.Samples:
 def by_mitsuba(source: dict[str, Any], spp: int, sensor: int = 0) -> np.ndarray:
     """Return the luminance that Mitsuba renders of a scene."""
     with activate(probe("scalar")) as mi:
-        built = load_scene(source).build(load_scene(source).parse(mi.variant()))
-        image = mi.render(built, sensor=sensor, spp=spp, seed=100_000)
+        image = mi.render(load_scene(source).load(), sensor=sensor, spp=spp, seed=100_000)
         return np.array(image, np.float64) @ BT_709
 
 
@@ -144,7 +143,7 @@ def test_the_sensor_that_is_asked_for_sees_the_image(tmp_path, caplog):
         first = render(two_sensors(), spp=4)
     (note,) = first.attrs["notes"]
     assert note == "the scene has 2 sensors; sensor 0 ('sensor') is used"
-    assert [record.getMessage() for record in caplog.records] == [note]
+    assert [record.getMessage() for record in caplog.records] == [f"scene: {note}"]
     assert first.shape[:2] == (10, 12)
     second = render(two_sensors(), sensor=1, spp=256, out=out)
     assert second.shape[:2] == (16, 20)
@@ -156,12 +155,14 @@ def test_the_sensor_that_is_asked_for_sees_the_image(tmp_path, caplog):
     assert abs(errors(narrow, by_mitsuba(boxed, 64, sensor=1))).max() > 5
     with pytest.raises(StoreError, match="sensor: stored 1, asked for 0"):
         render(two_sensors(), out=out, spp=300)
-    with pytest.raises(InputError, match="sensor must be below 2, the sensors of 'scene', got 2"):
+    with pytest.raises(InputError, match="sensor must be below 2, those of 'scene', got 2"):
         render(two_sensors(), sensor=2)
 
 
 def test_a_sensor_without_an_image_is_refused():
-    with pytest.raises(RenderError, match="'irradiancemeter' .* sees no image; .* perspective"):
+    with pytest.raises(
+        RenderError, match="'irradiancemeter' measures what falls on a shape; .* perspective"
+    ):
         render({**box(), "sensor": {"type": "irradiancemeter"}})
 
 

@@ -217,7 +217,7 @@ def test_what_a_stopped_maker_left_is_completed(tmp_path, monkeypatch, stop):
     assert is_store(path) == (stop != "zarr.json")
     store = Store.open(path, writable=True) if is_store(path) else create(path, x)
     with store:
-        store.restore(lambda: features)
+        store.restore(features)
         assert store.damaged() == []
         assert store.read_features()["depth"].all()
         assert np.array_equal(fill(store, x).read(ALL, ALL, ALL), x)
@@ -409,7 +409,7 @@ def test_damaged_features_are_named_and_repaired(tmp_path, harm):
     with pytest.raises(StoreError, match="cannot read .*features/depth/c/0/0 .*render' again"):
         store.read_features()
     with Store.open(path, writable=True) as writer:
-        writer.restore(lambda: features)
+        writer.restore(features)
     assert contents(path) == sound
 
 

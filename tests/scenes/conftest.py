@@ -36,7 +36,6 @@ def _draw(
         left, top, right, bottom = crop
         film |= dict(zip(names, (left, top, right - left, bottom - top), strict=True))
     sensor = {**description["sensor"], "film": film}
-    state = Scene("test", {**description, "sensor": sensor}).parse("scalar_rgb")
-    scene = mi.parser.instantiate(mi.parser.ParserConfig("scalar_rgb"), state)
+    scene = Scene("test", {**description, "sensor": sensor}).load()
     passes = [np.array(mi.render(scene, seed=seed, spp=1)) for seed in range(spp)]
     return np.stack(passes, axis=-1)[:, :, :3]

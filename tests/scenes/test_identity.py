@@ -18,6 +18,7 @@ from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.scenes import Scene, load_scene
+from chdstat.scenes.loading import ParsedScene
 
 SETTINGS: dict[str, Any] = {"size": (4, 4), "backend": "scalar"}
 
@@ -135,13 +136,13 @@ def test_a_file_that_vanishes_is_named(tmp_path, monkeypatch):
 
 def test_a_file_that_changes_while_the_scene_is_built_is_noticed(tmp_path, monkeypatch):
     write(tmp_path / "tex.exr", 1.0)
-    source, build = scene(tmp_path, ENVMAP.format("../tex.exr")), Scene.build
+    source, build = scene(tmp_path, ENVMAP.format("../tex.exr")), ParsedScene.make
 
-    def slow(self: Scene, state: Any) -> Any:
+    def slow(self: ParsedScene, **options: Any) -> Any:
         write(tmp_path / "tex.exr", 2.0)
-        return build(self, state)
+        return build(self, **options)
 
-    monkeypatch.setattr(Scene, "build", slow)
+    monkeypatch.setattr(ParsedScene, "make", slow)
     with pytest.raises(SceneError, match=r"changed while they were read"):
         chd.render(source, spp=1, **SETTINGS)
 

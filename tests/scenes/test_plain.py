@@ -65,4 +65,4 @@ def test_shading_normals_reach_the_renderer(draw):
 def test_what_mitsuba_cannot_read_is_a_scene_error(draw):
     scene = plane_below_sky({"type": "no-such-material"})
     with pytest.raises(SceneError, match="no-such-material"):
-        Scene("broken", scene).parse("scalar_rgb")
+        Scene("broken", scene).load()

@@ -1,0 +1,143 @@
+"""First-hit features: of what samples see, whatever a ray passes through."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.scenes.plugins import load_plugin
+from chdstat.scenes.scene import look_at, scale, translate
+
+FILM = {"type": "hdrfilm", "width": 6, "height": 6, "rfilter": {"type": "box"}}
+CAMERA = {
+    "type": "perspective",
+    "fov": 20,
+    "to_world": look_at([0.0, 0.0, 5.0], [0.0, 0.0, 0.0], up=[0.0, 1.0, 0.0]),
+    "film": FILM,
+}
+GREY = {"type": "diffuse", "reflectance": 0.25}
+FLOOR = {"type": "rectangle", "to_world": scale(3, 3, 3), "bsdf": GREY}
+SCENE = {"type": "scene", "integrator": {"type": "path"}, "sensor": CAMERA, "floor": FLOOR}
+SKY = {"type": "constant"}
+LAMP = {
+    "type": "rectangle",
+    "to_world": translate(0, 0, 2) @ scale(2, 2, 1),
+    "emitter": {"type": "area", "radiance": 1.0},
+}
+
+
+def features(backend: str = "scalar", **parts: Any) -> dict[str, np.ndarray]:
+    samples = chd.render({**SCENE, "sky": SKY, **parts}, spp=2, backend=backend, progress=False)
+    return {name: np.asarray(image) for name, image in samples.features.items()}
+
+
+@pytest.fixture(params=["scalar", "llvm"])
+def backend(request) -> str:
+    return request.param if request.param == "scalar" else request.getfixturevalue("llvm")
+
+
+def sheet(**bsdf: Any) -> dict[str, Any]:
+    return {"type": "rectangle", "to_world": translate(0, 0, 2) @ scale(2, 2, 1), "bsdf": bsdf}
+
+
+def is_floor(found: dict[str, np.ndarray], reflectance: float = 0.25) -> bool:
+    assert found["depth"] == pytest.approx(5.05, abs=0.07)
+    assert found["position"][..., 2] == pytest.approx(0, abs=1e-5)
+    assert found["normal"] == pytest.approx(np.broadcast_to([0, 0, 1], (6, 6, 3)), abs=1e-5)
+    return bool(np.allclose(found["albedo"], reflectance, atol=1e-5))
+
+
+@pytest.mark.parametrize("name", ["path", "volpath", "direct"])
+def test_hidden_lamps_are_passed(backend, name):
+    hiding = {"type": name, "hide_emitters": True}
+    assert is_floor(features(backend, lamp=LAMP, integrator=hiding))
+    shown = features(backend, lamp=LAMP)
+    assert shown["depth"] == pytest.approx(3.03, abs=0.05)
+    # Of a plain scene, following rays one by one gives what Mitsuba's own integrator gives.
+    plain = features(backend, integrator=hiding)
+    assert is_floor(plain)
+
+
+def test_null_materials_are_passed_and_masks_as_often_as_they_let_through(backend):
+    assert is_floor(features(backend, sheet=sheet(type="null")))
+    film = {**FILM, "width": 40, "height": 40}
+    half = features(
+        backend,
+        sheet=sheet(type="mask", opacity=0.5, inner={"type": "diffuse", "reflectance": 0.75}),
+        sensor={**CAMERA, "film": film},
+    )
+    # 25,600 rays: four standard errors of a half are .0125.
+    assert (half["albedo"].mean() - 0.25) / 0.5 == pytest.approx(0.5, abs=0.0125)
+    assert (half["depth"].mean() - 3.03) / 2.02 == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_medium_ends_rays_where_it_scatters(backend):
+    fog = {"type": "homogeneous", "albedo": 0.9, "sigma_t": 0.5, "sample_emitters": True}
+    box = {
+        "type": "cube",
+        "to_world": translate(0, 0, 1.5) @ scale(2, 2, 1),
+        "bsdf": {"type": "null"},
+        "interior": fog,
+    }
+    film = {**FILM, "width": 40, "height": 40}
+    parts = {"box": box, "sensor": {**CAMERA, "film": film}}
+    assert features(backend, **parts)["albedo"].mean() == pytest.approx(0.25, abs=1e-4)
+    through = np.exp(-0.5 * 2)  # two units of fog, of which the path integrator knows nothing
+    found = features(backend, integrator={"type": "volpath"}, **parts)
+    share = (0.9 - found["albedo"].mean()) / 0.65
+    assert share == pytest.approx(through, abs=0.0125)
+    assert np.linalg.norm(found["normal"].mean(axis=(0, 1))) == pytest.approx(through, abs=0.0125)
+
+
+def test_thin_glass_shows_what_is_behind_it(backend):
+    found = features(backend, sheet=sheet(type="thindielectric"))
+    assert 3.0 < np.median(found["depth"]) < 5.1
+    assert found["depth"].mean() > 4.5  # it reflects less than a tenth
+
+
+def test_what_cannot_be_said_of_a_material_leaves_its_samples(tmp_path):
+    code = """
+import mitsuba as mi
+
+
+class Mute(mi.BSDF):
+    def __init__(self, props):
+        super().__init__(props)
+        self.m_components = [mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide]
+        self.m_flags = self.m_components[0]
+
+    def sample(self, ctx, si, sample1, sample2, active=True):
+        bs = mi.BSDFSample3f()
+        bs.pdf = 0.0
+        return bs, mi.Color3f(0.0)
+
+    def eval(self, ctx, si, wo, active=True):
+        return mi.Color3f(0.0)
+
+    def pdf(self, ctx, si, wo, active=True):
+        return 0.0
+
+    def eval_pdf(self, ctx, si, wo, active=True):
+        return mi.Color3f(0.0), 0.0
+
+    def eval_diffuse_reflectance(self, si, active=True):
+        raise ValueError("no such thing")
+
+
+mi.register_bsdf("mute", Mute)
+"""
+    path = tmp_path / "mute.py"
+    path.write_text(code)
+    load_plugin(path)
+    scene = {**SCENE, "sky": SKY, "floor": {**FLOOR, "bsdf": {"type": "mute"}}}
+    out = tmp_path / "s.zarr"
+    samples = chd.render(scene, spp=4, backend="scalar", out=out, progress=False)
+    assert samples.spp == 4
+    assert samples.features == {}
+    assert "no such thing" in samples.attrs["why_no_features"]
+    again = chd.render(scene, spp=8, backend="scalar", out=out, progress=False)
+    assert again.spp == 8
+    assert "no such thing" in chd.open(out).attrs["why_no_features"]
