@@ -49,6 +49,9 @@ _LIGHT_LEVEL = 0.06
 _LEAST_SCORE = -3.0
 """A bounded tail at one threshold does not make up for more than so much evidence at another."""
 
+_DOMINATES = 0.5
+"""Share of the sum of all samples above which the largest one dominates them."""
+
 _FEW, _WIDEST = 512, 2.5
 """Of fewer samples, both estimates of the tail use nearly the same ones, so that the scatter of all
 counts, too: of gamma samples of any shape, it is at most this many standardised units in 96 %, as
@@ -197,6 +200,7 @@ def tail_of_part(
     reason[usable & np.isnan(found.xi)] = Reason.CONSTANT
     root = np.sqrt(np.maximum(found.n, 1))
     interval = _interval(found.xi, root, level)
+    interval = _without_largest(interval, found.n, part, usable & np.isfinite(found.xi), level)
     light = _is_light(part, (found.first_xi, k[..., 0]), (far.xi, far.n))
     suspect = np.asarray(found.xi >= 0.5)
     trusted = np.asarray((interval[..., 1] < 0.5) & light)
@@ -340,6 +344,33 @@ def _interval(xi: Floats, root: Floats, level: float) -> Floats:
     """Return the interval that is symmetric in log(1 + xi), of which 1 / root is the error."""
     z = special.ndtri(0.5 + level / 2) / root
     return np.stack([xi + _deviation(xi) * np.expm1(sign * z) for sign in (-1, 1)], axis=-1)
+
+
+def _without_largest(
+    interval: Floats, k: Counts, part: PositivePart, usable: Mask, level: float
+) -> Floats:
+    """Widen the interval of k excesses until it holds that without the largest sample, too.
+
+    One sample can raise the index to any value. Where it dominates, nothing is known of what lies
+    between it and the others, and the tail may begin there: then the intervals of the largest
+    `MINIMUM_EXCESSES` samples count, too, with it and without it.
+    """
+    dominated = usable & (part.largest_share > _DOMINATES)
+    fewest = np.minimum(k, MINIMUM_EXCESSES)
+    low, high = interval[..., 0], interval[..., 1]
+    for rows, left_out, excesses in (
+        (usable, 1, k - 1),
+        (dominated, 1, np.minimum(k - 1, fewest)),
+        (dominated, 0, fewest),
+    ):
+        excesses = np.maximum(excesses, 1)
+        n = part.n[rows] - left_out
+        other = pareto_tail(part.sorted[rows], n, excesses[rows][:, np.newaxis], rows)
+        # Where the other samples are equal, they are a bounded tail.
+        xi = np.where(rows, np.nan_to_num(other.xi, nan=-1.0), np.nan)
+        ends = _interval(xi, np.sqrt(excesses), level)
+        low, high = np.fmin(low, ends[..., 0]), np.fmax(high, ends[..., 1])
+    return np.stack([low, high], axis=-1)
 
 
 def _hill_interval(hill: Floats, n: Counts, level: float) -> Floats:
