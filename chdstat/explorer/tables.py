@@ -36,7 +36,7 @@ __all__ = [
 _ERROR = 0.01
 """Relative error of the mean that the headline counts the samples for."""
 _VARIANCE = {
-    "yes": "the variance is finite",
+    "yes": "the variance looks finite",
     "suspect": "variance suspect",
     "not identified": "variance not identified",
 }
@@ -67,7 +67,7 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.divide(error, mean) if mean > 0 else np.nan
     needed = float(place.spp * (share / _ERROR) ** 2)
-    xi, trusted, constant = float(tail.xi[-1]), _finite_variance(place, -1), bool(place.constant[-1])
+    constant, trusted = bool(place.constant[-1]), _finite_variance(place, -1)
     verdict = "constant samples" if constant else _VARIANCE.get(trusted, "too few samples")
     clear = {"suspect": "at least: the tail is heavy", "not identified": "if the tail allows it"}
     count = int(modes.modes[-1])
@@ -75,7 +75,7 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     return [
         ("Mean luminance", f"{number(mean)} ± {number(error)}", f"standard error {percent(share)}"),
         ("Null samples", percent(place.null_share), _between(percent, wilson)),
-        ("Tail index", "—" if constant else number(xi), verdict + _without_largest(place)),
+        ("Tail index", "—" if constant else number(tail.xi[-1]), verdict + _without_largest(place)),
         (
             "Modes",
             "—" if constant or not count else str(count),

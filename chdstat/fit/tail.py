@@ -142,12 +142,12 @@ def tail_index(
     fewer than 512 samples) if it has 2/3, and in up to 25 % as the index nears 1/2. A tail that
     begins among the other samples needs more, since most of its own are lost there: if exactly 20
     of 1024 exponential samples, of mean 1, are Pareto ones from 1 on, the variance is trusted in
-    11 % for index 1 and in half of the pixels for 2/3; with 40, in 1 % and 27 %. So a trusted
+    12 % for index 1 and in half of the pixels for 2/3; with 40, in 1 % and 28 %. So a trusted
     variance is no proof of a finite one. 90 % and more of exponential, uniform and gamma pixels
-    are trusted from 512 samples on (of gamma shapes below 0.5 from 2048 on). Log-normal and Weibull samples with tails heavier than a
-    gamma distribution's often are not identified, although their variance is finite. Hill's
-    interval is one for pure power laws only: with an offset, as generalised Pareto samples have, it
-    is too high at any threshold within the samples.
+    are trusted from 512 samples on (of gamma shapes below 0.5 from 2048 on). Log-normal and Weibull
+    samples with tails heavier than a gamma distribution's often are not identified, although their
+    variance is finite. Hill's interval is one for pure power laws only: with an offset, as
+    generalised Pareto samples have, it is too high at any threshold within the samples.
 
     An index at finite radiance is that of the range of the samples. A gamma tail gives about 0 for
     shapes from 1/2 on; below, the density still curves where the tail begins: with 512, 2048 and
