@@ -162,7 +162,7 @@ MAPS: dict[str, MapKind] = {
             "finite_variance",
             "Is the variance finite?",
             "by the tail of luminance",
-            {0: "suspect", 1: "samples cannot tell", 2: "yes"},
+            {0: "suspect", 1: "samples cannot tell", 2: "looks finite"},
             ordered=True,
         ),
         MapKind("best_family", "Best family", "by BIC, luminance", dict(enumerate(SELECTED))),

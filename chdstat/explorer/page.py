@@ -39,7 +39,8 @@ HELP = {
     "headline": "Five numbers of the luminance of the selected pixel. The mean is given with its "
     "standard error. A null sample is one of a path that found no light. The tail index ξ is that "
     "of a generalised Pareto distribution fitted to the largest samples: from ½ on the variance is "
-    "infinite, and the standard error means nothing. The last number is how many samples bring the "
+    "infinite, and the standard error means nothing. Where one sample dominates, the index without "
+    "it stands below; the patterns go by that one. The last number is how many samples bring the "
     "standard error down to 1 % of the mean, if the variance is finite.",
     "linear": "Density of the positive samples over radiance. The bins cover the range of the "
     "first 50 samples and a quarter more at both ends, as in Elek, Thomas and Forbes (2019); "

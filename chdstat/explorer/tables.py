@@ -36,7 +36,7 @@ __all__ = [
 _ERROR = 0.01
 """Relative error of the mean that the headline counts the samples for."""
 _VARIANCE = {
-    "yes": "the variance is finite",
+    "yes": "the variance looks finite",
     "suspect": "variance suspect",
     "not identified": "variance not identified",
 }
@@ -67,18 +67,15 @@ def headline(place: PlaceStatistics) -> list[tuple[str, str, str]]:
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.divide(error, mean) if mean > 0 else np.nan
     needed = float(place.spp * (share / _ERROR) ** 2)
-    xi, trusted = float(tail.xi[-1]), _finite_variance(place, -1)
+    constant, trusted = bool(place.constant[-1]), _finite_variance(place, -1)
+    verdict = "constant samples" if constant else _VARIANCE.get(trusted, "too few samples")
     clear = {"suspect": "at least: the tail is heavy", "not identified": "if the tail allows it"}
     count = int(modes.modes[-1])
-    wilson, constant = place.patterns.intervals["null_heavy"], bool(place.constant[-1])
+    wilson = place.patterns.intervals["null_heavy"]
     return [
         ("Mean luminance", f"{number(mean)} ± {number(error)}", f"standard error {percent(share)}"),
         ("Null samples", percent(place.null_share), _between(percent, wilson)),
-        (
-            "Tail index",
-            "—" if constant else number(xi),
-            "constant samples" if constant else _VARIANCE.get(trusted, "too few samples"),
-        ),
+        ("Tail index", "—" if constant else number(tail.xi[-1]), verdict + _without_largest(place)),
         (
             "Modes",
             "—" if constant or not count else str(count),
@@ -157,11 +154,24 @@ def patterns_table(columns: Sequence[Column]) -> Table:
     else:
         titles, label = [title for title, _, _ in columns], "Patterns"
     note = "of luminance; ● is set, ○ is not, each at the 5 % level of one pixel"
+    if any(map(_is_firefly, places)):
+        note += "; tails, modes and families without the largest sample where it dominates"
     return {**_table(label, ["pattern", *titles, "threshold"], rows, note), "words": True}
 
 
 def _label(place: PlaceStatistics) -> str:
     return called(Label(int(place.patterns.label)).name.lower())
+
+
+def _is_firefly(place: PlaceStatistics) -> bool:
+    return bool(place.patterns.flags["firefly_dominated"])
+
+
+def _without_largest(place: PlaceStatistics) -> str:
+    """Name the tail index of the table of patterns where a firefly is left out of it."""
+    xi = float(place.patterns.statistics["long_tail"])
+    named = _is_firefly(place) and np.isfinite(xi)
+    return f"; {number(xi)} without the largest sample" if named else ""
 
 
 def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> str:

@@ -73,7 +73,8 @@ class Tail(Shown):
         Tail index and its asymptotic standard error, ``(1 + xi) / sqrt(n)``, but at least
         ``0.9 / sqrt(n)``, as simulations of bounded tails show.
     interval
-        Low and high end for xi, shape (..., 2).
+        Low and high end for xi, shape (..., 2), with the largest sample and without it; wide where
+        that one carries more than half of the sum.
     xi_far, interval_far
         Tail index of the `FAR` largest samples alone, and its interval: it detects a few samples of
         a heavier tail than the rest, which `interval` does not account for.
@@ -97,7 +98,8 @@ class Tail(Shown):
     variance_trusted
         Where the upper end of the interval is below 1/2, and neither the largest candidate nor the
         `FAR` largest samples are heavier than those of a gamma distribution; nor do fewer than 512
-        samples vary more than those of one.
+        samples vary more than those of one. A heavy tail of which few samples lie beyond the others
+        is not seen: see the notes of `tail_index`.
     variance_unidentified
         Where neither holds: the samples do not determine whether their variance is finite.
     reason

@@ -230,6 +230,7 @@ class Pixel(Shown):
                 "mean": f"{number(mean[i])} ± {number(error[i])}",
                 "best family": FAMILIES[family].label if family else "—",
                 "tail index": with_interval(self.tail.xi[i], *self.tail.interval[i]),
+                "tail above": number(self.tail.threshold[i]),
                 "modes": str(self.modality.modes[i]),
             }
             for i, (channel, family) in enumerate(self.families.items())

@@ -222,7 +222,7 @@ def _measure(fits: PixelFits) -> PixelStatistics:
     body_index, body_index_se = _body_index(fits.selection)
     return PixelStatistics(
         part=fits.part,
-        largest_share=_largest_share(fits.part),
+        largest_share=fits.part.largest_share,
         tail=fits.tail,
         modes=fits.modes,
         vuong_z=fits.selection.vuong_z,
@@ -231,14 +231,6 @@ def _measure(fits: PixelFits) -> PixelStatistics:
         body_index=body_index,
         body_index_se=body_index_se,
     )
-
-
-def _largest_share(part: PositivePart) -> Floats:
-    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
-    largest = np.take_along_axis(part.sorted, last, axis=-1)[..., 0].astype(np.float64)
-    with np.errstate(invalid="ignore"):
-        share = largest / part.log_statistics.mean / part.n
-    return np.where(part.n > 0, share, np.nan)
 
 
 def _misfit(part: PositivePart, families: Selection) -> Floats:

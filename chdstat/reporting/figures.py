@@ -252,7 +252,7 @@ def _maps(found: xr.Dataset) -> Figure:
     shown: dict[str, tuple[xr.DataArray, tuple[float, float] | None]] = {
         "Share of null samples": (found["null_share"], (0, 1)),
         "Coefficient of variation": (found["coefficient_of_variation"], None),
-        "Tail index ξ": (found["long_tail_statistic"], (-0.5, 1.0)),
+        "Tail index ξ without fireflies": (found["long_tail_statistic"], (-0.5, 1.0)),
         "Best family": (found["luminance_family"], None),
         "Misfit of the best family": (misfit, (0, 0.2)),
         "Skewness of log samples": (skewness, None),

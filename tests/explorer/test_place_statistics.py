@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
+from chdstat._core.display import number
 from chdstat.errors import Reason
 from chdstat.estimators import registry
 from chdstat.explorer import tables
@@ -308,3 +309,20 @@ def test_a_reference_is_what_errors_are_measured_against():
 def test_too_few_samples_have_no_error():
     assert batches_of(gamma(16), 32) is None
     assert all(np.isnan(e.mse_ratio) for e in estimates(gamma(40), 32))
+
+
+def test_both_tail_indices_are_named_where_a_firefly_is_left_out_of_one():
+    """The patterns go by the samples without a firefly; the numbers above them by all."""
+    x = gamma()
+    x[:, int(np.argmax(x[0]))] = x.sum()
+    place, plain = (PlaceStatistics(values, RGB) for values in (x, gamma()))
+    columns = tables.columns_of([place], "all")
+    shown = tables.headline(place)[2]
+    assert shown[1] == number(float(place.fits.tail.xi[-1]))
+    rest = number(float(place.patterns.statistics["long_tail"]))
+    assert rest != shown[1]
+    assert shown[2] == f"variance suspect; {rest} without the largest sample"
+    assert "without the largest sample" in tables.patterns_table(columns)["note"]
+    # The control: without a firefly, there is one index.
+    assert "without" not in tables.headline(plain)[2][2]
+    assert "without" not in tables.patterns_table(tables.columns_of([plain], "all"))["note"]
