@@ -84,9 +84,9 @@ class Modality(Shown):
     tied_share
         Share of samples that are equal to another one. Ties are separated by less than float32
         can tell, as the test is one of continuous samples. Rounded samples, of which 8 % or more
-        tie at other values than the three most frequent ones that hold 8 % each, are spread
-        half-way to their neighbours first: a step is no mode. A gap three times as wide as both
-        gaps beside it is no step, and no sample is spread into it.
+        tie at other values than the three most frequent ones, lights of at least 8 % and three
+        samples each, are spread half-way to their neighbours first: a step is no mode. A gap three
+        times as wide as both gaps beside it is no step, and no sample is spread into it.
     modes
         1 to 3: the clearly separated maxima of the best mixture's density of log radiance: a
         component of at least 8 % of the samples, with a valley of at least 2 % of its height
@@ -281,8 +281,8 @@ def _at_samples(part: PositivePart, place: Floats) -> Floats:
     return np.where(np.isnan(place), np.nan, nearest)
 
 
-_LIGHTS = 3
-"""Values, at most, that samples share for another reason than rounding."""
+_LIGHTS, _LEAST_OF_LIGHT = 3, 3
+"""Values, at most, that samples share for another reason than rounding, and samples of each."""
 _CHUNK = 2**16
 
 
@@ -301,7 +301,7 @@ def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
     """Say which rows hold rounded samples, shape (...).
 
     They are those of which 8 % or more, the smallest mode that is counted, tie at other values than
-    lights: the three most frequent ones that hold 8 % each.
+    lights: the three most frequent ones, if they hold 8 % and three samples each.
     """
     samples = part.x.shape[-1]
     steps = np.zeros(part.n.size, dtype=bool)
@@ -313,7 +313,9 @@ def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
         counts = np.bincount(run[_tied(ascending, n)], minlength=run.size).reshape(-1, samples)
         least = LEAST_WEIGHT * n
         highest = np.partition(counts, -_LIGHTS, axis=-1)[:, -_LIGHTS:]
-        of_lights = np.where(highest >= least[:, np.newaxis], highest, 0).sum(axis=-1)
+        of_lights = np.where(
+            highest >= np.maximum(least, _LEAST_OF_LIGHT)[:, np.newaxis], highest, 0
+        ).sum(axis=-1)
         steps[at] = counts.sum(axis=-1) - of_lights >= least
     return steps.reshape(part.n.shape)
 

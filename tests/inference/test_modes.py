@@ -191,6 +191,17 @@ def test_rounding_makes_no_modes(name):
     assert (result.dip_p_value < 0.05).mean() <= 0.03
 
 
+@pytest.mark.parametrize("n", [21, 24, 32])
+def test_a_few_equal_samples_are_rounded_ones(n):
+    """Of 200 rows of five bits, 93 to 97 % have one mode (measured), as if not rounded; it were 63.
+
+    Fewer than 87 %: below 1e-3.
+    """
+    mantissa, exponent = np.frexp(np.random.default_rng(34).gamma(2.0, size=(200, n)))
+    x = np.ldexp(np.round(32 * mantissa) / 32, exponent)
+    assert (chd.modality(x).modes == 1).mean() >= 0.87
+
+
 def on_levels(rng, rows, spp, levels, *, decades=True):
     """Radiance of lights or of a texture: values with unequal gaps, of unequal shares."""
     value = np.cumsum(rng.exponential(size=(rows, levels)), axis=-1)
