@@ -112,7 +112,7 @@ _LARGEST_INDEX = 0.25
 """From this tail index on, the kurtosis is infinite."""
 _CERTAIN = 2.81
 """Standard errors of an estimate up to its upper end: two-sided, 99.5 %. A pixel has an answer
-because its tail looks light: an end of 97.5 % is too low for a third of those that have one."""
+because its tail looks light: an end of 97.5 % is too low for up to a quarter of those that do."""
 _SHARING = 4.0
 """Least samples that a fourth moment rests on: one sample alone tells no moment."""
 _GAUSSIAN = 4.0
