@@ -8,7 +8,10 @@ of their row, so that no power of them overflows or vanishes.
 Skewness and kurtosis rest on rare bright samples: those that were seen give a lower bound of both.
 Those that were not seen lie in the tail: beyond its threshold, a generalised Pareto distribution of
 the largest index that the samples allow takes their place. It has a kurtosis only if that index is
-below 1/4; otherwise N is not identified.
+below 1/4; otherwise N is not identified. Where the logarithms may be Gaussian, the samples may be
+log-normal, too, which have a kurtosis that hardly depends on what was seen of the tail. A bright
+part of which no sample was seen leaves no trace at all, so that there have to be enough samples,
+beside nulls, for it to be a small one.
 """
 
 from __future__ import annotations
@@ -102,8 +105,18 @@ def shapes(averages: Averages) -> tuple[Floats, Floats]:
     return skewness, np.vecdot(square, square) / n / variance**2 - 3
 
 
+_LEAST = 1379
+"""Samples other than 0. Of so many, all but one pixel in 1000 have some of a part of 0.5 %, as
+``0.995^1379 = 0.001``; without them, their skewness and kurtosis are those of the rest."""
 _LARGEST_INDEX = 0.25
 """From this tail index on, the kurtosis is infinite."""
+_CERTAIN = 2.81
+"""Standard errors of an estimate up to its upper end: two-sided, 99.5 %. A pixel has an answer
+because its tail looks light: an end of 97.5 % is too low for up to a quarter of those that do."""
+_SHARING = 4.0
+"""Least samples that a fourth moment rests on: one sample alone tells no moment."""
+_GAUSSIAN = 4.0
+"""Standard errors within which skewness and kurtosis of logarithms are those of a Gaussian."""
 _CHUNK = 2**16
 """Samples worked on at once: their float64 copies stay in the cache."""
 
@@ -118,25 +131,29 @@ def predict(
     """
     samples, batch = x.shape[-1], x.shape[:-1]
     rows, good = x.reshape(-1, samples), ~bad.reshape(-1, samples)
-    threshold, highest = tail.threshold.reshape(-1), tail.interval[..., 1].reshape(-1)
-    found = np.empty((3, len(rows)))
-    reason = np.empty(len(rows), dtype=np.int8)
-    # Rows that have no answer are computed, too, and masked by their reason.
+    index, threshold = tail.xi + _CERTAIN * tail.standard_error, tail.threshold.reshape(-1)
+    few = np.count_nonzero(good & (rows != 0), axis=-1).reshape(batch) < _LEAST
+    # Of clamped samples, or of a lamp's among nulls, nothing larger is missing.
+    ends = np.isin(tail.reason, [Reason.TIED, Reason.CONSTANT])
+    heavy = (tail.reason == Reason.OK) & ~((index < _LARGEST_INDEX) & tail.variance_trusted)
+    codes = [Reason.TOO_FEW, Reason.OK, Reason.UNIDENTIFIED]
+    reason = np.select([few, ends, heavy], codes, tail.reason).reshape(-1).astype(np.int8)
+    index = index.reshape(-1)
+    found = np.full((3, len(rows)), np.nan)
     with np.errstate(all="ignore"):
         for part in spans(len(rows), max(1, _CHUNK // samples)):
-            relative, reason[part] = _relative(rows[part], good[part])
-            excess = good[part] & (rows[part] > threshold[part, np.newaxis])
-            shapes = _shapes(relative, good[part], excess, highest[part])
-            found[:, part] = [_needed(*shape, n_means=n_means) for shape in shapes]
-    # Of clamped samples, or of a lamp's among nulls, nothing larger is missing.
-    known = np.isin(tail.reason, [Reason.OK, Reason.TIED, Reason.CONSTANT])
-    of_tail = np.where(tail.reason == Reason.OK, Reason.UNIDENTIFIED, tail.reason)
-    identified = (tail.interval[..., 1] < _LARGEST_INDEX) & tail.variance_trusted
-    missing = ~known | (tail.reason == Reason.OK) & ~identified
-    own = reason.reshape(batch)
-    codes = np.where((own == Reason.OK) & missing, of_tail, own).astype(np.int8)
-    low, n, high = np.where(codes == Reason.OK, found.reshape(3, *batch), np.nan)
-    return n, np.stack([low, high], axis=-1), codes
+            relative, own = _relative(rows[part], good[part])
+            reason[part] = np.where(own == Reason.OK, reason[part], own)
+            known = np.flatnonzero(reason[part] == Reason.OK)
+            at = np.arange(len(rows))[part][known]
+            excess = good[at] & (rows[at] > threshold[at, np.newaxis])
+            shapes, sharing = _shapes(relative[known], good[at], excess, index[at])
+            reason[at[sharing < _SHARING]] = Reason.UNIDENTIFIED
+            shapes[2] = np.fmax(shapes[2], _of_lognormal(rows[at], good[at]))
+            needed = np.stack([_needed(*shape, n_means=n_means) for shape in shapes])
+            found[:, at] = np.where(sharing < _SHARING, np.nan, needed)
+    low, n, high = found.reshape(3, *batch)
+    return n, np.stack([low, high], axis=-1), reason.reshape(batch)
 
 
 def _needed(skewness: Floats, kurtosis: Floats, *, n_means: int) -> Floats:
@@ -173,11 +190,13 @@ def _relative(x: npt.NDArray[Any], good: Mask) -> tuple[Floats, npt.NDArray[np.i
     return values, reason
 
 
-def _shapes(z: Floats, good: Mask, excess: Mask, highest: Floats) -> Floats:
+def _shapes(z: Floats, good: Mask, excess: Mask, highest: Floats) -> tuple[Floats, Floats]:
     """Return absolute skewness and excess kurtosis, shape (3, 2, row): least, as they are, most.
 
-    The errors are those of the influence functions; at most, too, what `_with_tail` makes of the
-    largest tail index.
+    The errors are those of the influence functions, on a logarithmic scale towards more: of a
+    bright part that a few samples are of, there may be much less. At most, they are what
+    `_with_tail` makes of the largest tail index. Also returns how many equal samples would give the
+    fourth moment the error that it has, shape (row,).
     """
     n = np.count_nonzero(good, axis=-1).astype(np.float64)
     square = z * z
@@ -187,11 +206,13 @@ def _shapes(z: Floats, good: Mask, excess: Mask, highest: Floats) -> Floats:
     of_skewness = cube - a - 3 * z - 1.5 * a * (square - 1)
     of_kurtosis = fourth - b - 4 * a * z - 2 * b * (square - 1)
     errors = np.stack(
-        [Z_95 * np.sqrt(np.sum(v * v, axis=-1, where=good)) / n for v in (of_skewness, of_kurtosis)]
+        [np.sqrt(np.sum(v * v, axis=-1, where=good)) / n for v in (of_skewness, of_kurtosis)]
     )
     found = np.abs([skewness, fourth_moment - 3])
+    wider = (1 + found) * np.exp(_CERTAIN * errors / (1 + found)) - 1
     more = np.abs(_with_tail([z, square, cube, fourth], n, excess, highest))
-    return np.stack([np.maximum(found - errors, 0), found, np.fmax(found + errors, more)])
+    ends = np.stack([np.maximum(found - Z_95 * errors, 0), found, np.fmax(wider, more)])
+    return ends, n * n * fourth_moment**2 / np.vecdot(fourth, fourth)
 
 
 def _with_tail(
@@ -214,11 +235,39 @@ def _with_tail(
         body = np.sum(power, axis=-1, where=~excess)
         tail = sum(comb(j, i) * threshold ** (j - i) * of_excess[i] for i in range(j + 1))
         moments.append((body + np.where(k > 0, k * tail, 0)) / n)
-    first, second, third, fourth = moments
+    return _standardised(*moments)
+
+
+def _of_lognormal(x: npt.NDArray[Any], good: Mask) -> Floats:
+    """Return skewness and excess kurtosis of log-normal samples among nulls, shape (2, row).
+
+    They are those of the largest variance of log x that the samples allow, and NaN where log x is
+    clearly not Gaussian. Up to the largest of a few thousand samples, a log-normal distribution may
+    look like one of a light tail, of which most of its kurtosis lies beyond.
+    """
+    positive = good & (x > 0)
+    n, of = np.count_nonzero(positive, axis=-1), np.count_nonzero(good, axis=-1)
+    log = np.log(np.where(positive, x, 1), dtype=np.float64)
+    log -= (log.sum(axis=-1) / n)[:, np.newaxis]
+    log *= positive
+    square = log * log
+    variance = np.vecdot(log, log) / n
+    skewness = np.vecdot(log, square) / n / variance**1.5
+    kurtosis = np.vecdot(square, square) / n / variance**2 - 3
+    clear = np.abs([skewness / np.sqrt(6 / n), kurtosis / np.sqrt(24 / n)]).max(axis=0) > _GAUSSIAN
+    most = variance * (1 + _CERTAIN * np.sqrt(2 / n))
+    moments = [n / of * np.exp(j * j * most / 2) for j in range(1, 5)]
+    return np.where(clear, np.nan, np.abs(_standardised(*moments)))
+
+
+def _standardised(
+    first: Floats, second: Floats, third: Floats, fourth: Floats
+) -> tuple[Floats, Floats]:
+    """Return skewness and excess kurtosis from moments about 0."""
     variance = second - first**2
-    third = third - 3 * first * second + 2 * first**3
-    fourth = fourth - 4 * first * moments[2] + 6 * first**2 * second - 3 * first**4
-    return third / variance**1.5, fourth / variance**2 - 3
+    about_mean = third - 3 * first * second + 2 * first**3
+    fourth = fourth - 4 * first * third + 6 * first**2 * second - 3 * first**4
+    return about_mean / variance**1.5, fourth / variance**2 - 3
 
 
 MORE_THAN_TESTED = -1

@@ -12,7 +12,7 @@ Both take samples for continuous ones, so that equal samples are separated first
 same way whatever is beside them. A few values that many samples share are lights seen from
 everywhere, and move by less than the precision of float32. Samples that lie on many steps have been
 rounded, to integers or to the few bits of a file: a step is no mode, and its samples are spread
-over what was rounded to it.
+over what was rounded to it, but never across a gap that is wider than the steps beside it.
 """
 
 from __future__ import annotations
@@ -84,8 +84,9 @@ class Modality(Shown):
     tied_share
         Share of samples that are equal to another one. Ties are separated by less than float32
         can tell, as the test is one of continuous samples. Rounded samples, of which 8 % or more
-        tie at other values than the three most frequent ones, are spread half-way to their
-        neighbours first: a step is no mode.
+        tie at other values than the three most frequent ones, lights of at least 8 % and three
+        samples each, are spread half-way to their neighbours first: a step is no mode. A gap three
+        times as wide as both gaps beside it is no step, and no sample is spread into it.
     modes
         1 to 3: the clearly separated maxima of the best mixture's density of log radiance: a
         component of at least 8 % of the samples, with a valley of at least 2 % of its height
@@ -98,7 +99,8 @@ class Modality(Shown):
         `reason` says why.
     places, weights
         Radiance of the modes as log10, and the mass of each, shape (..., 3), the darkest first; NaN
-        beyond the modes there are.
+        beyond the modes there are. The radiance is that of the sample nearest to the maximum: no
+        mode lies where there are no samples.
     ashman_d, ashman_d_se
         ``sqrt(2) |m1 - m2| / sqrt(s1^2 + s2^2)`` of neighbouring modes, with means and standard
         deviations of log radiance, shape (..., 2), and its standard error, from the information of
@@ -244,7 +246,7 @@ def modality_of_part(
         dip_p_value=p_value,
         tied_share=tied_share,
         modes=peaks.count,
-        places=peaks.place / np.log(10),
+        places=_at_samples(part, peaks.place) / np.log(10),
         weights=peaks.weight,
         ashman_d=peaks.ashman_d[..., : MODES - 1],
         ashman_d_se=peaks.ashman_d_se[..., : MODES - 1],
@@ -254,8 +256,33 @@ def modality_of_part(
     )
 
 
-_LIGHTS = 3
-"""Values, at most, that samples share for another reason than rounding."""
+def _at_samples(part: PositivePart, place: Floats) -> Floats:
+    """Return the log radiance of the sample nearest to each ascending place, shape (..., mode).
+
+    Each mode has samples of its own, those nearer to it than to another mode.
+    """
+
+    def below(bound: Floats) -> Counts:
+        counts = [
+            (part.log_sorted < at[..., np.newaxis]).sum(axis=-1) for at in np.moveaxis(bound, -1, 0)
+        ]
+        return np.stack(counts, axis=-1)
+
+    n = part.n[..., np.newaxis]
+    middle = below((place[..., :-1] + place[..., 1:]) / 2)
+    middle = np.where(np.isnan(place[..., 1:]), n, middle)
+    first, stop = np.append(0 * n, middle, axis=-1), np.append(middle, n, axis=-1)
+    behind = below(place)
+    left, right = (
+        np.take_along_axis(part.log_sorted, np.maximum(np.clip(i, first, stop - 1), 0), axis=-1)
+        for i in (behind - 1, behind)
+    )
+    nearest = np.where(place - left < right - place, left, right)
+    return np.where(np.isnan(place), np.nan, nearest)
+
+
+_LIGHTS, _LEAST_OF_LIGHT = 3, 3
+"""Values, at most, that samples share for another reason than rounding, and samples of each."""
 _CHUNK = 2**16
 
 
@@ -274,7 +301,7 @@ def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
     """Say which rows hold rounded samples, shape (...).
 
     They are those of which 8 % or more, the smallest mode that is counted, tie at other values than
-    the three most frequent ones.
+    lights: the three most frequent ones, if they hold 8 % and three samples each.
     """
     samples = part.x.shape[-1]
     steps = np.zeros(part.n.size, dtype=bool)
@@ -284,47 +311,68 @@ def _on_steps(part: PositivePart, tied_share: Floats) -> Mask:
         ascending, n = part.sorted.reshape(-1, samples)[at], part.n.reshape(-1)[at]
         run = _runs(ascending) + samples * np.arange(len(at))[:, np.newaxis]
         counts = np.bincount(run[_tied(ascending, n)], minlength=run.size).reshape(-1, samples)
-        rest = np.sort(counts, axis=-1)[:, :-_LIGHTS].sum(axis=-1)
-        steps[at] = rest >= LEAST_WEIGHT * n
+        least = LEAST_WEIGHT * n
+        highest = np.partition(counts, -_LIGHTS, axis=-1)[:, -_LIGHTS:]
+        of_lights = np.where(
+            highest >= np.maximum(least, _LEAST_OF_LIGHT)[:, np.newaxis], highest, 0
+        ).sum(axis=-1)
+        steps[at] = counts.sum(axis=-1) - of_lights >= least
     return steps.reshape(part.n.shape)
 
 
 def _spread_steps(part: PositivePart, steps: Mask) -> PositivePart:
     """Return the part with the samples of the rows on `steps` spread over them."""
     x, positive = part.x.astype(np.float64), part.positive.copy()
-    moved = _without_ties(part.sorted[steps], part.n[steps], np.ones(np.count_nonzero(steps), bool))
+    moved = _without_ties(part.sorted[steps], part.n[steps], rounded=True)
     x[steps], positive[steps] = np.where(part.valid[steps], moved, 0), part.valid[steps]
     return replace(part, x=x, positive=positive)
 
 
-def _without_ties(ascending: npt.NDArray[Any], n: Counts, steps: Mask) -> Floats:
+def _without_ties(ascending: npt.NDArray[Any], n: Counts, *, rounded: bool = False) -> Floats:
     """Return samples, ascending and padded with infinity, without ties.
 
-    Those of a tie are spread evenly, over half a float32 spacing to either side, or, in the rows on
-    `steps`, half-way to the next values.
+    Those of a tie are spread evenly over half a float32 spacing to either side, or, where they were
+    `rounded`, half-way to the next values, as far as these are a step away.
     """
     valid = np.arange(ascending.shape[-1]) < n[:, np.newaxis]
     exact = np.where(valid, ascending, np.inf).astype(np.float64)
     run = _runs(exact)
-    column = np.arange(exact.shape[-1])
-    begins = np.diff(run, axis=-1, prepend=-1) > 0
-    ends = np.diff(run, axis=-1, append=exact.shape[-1]) > 0
-    first = np.maximum.accumulate(np.where(begins, column, 0), axis=-1)
-    last = np.minimum.accumulate(np.where(ends, column, column[-1])[:, ::-1], axis=-1)[:, ::-1]
-    last = np.minimum(last, n[:, np.newaxis] - 1)
-    spacing = np.spacing(np.where(valid, ascending, 1).astype(np.float32)).astype(np.float64)
-    below = np.take_along_axis(exact, np.maximum(first - 1, 0), axis=-1)
-    above = np.take_along_axis(exact, np.minimum(last + 1, n[:, np.newaxis] - 1), axis=-1)
+    places = run + exact.shape[-1] * np.arange(len(run))[:, np.newaxis]
+    count = np.bincount(places.reshape(-1), minlength=run.size).reshape(run.shape)
+    value = np.full(exact.shape, np.inf)
+    np.put_along_axis(value, run, exact, axis=-1)
+    spacing = np.spacing(np.where(value < np.inf, value, 1).astype(np.float32))
+    down = up = spacing.astype(np.float64)
+    if rounded:
+        steps = _steps(value)
+        below, above = steps[:, :-1], steps[:, 1:]
+        # The outer steps are as wide on both sides, within positive numbers.
+        down = np.where(below > 0, below, np.maximum(down, np.minimum(above, value)))
+        up = np.where(above > 0, above, np.maximum(up, below))
+    of_value = (count.cumsum(axis=-1) - count, value - down / 2, (down + up) / 2)
+    first, lowest, width = (np.take_along_axis(v, run, axis=-1) for v in of_value)
+    share = (np.arange(exact.shape[-1]) - first + 0.5) / np.take_along_axis(count, run, axis=-1)
+    return np.where(_tied(ascending, n), lowest + share * width, exact)
+
+
+_WIDER = 3.0
+"""A gap so many times as wide as both gaps beside it is no step, but lies between two clusters."""
+
+
+def _steps(value: Floats) -> Floats:
+    """Return the steps between ascending values, and 0 where a gap is none, as before the first.
+
+    The values, shape (row, value), are padded with infinity; the result has one column more. Gaps
+    are compared as they are, and as ratios: rounded floats, and powers, have steps that grow.
+    """
+    gaps = np.zeros((2, len(value), value.shape[-1] + 1))
     with np.errstate(invalid="ignore"):
-        down, up = exact - below, above - exact
-    # The outer steps are as wide on both sides, within positive numbers.
-    down, up = np.where(down > 0, down, np.minimum(up, exact)), np.where(up > 0, up, down)
-    wide = steps[:, np.newaxis]
-    down, up = np.where(wide, down, spacing) / 2, np.where(wide, up, spacing) / 2
-    count = np.maximum(last - first + 1, 1)
-    with np.errstate(invalid="ignore"):
-        moved = exact - down + (column - first + 0.5) / count * (down + up)
-    return np.where(valid & (count > 1), moved, exact)
+        for gap, x in zip(gaps, (value, np.log(value)), strict=True):
+            gap[:, 1:-1] = np.where(value[:, 1:] < np.inf, np.diff(x, axis=-1), 0)
+    for _ in range(2):  # A gap beside one that is no step has to compare with the other side.
+        beside = np.maximum(gaps[..., :-2], gaps[..., 2:])
+        gaps[..., 1:-1] *= (gaps[..., 1:-1] <= _WIDER * beside).any(axis=0)
+    return np.asarray(gaps[0])
 
 
 def _runs(ascending: npt.NDArray[Any]) -> Counts:
@@ -360,9 +408,7 @@ def _dips_of_part(part: PositivePart, usable: Mask, tied: Mask) -> tuple[Floats,
     for piece in spans(len(rows), max(1, _DIPS_AT_ONCE // samples)):
         at = rows[piece]
         log, move = log_sorted[at], tied[at]
-        log[move] = np.log(
-            _without_ties(ascending[at[move]], n[at[move]], np.zeros(move.sum(), bool))
-        )
+        log[move] = np.log(_without_ties(ascending[at[move]], n[at[move]]))
         dip[at] = dips(log, n[at])
     p[rows] = _dip_p(dip[rows], n[rows])
     return dip.reshape(part.n.shape), p.reshape(part.n.shape)

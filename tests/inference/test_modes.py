@@ -191,6 +191,73 @@ def test_rounding_makes_no_modes(name):
     assert (result.dip_p_value < 0.05).mean() <= 0.03
 
 
+@pytest.mark.parametrize("n", [21, 24, 32])
+def test_a_few_equal_samples_are_rounded_ones(n):
+    """Of 200 rows of five bits, 93 to 97 % have one mode (measured), as if not rounded; it were 63.
+
+    Fewer than 87 %: below 1e-3.
+    """
+    mantissa, exponent = np.frexp(np.random.default_rng(34).gamma(2.0, size=(200, n)))
+    x = np.ldexp(np.round(32 * mantissa) / 32, exponent)
+    assert (chd.modality(x).modes == 1).mean() >= 0.87
+
+
+def on_levels(rng, rows, spp, levels, *, decades=True):
+    """Radiance of lights or of a texture: values with unequal gaps, of unequal shares."""
+    value = np.cumsum(rng.exponential(size=(rows, levels)), axis=-1)
+    value = 10 ** (3 * value / value[:, -1:] - 2) if decades else value
+    share = np.cumsum(rng.dirichlet(np.full(levels, 3.0), rows), axis=-1)[:, np.newaxis, :-1]
+    which = (rng.random((rows, spp, 1)) > share).sum(axis=-1)
+    return np.take_along_axis(value, which, axis=-1)
+
+
+def beside(rng, size, levels, body):
+    return np.where(rng.random(size) < 0.5, 10 * on_levels(rng, *size, levels), body)
+
+
+STEPPED = {
+    "two clusters": lambda rng, size: rng.choice([1, 1.05, 1.1, 10, 10.5, 11.0], size),
+    "four lights": lambda rng, size: on_levels(rng, *size, 4),
+    "nine lights": lambda rng, size: on_levels(rng, *size, 9),
+    "texture": lambda rng, size: 3 * on_levels(rng, *size, 25, decades=False),
+    "lights and log-normal": lambda rng, size: beside(rng, size, 5, rng.lognormal(size=size)),
+    "lights and gamma": lambda rng, size: beside(rng, size, 8, rng.gamma(2, 0.1, size)),
+    "narrow lobes": lambda rng, size: on_levels(rng, *size, 5) * rng.lognormal(0, 0.01, size),
+    "clamped": lambda rng, size: np.minimum(rng.lognormal(size=size), 2),
+    **ROUNDED,
+}
+
+
+@pytest.mark.parametrize("spp", [40, 400])
+@pytest.mark.parametrize("name", STEPPED)
+def test_modes_lie_where_samples_do(name, spp):
+    """All of them, by construction; two modes share a value in 1 of 100 rows (measured).
+
+    Of the lights, up to 98 % of rows had a mode 0.02 decades or more from any sample. More than 5
+    of 100 rows: below 1e-3.
+    """
+    rng = np.random.default_rng(32)
+    x = STEPPED[name](rng, (100, spp)).astype(np.float32)
+    x[rng.random(x.shape) < 0.2] = 0
+    places = chd.modality(x).places[..., np.newaxis]
+    with np.errstate(divide="ignore"):
+        away = np.abs(np.log10(x, dtype=np.float64)[:, np.newaxis] - places).min(axis=-1)
+    assert np.nanmax(away) < 1e-9
+    assert (np.diff(places[..., 0], axis=-1) <= 0).any(axis=-1).mean() <= 0.05
+
+
+@pytest.mark.parametrize("gap", [3.0, 10.0, 1e4])
+def test_ties_are_not_spread_across_a_gap(gap):
+    """What modes below and above the gap weigh is what there are samples; it was 0.31 for 0.5."""
+    rng = np.random.default_rng(33)
+    low = rng.random((50, 400)) < 0.4
+    value = rng.choice([1, 1.02, 1.05, 1.1, 1.11, 1.2], low.shape)
+    result = chd.modality(np.where(low, value, gap * value))
+    assert (result.modes >= 2).all()
+    of_low = np.where(result.places < np.log10(1.3), result.weights, 0).sum(axis=-1)
+    np.testing.assert_allclose(of_low, low.mean(axis=-1), atol=1e-3)
+
+
 def test_modes_of_rounded_samples_are_found():
     rng = np.random.default_rng(26)
     x = np.round(np.where(rng.random((50, 300)) < 0.4, rng.gamma(50, size=(50, 300)), 200))

@@ -128,7 +128,7 @@ def test_n_needed_grows_with_skewness_as_predicted():
     # Skewness binds the prediction: 4 / k over 4 * 6 / 32, but for the bias of sample skewness.
     predicted = np.nanmedian(means.n_predicted, axis=-1)
     np.testing.assert_allclose(predicted, [22, 6, 2], atol=3)
-    assert (means.n_predicted_reason == Reason.OK).mean() > 0.85
+    assert ((means.n_predicted_reason == Reason.OK).mean(axis=-1) > [0.5, 0.85, 0.9]).all()
     middle = np.median(means.n_needed, axis=-1)
     assert middle[0] >= 4 * middle[1] >= 8 * middle[2]
 
@@ -148,7 +148,7 @@ def test_the_prediction_is_kept_by_independent_samples():
 
 SHAPES = (stats.skew, stats.kurtosis)
 LAWS = {
-    "exponential": (stats.expon(), 0.9),
+    "exponential": (stats.expon(), 0.8),
     "gamma": (stats.gamma(2), 0.9),
     "narrow log-normal": (stats.lognorm(0.5), 0.5),
     "log-normal": (stats.lognorm(1), 0.0),
@@ -158,9 +158,22 @@ LAWS = {
 }
 
 
+def needed(skewness, kurtosis):
+    """Return the N of averages of which 32 are tested."""
+    return np.ceil(max(1, skewness**2 / (4 * 6 / 32), abs(kurtosis) / (2 * np.sqrt(24 / 32))))
+
+
+def wrong_among_known(means, truth):
+    """Return the share of predictions whose interval misses the truth, and how many there are."""
+    known = means.n_predicted_reason == Reason.OK
+    low, high = means.n_predicted_interval.T
+    held = (low <= truth) & (truth <= high)
+    return np.mean(~held[known]) if known.any() else 0.0, known.mean()
+
+
 @pytest.mark.parametrize("name", LAWS)
 def test_the_prediction_has_an_interval_that_holds_it_or_there_is_none(name):
-    """Of 300 pixels, 93 % and more hold it or have none (measured); 87 % are 4 deviations fewer.
+    """Of 300 pixels, at most 1 % of those with a prediction miss it (measured); 5 %: below 1e-3.
 
     Of the two wider log-normal distributions, N is 65 and 5817, and was predicted as 31 and 133.
     """
@@ -172,17 +185,52 @@ def test_the_prediction_has_an_interval_that_holds_it_or_there_is_none(name):
         skewness, kurtosis = (
             f(np.clip(law.rvs(4_000_000, random_state=1), 1, 3.5)) for f in SHAPES
         )
-    truth = np.ceil(max(1, skewness**2 / (4 * 6 / 32), abs(kurtosis) / (2 * np.sqrt(24 / 32))))
     means = gaussianity_of_means(x, sizes=[1])
-    known = means.n_predicted_reason == Reason.OK
+    wrong, known = wrong_among_known(means, needed(skewness, kurtosis))
+    assert wrong <= 0.05
+    assert known >= answered
+    assert (known < 0.05) == ("log" in name and "narrow" not in name)
+    ok = means.n_predicted_reason == Reason.OK
     low, high = means.n_predicted_interval.T
-    assert ((low <= truth) & (truth <= high) | ~known).mean() >= 0.87
-    assert known.mean() >= answered
-    assert (low <= means.n_predicted)[known].all()
-    assert (means.n_predicted <= high)[known].all()
-    np.testing.assert_array_equal(np.isnan(means.n_predicted), ~known)
-    assert set(means.n_predicted_reason[~known]) <= {Reason.UNIDENTIFIED}
-    assert (known.mean() < 0.05) == ("log" in name and "narrow" not in name)
+    assert (low <= means.n_predicted)[ok].all()
+    assert (means.n_predicted <= high)[ok].all()
+    np.testing.assert_array_equal(np.isnan(means.n_predicted), ~ok)
+    assert set(means.n_predicted_reason[~ok]) <= {Reason.UNIDENTIFIED}
+
+
+@pytest.mark.parametrize(
+    ("null", "spp"), [(0.95, 512), (0.95, 2048), (0.99, 2048), (0.5, 1024), (0, 512)]
+)
+def test_from_too_few_samples_beside_nulls_nothing_is_predicted(null, spp):
+    """A hundredth of them, ten times as bright, would not be missed; 11 to 46 % were wrong."""
+    rng = np.random.default_rng(35)
+    x = np.where(rng.random((200, spp)) < null, 0, rng.exponential(size=(200, spp)))
+    assert (gaussianity_of_means(x, sizes=[1]).n_predicted_reason == Reason.TOO_FEW).all()
+
+
+@pytest.mark.parametrize("null", [0.0, 0.6])
+def test_a_rare_part_is_not_missed_by_those_with_a_prediction(null):
+    """Of 300 pixels, at most two have an answer that lacks a hundredth, ten times as bright.
+
+    In 0 of 3000 (measured). Where the rare part is one lamp, its few samples are all that skewness
+    and kurtosis rest on: 1 % miss the truth (measured), and 5 % or more below 1e-3.
+    """
+    rng = np.random.default_rng(36)
+    spp, rare = int(2048 / (1 - null)), 0.01
+    lit = rng.random((300, spp)) >= null
+    bright = rng.random((300, spp)) < rare
+    x = lit * rng.exponential(size=(300, spp)) * np.where(bright, 10, 1)
+    known = gaussianity_of_means(x, sizes=[1]).n_predicted_reason == Reason.OK
+    assert np.count_nonzero(known) <= 2
+    x = np.where(rng.random((300, spp)) < rare / 4, 100.1, 0.1) * lit
+    value = np.array([0, 0.1, 100.1])
+    weight = np.array([null, (1 - null) * (1 - rare / 4), (1 - null) * rare / 4])
+    centred = value - weight @ value
+    variance = weight @ centred**2
+    truth = needed(weight @ centred**3 / variance**1.5, weight @ centred**4 / variance**2 - 3)
+    wrong, answered = wrong_among_known(gaussianity_of_means(x, sizes=[1]), truth)
+    assert wrong <= 0.05
+    assert answered > 0.5
 
 
 @pytest.mark.parametrize("index", [0.3, 0.6, 1.0])
@@ -242,10 +290,20 @@ def test_n_needed_over_an_image_is_corrected_for_the_image():
     assert "tail index" in dataset["predicted_skewness"].attrs["comment"]
     assert dataset["n_predicted_interval"].dims == ("y", "x", "channel", "bound")
     known = dataset["n_predicted_reason"] == Reason.OK
-    np.testing.assert_array_equal(dataset["n_predicted"].notnull(), known)
-    assert known[2:].mean() > 0.9
+    assert not known.any()
+    np.testing.assert_array_equal(dataset["n_predicted_reason"][2:], Reason.TOO_FEW)
     for variable in dataset.data_vars.values():
         assert {"long_name", "units"} <= set(variable.attrs)
+
+
+def test_predictions_over_an_image():
+    radiance = np.random.default_rng(37).normal(100, 1, size=(4, 4, 1, 1536)).astype(np.float32)
+    radiance[0, 0] = 0
+    dataset = gaussianity_of_means(chd.Samples.from_array(radiance), progress=False)
+    known = dataset["n_predicted_reason"] == Reason.OK
+    np.testing.assert_array_equal(dataset["n_predicted"].notnull(), known)
+    assert known.sum() >= 14
+    assert dataset["n_predicted_reason"][0, 0, 0] == Reason.ALL_NULL
 
 
 def test_sizes():
