@@ -15,6 +15,7 @@ __all__ = [
     "ChdstatError",
     "ClusterError",
     "InputError",
+    "InputWarning",
     "LeftOutWarning",
     "Reason",
     "RenderError",
@@ -38,6 +39,10 @@ class ClusterError(ChdstatError):
 
 class InputError(ChdstatError, ValueError):
     """An argument has the wrong shape, type or range."""
+
+
+class InputWarning(UserWarning):
+    """Samples or files hold other than what they seem to: it was converted, cut, or left as it is."""
 
 
 class LeftOutWarning(UserWarning):

@@ -14,12 +14,14 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import warn_caller
 from chdstat._core.display import Card, Shown, png
 from chdstat._core.files import check_claim, replacing
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError, check_option
+from chdstat.io.primaries import AP0, REC709, from_xyz, named, to_rec709
 
-__all__ = ["ExrImage", "read_exr", "read_planes", "write_exr"]
+__all__ = ["ExrImage", "Planes", "read_exr", "read_feature", "read_planes", "write_exr"]
 
 Array = npt.NDArray[Any]
 
@@ -47,11 +49,228 @@ _OF_THE_FORMAT = frozenset(
 """Attributes that say how the file is laid out: nobody else's."""
 
 
-def read_planes(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the attributes of an EXR file and its channels (y, x), float32 or uint32, by name.
+Window = tuple[int, int, int, int]
+"""Left, top, right and bottom of the pixels of an image, all of them inside."""
 
-    Those of other parts than the first are called as their layers are: ``normal.X`` is the channel
-    X of the part "normal".
+_LARGEST = 2**26
+"""Pixels of a display window up to which a file need not be large to be believed."""
+_OVERFLOW = float(np.finfo(np.float16).max)
+_COLOURS = (("r", "g", "b"), ("red", "green", "blue"))
+_CIE = ("x", "y", "z")
+_ORDERS = (*_COLOURS, _CIE, ("u", "v"), ("y",), ("z",))
+"""Channels of a layer in their order, in capitals or not; files have them in the alphabet's."""
+_SPACES = ("colorinteropid", "colorspace")
+"""Names of attributes, in whatever namespace, that name a colour space."""
+
+
+@dataclass(frozen=True)
+class Planes:
+    """The channels of an EXR file, brought to its display window.
+
+    Attributes
+    ----------
+    path
+        The file.
+    attributes
+        Those of its first part.
+    window
+        The display window.
+    channels
+        Shape (y, x) each, by name, of the types of the file. Those of other parts than the first
+        are called as layers are: ``normal.X`` is the channel X of the part "normal".
+    unread
+        Why other channels cannot be read, by name.
+    notes
+        What a user is to be told of the file, by kinds of which one is told once.
+    """
+
+    path: Path
+    attributes: Mapping[str, Any]
+    window: Window
+    channels: Mapping[str, Array]
+    unread: Mapping[str, str]
+    notes: dict[str, str]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(y, x)."""
+        return _shape(self.window)
+
+    def layer(self, name: str) -> tuple[str, ...]:
+        """Return the channels of a layer in their usual order, without alpha; or of that name.
+
+        Raises
+        ------
+        InputError
+            If there is no such layer or channel.
+        StoreError
+            If it is of a kind that is not read.
+        """
+        if name in self.channels:
+            return (name,)
+        inside = self._inside(name)
+        for order in _ORDERS[:-2]:
+            if found := _ordered(inside, order):
+                return found
+        for unread, why in self.unread.items():
+            if name in (unread, unread.rpartition(".")[0]):
+                message = f"{self.path}: channel {unread!r} {why}"
+                raise StoreError(message)
+        if not inside:
+            message = f"{self.path} has no layer {name!r}, but the channels {self._names()}"
+            raise InputError(message)
+        return tuple(full for own, full in inside.items() if own not in "Aa") or (*inside.values(),)
+
+    def main(self, advice: str, *, radiance: bool = True) -> tuple[str, ...]:
+        """Return the channels of the image: red, green and blue, X, Y and Z, or Y.
+
+        Where these are missing, they are those of the only layer of colours. Of what is no
+        `radiance`, such as normals, they may be other channels, too.
+
+        Raises
+        ------
+        InputError
+            If it is not clear which they are; the message ends with `advice` and names of layers.
+        StoreError
+            If they are of a kind that is not read.
+        """
+        top, layers = self._inside(""), sorted({n.rpartition(".")[0] for n in self.channels} - {""})
+        coloured = [layer for layer in layers if _colours_of(self._inside(layer))]
+        if radiance and {"RY", "BY"} & {*top, *self.unread}:
+            message = (
+                f"{self.path} holds luminance and chroma, Y, RY and BY, which are not put together "
+                "here: write R, G and B, or ask for Y, the luminance alone"
+            )
+            raise StoreError(message)
+        vector = bool(_ordered(top, _CIE)) and bool(coloured)
+        for order in _ORDERS if not radiance else _COLOURS if vector else (*_COLOURS, _CIE, ("y",)):
+            if found := _ordered(top, order):
+                return found
+        only = coloured if radiance or coloured else layers
+        if len(only) == 1 and (radiance or not top):
+            return self.layer(only[0])
+        if self.unread and not self.channels:
+            name, why = next(iter(self.unread.items()))
+            message = f"{self.path}: channel {name!r} {why}"
+            raise StoreError(message)
+        offered = coloured or [*layers, *top]
+        message = f"{self.path} has no channels R, G, B or Y; {advice} {', '.join(offered)}"
+        raise InputError(message)
+
+    def image(self, names: Sequence[str], *, colours: bool) -> npt.NDArray[np.float32]:
+        """Return channels as an image (y, x, channel); `colours` in linear Rec. 709.
+
+        Raises
+        ------
+        StoreError
+            If colours are whole numbers.
+        """
+        planes = [self.channels[name] for name in names]
+        found = np.stack([_single(plane) for plane in planes], axis=-1).astype(np.float32)
+        if not colours:
+            return found
+        if any(plane.dtype.kind == "u" for plane in planes):
+            message = (
+                f"{self.path}: {', '.join(names)} holds whole numbers, as those of objects are; "
+                "expected radiance"
+            )
+            raise StoreError(message)
+        if any(p.dtype == np.float16 and (np.abs(p) >= _OVERFLOW).any() for p in planes):
+            self.notes["half"] = (
+                f"{self.path} holds half floats of {_OVERFLOW:g}, the most that they can be, or "
+                "infinite ones: what is brighter was cut. Write float to keep it"
+            )
+        matrix = self._matrix(names)
+        if matrix is None:
+            return found
+        with np.errstate(invalid="ignore", over="ignore"):  # of infinite values
+            return np.asarray(found @ matrix.T.astype(np.float32))
+
+    def _matrix(self, names: Sequence[str]) -> npt.NDArray[np.float64] | None:
+        """Return the matrix from channels to linear Rec. 709, None for none, and note why."""
+        kinds, note = tuple(map(str.casefold, _own(names))), f"{self.path}: its colours are "
+        if kinds == _CIE and "." not in names[0]:
+            self.notes["xyz"] = f"{note}X, Y and Z of CIE 1931, converted to linear Rec. 709"
+            return from_xyz()
+        if kinds not in _COLOURS:
+            return None
+        of = {
+            n.rpartition(":")[2].rpartition("/")[2].casefold(): v for n, v in self.texts().items()
+        }
+        space = next((of[name] for name in _SPACES if name in of), "")
+        known = named(space)
+        given = self.attributes.get("chromaticities")
+        if not given:
+            given = AP0 if self.attributes.get("acesImageContainerFlag") == 1 else known
+        try:
+            matrix = to_rec709(given) if given else None
+        except ValueError as error:
+            self.notes["chromaticities"] = f"{note}taken for linear Rec. 709: {error}"
+            return None
+        if matrix is not None:
+            text = ", ".join(f"{value:.4g}" for value in given or ())
+            self.notes[text] = (
+                f"{note}converted to linear Rec. 709; x and y of their red, green, blue and white "
+                f"are {text}"
+            )
+        elif known is None or (known and known != REC709):
+            self.notes[space] = (
+                f"{note}taken for linear Rec. 709, but the file names the colour space {space!r}"
+            )
+        return matrix
+
+    def others(self, names: Sequence[str]) -> dict[str, Array]:
+        """Return the other channels; as one layer (y, x, channel) those called as `names` are."""
+        kept = {name: _single(p) for name, p in self.channels.items() if name not in names}
+        own = _own(names)
+        layers = {name.rpartition(".")[0] for name in kept} - {"", *kept}
+        for layer in layers:
+            inside = self._inside(layer)
+            if inside.keys() == set(own):
+                kept[layer] = np.stack([kept.pop(inside[name]) for name in own], axis=-1)
+        return kept
+
+    def texts(self) -> dict[str, str]:
+        """Return the attributes that are text and do not belong to the format."""
+        return {
+            name: value
+            for name, value in self.attributes.items()
+            if isinstance(value, str) and name not in _OF_THE_FORMAT
+        }
+
+    def _inside(self, layer: str) -> dict[str, str]:
+        """Return the full names of the channels of a layer, by their own."""
+        split = ((name.rpartition("."), name) for name in self.channels)
+        return {channel: name for (of, _, channel), name in split if of == layer}
+
+    def _names(self) -> str:
+        return ", ".join(self.channels)
+
+
+def _own(names: Sequence[str]) -> tuple[str, ...]:
+    """Return names of channels without those of their layers."""
+    return tuple(name.rpartition(".")[2] for name in names)
+
+
+def _ordered(inside: Mapping[str, str], order: Sequence[str]) -> tuple[str, ...]:
+    """Return the full names of channels in an order, in capitals or not; () if one is missing."""
+    for spelled in (str.upper, str.lower, str.capitalize):
+        if {*map(spelled, order)} <= inside.keys():
+            return tuple(inside[spelled(name)] for name in order)
+    return ()
+
+
+def _colours_of(inside: Mapping[str, str]) -> tuple[str, ...]:
+    return next((found for order in _COLOURS if (found := _ordered(inside, order))), ())
+
+
+def _single(plane: Array) -> Array:
+    """Return half floats as floats."""
+    return plane.astype(np.float32, copy=False) if plane.dtype.kind == "f" else plane
+
+
+def read_planes(path: Path) -> Planes:
+    """Return the channels of an EXR file.
 
     Raises
     ------
@@ -73,64 +292,101 @@ def read_planes(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
             headers = [part.header for part in file.parts]
-            check_claim(
-                path, sum(4 * _pixels(h["dataWindow"]) * len(h["channels"]) for h in headers)
-            )
+            data = [_window(header["dataWindow"]) for header in headers]
+            display = _window(headers[0]["displayWindow"])
+            claimed = [_pixels(w) * len(h["channels"]) for w, h in zip(data, headers, strict=True)]
+            check_claim(path, 4 * sum(claimed))
+            if _pixels(display) > _LARGEST:
+                check_claim(path, 4 * _pixels(display))
         with OpenEXR.File(str(path), separate_channels=True) as file:
+            parts = [(str(part.name()), dict(part.channels)) for part in file.parts]
             attributes = dict(file.header())
-            parts = [
-                (str(part.name()), part.header["dataWindow"], dict(part.channels))
-                for part in file.parts
-            ]
-            planes = _planes_of(path, parts)
+            channels: dict[str, Array] = {}
+            unread: dict[str, str] = {}
+            for (part, held), window in zip(parts, data, strict=True):
+                for name, channel in held.items():
+                    outside = part != parts[0][0] and not name.startswith(f"{part}.")
+                    full = f"{part}.{name}" if outside else name
+                    if why := _unreadable(channel, _shape(window)):
+                        unread[full] = why
+                    else:
+                        channels[full] = _placed(path, channel.pixels, window, display)
     except (OSError, RuntimeError, ValueError, MemoryError) as error:
         message = f"{path} is damaged or cut off; write or copy it again ({error})"
         raise StoreError(message) from error
-    return attributes, planes
+    return Planes(
+        path, attributes, display, channels, unread, _notes(path, attributes, data, display)
+    )
 
 
-def _pixels(window: Any) -> int:
+def _window(box: Any) -> Window:
+    (left, top), (right, bottom) = box
+    return int(left), int(top), int(right), int(bottom)
+
+
+def _shape(window: Window) -> tuple[int, int]:
+    left, top, right, bottom = window
+    return bottom - top + 1, right - left + 1
+
+
+def _pixels(window: Window) -> int:
     height, width = _shape(window)
     return max(height, 0) * max(width, 0)
 
 
-def _shape(window: Any) -> tuple[int, int]:
-    (left, top), (right, bottom) = window
-    return int(bottom) - int(top) + 1, int(right) - int(left) + 1
+def _unreadable(channel: Any, shape: tuple[int, int]) -> str:
+    """Return why a channel is not one number for each pixel; "" if it is."""
+    if channel.pixels.dtype.kind not in "fu":
+        return "is deep, with any number of values in each pixel: flatten it first"
+    if (channel.xSampling, channel.ySampling) != (1, 1) or channel.pixels.shape != shape:
+        return f"is of a resolution of its own; expected one value for each of {shape} pixels"
+    return ""
 
 
-def _planes_of(path: Path, parts: Sequence[tuple[str, Any, Mapping[str, Any]]]) -> dict[str, Array]:
-    shape, planes = _shape(parts[0][1]), {}
-    for number, (part, window, channels) in enumerate(parts):
-        if _shape(window) != shape:
-            message = (
-                f"{path}: part {part!r} has {_shape(window)} pixels, the first part {shape}; "
-                "expected parts of one size"
-            )
-            raise StoreError(message)
-        for name, channel in channels.items():
-            outside = number > 0 and not name.startswith(f"{part}.")
-            planes[f"{part}.{name}" if outside else name] = _plane(path, name, channel, shape)
-    return planes
-
-
-def _plane(path: Path, name: str, channel: Any, shape: tuple[int, int]) -> Array:
-    plane: Array = channel.pixels
-    sampling = (channel.xSampling, channel.ySampling)
-    if sampling != (1, 1) or plane.shape != shape or plane.dtype.kind not in "fu":
+def _placed(path: Path, plane: Array, data: Window, display: Window) -> Array:
+    """Return the part of a channel in the display window, 0 where the file holds nothing."""
+    if data == display:
+        return plane
+    ys, xs = (slice(max(data[i], display[i]), min(data[i + 2], display[i + 2]) + 1) for i in (1, 0))
+    if ys.start >= ys.stop or xs.start >= xs.stop:
         message = (
-            f"{path}: channel {name!r} is deep or of a resolution of its own; "
-            f"expected one number for each of {shape} pixels"
+            f"{path}: its data window {data} lies outside of its display window {display} (left, "
+            "top, right, bottom): nothing of it is to be seen"
         )
         raise StoreError(message)
-    return plane.astype(np.float32, copy=False) if plane.dtype.kind == "f" else plane
+    whole = np.zeros(_shape(display), plane.dtype)
+    (to_y, to_x), (of_y, of_x) = (
+        (slice(ys.start - w[1], ys.stop - w[1]), slice(xs.start - w[0], xs.stop - w[0]))
+        for w in (display, data)
+    )
+    whole[to_y, to_x] = plane[of_y, of_x]
+    return whole
+
+
+def _notes(
+    path: Path, attributes: Mapping[str, Any], data: Sequence[Window], display: Window
+) -> dict[str, str]:
+    """Return what is to be told of windows and pixels."""
+    notes = {}
+    outside = [
+        w for w in data if any(np.less(w[:2], display[:2])) or any(np.greater(w[2:], display[2:]))
+    ]
+    if outside:
+        notes["overscan"] = (
+            f"{path} has pixels outside of its display window (left, top, right, bottom = "
+            f"{display}; data: {outside[0]}): they were left out"
+        )
+    if (aspect := float(attributes.get("pixelAspectRatio", 1))) != 1:
+        notes["aspect"] = (
+            f"{path} has pixels of {aspect:.4g} times their height in width: they are kept as they "
+            "are, and shown as squares"
+        )
+    return notes
 
 
 _USUAL = {1: ("Y",), 3: ("R", "G", "B")}
 _TYPES: dict[str, type[np.floating[Any]]] = {"float": np.float32, "half": np.float16}
 _LONGEST_NAME = 255
-_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-"""x and y of red, green, blue and white of linear sRGB (ITU-R BT.709)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -233,7 +489,7 @@ def write_exr(
     _check_attributes(attributes or {})
     header = {
         **(attributes or {}),
-        **({"chromaticities": _CHROMATICITIES} if names == _USUAL[3] else {}),
+        **({"chromaticities": REC709} if names == _USUAL[3] else {}),
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
     }
@@ -279,18 +535,42 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
         ...
     chdstat.errors.StoreError: no EXR file at nowhere.exr
     """
-    file = Path(path)
-    attributes, planes = read_planes(file)
-    names = _found_names(file, planes, channels)
-    stacked = np.stack([planes.pop(name) for name in names], axis=-1)
-    return ExrImage(
-        image=stacked.astype(np.float32, copy=False),
-        channels=names,
-        extra=_layers(planes, names),
-        attributes={
-            n: v for n, v in attributes.items() if isinstance(v, str) and n not in _OF_THE_FORMAT
-        },
+    planes = read_planes(Path(path))
+    if channels is None:
+        names = planes.main("name those of the image with channels=, out of")
+    else:
+        names = tuple(name for given in channels for name in planes.layer(given))
+    image = planes.image(
+        names, colours=channels is None or bool(_colours_of(dict.fromkeys(_own(names), "")))
     )
+    if planes.unread:
+        name, why = next(iter(planes.unread.items()))
+        planes.notes["unread"] = f"{path}: channel {name!r} is left out, for it {why}"
+    for note in planes.notes.values():
+        warn_caller(note)
+    return ExrImage(
+        image=image, channels=names, extra=planes.others(names), attributes=planes.texts()
+    )
+
+
+def read_feature(path: Path, name: str) -> npt.NDArray[np.float32]:
+    """Return a first-hit feature from a file: the layer of its name, or else the image in it.
+
+    Raises
+    ------
+    InputError
+        If it is not clear which channels are the feature.
+    StoreError
+        As `read_exr` does.
+    """
+    planes = read_planes(path)
+    advice = f"rename one to {name}, or give features the array of read_exr(..., channels=) of"
+    held = {name.rpartition(".")[0] for name in planes.channels} | planes.channels.keys()
+    names = planes.layer(name) if name in held else planes.main(advice, radiance=False)
+    image = planes.image(names, colours=name == "albedo")
+    for note in planes.notes.values():
+        warn_caller(note)
+    return image
 
 
 def _real(name: str, values: npt.ArrayLike) -> Array:
@@ -375,32 +655,3 @@ def _check_attributes(attributes: Mapping[str, Any]) -> None:
         if not isinstance(value, str):
             message = f"attribute {name!r} must be text, got {type(value).__name__}"
             raise InputError(message)
-
-
-def _found_names(
-    path: Path, planes: Mapping[str, Array], channels: Sequence[str] | None
-) -> tuple[str, ...]:
-    wanted = [tuple(channels)] if channels else [_USUAL[3], _USUAL[1]]
-    for names in wanted:
-        if set(names) <= planes.keys():
-            return names
-    message = (
-        f"{path} has no channels {' or '.join(', '.join(names) for names in wanted)}; "
-        f"name those of the image with channels=, out of {', '.join(planes)}"
-    )
-    raise InputError(message)
-
-
-def _layers(planes: Mapping[str, Array], names: tuple[str, ...]) -> dict[str, Array]:
-    """Stack the channels of each layer that has those of the image, and no others."""
-    layers: dict[str, dict[str, Array]] = {}
-    for name, plane in planes.items():
-        layer, _, channel = name.rpartition(".")
-        layers.setdefault(layer, {})[channel] = plane
-    stacked = {
-        layer: np.stack([parts[name] for name in names], axis=-1)
-        for layer, parts in layers.items()
-        if layer and layer not in planes and parts.keys() == set(names)
-    }
-    single = {n: p for n, p in planes.items() if n.rpartition(".")[0] not in stacked}
-    return {**single, **stacked}

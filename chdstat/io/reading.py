@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,11 +17,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import warn_caller
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import Samples
 from chdstat.samples.axes import check_counts, check_features
 from chdstat.samples.layout import canonical
-from chdstat.samples.tiles import Image, Source
+from chdstat.samples.repeats import warn_of_repeats
+from chdstat.samples.tiles import BATCH, Image, Source
 
 __all__ = ["FORMATS", "Format", "Opened", "ReadOptions", "read"]
 
@@ -174,12 +177,12 @@ def read(
     named = {n: str(v) for n, v in given.items() if isinstance(v, str | Path) and not _is_file(v)}
     opened = _format(paths, format).open(paths, ReadOptions(axes, variable, named))
     shape = opened.source.shape
-    images = {n: _image(v) for n, v in given.items() if n not in named}
-    images = {**{n: _image(v) for n, v in opened.source.read_features().items()}, **images}
+    images = {n: _feature(n, v) for n, v in given.items() if n not in named}
+    images = {**{n: _flat(v) for n, v in opened.source.read_features().items()}, **images}
     check_features(images, shape)
     found = opened.counts
     if counts is not None:
-        found = check_counts(_array(counts) if isinstance(counts, str | Path) else counts, shape)
+        found = check_counts(_loaded(counts), shape)
     about = {
         "scene": paths[0].stem,
         "scene_source": paths[0].name,
@@ -189,7 +192,29 @@ def read(
         **attrs,
     }
     held = opened.source if found is None else _Counted(opened.source, found)
+    _warn_of_copies(paths, held)
     return Samples(held, attrs=about, features=images, counts=found)
+
+
+_LOOKED = 2**29
+"""Bytes of images that are decoded to see whether they repeat each other, or one batch."""
+
+
+def _warn_of_copies(paths: Sequence[Path], source: Source) -> None:
+    """Warn of samples that are there twice, by the names of the files or by what they hold."""
+    file, times = Counter(path.resolve() for path in paths).most_common(1)[0]
+    if times > 1:
+        message = (
+            f"{file} is given {times} times: its samples count as often, "
+            "and errors look smaller than they are. Give each file once"
+        )
+        warn_caller(message)
+        return
+    height, width, channels, spp = source.shape
+    if source.frames:
+        spp = min(spp, max(BATCH, _LOOKED // (4 * height * width * channels)))
+    names = [path.name for path in paths] if len(paths) == source.shape[3] else []
+    warn_of_repeats(source.read, (height, width, channels, spp), f"{source.path}", names)
 
 
 def _hash(paths: Sequence[Path]) -> str:
@@ -251,18 +276,21 @@ def _is_file(value: str | Path) -> bool:
     return Path(value).suffix.lower() in (".npy", ".exr") and Path(value).is_file()
 
 
-def _image(value: str | Path | npt.ArrayLike) -> Image:
+def _feature(name: str, value: str | Path | npt.ArrayLike) -> Image:
     """Return a feature that is given as an array or in a file."""
-    image = np.asarray(_array(value) if isinstance(value, str | Path) else value, np.float32)
+    if isinstance(value, str | Path) and Path(value).suffix.lower() == ".exr":
+        from chdstat.io.exr import read_feature
+
+        return _flat(read_feature(Path(value), name))
+    return _flat(np.asarray(_loaded(value), np.float32))
+
+
+def _flat(image: Image) -> Image:
     return image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
 
 
-def _array(path: str | Path) -> npt.NDArray[Any]:
-    """Return the image in a .npy or EXR file."""
-    if Path(path).suffix.lower() == ".exr":
-        from chdstat.io.exr import read_exr
-
-        return read_exr(path).image
+def _loaded(value: str | Path | npt.ArrayLike) -> npt.ArrayLike:
+    """Return an array, which may be in a .npy file."""
     from chdstat.io.arrays import load_npy
 
-    return load_npy(Path(path))
+    return load_npy(Path(value)) if isinstance(value, str | Path) else value
