@@ -36,7 +36,7 @@ import numpy.typing as npt
 
 from chdstat._core.arrays import warn_caller
 from chdstat.errors import InputError, StoreError
-from chdstat.io.exr import Planes, read_planes
+from chdstat.io.exr_planes import Planes, read_planes
 from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples.tiles import BATCH, Image
 

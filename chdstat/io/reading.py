@@ -6,6 +6,7 @@ what there is: a format is a function from paths and `ReadOptions` to an `Opened
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib
 from collections import Counter
@@ -214,7 +215,8 @@ def _warn_of_copies(paths: Sequence[Path], source: Source) -> None:
     if source.frames:
         spp = min(spp, max(BATCH, _LOOKED // (4 * height * width * channels)))
     names = [path.name for path in paths] if len(paths) == source.shape[3] else []
-    warn_of_repeats(source.read, (height, width, channels, spp), f"{source.path}", names)
+    with contextlib.suppress(StoreError):  # which is raised again when the samples are needed
+        warn_of_repeats(source.read, (height, width, channels, spp), f"{source.path}", names)
 
 
 def _hash(paths: Sequence[Path]) -> str:
