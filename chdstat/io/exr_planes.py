@@ -154,7 +154,8 @@ class Planes:
         offered = ", ".join(n for n in coloured or [*layers, *top] if self._holds_numbers(n))
         if not offered:
             self._readable(every)
-        message = f"{self.path} has no channels R, G, B or Y; {advice} {offered}"
+            advice = "its channels are whole numbers, as those of objects are"
+        message = f"{self.path} has no channels R, G, B or Y; {advice} {offered}".rstrip()
         raise InputError(message)
 
     def _holds_numbers(self, name: str) -> bool:

@@ -151,9 +151,9 @@ class _Repeats(NamedTuple):
             )
         if not sure:
             return ""
-        tile = sure[0]
+        tile, count = sure[0], len({(tile.y, tile.x) for tile in sure})
         return (
-            f"passes are equal in {len(sure)} of {self.looked} tiles of {_EDGE} x {_EDGE} pixels, "
+            f"passes are equal in {count} of {self.looked} tiles of {_EDGE} x {_EDGE} pixels, "
             f"such as {passes[tile.equal[0]]} and {passes[tile.equal[1]]} in that at y = {tile.y}, "
             f"x = {tile.x}. Unless nothing is random there, the renderer repeats its random "
             f"numbers: {_ADVICE}"
