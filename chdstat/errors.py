@@ -42,7 +42,7 @@ class InputError(ChdstatError, ValueError):
 
 
 class InputWarning(UserWarning):
-    """Samples or files hold other than what they seem to: it was converted, cut, or left as it is."""
+    """Samples or files are not quite what they seem: repeated, converted, or read in part."""
 
 
 class LeftOutWarning(UserWarning):

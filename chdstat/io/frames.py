@@ -248,11 +248,8 @@ class _Rawls:
         return lines["values"].reshape(self.shape).astype(np.float32)
 
 
-def open_rawls(paths: Sequence[Path], options: ReadOptions) -> Opened:
+def open_rawls(paths: Sequence[Path], _: ReadOptions) -> Opened:
     """Open .rawls files, each a sample or an average of some."""
-    if options.features or options.variable:
-        message = "rawls files hold no features and one image each; give features as files"
-        raise InputError(message)
     files = [_parsed(path) for path in paths]
     first = files[0]
     for file in files:

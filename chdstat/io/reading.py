@@ -11,7 +11,7 @@ import hashlib
 import importlib
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -84,36 +84,65 @@ class Format:
         What it is, for help and documentation.
     opener
         Module and function that open it: loaded when it is used.
+    takes
+        Those of `ReadOptions` that it leaves to the caller.
     """
 
     name: str
     suffixes: tuple[str, ...]
     title: str
     opener: str
+    takes: tuple[str, ...] = ()
 
     def open(self, paths: Sequence[Path], options: ReadOptions) -> Opened:
         """Open files of this format."""
+        for option in fields(options):
+            if getattr(options, option.name) and option.name not in self.takes:
+                instead = "; give features as arrays or files" if option.name == "features" else ""
+                message = (
+                    f"files of the format {self.name} come without {option.name} to choose: leave "
+                    f"{option.name} out{instead}"
+                )
+                raise InputError(message)
         module, function = self.opener.split(":")
         opener: Opener = getattr(importlib.import_module(f"chdstat.io.{module}"), function)
         return opener(paths, options)
 
 
 FORMATS = (
-    Format("npy", (".npy",), "NumPy arrays", "arrays:open_npy"),
-    Format("npz", (".npz",), "NumPy archives", "arrays:open_npz"),
+    Format("npy", (".npy",), "NumPy arrays", "arrays:open_npy", ("axes",)),
+    Format("npz", (".npz",), "NumPy archives", "arrays:open_npz", ("axes", "variable", "features")),
     Format(
-        "xarray", (".nc", ".nc4", ".h5", ".zarr"), "Arrays of netCDF and zarr", "arrays:open_xarray"
+        "xarray",
+        (".nc", ".nc4", ".h5", ".zarr"),
+        "Arrays of netCDF and zarr",
+        "arrays:open_xarray",
+        ("axes", "variable", "features"),
     ),
-    Format("exr", (".exr",), "EXR images, each a sample or average", "frames:open_exr"),
+    Format(
+        "exr",
+        (".exr",),
+        "EXR images, each a sample or average",
+        "frames:open_exr",
+        ("variable", "features"),
+    ),
     Format("rawls", (".rawls",), "Images of rawls, each a sample or average", "frames:open_rawls"),
-    Format("noisebase", (".zip",), "Sample sets of noisebase", "arrays:open_noisebase"),
+    Format(
+        "noisebase",
+        (".zip",),
+        "Sample sets of noisebase",
+        "arrays:open_noisebase",
+        ("variable", "features"),
+    ),
     Format(
         "bcd",
         (".raw",),
         "Raw samples of Bayesian collaborative denoising",
         "denoiser_inputs:open_bcd",
     ),
-    Format("stream", (".chds",), "Streams of chdstat_writer.h", "stream:open_stream"),
+    Format(
+        "stream", (".chds",), "Streams of chdstat_writer.h", "stream:open_stream", ("features",)
+    ),
 )
 """Formats in the order in which they are tried."""
 
@@ -268,6 +297,10 @@ def _format(paths: Sequence[Path], name: str | None) -> Format:
         suffixed = all(path.suffix.lower() in known.suffixes for path in paths)
         if known.name == name or (name is None and suffixed):
             return known
+    if name is None and len(found := {path.suffix.lower() for path in paths}) > 1:
+        others = ", ".join(sorted(kind or "none" for kind in found))
+        message = f"{paths[0].parent} gives files of several kinds, {others}: read those of one"
+        raise InputError(message)
     kinds = ", ".join(f"{f.name} ({' '.join(f.suffixes)})" for f in FORMATS)
     asked = f"format {name!r}" if name else f"files such as {paths[0].name}"
     message = f"cannot read {asked}; known formats are {kinds}. Name one as format"

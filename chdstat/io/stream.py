@@ -71,9 +71,6 @@ def get_include() -> Path:
 
 def open_stream(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open streams of one image, whose samples follow each other in every pixel."""
-    if options.axes is not None or options.variable is not None:
-        message = f"{paths[0]} says itself what is where: leave axes and variable out"
-        raise InputError(message)
     source = StreamSource(paths)
     for name in options.features.values():
         if name not in source.header.features:

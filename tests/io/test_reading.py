@@ -117,6 +117,16 @@ def test_the_command_imports_and_appends(tmp_path, run):
     assert str(tmp_path) not in str(samples.attrs)
 
 
+def test_the_command_tells_of_copies_in_a_line(tmp_path, run, capsys):
+    for number in range(3):
+        chd.io.write_exr(tmp_path / f"{number}.exr", FRAMES[number % 2])
+    run("import", *sorted(tmp_path.glob("*.exr")), "-o", tmp_path / "own.zarr", "-q")
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].startswith("chdstat: ")
+    assert "1 are copies (2.exr of 0.exr)" in said[0]
+
+
 def test_faults_are_named(tmp_path):
     (tmp_path / "bad.npy").write_bytes(b"no array")
     (tmp_path / "x.txt").write_text("1 2 3")
