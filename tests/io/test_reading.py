@@ -117,6 +117,7 @@ def test_the_command_imports_and_appends(tmp_path, run):
     assert str(tmp_path) not in str(samples.attrs)
 
 
+@pytest.mark.filterwarnings("default::chdstat.errors.InputWarning")
 def test_the_command_tells_of_copies_in_a_line(tmp_path, run, capsys):
     for number in range(3):
         chd.io.write_exr(tmp_path / f"{number}.exr", FRAMES[number % 2])
