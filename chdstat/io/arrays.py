@@ -228,6 +228,7 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
             axes = ordered(array, path.name, options.axes)
         sources.append(ArraySource(array.variable, axes, path, features=features))
         attrs = {str(k): v for k, v in dataset.attrs.items() if isinstance(v, str | int | float)}
+        attrs |= {"unit": str(array.attrs["units"])} if "units" in array.attrs else {}
     return Opened(joined(sources), attrs)
 
 

@@ -148,27 +148,36 @@ def write_exr(
 def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrImage:
     """Read an image and its layers from an EXR file.
 
+    The image is the display window: 0 where the file holds nothing, and without what lies outside.
+    Its colours are brought to linear Rec. 709; a `chdstat.errors.InputWarning` tells of it, and of
+    what else is not as usual.
+
     Parameters
     ----------
     path
         The file.
     channels
-        Which channels are the image; None for R, G, B, or for Y where these are missing. All
-        others become `ExrImage.extra`. Of a file of several parts, the image is in the first; the
-        channel X of a part "normal" is called normal.X.
+        Which channels or layers are the image; None for red, green and blue, in capitals or not;
+        else for Y, or the only layer of colours. All others become `ExrImage.extra`, as they are in
+        the file. The channel X of a part "normal" is called normal.X, that of the first part X.
 
     Returns
     -------
     ExrImage
-        What the file's data window holds.
+        What the file's display window holds.
 
     Raises
     ------
     InputError
         If the file holds no such channels.
     StoreError
-        If there is no such file, it is damaged, or an EXR of a kind that is not read here: deep,
-        of parts of different sizes, or with channels of lower resolution.
+        If there is no such file, it is damaged, or the image is of a kind that is not read here:
+        deep, of luminance and chroma, of lower resolution, or outside of the display window.
+
+    References
+    ----------
+    SMPTE RP 177-1993, "Derivation of basic television color equations"; the white point is adapted
+    as in K. M. Lam, "Metamerism and colour constancy", PhD thesis, University of Bradford, 1985.
 
     Examples
     --------

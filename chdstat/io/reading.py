@@ -1,7 +1,8 @@
 """Reading: samples in the files of other programs, opened as `chdstat.Samples`.
 
-`read` finds the format; nothing but headers is read until samples are asked for. `FORMATS` lists
-what there is: a format is a function from paths and `ReadOptions` to an `Opened`.
+`read` finds the format. Samples are read when they are asked for, but for some that tell whether
+passes repeat each other. `FORMATS` lists what there is: a format is a function from paths and
+`ReadOptions` to an `Opened`.
 """
 
 from __future__ import annotations
@@ -159,6 +160,9 @@ def read(
 ) -> Samples:
     """Open samples in files of other programs; `Samples.save` makes a store of them.
 
+    A `chdstat.errors.InputWarning` tells of what is not quite as it seems, such as passes that
+    repeat each other, colours that were converted, or pixels outside of the image.
+
     Parameters
     ----------
     source, *more
@@ -170,7 +174,8 @@ def read(
         "syxc" for a stack of images; None where their dims have names, or for "yxcs".
     variable
         Which array of a file with several holds the samples; None takes the largest. Of EXR files
-        the layer; None takes R, G and B, or Y. Of noisebase's sequences the number of the frame.
+        the layer; None takes red, green and blue, or Y. Of noisebase's sequences the number of the
+        frame.
     features
         First-hit features by name (albedo, normal, position, depth): arrays (y, x) or (y, x,
         component), files of them (.npy, .exr), or their names within the source: arrays, or
