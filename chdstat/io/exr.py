@@ -197,8 +197,9 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
         planes.notes["unread"] = f"{path}: channel {name!r} is left out, for it {why}"
     for note in planes.notes.values():
         warn_caller(note)
+    shown = _USUAL[3] if "xyz" in planes.notes else names
     return ExrImage(
-        image=image, channels=names, extra=planes.others(names), attributes=planes.texts()
+        image=image, channels=shown, extra=planes.others(names), attributes=planes.texts()
     )
 
 

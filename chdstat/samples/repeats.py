@@ -27,7 +27,7 @@ _EDGE, _STEP = 16, 4
 """Edge of the tiles that are compared, in pixels, and of those of which one is compared first."""
 _MOST = 2**23
 """Values that are looked at, for few passes and for all."""
-_FEW, _GROUPS = 8, 8
+_FEW, _GROUPS = 8, 64
 """Passes that are compared in all tiles, and groups of equal passes that are judged in each."""
 _SURPRISE = 20.0
 """Equal passes are no accident if the log probability, corrected for all pairs and tiles, is below
@@ -146,8 +146,8 @@ class _Repeats(NamedTuple):
             named = [f"{passes[copy]} of {passes[first]}" for copy, first in sorted(copies.items())]
             more = ["..."] * (len(named) > _NAMED)
             return (
-                f"of {number} passes that were compared, {len(copies)} are copies "
-                f"({', '.join([*named[:_NAMED], *more])}). Leave them out: {_ADVICE}"
+                f"copies among {number} passes that were compared ({len(copies)}: "
+                f"{', '.join([*named[:_NAMED], *more])}). Leave them out: {_ADVICE}"
             )
         if not sure:
             return ""
@@ -192,12 +192,10 @@ def _judged(tile: Image, y: int, x: int) -> Iterator[_Tile]:
             continue
         same = (tile[kept] == image[kept][..., np.newaxis]) | np.isnan(image[kept])[..., np.newaxis]
         share = same.all(axis=1).mean(axis=-1)
-        pixels = np.ascontiguousarray(image)
-        beside = [(pixels[1:], pixels[:-1]), (pixels[:, 1:], pixels[:, :-1])]
         rough = _difference(
             *(
-                np.concatenate([p.reshape(-1, p.shape[2]) for p in of])
-                for of in zip(*beside, strict=True)
+                np.concatenate([a.reshape(-1, a.shape[2]) for a in beside])
+                for beside in ((image[1:], image[:, 1:]), (image[:-1], image[:, :-1]))
             )
         )
         equals = tuple(map(int, equal))

@@ -263,6 +263,7 @@ def test_xyz_is_taken_for_colours_only_where_nothing_else_is(tmp_path):
     )
     np.testing.assert_allclose(found.image @ to_xyz.T, IMAGE, atol=2e-3)
     assert "X, Y and Z of CIE 1931" in said
+    assert found.channels == ("R", "G", "B")
     named = chd.io.read_exr(alone, channels=["X", "Y", "Z"])
     np.testing.assert_array_equal(named.image, IMAGE)
     beside = written(tmp_path / "b.exr", (xyz | planes_of(IMAGE + 1, prefix="beauty."), {}))

@@ -256,7 +256,7 @@ def copies(folder):
     x = X.copy()
     x[..., 4] = x[..., 2]
     message = told(chd.Samples.from_array, x)
-    copy = int(re.search(r"\(pass (\d+) of", message)[1])
+    copy = int(re.search(r": pass (\d+) of", message)[1])
     assert chd.Samples.from_array(np.delete(x, copy, axis=-1)).spp == 31
     return message
 

@@ -142,7 +142,7 @@ def test_the_command_tells_of_copies_in_a_line(tmp_path, run, capsys):
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
     assert said[0].startswith("chdstat: ")
-    assert "1 are copies (2.exr of 0.exr)" in said[0]
+    assert "(1: 2.exr of 0.exr)" in said[0]
 
 
 def test_the_documentation_says_of_every_format_what_becomes_of_its_files():

@@ -51,7 +51,7 @@ SHAPES = [(64, 48, 3, 16), (33, 17, 3, 5), (6, 9, 1, 8), (70, 200, 3, 3), (8, 8,
 def test_copies_are_named(shape, nulls):
     x = noise(*shape, nulls=nulls)
     assert not told(x)
-    assert "1 are copies (pass 2 of pass 0)" in told(with_copies(x, _2=0))
+    assert "(1: pass 2 of pass 0)" in told(with_copies(x, _2=0))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -64,8 +64,8 @@ def test_a_renderer_that_ignores_its_seed(shape, spp):
 
 def test_a_renderer_with_few_seeds():
     x = noise(64, 48, 3, 8)
-    assert "8 are copies (pass 8 of pass 0, pass 9 of pass 1" in told(np.tile(x, 2))
-    assert "6 are copies" in told(with_copies(x, **{f"_{i}": 0 for i in range(1, 7)}))
+    assert "(8: pass 8 of pass 0, pass 9 of pass 1" in told(np.tile(x, 2))
+    assert "(6: " in told(with_copies(x, **{f"_{i}": 0 for i in range(1, 7)}))
 
 
 # --- tiles ----------------------------------------------------------------------------------------
@@ -197,7 +197,7 @@ def test_copies_of_files(tmp_path):
         exr(tmp_path / f"{number}.exr", image, frame=f"{number}")
     shutil.copy(tmp_path / "1.exr", tmp_path / "5.exr")
     exr(tmp_path / "6.exr", PASSES[3], frame="6, rendered later")
-    with pytest.warns(InputWarning, match=r"2 are copies \(5.exr of 1.exr, 6.exr of 3.exr\)"):
+    with pytest.warns(InputWarning, match=r"\(2: 5.exr of 1.exr, 6.exr of 3.exr\)"):
         chd.io.read(tmp_path)
     # What the message says: leave them out.
     chd.io.read(*(tmp_path / f"{number}.exr" for number in range(5)))
@@ -277,7 +277,7 @@ def test_every_reader_tells_of_copies(tmp_path, write):
     assert chd.io.read(*files, **options).spp == 6
     (tmp_path / "again").mkdir()
     files, options = write(tmp_path / "again", stacked(2))
-    with pytest.warns(InputWarning, match="of 8 passes that were compared, 2 are copies"):
+    with pytest.warns(InputWarning, match=r"copies among 8 passes that were compared \(2: "):
         chd.io.read(*files, **options)
 
 
