@@ -116,7 +116,8 @@ class _Repeats(NamedTuple):
                 if repeated[row, column]:
                     tiles += _judged(tile, ys.start + y, xs.start + x)
                 if len(noise) < _ENOUGH and (other := int((of_tile != of_tile[0]).argmax())):
-                    noise.append(_difference(tile[..., 0], tile[..., other]))
+                    differ = (tile[..., 0] != tile[..., other]).any(axis=2)
+                    noise.append(_difference(tile[differ, :, 0], tile[differ, :, other]))
             looked += repeated.size
         known = [value for value in noise if value > 0]
         return cls(looked, tiles, whole, float(np.median(known)) if known else np.nan)
@@ -124,7 +125,7 @@ class _Repeats(NamedTuple):
     def message(self, passes: Sequence[str]) -> str:
         """Return what is to be said of passes of these names, or nothing."""
         number = len(self.whole)
-        if np.isnan(self.noise) and all(tile.always for tile in self.tiles):
+        if (self.whole == self.whole[0]).all() and all(tile.always for tile in self.tiles):
             rough = [tile.rough for tile in self.tiles if not np.isnan(tile.rough)]
             if not rough or np.median(rough) == 0:
                 return ""

@@ -110,6 +110,9 @@ CLEAN = {
     "a sky before noise": np.where(
         np.arange(64)[:, None, None, None] < 30, ramp(), noise(64, 48, 3, 16)
     ),
+    "a sky before some noise in each tile": np.where(
+        np.arange(27)[:, None, None, None] < 14, ramp(27, 100), noise(27, 100, 1, 8)
+    ),
     "half black": noise(64, 48, 3, 16) * (np.arange(64) < 32)[:, None, None, None],
     "rare light": noise(64, 48, 3, 64, nulls=0.999),
     "fireflies over what has no noise": ramp() + noise(64, 48, 3, 64, nulls=0.998),
