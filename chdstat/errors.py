@@ -15,6 +15,7 @@ __all__ = [
     "ChdstatError",
     "ClusterError",
     "InputError",
+    "InputWarning",
     "LeftOutWarning",
     "Reason",
     "RenderError",
@@ -38,6 +39,10 @@ class ClusterError(ChdstatError):
 
 class InputError(ChdstatError, ValueError):
     """An argument has the wrong shape, type or range."""
+
+
+class InputWarning(UserWarning):
+    """Samples or files are not quite what they seem: repeated, converted, or read in part."""
 
 
 class LeftOutWarning(UserWarning):

@@ -19,7 +19,7 @@ from typing import Any, SupportsIndex, TypeAlias, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from chdstat.errors import InputError, LeftOutWarning
+from chdstat.errors import InputError, InputWarning, LeftOutWarning
 
 __all__ = [
     "LUMINANCE",
@@ -38,6 +38,7 @@ __all__ = [
     "seed_number",
     "spans",
     "take_rows",
+    "warn_caller",
     "warn_left_out",
     "whole",
 ]
@@ -293,10 +294,13 @@ def warn_left_out(
 
 
 def _warn(count: int, total: int, what: str) -> None:
-    """Warn whoever called the library."""
-    level = 1 + len(_callers(sys._getframe(1)))
     message = f"{100 * count / total:.1f} % of the samples ({count} of {total}) are {what}"
-    warnings.warn(message, LeftOutWarning, stacklevel=level)
+    warn_caller(message, LeftOutWarning)
+
+
+def warn_caller(message: str, category: type[Warning] = InputWarning) -> None:
+    """Warn whoever called the library."""
+    warnings.warn(message, category, stacklevel=1 + len(_callers(sys._getframe(1))))
 
 
 def _callers(frame: FrameType) -> list[FrameType]:

@@ -17,7 +17,7 @@ import typer
 
 from chdstat import __version__
 from chdstat._core.places import is_path, place_of
-from chdstat.errors import ChdstatError, InputError, LeftOutWarning
+from chdstat.errors import ChdstatError, InputError, InputWarning, LeftOutWarning
 
 if TYPE_CHECKING:
     from chdstat.patterns import Thresholds
@@ -421,7 +421,7 @@ def _shown_once() -> Callable[..., None]:
         line: str | None = None,
     ) -> None:
         text = warnings.formatwarning(message, category, filename, lineno, line).rstrip()
-        if issubclass(category, LeftOutWarning):
+        if issubclass(category, LeftOutWarning | InputWarning):
             text = f"chdstat: {message}"
         if text not in shown:
             typer.echo(text, file=file, err=True)

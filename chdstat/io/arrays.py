@@ -18,6 +18,8 @@ docs/formats/sample_training_v1.md, noisebase/compression.py).
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
 import math
 import shutil
 import tempfile
@@ -34,7 +36,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.files import check_claim
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import InputError, StoreError, brief
 from chdstat.io.frames import Frame, Frames
 from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples.axes import ordered, single
@@ -196,7 +198,7 @@ def open_npz(paths: Sequence[Path], options: ReadOptions) -> Opened:
     sources = []
     for path in paths:
         arrays = _unpacked(path)
-        name = _variable(path, {n: a.size for n, a in arrays.items()}, options.variable)
+        name = _variable(path, arrays, options.variable)
         features = {n: _named(path, arrays, inside) for n, inside in options.features.items()}
         axes = ordered(arrays[name], path.name, options.axes)
         sources.append(ArraySource(arrays[name], axes, path, features=features))
@@ -215,10 +217,8 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
             else:
                 dataset = xr.open_dataset(path, decode_times=False)
         except DAMAGED as error:
-            message = f"xarray cannot open {path}: {error}"
-            raise StoreError(message) from error
-        sizes = {str(n): int(v.size) for n, v in dataset.data_vars.items()}
-        name = _variable(path, sizes, options.variable)
+            raise StoreError(_why_not(path, error)) from error
+        name = _variable(path, {str(n): v for n, v in dataset.data_vars.items()}, options.variable)
         features = {n: _named(path, dataset, inside) for n, inside in options.features.items()}
         array = dataset[name]
         letters = {dim: letter for letter, dim in _DIMS.items()}
@@ -228,7 +228,20 @@ def open_xarray(paths: Sequence[Path], options: ReadOptions) -> Opened:
             axes = ordered(array, path.name, options.axes)
         sources.append(ArraySource(array.variable, axes, path, features=features))
         attrs = {str(k): v for k, v in dataset.attrs.items() if isinstance(v, str | int | float)}
+        attrs |= {"unit": str(array.attrs["units"])} if "units" in array.attrs else {}
     return Opened(joined(sources), attrs)
+
+
+def _why_not(path: Path, error: BaseException) -> str:
+    """Return why xarray cannot open a file, which may lack a package for it."""
+    with contextlib.suppress(OSError), path.open("rb") as start:
+        if start.read(8) == b"\x89HDF\r\n\x1a\n" and importlib.util.find_spec("h5netcdf") is None:
+            return (
+                f"{path} is a file of HDF5, or of netCDF 4, which the package h5netcdf reads: pip "
+                "install h5netcdf, or write it as netCDF 3 or zarr"
+            )
+    why = "no such file is known" if isinstance(error, ValueError) else brief(error)
+    return f"xarray cannot open {path} as netCDF or zarr: {why}"
 
 
 class _Folder:
@@ -259,16 +272,21 @@ def _unpacked(path: Path) -> dict[str, Remapped]:
     return arrays
 
 
-def _variable(path: Path, sizes: Mapping[str, int], options: str | None) -> str:
-    """Return the name of the array of samples: as options, or the largest."""
-    if not sizes:
-        message = f"{path} holds no array"
+def _variable(path: Path, arrays: Mapping[str, Any], wanted: str | None) -> str:
+    """Return the name of the array of samples: that which is wanted, or the largest."""
+    fit = {
+        name: int(array.size)
+        for name, array in arrays.items()
+        if len(array.shape) in (3, 4) and array.dtype.kind in "fiu"
+    }
+    if not fit:
+        held = ", ".join(f"{name} {tuple(a.shape)}" for name, a in arrays.items()) or "nothing"
+        message = f"{path} holds no array of 3 or 4 axes, as samples have, but {held}"
         raise StoreError(message)
-    name = options or max(sizes, key=lambda n: sizes[n])
-    if name not in sizes:
-        message = f"{path} holds no array {name!r}, but {', '.join(sizes)}"
+    if wanted and wanted not in arrays:
+        message = f"{path} holds no array {wanted!r}, but {', '.join(fit)}"
         raise InputError(message)
-    return name
+    return wanted or max(fit, key=lambda name: fit[name])
 
 
 def _named(path: Path, arrays: Any, name: str) -> npt.NDArray[Any]:

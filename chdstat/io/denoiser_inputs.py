@@ -61,11 +61,8 @@ _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 """Order of covariances (src/core/CovarianceMatrix.h)."""
 
 
-def open_bcd(paths: Sequence[Path], options: ReadOptions) -> Opened:
+def open_bcd(paths: Sequence[Path], _: ReadOptions) -> Opened:
     """Open files of raw samples, which follow each other."""
-    if options.features or options.variable:
-        message = "raw samples of BCD come without features; give features as files"
-        raise InputError(message)
     arrays = [Remapped(partial(_mapped, path)) for path in paths]
     sources = [ArraySource(a, "yxsc", path) for a, path in zip(arrays, paths, strict=True)]
     return Opened(joined(sources))

@@ -14,123 +14,21 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import warn_caller
 from chdstat._core.display import Card, Shown, png
-from chdstat._core.files import check_claim, replacing
+from chdstat._core.files import replacing
 from chdstat._core.image_scales import tonemap
 from chdstat.errors import InputError, StoreError, check_option
+from chdstat.io.exr_planes import OF_THE_FORMAT, read_planes
+from chdstat.io.primaries import REC709
 
-__all__ = ["ExrImage", "read_exr", "read_planes", "write_exr"]
+__all__ = ["ExrImage", "read_exr", "read_feature", "write_exr"]
 
 Array = npt.NDArray[Any]
-
-_MAGIC = b"\x76\x2f\x31\x01"
-"""What every EXR file begins with."""
-_OF_THE_FORMAT = frozenset(
-    (
-        "channels",
-        "chromaticities",
-        "chunkCount",
-        "compression",
-        "dataWindow",
-        "displayWindow",
-        "lineOrder",
-        "name",
-        "pixelAspectRatio",
-        "screenWindowCenter",
-        "screenWindowWidth",
-        "tiles",
-        "type",
-        "version",
-        "view",
-    )
-)
-"""Attributes that say how the file is laid out: nobody else's."""
-
-
-def read_planes(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """Return the attributes of an EXR file and its channels (y, x), float32 or uint32, by name.
-
-    Those of other parts than the first are called as their layers are: ``normal.X`` is the channel
-    X of the part "normal".
-
-    Raises
-    ------
-    StoreError
-        As `read_exr` does.
-    """
-    import OpenEXR
-
-    try:
-        with path.open("rb") as start:
-            magic = start.read(len(_MAGIC))
-    except OSError as error:
-        why = f"cannot read {path}: {error.strerror or error}"
-        message = why if path.is_file() else f"no EXR file at {path}"
-        raise StoreError(message) from error
-    if magic != _MAGIC:
-        message = f"{path} is not an EXR file: it does not begin as one"
-        raise StoreError(message)
-    try:
-        with OpenEXR.File(str(path), header_only=True) as file:
-            headers = [part.header for part in file.parts]
-            check_claim(
-                path, sum(4 * _pixels(h["dataWindow"]) * len(h["channels"]) for h in headers)
-            )
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            attributes = dict(file.header())
-            parts = [
-                (str(part.name()), part.header["dataWindow"], dict(part.channels))
-                for part in file.parts
-            ]
-            planes = _planes_of(path, parts)
-    except (OSError, RuntimeError, ValueError, MemoryError) as error:
-        message = f"{path} is damaged or cut off; write or copy it again ({error})"
-        raise StoreError(message) from error
-    return attributes, planes
-
-
-def _pixels(window: Any) -> int:
-    height, width = _shape(window)
-    return max(height, 0) * max(width, 0)
-
-
-def _shape(window: Any) -> tuple[int, int]:
-    (left, top), (right, bottom) = window
-    return int(bottom) - int(top) + 1, int(right) - int(left) + 1
-
-
-def _planes_of(path: Path, parts: Sequence[tuple[str, Any, Mapping[str, Any]]]) -> dict[str, Array]:
-    shape, planes = _shape(parts[0][1]), {}
-    for number, (part, window, channels) in enumerate(parts):
-        if _shape(window) != shape:
-            message = (
-                f"{path}: part {part!r} has {_shape(window)} pixels, the first part {shape}; "
-                "expected parts of one size"
-            )
-            raise StoreError(message)
-        for name, channel in channels.items():
-            outside = number > 0 and not name.startswith(f"{part}.")
-            planes[f"{part}.{name}" if outside else name] = _plane(path, name, channel, shape)
-    return planes
-
-
-def _plane(path: Path, name: str, channel: Any, shape: tuple[int, int]) -> Array:
-    plane: Array = channel.pixels
-    sampling = (channel.xSampling, channel.ySampling)
-    if sampling != (1, 1) or plane.shape != shape or plane.dtype.kind not in "fu":
-        message = (
-            f"{path}: channel {name!r} is deep or of a resolution of its own; "
-            f"expected one number for each of {shape} pixels"
-        )
-        raise StoreError(message)
-    return plane.astype(np.float32, copy=False) if plane.dtype.kind == "f" else plane
-
 
 _USUAL = {1: ("Y",), 3: ("R", "G", "B")}
 _TYPES: dict[str, type[np.floating[Any]]] = {"float": np.float32, "half": np.float16}
 _LONGEST_NAME = 255
-_CHROMATICITIES = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-"""x and y of red, green, blue and white of linear sRGB (ITU-R BT.709)."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -233,7 +131,7 @@ def write_exr(
     _check_attributes(attributes or {})
     header = {
         **(attributes or {}),
-        **({"chromaticities": _CHROMATICITIES} if names == _USUAL[3] else {}),
+        **({"chromaticities": REC709} if names == _USUAL[3] else {}),
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
     }
@@ -250,27 +148,36 @@ def write_exr(
 def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrImage:
     """Read an image and its layers from an EXR file.
 
+    The image is the display window: 0 where the file holds nothing, and without what lies outside.
+    Its colours are brought to linear Rec. 709; a `chdstat.errors.InputWarning` tells of it, and of
+    what else is not as usual.
+
     Parameters
     ----------
     path
         The file.
     channels
-        Which channels are the image; None for R, G, B, or for Y where these are missing. All
-        others become `ExrImage.extra`. Of a file of several parts, the image is in the first; the
-        channel X of a part "normal" is called normal.X.
+        Which channels or layers are the image; None for red, green and blue, in capitals or not;
+        else for Y, or the only layer of colours. All others become `ExrImage.extra`, as they are in
+        the file. The channel X of a part "normal" is called normal.X, that of the first part X.
 
     Returns
     -------
     ExrImage
-        What the file's data window holds.
+        What the file's display window holds.
 
     Raises
     ------
     InputError
         If the file holds no such channels.
     StoreError
-        If there is no such file, it is damaged, or an EXR of a kind that is not read here: deep,
-        of parts of different sizes, or with channels of lower resolution.
+        If there is no such file, it is damaged, or the image is of a kind that is not read here:
+        deep, of luminance and chroma, of lower resolution, or outside of the display window.
+
+    References
+    ----------
+    SMPTE RP 177-1993, "Derivation of basic television color equations"; the white point is adapted
+    as in K. M. Lam, "Metamerism and colour constancy", PhD thesis, University of Bradford, 1985.
 
     Examples
     --------
@@ -279,18 +186,41 @@ def read_exr(path: str | Path, *, channels: Sequence[str] | None = None) -> ExrI
         ...
     chdstat.errors.StoreError: no EXR file at nowhere.exr
     """
-    file = Path(path)
-    attributes, planes = read_planes(file)
-    names = _found_names(file, planes, channels)
-    stacked = np.stack([planes.pop(name) for name in names], axis=-1)
+    planes = read_planes(Path(path))
+    if channels is None:
+        names = planes.main("name those of the image with channels=, out of")
+    else:
+        names = tuple(name for given in channels for name in planes.layer(given))
+    image = planes.image(names, colours=True if channels is None else None)
+    if planes.unread:
+        name, why = next(iter(planes.unread.items()))
+        planes.notes["unread"] = f"{path}: channel {name!r} is left out, for it {why}"
+    for note in planes.notes.values():
+        warn_caller(note)
+    shown = _USUAL[3] if "xyz" in planes.notes else names
     return ExrImage(
-        image=stacked.astype(np.float32, copy=False),
-        channels=names,
-        extra=_layers(planes, names),
-        attributes={
-            n: v for n, v in attributes.items() if isinstance(v, str) and n not in _OF_THE_FORMAT
-        },
+        image=image, channels=shown, extra=planes.others(names), attributes=planes.texts()
     )
+
+
+def read_feature(path: Path, name: str) -> npt.NDArray[np.float32]:
+    """Return a first-hit feature from a file: the layer of its name, or else the image in it.
+
+    Raises
+    ------
+    InputError
+        If it is not clear which channels are the feature.
+    StoreError
+        As `read_exr` does.
+    """
+    planes = read_planes(path)
+    advice = f"rename one to {name}, or give features the array of read_exr(..., channels=) of"
+    held = {name.rpartition(".")[0] for name in planes.channels} | planes.channels.keys()
+    names = planes.layer(name) if name in held else planes.main(advice, radiance=False)
+    image = planes.image(names, colours=name == "albedo")
+    for note in planes.notes.values():
+        warn_caller(note)
+    return image
 
 
 def _real(name: str, values: npt.ArrayLike) -> Array:
@@ -369,38 +299,9 @@ def _stored(name: str, plane: Array, pixel_type: str) -> Array:
 def _check_attributes(attributes: Mapping[str, Any]) -> None:
     for name, value in attributes.items():
         _check_name("header attribute", name)
-        if name in _OF_THE_FORMAT:
+        if name in OF_THE_FORMAT:
             message = f"attribute {name!r} belongs to the format; choose another name"
             raise InputError(message)
         if not isinstance(value, str):
             message = f"attribute {name!r} must be text, got {type(value).__name__}"
             raise InputError(message)
-
-
-def _found_names(
-    path: Path, planes: Mapping[str, Array], channels: Sequence[str] | None
-) -> tuple[str, ...]:
-    wanted = [tuple(channels)] if channels else [_USUAL[3], _USUAL[1]]
-    for names in wanted:
-        if set(names) <= planes.keys():
-            return names
-    message = (
-        f"{path} has no channels {' or '.join(', '.join(names) for names in wanted)}; "
-        f"name those of the image with channels=, out of {', '.join(planes)}"
-    )
-    raise InputError(message)
-
-
-def _layers(planes: Mapping[str, Array], names: tuple[str, ...]) -> dict[str, Array]:
-    """Stack the channels of each layer that has those of the image, and no others."""
-    layers: dict[str, dict[str, Array]] = {}
-    for name, plane in planes.items():
-        layer, _, channel = name.rpartition(".")
-        layers.setdefault(layer, {})[channel] = plane
-    stacked = {
-        layer: np.stack([parts[name] for name in names], axis=-1)
-        for layer, parts in layers.items()
-        if layer and layer not in planes and parts.keys() == set(names)
-    }
-    single = {n: p for n, p in planes.items() if n.rpartition(".")[0] not in stacked}
-    return {**single, **stacked}

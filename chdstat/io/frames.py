@@ -19,6 +19,7 @@ rows and gives the size in binary.
 
 from __future__ import annotations
 
+import itertools
 import re
 import struct
 import tempfile
@@ -33,8 +34,9 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import warn_caller
 from chdstat.errors import InputError, StoreError
-from chdstat.io.exr import read_planes
+from chdstat.io.exr_planes import Planes, read_planes
 from chdstat.io.reading import Opened, ReadOptions
 from chdstat.samples.tiles import BATCH, Image
 
@@ -45,8 +47,6 @@ Frame = tuple[Image, Mapping[str, Image]]
 
 _KEPT = 2**31
 """Bytes of decoded samples that temporary files keep, and one batch in any case."""
-_ORDERS = ("RGB", "XYZ", "rgb", "xyz", "UV")
-"""Channels of a layer in their order; files have them in that of the alphabet."""
 _COUNTED = re.compile(r"samplesPerPixel|cycles\..*\.samples")
 """Attributes that say how many samples an image is the average of."""
 
@@ -159,67 +159,56 @@ def _close(files: Mapping[int, IO[bytes]]) -> None:
 def open_exr(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open EXR files of one sample, or one average, of each pixel.
 
-    The samples are R, G and B, or Y, or the layer `variable`; alpha is left out. Features are
-    layers, and averages over all files, for what a pixel sees differs from sample to sample.
+    The samples are the colours of the image, or the layer `variable`; alpha is left out. Features
+    are layers, and averages over all files, for what a pixel sees differs from sample to sample.
     """
-    attributes, planes = read_planes(paths[0])
-    shown = options.variable or next((c for c in ("RGB", "Y") if set(c) <= planes.keys()), None)
-    if shown is None:
-        there = sorted({name.rpartition(".")[0] or name for name in planes})
-        message = (
-            f"{paths[0]} has no channels R, G, B or Y; give the layer of the samples as variable, "
-            f"one of {', '.join(there)}"
-        )
-        raise InputError(message)
-    names = tuple(shown) if options.variable is None else _channels(paths[0], planes, shown)
-    layers = {n: _channels(paths[0], planes, inside) for n, inside in options.features.items()}
-    (height, width), averaged = planes[names[0]].shape, _averaged(attributes)
+    first, told = read_planes(paths[0]), set[str]()
+    names = (
+        first.layer(options.variable)
+        if options.variable
+        else first.main("give the layer of the samples as variable, one of")
+    )
+    layers = {name: first.layer(inside) for name, inside in options.features.items()}
+    averaged = _averaged(first.attributes)
+
+    def frame(planes: Planes) -> Frame:
+        _check_alike(planes, first, [*names, *itertools.chain(*layers.values())])
+        image = planes.image(names, colours=True)
+        features = {n: planes.image(of, colours=n == "albedo") for n, of in layers.items()}
+        for kind in planes.notes.keys() - told:
+            told.add(kind)
+            warn_caller(planes.notes[kind])
+        return image, features
 
     def decode(samples: range) -> Iterator[Frame]:
         for number in samples:
-            path = paths[number]
-            about, held = (attributes, planes) if number == 0 else read_planes(path)
-            if _averaged(about) != averaged:
-                message = (
-                    f"{path} is an average of {_averaged(about)} samples, {paths[0].name} of "
-                    f"{averaged}: read them apart"
-                )
-                raise InputError(message)
-            image, *features = (
-                _stacked(path, held, channels, (height, width))
-                for channels in (names, *layers.values())
-            )
-            yield image, dict(zip(layers, features, strict=True))
+            yield frame(read_planes(paths[number]) if number else first)
 
-    shape = (height, width, len(names), len(paths))
+    shape = (*first.shape, len(names), len(paths))
+    frame(first)  # what is to be said of it, is said now
     attrs = {"averaged": averaged} if averaged > 1 else {}
     return Opened(Frames(paths[0].parent, shape, decode, featured=bool(layers)), attrs)
 
 
-def _channels(path: Path, planes: Mapping[str, Any], layer: str) -> tuple[str, ...]:
-    """Return the channels of a layer by their full names, in their usual order."""
-    if layer in planes:
-        return (layer,)
-    inside = [name for name in planes if name.rpartition(".")[0] == layer]
-    for order in _ORDERS:
-        if {f"{layer}.{letter}" for letter in order} <= set(inside):
-            return tuple(f"{layer}.{letter}" for letter in order)
-    if not inside:
-        message = f"{path} has no layer {layer!r}, but the channels {', '.join(planes)}"
+def _check_alike(planes: Planes, first: Planes, names: Sequence[str]) -> None:
+    """Refuse a file that is no further sample of what the first file shows."""
+    path, counts = planes.path, [_averaged(p.attributes) for p in (planes, first)]
+    if counts[0] != counts[1]:
+        message = (
+            f"{path} is an average of {counts[0]} samples, {first.path.name} of {counts[1]}: read "
+            "them apart"
+        )
         raise InputError(message)
-    return tuple(inside)
-
-
-def _stacked(
-    path: Path, planes: Mapping[str, Any], names: Sequence[str], shape: tuple[int, int]
-) -> Image:
-    missing = [name for name in names if name not in planes]
-    if missing or planes[names[0]].shape != shape:
-        what = f"channels {', '.join(planes)}" if missing else f"{planes[names[0]].shape} pixels"
-        wanted = ", ".join(names) if missing else f"{shape}"
-        message = f"{path} has {what}, but the first file {wanted}"
+    if not set(names) <= planes.channels.keys():
+        held = ", ".join(planes.channels)
+        message = f"{path} has channels {held}, but the first file {', '.join(names)}"
         raise InputError(message)
-    return np.stack([planes[name] for name in names], axis=-1).astype(np.float32, copy=False)
+    if planes.window != first.window:
+        shapes = [f"{p.shape} pixels" for p in (planes, first)]
+        if planes.shape == first.shape:
+            shapes = [f"a display window that begins at {p.window[:2]}" for p in (planes, first)]
+        message = f"{path} has {shapes[0]}, but the first file {shapes[1]}"
+        raise InputError(message)
 
 
 def _averaged(attributes: Mapping[str, Any]) -> int:
@@ -259,11 +248,8 @@ class _Rawls:
         return lines["values"].reshape(self.shape).astype(np.float32)
 
 
-def open_rawls(paths: Sequence[Path], options: ReadOptions) -> Opened:
+def open_rawls(paths: Sequence[Path], _: ReadOptions) -> Opened:
     """Open .rawls files, each a sample or an average of some."""
-    if options.features or options.variable:
-        message = "rawls files hold no features and one image each; give features as files"
-        raise InputError(message)
     files = [_parsed(path) for path in paths]
     first = files[0]
     for file in files:

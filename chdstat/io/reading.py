@@ -1,26 +1,31 @@
 """Reading: samples in the files of other programs, opened as `chdstat.Samples`.
 
-`read` finds the format; nothing but headers is read until samples are asked for. `FORMATS` lists
-what there is: a format is a function from paths and `ReadOptions` to an `Opened`.
+`read` finds the format. Samples are read when they are asked for, but for some that tell whether
+passes repeat each other. `FORMATS` lists what there is: a format is a function from paths and
+`ReadOptions` to an `Opened`.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import warn_caller
 from chdstat.errors import InputError, StoreError
 from chdstat.samples import Samples
 from chdstat.samples.axes import check_counts, check_features
 from chdstat.samples.layout import canonical
-from chdstat.samples.tiles import Image, Source
+from chdstat.samples.repeats import warn_of_repeats
+from chdstat.samples.tiles import BATCH, Image, Source
 
 __all__ = ["FORMATS", "Format", "Opened", "ReadOptions", "read"]
 
@@ -80,36 +85,65 @@ class Format:
         What it is, for help and documentation.
     opener
         Module and function that open it: loaded when it is used.
+    takes
+        Those of `ReadOptions` that it leaves to the caller.
     """
 
     name: str
     suffixes: tuple[str, ...]
     title: str
     opener: str
+    takes: tuple[str, ...] = ()
 
     def open(self, paths: Sequence[Path], options: ReadOptions) -> Opened:
         """Open files of this format."""
+        for option in fields(options):
+            if getattr(options, option.name) and option.name not in self.takes:
+                instead = "; give features as arrays or files" if option.name == "features" else ""
+                message = (
+                    f"files of the format {self.name} come without {option.name} to choose: leave "
+                    f"{option.name} out{instead}"
+                )
+                raise InputError(message)
         module, function = self.opener.split(":")
         opener: Opener = getattr(importlib.import_module(f"chdstat.io.{module}"), function)
         return opener(paths, options)
 
 
 FORMATS = (
-    Format("npy", (".npy",), "NumPy arrays", "arrays:open_npy"),
-    Format("npz", (".npz",), "NumPy archives", "arrays:open_npz"),
+    Format("npy", (".npy",), "NumPy arrays", "arrays:open_npy", ("axes",)),
+    Format("npz", (".npz",), "NumPy archives", "arrays:open_npz", ("axes", "variable", "features")),
     Format(
-        "xarray", (".nc", ".nc4", ".h5", ".zarr"), "Arrays of netCDF and zarr", "arrays:open_xarray"
+        "xarray",
+        (".nc", ".nc4", ".h5", ".zarr"),
+        "Arrays of netCDF and zarr",
+        "arrays:open_xarray",
+        ("axes", "variable", "features"),
     ),
-    Format("exr", (".exr",), "EXR images, each a sample or average", "frames:open_exr"),
+    Format(
+        "exr",
+        (".exr",),
+        "EXR images, each a sample or average",
+        "frames:open_exr",
+        ("variable", "features"),
+    ),
     Format("rawls", (".rawls",), "Images of rawls, each a sample or average", "frames:open_rawls"),
-    Format("noisebase", (".zip",), "Sample sets of noisebase", "arrays:open_noisebase"),
+    Format(
+        "noisebase",
+        (".zip",),
+        "Sample sets of noisebase",
+        "arrays:open_noisebase",
+        ("variable", "features"),
+    ),
     Format(
         "bcd",
         (".raw",),
         "Raw samples of Bayesian collaborative denoising",
         "denoiser_inputs:open_bcd",
     ),
-    Format("stream", (".chds",), "Streams of chdstat_writer.h", "stream:open_stream"),
+    Format(
+        "stream", (".chds",), "Streams of chdstat_writer.h", "stream:open_stream", ("features",)
+    ),
 )
 """Formats in the order in which they are tried."""
 
@@ -126,6 +160,9 @@ def read(
 ) -> Samples:
     """Open samples in files of other programs; `Samples.save` makes a store of them.
 
+    A `chdstat.errors.InputWarning` tells of what is not quite as it seems, such as passes that
+    repeat each other, colours that were converted, or pixels outside of the image.
+
     Parameters
     ----------
     source, *more
@@ -137,7 +174,8 @@ def read(
         "syxc" for a stack of images; None where their dims have names, or for "yxcs".
     variable
         Which array of a file with several holds the samples; None takes the largest. Of EXR files
-        the layer; None takes R, G and B, or Y. Of noisebase's sequences the number of the frame.
+        the layer; None takes red, green and blue, or Y. Of noisebase's sequences the number of the
+        frame.
     features
         First-hit features by name (albedo, normal, position, depth): arrays (y, x) or (y, x,
         component), files of them (.npy, .exr), or their names within the source: arrays, or
@@ -174,12 +212,12 @@ def read(
     named = {n: str(v) for n, v in given.items() if isinstance(v, str | Path) and not _is_file(v)}
     opened = _format(paths, format).open(paths, ReadOptions(axes, variable, named))
     shape = opened.source.shape
-    images = {n: _image(v) for n, v in given.items() if n not in named}
-    images = {**{n: _image(v) for n, v in opened.source.read_features().items()}, **images}
+    images = {n: _feature(n, v) for n, v in given.items() if n not in named}
+    images = {**{n: _flat(v) for n, v in opened.source.read_features().items()}, **images}
     check_features(images, shape)
     found = opened.counts
     if counts is not None:
-        found = check_counts(_array(counts) if isinstance(counts, str | Path) else counts, shape)
+        found = check_counts(_loaded(counts), shape)
     about = {
         "scene": paths[0].stem,
         "scene_source": paths[0].name,
@@ -189,7 +227,30 @@ def read(
         **attrs,
     }
     held = opened.source if found is None else _Counted(opened.source, found)
+    _warn_of_copies(paths, held)
     return Samples(held, attrs=about, features=images, counts=found)
+
+
+_LOOKED = 2**29
+"""Bytes of images that are decoded to see whether they repeat each other, or one batch."""
+
+
+def _warn_of_copies(paths: Sequence[Path], source: Source) -> None:
+    """Warn of samples that are there twice, by the names of the files or by what they hold."""
+    file, times = Counter(path.resolve() for path in paths).most_common(1)[0]
+    if times > 1:
+        message = (
+            f"{file} is given {times} times: its samples count as often, "
+            "and errors look smaller than they are. Give each file once"
+        )
+        warn_caller(message)
+        return
+    height, width, channels, spp = source.shape
+    if source.frames:
+        spp = min(spp, max(BATCH, _LOOKED // (4 * height * width * channels)))
+    names = [path.name for path in paths] if len(paths) == source.shape[3] else []
+    with contextlib.suppress(StoreError):  # which is raised again when the samples are needed
+        warn_of_repeats(source.read, (height, width, channels, spp), f"{source.path}", names)
 
 
 def _hash(paths: Sequence[Path]) -> str:
@@ -241,6 +302,10 @@ def _format(paths: Sequence[Path], name: str | None) -> Format:
         suffixed = all(path.suffix.lower() in known.suffixes for path in paths)
         if known.name == name or (name is None and suffixed):
             return known
+    if name is None and len(found := {path.suffix.lower() for path in paths}) > 1:
+        others = ", ".join(sorted(kind or "none" for kind in found))
+        message = f"{paths[0].parent} gives files of several kinds, {others}: read those of one"
+        raise InputError(message)
     kinds = ", ".join(f"{f.name} ({' '.join(f.suffixes)})" for f in FORMATS)
     asked = f"format {name!r}" if name else f"files such as {paths[0].name}"
     message = f"cannot read {asked}; known formats are {kinds}. Name one as format"
@@ -251,18 +316,21 @@ def _is_file(value: str | Path) -> bool:
     return Path(value).suffix.lower() in (".npy", ".exr") and Path(value).is_file()
 
 
-def _image(value: str | Path | npt.ArrayLike) -> Image:
+def _feature(name: str, value: str | Path | npt.ArrayLike) -> Image:
     """Return a feature that is given as an array or in a file."""
-    image = np.asarray(_array(value) if isinstance(value, str | Path) else value, np.float32)
+    if isinstance(value, str | Path) and Path(value).suffix.lower() == ".exr":
+        from chdstat.io.exr import read_feature
+
+        return _flat(read_feature(Path(value), name))
+    return _flat(np.asarray(_loaded(value), np.float32))
+
+
+def _flat(image: Image) -> Image:
     return image[..., 0] if image.ndim == 3 and image.shape[2] == 1 else image
 
 
-def _array(path: str | Path) -> npt.NDArray[Any]:
-    """Return the image in a .npy or EXR file."""
-    if Path(path).suffix.lower() == ".exr":
-        from chdstat.io.exr import read_exr
-
-        return read_exr(path).image
+def _loaded(value: str | Path | npt.ArrayLike) -> npt.ArrayLike:
+    """Return an array, which may be in a .npy file."""
     from chdstat.io.arrays import load_npy
 
-    return load_npy(Path(path))
+    return load_npy(Path(value)) if isinstance(value, str | Path) else value

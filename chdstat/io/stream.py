@@ -12,7 +12,6 @@ from __future__ import annotations
 import itertools
 import math
 import os
-import warnings
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -21,6 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
+from chdstat._core.arrays import warn_caller
 from chdstat._core.executor import check_memory
 from chdstat.errors import InputError, StoreError
 from chdstat.io.reading import Opened, ReadOptions
@@ -71,9 +71,6 @@ def get_include() -> Path:
 
 def open_stream(paths: Sequence[Path], options: ReadOptions) -> Opened:
     """Open streams of one image, whose samples follow each other in every pixel."""
-    if options.axes is not None or options.variable is not None:
-        message = f"{paths[0]} says itself what is where: leave axes and variable out"
-        raise InputError(message)
     source = StreamSource(paths)
     for name in options.features.values():
         if name not in source.header.features:
@@ -204,7 +201,7 @@ class _Index:
                 f"{path} has no end: its renderer was stopped, or is at work. The {count} samples "
                 "that are there are read"
             )
-            warnings.warn(message, stacklevel=6)  # whoever called chdstat.io.read
+            warn_caller(message)
         elif begin != size or total != count:
             raise damaged(path, begin, f"it does not end with its {count} samples")
         self._attrs.append(_provenance(told))

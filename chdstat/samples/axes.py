@@ -26,6 +26,8 @@ __all__ = [
 
 _MOST_CHANNELS = 4
 """More than these are probably samples, unless the caller says that they are channels."""
+_DECADES, _LARGEST = 70, 38
+"""Decades that single precision surely has, and the logarithm of its largest number."""
 
 
 def as_image(array: npt.ArrayLike, name: str, axes: str | None) -> npt.NDArray[np.float32]:
@@ -200,16 +202,18 @@ def _ordered(data: npt.NDArray[Any], name: str, axes: str) -> npt.NDArray[Any]:
 
 
 def _check_letters(shape: tuple[int, ...], name: str, axes: str) -> None:
-    letters = "yxcs" if len(shape) == 4 else "yxs"
-    if (
-        not isinstance(axes, str)
-        or sorted(axes) != sorted(letters)
-        or len(shape) not in (3, 4)
-        or 0 in shape
-    ):
+    if len(shape) not in (3, 4) or 0 in shape:
         message = (
-            "axes must name each axis of the samples once, by the letters y, x, s (sample) and, of "
-            f"four axes, c (channel), such as 'yxsc'; got {axes!r} for {name} of shape {shape}"
+            f"{name} has the shape {shape}; samples have 3 axes, y, x and sample, or 4 with a "
+            "channel, of at least one element each"
+        )
+        raise InputError(message)
+    letters = "yxcs" if len(shape) == 4 else "yxs"
+    if not isinstance(axes, str) or sorted(axes) != sorted(letters):
+        named = "y, x, s (sample) and c (channel)" if len(shape) == 4 else "y, x and s (sample)"
+        message = (
+            f"axes must name each axis of the samples once, by the letters {named}, such as "
+            f"{letters[:2] + letters[:1:-1]!r}; got {axes!r} for {name} of shape {shape}"
         )
         raise InputError(message)
 
@@ -251,8 +255,17 @@ def single(data: npt.NDArray[np.floating[Any]], name: str) -> npt.NDArray[np.flo
     if changed.any():
         message = (
             f"{name} holds {data[changed][0]:.6g}, but samples are kept in single precision, from "
-            "1.5e-45 to 3.4e38: scale the radiance, such as by 1e30, or give 0 for what is too "
-            "small to matter"
+            f"1.5e-45 to 3.4e38: {_in_range(np.abs(data))}"
         )
         raise InputError(message)
     return kept
+
+
+def _in_range(size: npt.NDArray[np.floating[Any]]) -> str:
+    """Return how absolute values may be brought to the range of single precision."""
+    low, high = np.log10([f(size[(size > 0) & np.isfinite(size)]) for f in (np.min, np.max)])
+    if high - low < _DECADES:
+        return f"scale the radiance, such as by 1e{-round((low + high) / 2)}"
+    if high < _LARGEST:
+        return "give 0 for what is too small to matter"
+    return f"scale the radiance by 1e{-round(high)}, and give 0 for what is then too small"

@@ -22,6 +22,7 @@ from chdstat._core.places import place_of
 from chdstat.errors import InputError
 from chdstat.samples import tiles
 from chdstat.samples.axes import as_images, as_slice, check_features, counted, cut, same_numbers
+from chdstat.samples.repeats import warn_of_repeats
 from chdstat.samples.tiles import DIRECT_DEPTH, Image, Mapped, Part, Source, Work
 
 if TYPE_CHECKING:
@@ -80,6 +81,7 @@ class Samples:
         """Hold samples that are already in memory.
 
         They are kept in single precision, float32 arrays without a copy. Masked samples become NaN.
+        A `chdstat.errors.InputWarning` tells of samples that repeat each other over the image.
 
         Parameters
         ----------
@@ -117,6 +119,7 @@ class Samples:
         """
         parts, found = as_images(array, direct, counts, axes)
         check_features(features or {}, parts[0].shape)
+        warn_of_repeats(lambda y, x, s: parts[0][y, x, :, s], parts[0].shape, "samples")
         held = [cls(p, attrs=attrs, features=features or {}, counts=found) for p in parts]
         held[0]._parts = dict.fromkeys([DIRECT_DEPTH] if direct is not None else [], held[-1])
         return held[0]

@@ -167,7 +167,7 @@ def test_faults_are_named(tmp_path):
         (["large.rawls"], {}, StoreError, "cannot hold 2147483648 x 6 pixels"),
         (["cut.raw"], {}, StoreError, "its header claims 5 x 6 pixels of 11 samples"),
         (["x.raw"], {"features": {"albedo": "a"}}, InputError, "come without features"),
-        (["x.rawls"], {"variable": "a"}, InputError, "one image each"),
+        (["x.rawls"], {"variable": "a"}, InputError, "leave variable out"),
     ]
     for names, options, error, told in cases:
         with pytest.raises(error, match=told):

@@ -81,7 +81,8 @@ def test_parts_are_layers(tmp_path):
 def test_averages_are_known_by_what_renderers_write(tmp_path, name):
     count = 16 if name.startswith("samples") else "16"
     for number in range(2):
-        written(tmp_path / f"{number}.exr", [("one", {name: count}, {"Y": IMAGES[0, ..., 0]})])
+        one = [("one", {name: count}, {"Y": IMAGES[number, ..., 0]})]
+        written(tmp_path / f"{number}.exr", one)
     samples = chd.io.read(tmp_path)
     assert samples.attrs.get("averaged", 1) == 16
     with pytest.raises(InputError, match="averages of 16"):
@@ -119,8 +120,8 @@ def test_no_room_for_what_is_decoded_is_said(stack, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
 
-    samples = chd.io.read(stack)
     monkeypatch.setattr(frames.tempfile, "TemporaryFile", full)
+    samples = chd.io.read(stack)
     with pytest.raises(StoreError, match="No space left on device; TMPDIR names another"):
         samples.read()
 

@@ -1,6 +1,8 @@
 """Samples read from files: every axis in its place, features, counts, provenance, and faults."""
 
 import contextlib
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import xarray as xr
 import chdstat as chd
 from chdstat.cli import main
 from chdstat.errors import ChdstatError, InputError, StoreError
+from chdstat.io.reading import FORMATS
 
 FRAMES = np.random.default_rng(5).gamma(2.0, size=(40, 6, 9, 3)).astype(np.float32)
 RADIANCE = np.moveaxis(FRAMES, 0, -1)
@@ -73,6 +76,20 @@ def test_one_channel_gains_an_axis(tmp_path):
     assert np.array_equal(chd.io.read(tmp_path / "x.npy").read(), RADIANCE[:, :, :1])
 
 
+def test_netcdf_is_unpacked_and_says_its_unit(tmp_path):
+    packed = np.round(FRAMES / 0.01).astype(np.int16)
+    packed[0, 0, 0, 0] = -1
+    about = {"scale_factor": 0.01, "_FillValue": np.int16(-1), "units": "cd m-2"}
+    data = xr.Dataset({"light": (("sample", "y", "x", "channel"), packed, about)})
+    data.to_netcdf(tmp_path / "x.nc", engine="scipy")
+    samples = chd.io.read(tmp_path / "x.nc")
+    assert samples.attrs["unit"] == "cd m-2"
+    found = samples.read()
+    assert np.isnan(found[0, 0, 0, 0])
+    assert np.isnan(found).sum() == 1
+    np.testing.assert_allclose(found[1:], RADIANCE[1:], atol=0.006)
+
+
 def test_files_follow_each_other(tmp_path):
     for number in range(4):
         np.save(tmp_path / f"{number}.npy", FRAMES[10 * number : 10 * number + 10])
@@ -115,6 +132,28 @@ def test_the_command_imports_and_appends(tmp_path, run):
     assert np.array_equal(samples.read(ss=slice(40, 80)), RADIANCE + 1)
     assert samples.attrs["renderer"] == "mine 1.2"
     assert str(tmp_path) not in str(samples.attrs)
+
+
+@pytest.mark.filterwarnings("default::chdstat.errors.InputWarning")
+def test_the_command_tells_of_copies_in_a_line(tmp_path, run, capsys):
+    for number in range(3):
+        chd.io.write_exr(tmp_path / f"{number}.exr", FRAMES[number % 2])
+    run("import", *sorted(tmp_path.glob("*.exr")), "-o", tmp_path / "own.zarr", "-q")
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].startswith("chdstat: ")
+    assert "(1: 2.exr of 0.exr)" in said[0]
+
+
+def test_the_documentation_says_of_every_format_what_becomes_of_its_files():
+    page = Path(__file__).parents[2] / "docs" / "reference" / "formats.rst"
+    text = page.read_text(encoding="utf-8").partition("What becomes of what is in the files")[2]
+    tables = text.partition("EXR stacks")[0].split(".. list-table:: ")[1:]
+    names = [re.search(r"\w+", table)[0] for table in tables]
+    assert names == ["arrays", *(known.name for known in FORMATS)]
+    for table in tables:
+        rows = re.findall(r"\* - (.+)\n     - \S", table)
+        assert rows == ["Read", "Converted", "Warned of", "Ignored", "Refused"]
 
 
 def test_faults_are_named(tmp_path):

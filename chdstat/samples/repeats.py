@@ -1,0 +1,212 @@
+"""Repeats: passes that hold the same samples, such as those of a renderer that ignores its seed.
+
+Passes are compared in tiles of 16 x 16 pixels. Two equal ones, to the bit, are no accident if
+independent passes would hardly ever be: where p is the share of all passes that have the value of a
+pixel, a tile is repeated by chance with a probability of the product of p over its pixels. Pixels
+that are black or the same in every pass, as those of lamps, thus count for nothing. A tile that is
+the same in every pass is suspicious if its neighbouring pixels differ as noise does.
+
+Of large images all tiles are compared for a few passes, and some tiles for all.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from chdstat._core.arrays import spans, warn_caller
+from chdstat.samples.tiles import TILE, Image
+
+__all__ = ["warn_of_repeats"]
+
+_EDGE, _STEP = 16, 4
+"""Edge of the tiles that are compared, in pixels, and of those of which one is compared first."""
+_MOST = 2**23
+"""Values that are looked at, for few passes and for all."""
+_FEW, _GROUPS = 8, 64
+"""Passes that are compared in all tiles, and groups of equal passes that are judged in each."""
+_SURPRISE = 20.0
+"""Equal passes are no accident if the log probability, corrected for all pairs and tiles, is below
+minus this."""
+_NEIGHBOURS, _ROUGH = 8, 0.5
+"""Pairs of neighbours that tell how much these differ, at least; and the share of the difference of
+passes elsewhere from which on that is like noise."""
+_ENOUGH, _NAMED = 256, 4
+"""Tiles that tell by how much passes differ, and passes that a message names."""
+_ODD = np.uint64(0x9E3779B97F4A7C15)
+
+Read = Callable[[slice, slice, slice], Image]
+Hashes = npt.NDArray[np.uint64]
+
+
+class _Tile(NamedTuple):
+    """Equal passes in a tile.
+
+    `surprise` is minus the log probability that they are equal by chance, `rough` by how much
+    neighbouring pixels differ, and `always` whether all passes are equal.
+    """
+
+    y: int
+    x: int
+    equal: tuple[int, ...]
+    surprise: float
+    rough: float
+    always: bool
+
+
+def warn_of_repeats(
+    read: Read, shape: tuple[int, int, int, int], name: str, passes: Sequence[str] = ()
+) -> None:
+    """Warn whoever called the library if passes repeat each other, as a whole or in tiles.
+
+    Parameters
+    ----------
+    read
+        Returns the samples of rows, columns and passes, shape (y, x, channel, sample).
+    shape
+        Of all samples.
+    name
+        Of what holds them.
+    passes
+        Names of the passes, if they have some.
+    """
+    height, width, channels, spp = shape
+    for edge, number in ((TILE, spp), (_EDGE, spp), (TILE, min(spp, _FEW))):
+        places = [*itertools.product(spans(height, edge), spans(width, edge))]
+        most = max(_MOST // (channels * number * edge**2), 1)
+        if spp < 2 or (edge == TILE and number == spp and most < len(places)):
+            continue  # too many values: some of the tiles are next
+        chosen = np.linspace(0, len(places) - 1, min(most, len(places))).astype(int)
+        found = _Repeats.of(read, [places[i] for i in chosen], number)
+        if message := found.message([*passes] or [f"pass {i}" for i in range(spp)]):
+            warn_caller(f"{name}: {message}")
+        if message or edge == TILE:
+            return
+
+
+class _Repeats(NamedTuple):
+    """What some places of the image show of some passes.
+
+    `looked` is the number of tiles, `tiles` are those with equal passes, `whole` is a hash of each
+    pass, and `noise` by how much passes differ where they do, NaN if that is not known.
+    """
+
+    looked: int
+    tiles: list[_Tile]
+    whole: Hashes
+    noise: float
+
+    @classmethod
+    def of(cls, read: Read, places: Sequence[tuple[slice, slice]], number: int) -> _Repeats:
+        """Compare the passes."""
+        whole: Hashes = np.zeros(number, np.uint64)
+        tiles, noise, looked = list[_Tile](), list[float](), 0
+        for ys, xs in places:
+            block = read(ys, xs, slice(number))
+            hashes = _hashes(block[::_STEP, ::_STEP], _EDGE // _STEP)
+            repeated = (np.diff(np.sort(hashes, axis=-1), axis=-1) == 0).any(axis=-1)
+            for row, column in np.ndindex(repeated.shape):
+                of_tile, y, x = hashes[row, column], _EDGE * row, _EDGE * column
+                whole = whole * _ODD + of_tile
+                tile = block[y : y + _EDGE, x : x + _EDGE]
+                if repeated[row, column]:
+                    tiles += _judged(tile, ys.start + y, xs.start + x)
+                if len(noise) < _ENOUGH and (other := int((of_tile != of_tile[0]).argmax())):
+                    differ = (tile[..., 0] != tile[..., other]).any(axis=2)
+                    noise.append(_difference(tile[differ, :, 0], tile[differ, :, other]))
+            looked += repeated.size
+        known = [value for value in noise if value > 0]
+        return cls(looked, tiles, whole, float(np.median(known)) if known else np.nan)
+
+    def message(self, passes: Sequence[str]) -> str:
+        """Return what is to be said of passes of these names, or nothing."""
+        number = len(self.whole)
+        if (self.whole == self.whole[0]).all() and all(tile.always for tile in self.tiles):
+            rough = [tile.rough for tile in self.tiles if not np.isnan(tile.rough)]
+            if not rough or np.median(rough) == 0:
+                return ""
+            return (
+                f"all {number} passes that were compared are equal, {passes[0]} to "
+                f"{passes[number - 1]}. Unless nothing in the image is random, the renderer "
+                f"ignored its seed, or one file was copied: {_ADVICE}"
+            )
+        least = _SURPRISE + np.log(self.looked * number**2)
+        sure = [t for t in self.tiles if t.surprise > least or t.rough >= _ROUGH * self.noise]
+        surely = {number for tile in sure for number in tile.equal}
+        copies = {
+            int(copy): int(first)
+            for first, *others in (np.flatnonzero(self.whole == h) for h in np.unique(self.whole))
+            for copy in others
+            if {first, copy} <= surely
+        }
+        if copies:
+            named = [f"{passes[copy]} of {passes[first]}" for copy, first in sorted(copies.items())]
+            more = ["..."] * (len(named) > _NAMED)
+            return (
+                f"copies among {number} passes that were compared ({len(copies)}: "
+                f"{', '.join([*named[:_NAMED], *more])}). Leave them out: {_ADVICE}"
+            )
+        if not sure:
+            return ""
+        tile, count = sure[0], len({(tile.y, tile.x) for tile in sure})
+        return (
+            f"passes are equal in {count} of {self.looked} tiles of {_EDGE} x {_EDGE} pixels, "
+            f"such as {passes[tile.equal[0]]} and {passes[tile.equal[1]]} in that at y = {tile.y}, "
+            f"x = {tile.x}. Unless nothing is random there, the renderer repeats its random "
+            f"numbers: {_ADVICE}"
+        )
+
+
+_ADVICE = (
+    "errors look smaller than they are where samples repeat each other. Each pass needs a seed of "
+    "its own"
+)
+
+
+def _hashes(block: Image, edge: int) -> Hashes:
+    """Return a number for what each pass holds in each tile, shape (row, column, sample)."""
+    height, width, channels, _ = block.shape
+    weights = np.random.default_rng(1).integers(2**64, size=(edge, edge, channels), dtype="u8")
+    repeats = -(-height // edge), -(-width // edge), 1
+    weights = np.tile(weights | np.uint64(1), repeats)[:height, :width, :, np.newaxis]
+    weighted = np.ascontiguousarray(block).view(np.uint32) * weights
+    of_pixels = weighted.sum(axis=2)
+    rows = np.add.reduceat(of_pixels, np.arange(0, height, edge), axis=0)
+    return np.asarray(np.add.reduceat(rows, np.arange(0, width, edge), axis=1))
+
+
+def _judged(tile: Image, y: int, x: int) -> Iterator[_Tile]:
+    """Judge equal passes in a tile that are not black, of which there may be several groups."""
+    lit = (np.isfinite(tile) & (tile != 0)).any(axis=2)
+    if not lit.any():
+        return
+    hashes = _hashes(tile, _EDGE)[0, 0]
+    values, counts = np.unique(hashes, return_counts=True)
+    for value in values[np.argsort(-counts)][:_GROUPS]:
+        equal = np.flatnonzero(hashes == value)
+        image, kept = tile[..., equal[0]], lit[..., equal[0]]
+        if len(equal) < 2 or not kept.any():
+            continue
+        same = (tile[kept] == image[kept][..., np.newaxis]) | np.isnan(image[kept])[..., np.newaxis]
+        share = same.all(axis=1).mean(axis=-1)
+        rough = _difference(
+            *(
+                np.concatenate([a.reshape(-1, a.shape[2]) for a in beside])
+                for beside in ((image[1:], image[:, 1:]), (image[:-1], image[:, :-1]))
+            )
+        )
+        equals = tuple(map(int, equal))
+        yield _Tile(y, x, equals, float(-np.log(share).sum()), rough, len(values) == 1)
+
+
+def _difference(one: Image, other: Image) -> float:
+    """Return the median relative difference of pixels (..., channel) that are not both black."""
+    a, b = (np.nan_to_num(image, posinf=0, neginf=0).sum(axis=-1) for image in (one, other))
+    size = np.abs(a) + np.abs(b)
+    if np.count_nonzero(size) < _NEIGHBOURS:
+        return np.nan
+    return float(np.median(np.abs(a - b)[size > 0] / size[size > 0]))
