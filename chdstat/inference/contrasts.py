@@ -22,7 +22,7 @@ from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat.errors import Reason, check_probability
 from chdstat.inference.render_pairs import Compared, Pair
-from chdstat.inference.sign_flips import WindowTest, scan_windows, window_sums
+from chdstat.inference.sign_flips import Unseen, WindowTest, scan_windows, window_sums
 from chdstat.samples import Image, Samples
 
 if TYPE_CHECKING:
@@ -62,6 +62,10 @@ class Contrast(Shown):
         "no difference found", "differ" or "cannot tell", at the level `alpha`.
     why
         Why one cannot tell; "" otherwise.
+    spp_needed
+        Samples per pixel that would tell, of the render that has fewer: that miss the light it has
+        not seen with a probability of 5 %, or are enough for a test. None where one can tell, and
+        where no number is known.
     p_image
         p-value of the whole test: that the means are equal in all pixels.
     share
@@ -94,6 +98,7 @@ class Contrast(Shown):
     maps: xr.Dataset
     outcome: Outcome
     why: str
+    spp_needed: int | None
     p_image: float
     share: float
     loss: Interval[float]
@@ -165,6 +170,7 @@ class Contrast(Shown):
             "b": self.names[1],
             "outcome": self.outcome,
             "verdict": self.verdict,
+            "spp_needed": self.spp_needed,
             "p_value": self.p_image,
             "alpha": self.alpha,
             "share_of_pixels": self.share,
@@ -297,7 +303,7 @@ def _contrasted(pair: Pair, alpha: float, seed: int) -> Contrast:
     found = pair.compare()
     height, width, bands = found.p_value.shape
     q = q_values(found.p_value.reshape(height, width * bands)).reshape(found.p_value.shape)
-    scan = scan_windows(found.differences, found.levels, seed=seed)
+    scan = scan_windows(found.differences, found.levels, units=found.units, seed=seed)
     smallest = float(np.nanmin(q)) if np.isfinite(q).any() else np.nan
     shares = _OF_WINDOWS, 1 - _OF_WINDOWS
     parts = [p / s for p, s in zip((scan.p_value, smallest), shares, strict=True)]
@@ -306,12 +312,15 @@ def _contrasted(pair: Pair, alpha: float, seed: int) -> Contrast:
     y, x, rows, columns = (found.cell * edge for edge in scan.window)
     place = y, x, min(rows, height - y), min(columns, width - x)
     loss, window_loss, detectable = _losses(found, pair.terms, scan)
-    why = _why_not(found, pair, detectable, p_image, alpha)
+    why, spp_needed = _why_not(
+        found, pair, detectable, scan.unseen, differ=bool(p_image <= alpha)
+    )
     return Contrast(
         names=pair.names,
         maps=_maps(found, q, pair),
         outcome="cannot tell" if why else "differ" if p_image <= alpha else "no difference found",
         why=why,
+        spp_needed=spp_needed,
         p_image=p_image,
         share=float(differs.mean()),
         loss=loss,
@@ -328,18 +337,33 @@ def _contrasted(pair: Pair, alpha: float, seed: int) -> Contrast:
 
 
 def _why_not(
-    found: Compared, pair: Pair, detectable: dict[str, float], p_image: float, alpha: float
-) -> str:
-    """Return why one cannot tell whether means differ; "" where one can."""
+    found: Compared,
+    pair: Pair,
+    detectable: dict[str, float],
+    unseen: Unseen | None,
+    *,
+    differ: bool,
+) -> tuple[str, int | None]:
+    """Return why one cannot tell whether means differ, "" where one can, and what spp would."""
     if not np.isfinite(found.p_value).any():
         if (found.reason == Reason.CONSTANT).any():
-            return "the samples of A and B are equal, one by one, as of one render given twice"
-        return "no pixel has samples to compare"
+            return "the samples of A and B are equal, one by one, as of one render given twice", None
+        return "no pixel has samples to compare", None
+    spp = min(pair.spp)
     if pair.terms < _LEAST_TERMS:
-        return f"{min(pair.spp)} samples per pixel are too few, render {_LEAST_TERMS} or more"
-    if p_image > alpha and not detectable.get("image", np.inf) < 1:
-        return "not even the loss of all light would have been found; render more samples"
-    return ""
+        return f"{spp} samples per pixel are too few, render {_LEAST_TERMS} or more", _LEAST_TERMS
+    if differ:
+        return "", None
+    if unseen is not None:
+        short, longer = "AB" if pair.spp[0] < pair.spp[1] else "BA"
+        why = (
+            f"{longer} has {percent(unseen.share)} of its light in samples that {short} has not seen "
+            f"the like of, and {spp} samples per pixel may well miss: render {unseen.spp} of {short}"
+        )
+        return why, unseen.spp
+    if not detectable.get("image", np.inf) < 1:
+        return "not even the loss of all light would have been found; render more samples", None
+    return "", None
 
 
 def _losses(
