@@ -312,9 +312,7 @@ def _contrasted(pair: Pair, alpha: float, seed: int) -> Contrast:
     y, x, rows, columns = (found.cell * edge for edge in scan.window)
     place = y, x, min(rows, height - y), min(columns, width - x)
     loss, window_loss, detectable = _losses(found, pair.terms, scan)
-    why, spp_needed = _why_not(
-        found, pair, detectable, scan.unseen, differ=bool(p_image <= alpha)
-    )
+    why, spp_needed = _why_not(found, pair, detectable, scan.unseen, differ=bool(p_image <= alpha))
     return Contrast(
         names=pair.names,
         maps=_maps(found, q, pair),
@@ -347,7 +345,10 @@ def _why_not(
     """Return why one cannot tell whether means differ, "" where one can, and what spp would."""
     if not np.isfinite(found.p_value).any():
         if (found.reason == Reason.CONSTANT).any():
-            return "the samples of A and B are equal, one by one, as of one render given twice", None
+            return (
+                "the samples of A and B are equal, one by one, as of one render given twice",
+                None,
+            )
         return "no pixel has samples to compare", None
     spp = min(pair.spp)
     if pair.terms < _LEAST_TERMS:
@@ -357,8 +358,8 @@ def _why_not(
     if unseen is not None:
         short, longer = "AB" if pair.spp[0] < pair.spp[1] else "BA"
         why = (
-            f"{longer} has {percent(unseen.share)} of its light in samples that {short} has not seen "
-            f"the like of, and {spp} samples per pixel may well miss: render {unseen.spp} of {short}"
+            f"{longer} has {percent(unseen.share)} of its light in samples so rare that {spp} per "
+            f"pixel are likely to miss them, and {short} has none: render {unseen.spp} of {short}"
         )
         return why, unseen.spp
     if not detectable.get("image", np.inf) < 1:

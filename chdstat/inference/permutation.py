@@ -258,10 +258,11 @@ def p_of_means(
     if good_b is None:
         good_b = np.ones(b.shape, bool)
     step = max(1, _AT_ONCE // (a.shape[1] + b.shape[1]))
-    found = [
-        _p_of_divisions(*(np.concatenate(x, axis=1) for x in ((a[i], b[i]), (good_a[i], good_b[i]))), a.shape[1])
-        for i in spans(len(a), step)
-    ]
+    found = []
+    for rows in spans(len(a), step):
+        pool = np.concatenate([a[rows], b[rows]], axis=1)
+        good = np.concatenate([good_a[rows], good_b[rows]], axis=1)
+        found.append(_p_of_divisions(pool, good, a.shape[1]))
     return np.concatenate(found) if found else np.zeros(0)
 
 
@@ -274,7 +275,10 @@ def _p_of_divisions(x: Singles, good: Mask, first: int) -> Floats:
     known = (n > 0) & (n < count) & (scale > _EQUAL**2 * np.abs(x).max(axis=1))
     p = np.full(len(x), np.nan)
     z, good, n, count = (
-        (z[known] / scale[known, np.newaxis]).astype(x.dtype), good[known], n[known], count[known]
+        (z[known] / scale[known, np.newaxis]).astype(x.dtype),
+        good[known],
+        n[known],
+        count[known],
     )
     total = z[:, :first].sum(axis=1, dtype=float)
     z *= np.where(total < 0, -1, 1).astype(x.dtype)[:, np.newaxis]
@@ -335,9 +339,7 @@ def _of_largest(ordered: Singles, n: Counts, count: Counts) -> Floats:
     return np.exp(_log_choices(tied, n - above) - _log_choices(count, n))
 
 
-def _beyond_saddlepoint(
-    z: Singles, good: Mask, total: Floats, n: Counts, count: Counts
-) -> Floats:
+def _beyond_saddlepoint(z: Singles, good: Mask, total: Floats, n: Counts, count: Counts) -> Floats:
     """Return the share of divisions with such a sum, 0 or more, or a larger one.
 
     The saddlepoint (tilt, level) is the maximum of the log-likelihood of a logistic regression.
@@ -396,4 +398,6 @@ def _slopes(z: Singles, good: Mask, tilt: Floats, level: Floats) -> tuple[Floats
 def _cumulant(z: Singles, good: Mask, tilt: Floats, level: Floats) -> Floats:
     """Return sums of log(1 + exp(tilt z + level)) over samples."""
     x = (tilt[:, np.newaxis] * z + level[:, np.newaxis]).astype(z.dtype)
-    return np.asarray(((np.maximum(x, 0) + np.log1p(np.exp(-np.abs(x)))) * good).sum(1, dtype=float))
+    return np.asarray(
+        ((np.maximum(x, 0) + np.log1p(np.exp(-np.abs(x)))) * good).sum(1, dtype=float)
+    )

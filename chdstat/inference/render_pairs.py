@@ -151,9 +151,8 @@ class Pair:
         block, within = np.divmod(
             np.arange(self.units[i] * self.unit_size), self.terms * self.unit_size
         )
-        return block * self.terms + within % np.minimum(
-            self.terms, self.units[i] - block * self.terms
-        )
+        width = np.minimum(self.terms, self.units[i] - block * self.terms)
+        return np.asarray(block * self.terms + within % width)
 
     def compare(self) -> Compared:
         """Read the samples once, and return what was measured."""
@@ -284,9 +283,7 @@ class Pair:
         for band in range(x.shape[2]):
             doubted = p[..., band] <= _DOUBTED
             rows, known = x[:, :, band][doubted], good[doubted]
-            found = p_of_means(
-                rows[:, :short], rows[:, short:], known[:, :short], known[:, short:]
-            )
+            found = p_of_means(rows[:, :short], rows[:, short:], known[:, :short], known[:, short:])
             p[doubted, band] = np.fmax(p[doubted, band], found)
         number_of_good = np.maximum(good.sum(axis=-1), 1)[:, :, np.newaxis, np.newaxis]
         level = (x.sum(axis=-1, keepdims=True, dtype=float) / number_of_good).astype(x.dtype)
@@ -328,6 +325,7 @@ class _Sums:
         first, second = ([np.zeros(places) for _ in renders] for _ in range(2))
         unit_total = [np.zeros((*shape[:3], n), np.float32) for n in pair.units if n]
         unit_number = [np.zeros((*places, n), np.int32) for n in pair.units if n]
+        no_units = np.zeros(0, np.int64)
         numbers = [pair.unit_numbers(i) for i in range(len(unit_total))]
         for ss in spans(max(pair.spp), pair.terms):
             parts: dict[int, tuple[npt.NDArray[Any], Any]] = {}
@@ -352,7 +350,7 @@ class _Sums:
                     True if good is None else good,
                     out=counted[i][..., :size],
                 )
-                for own, to in _runs(numbers[i][ss] if numbers else np.zeros(0, int)):
+                for own, to in _runs(numbers[i][ss] if numbers else no_units):
                     unit_total[i][..., to] += x[..., own]
                     unit_number[i][..., to] += True if good is None else good[..., own]
                 bright = _luminance(x)
@@ -401,9 +399,8 @@ class _Sums:
 def _runs(numbers: npt.NDArray[np.int64]) -> Iterator[tuple[slice, slice]]:
     """Return where consecutive numbers stand, and which they are."""
     ends = np.flatnonzero(np.diff(numbers, append=-2) != 1) + 1
-    for start, stop in zip([0, *ends[:-1]], ends, strict=True):
-        if stop > start:
-            yield slice(start, stop), slice(numbers[start], numbers[stop - 1] + 1)
+    for start, stop in zip([0, *ends], ends, strict=False):
+        yield slice(start, stop), slice(numbers[start], numbers[stop - 1] + 1)
 
 
 def _luminance(x: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -359,9 +359,9 @@ def scan_windows(
     proportion to the radiance where a few pixels are much noisier than others; each half of the
     terms is weighted by what the other half knows, so that no sum is shifted.
 
-    With `units`, flips are replaced by random divisions of the units of both renders, and sums by
-    differences of means over their standard error, as Welch's. That is exact for renders of one
-    distribution, and right for many samples if only the means agree.
+    With `units`, random divisions of the units of both renders replace the flips: they are exact
+    for renders of one distribution. Where only the means agree, a window counts no more than its
+    terms do, over the root of their sum of squares.
 
     Parameters
     ----------
@@ -378,10 +378,9 @@ def scan_windows(
     ----------
     Westfall and Young, "Resampling-based multiple testing", 1993, section 2.6. Walther, "Optimal
     and fast detection of spatial clusters with scan statistics", 2010, doi:10.1214/09-AOS732:
-    each size gets a critical value of its own. Janssen, "Studentized permutation tests for
-    non-i.i.d. hypotheses and the generalized Behrens-Fisher problem", 1997,
-    doi:10.1016/S0167-7152(97)00043-6. Chung and Romano, "Exact and asymptotically robust
-    permutation tests", 2013, doi:10.1214/13-AOS1090.
+    each size gets a critical value of its own. Hall, "On the removal
+    of skewness by transformation", 1992, doi:10.1111/j.2517-6161.1992.tb01876.x: the skewness of
+    studentised means.
     """
     terms = d.shape[-1]
     flips = 1.0 - 2.0 * generator(seed).integers(0, 2, (_FLIPS + 1, terms))
@@ -467,7 +466,7 @@ def _largest(
     missed = _missed(d, edge, starts, moments.total > 0) / moments.scale
     least = np.maximum(np.abs(moments.total) - missed, 0)
     least = (least / np.sqrt(np.where(square > 0, square + missed**2, 1)))[known]
-    z[0] = np.minimum(z[0] + _ROUNDING, least)
+    z[0] = np.minimum(z[0], least)
     at = np.argwhere(known)[int(z[0].argmax())]
     return z.max(axis=1).astype(float), (int(starts[0][at[0]]), int(starts[1][at[1]]))
 
@@ -484,26 +483,28 @@ def _divided(
 ) -> npt.NDArray[Any]:
     """Return sizes of differences between both groups of units (y, x, unit), of each division.
 
-    Welch's t, in place of the sum of n terms over its norm, as that is t / sqrt(n - 1 + t^2) sqrt(n)
-    of terms.
+    They are over a standard error of which a third, in logarithms, is Welch's and the rest that of
+    all units: of skewed samples, the former gives the ratio twice the skewness that the latter
+    gives it, of the other sign. As of flips, the root of the number of terms is the largest.
     """
     x = sums[known]
     x = (x / np.maximum(np.abs(x).max(axis=1, keepdims=True), 1e-300)).astype(np.float32)
-    n = int(divisions[0].sum()), 0
-    n = n[0], x.shape[1] - n[0]
+    short = int(divisions.indptr[1])
+    n = short, x.shape[1] - short
     total, square = (np.asarray(y.sum(axis=1, dtype=float)) for y in (x, x * x))
     one, squares = (
         np.asarray(divisions @ np.ascontiguousarray(y.T), dtype=float) for y in (x, x * x)
     )
     other = total - one
-    of_one, of_other = (
+    welch = sum(
         np.maximum(s - t**2 / k, 0) / max(k - 1, 1) / k
         for s, t, k in zip((squares, square - squares), (one, other), n, strict=True)
     )
-    d = np.abs(one / n[0] - other / n[1])
-    least = _ROUNDING * square / x.shape[1]
-    t2 = d**2 / np.maximum(of_one + of_other, np.where(least > 0, least, 1))
-    return np.asarray(np.sqrt(t2 * n[0] / (n[0] - 1 + t2)))
+    pooled = (square - total**2 / sum(n)) / (sum(n) - 1) * (1 / n[0] + 1 / n[1])
+    pooled = np.where(pooled > 0, pooled, 1)
+    ratio = np.maximum(welch / pooled, _ROUNDING) ** (1 / 3)
+    t2 = (one / n[0] - other / n[1]) ** 2 / (pooled * ratio)
+    return np.asarray(np.sqrt(t2 * short / (short - 1 + t2)))
 
 
 def _unseen(units: CellUnits, detectable: float) -> Unseen | None:
