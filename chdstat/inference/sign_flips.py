@@ -523,8 +523,11 @@ def _unseen(units: CellUnits, detectable: float) -> Unseen | None:
         longer - short.max(axis=-1, keepdims=True),
         short.min(axis=-1, keepdims=True) - longer,
     ):
-        rate = (outside > 0).mean(axis=-1)
-        light = np.maximum(outside, 0).mean(axis=-1)
+        outside = np.maximum(outside, 0)
+        light = outside.mean(axis=-1)
+        # Units that are hardly outside count for hardly any of those that carry the light.
+        square = np.square(outside).mean(axis=-1)
+        rate = light**2 / np.where(square > 0, square, 1)
         with np.errstate(divide="ignore"):
             needed = np.log(_CHANCE_TO_MISS) / np.log1p(-rate)
         hidden = (rate > 0) & (needed > units.short) & (light > least)
