@@ -41,6 +41,7 @@ _OF_WINDOWS = 0.8
 _RELATIVE = 0.01
 """Of the squared mean radiance, as in relMSE."""
 _TENTH = 0.1
+_CHANCE_TO_MISS = 0.05
 
 
 @dataclass(frozen=True, repr=False)
@@ -155,7 +156,18 @@ class Contrast(Shown):
             where = "most clearly in the sum over the image"
         return (
             f"The means differ (p {number(self.p_image)}), {where}, where B is "
-            f"{percent(-self.window_loss, sign=True)}; {pixels}."
+            f"{percent(-self.window_loss, sign=True)}; {pixels}{self._reservation()}."
+        )
+
+    def _reservation(self) -> str:
+        """Return what an image without samples leaves open if A is darker; "" otherwise."""
+        if self.spp[1] is not None or not self.window_loss < 0:
+            return ""
+        _, _, height, width = self.window
+        rarest = max(1, int(height * width * self.spp[0] / -np.log(_CHANCE_TO_MISS)))
+        return (
+            f", unless light of that amount comes in fewer than one of {rarest} samples there, "
+            "which A may have missed and an image without samples does not show"
         )
 
     def _smallest(self, part: str) -> str:
@@ -237,6 +249,13 @@ def contrast(
     right for many samples; where rare bright paths decide, the neighbours of a pixel show what it
     may have missed (`chdstat.inference.sign_flips`).
 
+    If one render has more samples, such as a reference has, a term is one sample of the shorter
+    render less the average of many, and flips of its sign are not exact. Then any division of the
+    samples into A's and B's is as likely as the real one, and p-values are at least those that all
+    divisions give (`chdstat.inference.permutation`). Where the longer render has light that the
+    shorter one is likely to have missed, more than the differences that would have been found, one
+    cannot tell, and `Contrast.spp_needed` says how many samples would.
+
     Small differences show in sums over windows of all sizes up to the whole image, compared with
     the largest that flips of signs give anywhere. The verdict is by these, with four fifths of
     `alpha`, and by the smallest q-value of a pixel, with the rest.
@@ -247,7 +266,9 @@ def contrast(
         A render: `Samples`, the path of a store, or an array (y, x, channel, sample).
     b
         Another render of the same view and size; or an image that is taken as exact: the path of
-        an EXR file, what `chdstat.io.read_exr` returns, or an array (y, x, channel).
+        an EXR file, what `chdstat.io.read_exr` returns, or an array (y, x, channel). Such an image
+        does not say how rare its light is, so that a verdict that A is darker names what A may
+        have missed.
     alpha
         Level of the verdict and of the share of pixels, between 0 and 1.
     seconds

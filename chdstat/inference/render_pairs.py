@@ -37,7 +37,7 @@ _TERMS = 256
 _UNITS, _TIMES = 1024, 16
 """Units of the longer render at most: so many, or so many times as many as the other has; more
 change the standard error of the difference by less than 3 %."""
-_DOUBTED = 0.25
+_DOUBTED = 0.1
 """Pixels with p-values up to this are compared by units, too."""
 _AT_ONCE = 2**22
 _ROUNDING = 1e-3

@@ -415,6 +415,15 @@ def test_a_converged_image_is_exact(tmp_path):
     np.testing.assert_allclose(found.maps["mean_b"][..., 1:], image)
 
 
+def test_an_exact_image_does_not_say_what_may_have_been_missed():
+    rng = np.random.default_rng(3)
+    a, image = rng.gamma(4.0, 0.25, (16, 16, 1, 32)), np.full((16, 16, 1), 1.0)
+    darker, brighter = contrast(0.8 * a, image), contrast(1.2 * a, image)
+    assert darker.outcome == brighter.outcome == "differ"
+    assert "fewer than one of 2734 samples there" in darker.verdict  # 256 pixels x 32 / 3.0
+    assert "missed" not in brighter.verdict
+
+
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
 def test_pixels_without_a_p_value_say_why():
     a, b = small(1), small(2)
