@@ -13,9 +13,7 @@ its sign are not exact. Then all divisions of the samples of both are compared i
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -359,9 +357,9 @@ def scan_windows(
     proportion to the radiance where a few pixels are much noisier than others; each half of the
     terms is weighted by what the other half knows, so that no sum is shifted.
 
-    With `units`, random divisions of the units of both renders replace the flips: they are exact
-    for renders of one distribution. Where only the means agree, a window counts no more than its
-    terms do, over the root of their sum of squares.
+    With `units`, random divisions of the units of both renders are compared, too, which is exact
+    for renders of one distribution; flips are right for many samples where only the means agree.
+    The larger p-value counts.
 
     Parameters
     ----------
@@ -387,18 +385,16 @@ def scan_windows(
     flips[0] = 1
     flips = flips.astype(np.float32)
     divisions = None if units is None else units.divisions(seed)
-    scores, places, crossings = [], [], []
+    scores, of_divisions, places, crossings = [], [], [], []
     for band in range(len(d)):
         for weigh in (_unweighted, _weighted):
             values = weigh(d[band], mean[band])
             cells = None if units is None else weigh(units.cells[band], units.level[band])
             for edge in _edges(d.shape[1:3]):
-                if cells is None:
-                    redrawn = partial(_flipped, flips)
-                else:
-                    sums = window_sums(cells, edge)[0]
-                    redrawn = partial(_divided, divisions, sums)
-                largest, place = _largest(values, mean[band], edge, redrawn)
+                if cells is not None:
+                    divided = _divided(divisions, window_sums(cells, edge)[0]).max(axis=1)
+                    of_divisions.append(_log_p(divided, _independent(divided[1:])))
+                largest, place = _largest(values, mean[band], edge, flips)
                 if largest is None:
                     continue
                 windows = _independent(largest[1:])
@@ -413,7 +409,7 @@ def scan_windows(
     critical = float(np.quantile(least[1:], 0.05))
     detectable = {e: _detectable(critical, windows, terms) for e, windows in crossings[::-1]}
     return WindowTest(
-        p_value=float(np.mean(least <= least[0] + _ROUNDING)),
+        p_value=max(map(_p_of_least, (scores, of_divisions) if of_divisions else (scores,))),
         window=(y, x, height, width),
         band=band,
         detectable=detectable,
@@ -445,9 +441,9 @@ def _largest(
     d: npt.NDArray[Any],
     mean: npt.NDArray[Any],
     edge: int,
-    redrawn: Callable[[npt.NDArray[Any], Mask], npt.NDArray[Any]],
+    flips: npt.NDArray[np.float32],
 ) -> tuple[Any, tuple[int, int]]:
-    """Return the largest standardised sum over windows of each draw, None without any term."""
+    """Return the largest standardised sum over windows of each flip, None without any term."""
     sums, starts = window_sums(d, edge)
     moments = FlipMoments.of(sums, window_sums(mean.mean(axis=-1, keepdims=True), edge)[0][..., 0])
     known = moments.square > 0
@@ -461,33 +457,29 @@ def _largest(
             moments.nearby(_OF_WINDOWS, relative=False, against=True),
         )
         square = np.maximum(square, moments.n * near)
-    unit = sums / (moments.scale * np.sqrt(np.where(known, moments.square, 1)))[..., np.newaxis]
-    z = redrawn(unit, known)
+    unit = sums[known] / (moments.scale * np.sqrt(moments.square))[known][:, np.newaxis]
+    z = np.abs(flips @ unit.astype(np.float32).T)
     missed = _missed(d, edge, starts, moments.total > 0) / moments.scale
     least = np.maximum(np.abs(moments.total) - missed, 0)
-    least = (least / np.sqrt(np.where(square > 0, square + missed**2, 1)))[known]
-    z[0] = np.minimum(z[0], least)
+    z[0] = (least / np.sqrt(np.where(square > 0, square + missed**2, 1)))[known]
     at = np.argwhere(known)[int(z[0].argmax())]
     return z.max(axis=1).astype(float), (int(starts[0][at[0]]), int(starts[1][at[1]]))
 
 
-def _flipped(
-    flips: npt.NDArray[np.float32], unit: npt.NDArray[Any], known: Mask
-) -> npt.NDArray[np.float32]:
-    """Return sizes of sums of flipped terms (y, x, term), which have a norm of 1, of each flip."""
-    return np.asarray(np.abs(flips @ unit[known].astype(np.float32).T))
+def _p_of_least(scores: list[Floats]) -> float:
+    """Return the share of draws whose smallest score is as small as that of the first."""
+    least = np.min(scores, axis=0)
+    return float(np.mean(least <= least[0] + _ROUNDING))
 
 
-def _divided(
-    divisions: sparse.csr_matrix, sums: npt.NDArray[Any], _: npt.NDArray[Any], known: Mask
-) -> npt.NDArray[Any]:
+def _divided(divisions: sparse.csr_matrix, sums: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return sizes of differences between both groups of units (y, x, unit), of each division.
 
     They are over a standard error of which a third, in logarithms, is Welch's and the rest that of
     all units: of skewed samples, the former gives the ratio twice the skewness that the latter
-    gives it, of the other sign. As of flips, the root of the number of terms is the largest.
+    gives it, of the other sign.
     """
-    x = sums[known]
+    x = sums.reshape(-1, sums.shape[-1])
     x = (x / np.maximum(np.abs(x).max(axis=1, keepdims=True), 1e-300)).astype(np.float32)
     short = int(divisions.indptr[1])
     n = short, x.shape[1] - short
@@ -503,8 +495,7 @@ def _divided(
     pooled = (square - total**2 / sum(n)) / (sum(n) - 1) * (1 / n[0] + 1 / n[1])
     pooled = np.where(pooled > 0, pooled, 1)
     ratio = np.maximum(welch / pooled, _ROUNDING) ** (1 / 3)
-    t2 = (one / n[0] - other / n[1]) ** 2 / (pooled * ratio)
-    return np.asarray(np.sqrt(t2 * short / (short - 1 + t2)))
+    return np.asarray(np.abs(one / n[0] - other / n[1]) / np.sqrt(pooled * ratio))
 
 
 def _unseen(units: CellUnits, detectable: float) -> Unseen | None:
