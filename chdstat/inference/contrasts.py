@@ -22,7 +22,7 @@ from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import Blocks, Interval, interval_of, q_values
 from chdstat.errors import Reason, check_probability
 from chdstat.inference.render_pairs import Compared, Pair
-from chdstat.inference.sign_flips import WindowTest, scan_windows, window_sums
+from chdstat.inference.sign_flips import Unseen, WindowTest, scan_windows, window_sums
 from chdstat.samples import Image, Samples
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ _OF_WINDOWS = 0.8
 _RELATIVE = 0.01
 """Of the squared mean radiance, as in relMSE."""
 _TENTH = 0.1
+_CHANCE_TO_MISS = 0.05
 
 
 @dataclass(frozen=True, repr=False)
@@ -62,6 +63,10 @@ class Contrast(Shown):
         "no difference found", "differ" or "cannot tell", at the level `alpha`.
     why
         Why one cannot tell; "" otherwise.
+    spp_needed
+        Samples per pixel that would tell, of the render that has fewer: that miss the light it has
+        not seen with a probability of 5 %, or are enough for a test. None where one can tell, and
+        where no number is known.
     p_image
         p-value of the whole test: that the means are equal in all pixels.
     share
@@ -94,6 +99,7 @@ class Contrast(Shown):
     maps: xr.Dataset
     outcome: Outcome
     why: str
+    spp_needed: int | None
     p_image: float
     share: float
     loss: Interval[float]
@@ -150,7 +156,18 @@ class Contrast(Shown):
             where = "most clearly in the sum over the image"
         return (
             f"The means differ (p {number(self.p_image)}), {where}, where B is "
-            f"{percent(-self.window_loss, sign=True)}; {pixels}."
+            f"{percent(-self.window_loss, sign=True)}; {pixels}{self._reservation()}."
+        )
+
+    def _reservation(self) -> str:
+        """Return what an image without samples leaves open if A is darker; "" otherwise."""
+        if self.spp[1] is not None or not self.window_loss < 0:
+            return ""
+        _, _, height, width = self.window
+        rarest = max(1, int(height * width * self.spp[0] / -np.log(_CHANCE_TO_MISS)))
+        return (
+            f", unless light of that amount comes in fewer than one of {rarest} samples there, "
+            "which A may have missed and an image without samples does not show"
         )
 
     def _smallest(self, part: str) -> str:
@@ -165,6 +182,7 @@ class Contrast(Shown):
             "b": self.names[1],
             "outcome": self.outcome,
             "verdict": self.verdict,
+            "spp_needed": self.spp_needed,
             "p_value": self.p_image,
             "alpha": self.alpha,
             "share_of_pixels": self.share,
@@ -231,6 +249,13 @@ def contrast(
     right for many samples; where rare bright paths decide, the neighbours of a pixel show what it
     may have missed (`chdstat.inference.sign_flips`).
 
+    If one render has more samples, such as a reference has, a term is one sample of the shorter
+    render less the average of many, and flips of its sign are not exact. Then any division of the
+    samples into A's and B's is as likely as the real one, and p-values are at least those that all
+    divisions give (`chdstat.inference.permutation`). Where the longer render has light that the
+    shorter one is likely to have missed, more than the differences that would have been found, one
+    cannot tell, and `Contrast.spp_needed` says how many samples would.
+
     Small differences show in sums over windows of all sizes up to the whole image, compared with
     the largest that flips of signs give anywhere. The verdict is by these, with four fifths of
     `alpha`, and by the smallest q-value of a pixel, with the rest.
@@ -241,7 +266,9 @@ def contrast(
         A render: `Samples`, the path of a store, or an array (y, x, channel, sample).
     b
         Another render of the same view and size; or an image that is taken as exact: the path of
-        an EXR file, what `chdstat.io.read_exr` returns, or an array (y, x, channel).
+        an EXR file, what `chdstat.io.read_exr` returns, or an array (y, x, channel). Such an image
+        does not say how rare its light is, so that a verdict that A is darker names what A may
+        have missed.
     alpha
         Level of the verdict and of the share of pixels, between 0 and 1.
     seconds
@@ -297,7 +324,7 @@ def _contrasted(pair: Pair, alpha: float, seed: int) -> Contrast:
     found = pair.compare()
     height, width, bands = found.p_value.shape
     q = q_values(found.p_value.reshape(height, width * bands)).reshape(found.p_value.shape)
-    scan = scan_windows(found.differences, found.levels, seed=seed)
+    scan = scan_windows(found.differences, found.levels, units=found.units, seed=seed)
     smallest = float(np.nanmin(q)) if np.isfinite(q).any() else np.nan
     shares = _OF_WINDOWS, 1 - _OF_WINDOWS
     parts = [p / s for p, s in zip((scan.p_value, smallest), shares, strict=True)]
@@ -306,12 +333,13 @@ def _contrasted(pair: Pair, alpha: float, seed: int) -> Contrast:
     y, x, rows, columns = (found.cell * edge for edge in scan.window)
     place = y, x, min(rows, height - y), min(columns, width - x)
     loss, window_loss, detectable = _losses(found, pair.terms, scan)
-    why = _why_not(found, pair, detectable, p_image, alpha)
+    why, spp_needed = _why_not(found, pair, detectable, scan.unseen, differ=bool(p_image <= alpha))
     return Contrast(
         names=pair.names,
         maps=_maps(found, q, pair),
         outcome="cannot tell" if why else "differ" if p_image <= alpha else "no difference found",
         why=why,
+        spp_needed=spp_needed,
         p_image=p_image,
         share=float(differs.mean()),
         loss=loss,
@@ -328,18 +356,36 @@ def _contrasted(pair: Pair, alpha: float, seed: int) -> Contrast:
 
 
 def _why_not(
-    found: Compared, pair: Pair, detectable: dict[str, float], p_image: float, alpha: float
-) -> str:
-    """Return why one cannot tell whether means differ; "" where one can."""
+    found: Compared,
+    pair: Pair,
+    detectable: dict[str, float],
+    unseen: Unseen | None,
+    *,
+    differ: bool,
+) -> tuple[str, int | None]:
+    """Return why one cannot tell whether means differ, "" where one can, and what spp would."""
     if not np.isfinite(found.p_value).any():
         if (found.reason == Reason.CONSTANT).any():
-            return "the samples of A and B are equal, one by one, as of one render given twice"
-        return "no pixel has samples to compare"
+            return (
+                "the samples of A and B are equal, one by one, as of one render given twice",
+                None,
+            )
+        return "no pixel has samples to compare", None
+    spp = min(pair.spp)
     if pair.terms < _LEAST_TERMS:
-        return f"{min(pair.spp)} samples per pixel are too few, render {_LEAST_TERMS} or more"
-    if p_image > alpha and not detectable.get("image", np.inf) < 1:
-        return "not even the loss of all light would have been found; render more samples"
-    return ""
+        return f"{spp} samples per pixel are too few, render {_LEAST_TERMS} or more", _LEAST_TERMS
+    if differ:
+        return "", None
+    if unseen is not None:
+        short, longer = "AB" if pair.spp[0] < pair.spp[1] else "BA"
+        why = (
+            f"{longer} has {percent(unseen.share)} of its light in samples so rare that {spp} per "
+            f"pixel are likely to miss them, and {short} has none: render {unseen.spp} of {short}"
+        )
+        return why, unseen.spp
+    if not detectable.get("image", np.inf) < 1:
+        return "not even the loss of all light would have been found; render more samples", None
+    return "", None
 
 
 def _losses(

@@ -5,6 +5,10 @@ difference of sample i has either sign with equal probability, whatever the tail
 nulls: that is exact. Integrators that agree in the mean only, such as with and without Russian
 roulette, differ in skewness, and a pixel whose rare bright paths were all missed seems to be too
 dark beyond doubt. Its neighbours have seen such paths: their standard error counts, too.
+
+Of renders of unequal numbers of samples, a term is the average of many samples less one: flips of
+its sign are not exact. Then all divisions of the samples of both are compared instead
+(`CellUnits`).
 """
 
 from __future__ import annotations
@@ -14,12 +18,21 @@ from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage, special
+from scipy import ndimage, sparse, special
 
 from chdstat._core.arrays import Seed, generator, spans
 from chdstat._core.positive import Floats, Mask
 
-__all__ = ["FlipMoments", "WindowTest", "guarded", "p_of_signs", "scan_windows", "window_sums"]
+__all__ = [
+    "CellUnits",
+    "FlipMoments",
+    "Unseen",
+    "WindowTest",
+    "guarded",
+    "p_of_signs",
+    "scan_windows",
+    "window_sums",
+]
 
 _ENUMERATED = 10
 """Rows with up to so many terms other than 0 have all their sign flips counted."""
@@ -40,6 +53,10 @@ _ONE_SIDED = 0.02
 """Ratio of the sums of both signs below which the rarer sign may have been missed."""
 _DARK = 1e-3
 """Of the mean radiance of the image: what is darker has no scale of its own."""
+
+_LEAST_LIGHT = 1e-3
+"""Of the light of the image: less is not worth more samples."""
+_CHANCE_TO_MISS = 0.05
 
 _FLIPS = 499
 _OF_WINDOWS = 7
@@ -248,6 +265,56 @@ def guarded(p: Floats, moments: FlipMoments, exact: Mask) -> Floats:
 
 
 @dataclass(frozen=True)
+class CellUnits:
+    """Averages of as many samples of two renders that differ in their numbers of samples.
+
+    Attributes
+    ----------
+    cells
+        Sums over cells of what the units differ by from the mean of all, shape (band, y, x, unit);
+        the first units are of the render with fewer samples.
+    level
+        Sums over cells of the mean of all units, shape (band, y, x, 1).
+    short
+        Number of units of the render with fewer samples.
+    size
+        Number of samples of a unit.
+    """
+
+    cells: npt.NDArray[np.float32]
+    level: npt.NDArray[np.float32]
+    short: int
+    size: int
+
+    def divisions(self, seed: Seed) -> sparse.csr_matrix:
+        """Return which units are the shorter render's: in fact, and in random divisions."""
+        count = self.cells.shape[-1]
+        drawn = generator(seed).random((_FLIPS, count), dtype=np.float32)
+        chosen = np.argpartition(drawn, self.short, axis=1)[:, : self.short]
+        chosen = np.concatenate([np.arange(self.short)[np.newaxis], np.sort(chosen, axis=1)])
+        ends = np.arange(_FLIPS + 2) * self.short
+        return sparse.csr_matrix(
+            (np.ones(chosen.size, np.float32), chosen.ravel(), ends), shape=(_FLIPS + 1, count)
+        )
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Light that a render has and a shorter one may have missed.
+
+    Attributes
+    ----------
+    share
+        Of the light of the image.
+    spp
+        Samples per pixel that miss it with a probability of 5 %.
+    """
+
+    share: float
+    spp: int
+
+
+@dataclass(frozen=True)
 class WindowTest:
     """Whether any square window of an image has a sum of terms that chance does not explain.
 
@@ -262,16 +329,24 @@ class WindowTest:
     detectable
         Sum of terms in a window over its standard error that is found with a probability of 90 %,
         by the edge of windows in cells.
+    unseen
+        Light of the longer render that the shorter one may have missed, if that is more than would
+        have been found by what the shorter one has seen; None if there is none.
     """
 
     p_value: float
     window: tuple[int, int, int, int]
     band: int
     detectable: dict[int, float]
+    unseen: Unseen | None = None
 
 
 def scan_windows(
-    d: npt.NDArray[np.floating[Any]], mean: npt.NDArray[np.floating[Any]], *, seed: Seed = 0
+    d: npt.NDArray[np.floating[Any]],
+    mean: npt.NDArray[np.floating[Any]],
+    *,
+    units: CellUnits | None = None,
+    seed: Seed = 0,
 ) -> WindowTest:
     """Test sums of terms over windows of 1, 2, 4 ... cells and over the whole image.
 
@@ -282,29 +357,44 @@ def scan_windows(
     proportion to the radiance where a few pixels are much noisier than others; each half of the
     terms is weighted by what the other half knows, so that no sum is shifted.
 
+    With `units`, random divisions of the units of both renders are compared, too, which is exact
+    for renders of one distribution; flips are right for many samples where only the means agree.
+    The larger p-value counts.
+
     Parameters
     ----------
     d
         Terms of cells, shape (band, y, x, term).
     mean
         Radiance of both renders that goes with them, of the same shape.
+    units
+        Of renders that differ in their numbers of samples.
     seed
-        Of the flips.
+        Of the flips or divisions.
 
     References
     ----------
     Westfall and Young, "Resampling-based multiple testing", 1993, section 2.6. Walther, "Optimal
     and fast detection of spatial clusters with scan statistics", 2010, doi:10.1214/09-AOS732:
-    each size gets a critical value of its own.
+    each size gets a critical value of its own. Hall, "On the removal
+    of skewness by transformation", 1992, doi:10.1111/j.2517-6161.1992.tb01876.x: the skewness of
+    studentised means.
     """
     terms = d.shape[-1]
     flips = 1.0 - 2.0 * generator(seed).integers(0, 2, (_FLIPS + 1, terms))
     flips[0] = 1
-    scores, places, crossings = [], [], []
+    flips = flips.astype(np.float32)
+    divisions = None if units is None else units.divisions(seed)
+    scores, of_divisions, places, crossings = [], [], [], []
     for band in range(len(d)):
-        for values in (d[band], _weighted(d[band], mean[band])):
+        for weigh in (_unweighted, _weighted):
+            values = weigh(d[band], mean[band])
+            cells = None if units is None else weigh(units.cells[band], units.level[band])
             for edge in _edges(d.shape[1:3]):
-                largest, place = _largest(values, mean[band], edge, flips.astype(np.float32))
+                if cells is not None:
+                    divided = _divided(divisions, window_sums(cells, edge)[0]).max(axis=1)
+                    of_divisions.append(_log_p(divided, _independent(divided[1:])))
+                largest, place = _largest(values, mean[band], edge, flips)
                 if largest is None:
                     continue
                 windows = _independent(largest[1:])
@@ -317,11 +407,13 @@ def scan_windows(
     _, band, (y, x), edge = max(places)
     height, width = (min(edge, size) for size in d.shape[1:3])
     critical = float(np.quantile(least[1:], 0.05))
+    detectable = {e: _detectable(critical, windows, terms) for e, windows in crossings[::-1]}
     return WindowTest(
-        p_value=float(np.mean(least <= least[0] + _ROUNDING)),
+        p_value=max(map(_p_of_least, (scores, of_divisions) if of_divisions else (scores,))),
         window=(y, x, height, width),
         band=band,
-        detectable={e: _detectable(critical, windows, terms) for e, windows in crossings[::-1]},
+        detectable=detectable,
+        unseen=None if units is None else _unseen(units, detectable.get(max(d.shape[1:3]), np.inf)),
     )
 
 
@@ -346,7 +438,10 @@ def window_sums(x: npt.NDArray[Any], edge: int) -> tuple[npt.NDArray[Any], list[
 
 
 def _largest(
-    d: npt.NDArray[Any], mean: npt.NDArray[Any], edge: int, flips: npt.NDArray[np.float32]
+    d: npt.NDArray[Any],
+    mean: npt.NDArray[Any],
+    edge: int,
+    flips: npt.NDArray[np.float32],
 ) -> tuple[Any, tuple[int, int]]:
     """Return the largest standardised sum over windows of each flip, None without any term."""
     sums, starts = window_sums(d, edge)
@@ -369,6 +464,69 @@ def _largest(
     z[0] = (least / np.sqrt(np.where(square > 0, square + missed**2, 1)))[known]
     at = np.argwhere(known)[int(z[0].argmax())]
     return z.max(axis=1).astype(float), (int(starts[0][at[0]]), int(starts[1][at[1]]))
+
+
+def _p_of_least(scores: list[Floats]) -> float:
+    """Return the share of draws whose smallest score is as small as that of the first."""
+    least = np.min(scores, axis=0)
+    return float(np.mean(least <= least[0] + _ROUNDING))
+
+
+def _divided(divisions: sparse.csr_matrix, sums: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return sizes of differences between both groups of units (y, x, unit), of each division.
+
+    They are over a standard error of which a third, in logarithms, is Welch's and the rest that of
+    all units: of skewed samples, the former gives the ratio twice the skewness that the latter
+    gives it, of the other sign.
+    """
+    x = sums.reshape(-1, sums.shape[-1])
+    x = (x / np.maximum(np.abs(x).max(axis=1, keepdims=True), 1e-300)).astype(np.float32)
+    short = int(divisions.indptr[1])
+    n = short, x.shape[1] - short
+    total, square = (np.asarray(y.sum(axis=1, dtype=float)) for y in (x, x * x))
+    one, squares = (
+        np.asarray(divisions @ np.ascontiguousarray(y.T), dtype=float) for y in (x, x * x)
+    )
+    other = total - one
+    welch = sum(
+        np.maximum(s - t**2 / k, 0) / max(k - 1, 1) / k
+        for s, t, k in zip((squares, square - squares), (one, other), n, strict=True)
+    )
+    pooled = (square - total**2 / sum(n)) / (sum(n) - 1) * (1 / n[0] + 1 / n[1])
+    pooled = np.where(pooled > 0, pooled, 1)
+    ratio = np.maximum(welch / pooled, _ROUNDING) ** (1 / 3)
+    return np.asarray(np.abs(one / n[0] - other / n[1]) / np.sqrt(pooled * ratio))
+
+
+def _unseen(units: CellUnits, detectable: float) -> Unseen | None:
+    """Return what the shorter render may have missed of the image, if it matters.
+
+    It matters if it is more than the loss that the standard error of the shorter render alone
+    would have shown.
+    """
+    sums = units.cells.sum(axis=(1, 2), dtype=float)
+    level = units.level.sum(axis=(1, 2, 3), dtype=float)
+    short, longer = sums[:, : units.short], sums[:, units.short :]
+    error = short.std(axis=-1, ddof=1) / np.sqrt(units.short) if units.short > 1 else 0 * level
+    least = np.maximum(np.where(error > 0, detectable * error, 0), _LEAST_LIGHT * np.abs(level))
+    found = None
+    for outside in (
+        longer - short.max(axis=-1, keepdims=True),
+        short.min(axis=-1, keepdims=True) - longer,
+    ):
+        outside = np.maximum(outside, 0)
+        light = outside.mean(axis=-1)
+        # Units that are hardly outside count for hardly any of those that carry the light.
+        square = np.square(outside).mean(axis=-1)
+        rate = light**2 / np.where(square > 0, square, 1)
+        with np.errstate(divide="ignore"):
+            needed = np.log(_CHANCE_TO_MISS) / np.log1p(-rate)
+        hidden = (rate > 0) & (needed > units.short) & (light > least)
+        for band in np.flatnonzero(hidden & (level > 0)):
+            share = float(light[band] / level[band])
+            if found is None or share > found.share:
+                found = Unseen(share, int(np.ceil(needed[band] * units.size)))
+    return found
 
 
 def _missed(d: npt.NDArray[Any], edge: int, starts: list[Any], up: Mask) -> Floats:
@@ -420,9 +578,15 @@ def _detectable(log_p: float, windows: float, terms: int) -> float:
     return float(t + special.ndtri(0.9))
 
 
+def _unweighted(d: npt.NDArray[Any], _: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return terms as they are."""
+    return d
+
+
 def _weighted(d: npt.NDArray[Any], mean: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return terms (y, x, term) times mean over variance, which the other half of them knows."""
     found = np.zeros(d.shape)
+    mean = np.broadcast_to(mean, d.shape)
     for half in (slice(0, None, 2), slice(1, None, 2)):
         other = slice(1 - (half.start or 0), None, 2)
         level = np.maximum(mean[..., other].sum(axis=-1, dtype=float), 0)

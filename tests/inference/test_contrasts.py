@@ -11,6 +11,7 @@ from scipy import stats
 import chdstat as chd
 from chdstat.errors import InputError, Reason
 from chdstat.inference import contrast
+from chdstat.inference.render_pairs import Pair
 from chdstat.inference.sign_flips import p_of_signs, scan_windows, window_sums
 from chdstat.io import read_exr, write_exr
 
@@ -142,6 +143,121 @@ def test_windows_without_light_beside_bright_ones_say_nothing():
         d[:, 3:9, 2:10] = 0
         d *= rng.random(d.shape) < 0.2
         assert 0 < scan_windows(d, np.ones(d.shape)).p_value <= 1
+
+
+# --- unequal numbers of samples -----------------------------------------------------------------
+
+
+@pytest.fixture
+def signs_only(monkeypatch):
+    """Compare renders of unequal spp by flips of signs alone, which are not exact there."""
+    monkeypatch.setattr(Pair, "units", property(lambda _: (0, 0)))
+
+
+def with_fireflies(rng, spp, base, *, edge=16):
+    """Return radiance of which one sample in 2000 is far brighter."""
+    size = (edge, edge, 1, spp)
+    level = {"constant": np.full(size, 0.1), "gamma": rng.gamma(1.0, 0.1, size)}[base]
+    return (level + 100 * (rng.random(size) < 1 / 2000)).astype(np.float32)
+
+
+def outcomes(base, counts, trials=40):
+    found = []
+    for seed in range(trials):
+        rng = np.random.default_rng([seed, *counts])
+        found.append(contrast(*(with_fireflies(rng, n, base) for n in counts), seed=seed))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("base", "counts"), [("constant", (16, 256)), ("gamma", (256, 16)), ("constant", (32, 100))]
+)
+def test_fireflies_make_no_difference_at_unequal_spp(base, counts):
+    """Of 40 pairs, more than 7 at 5 % would happen in 1 of 1200 runs; signs alone have 10 or so."""
+    found = outcomes(base, counts)
+    assert sum(f.outcome == "differ" for f in found) <= 7
+    assert sum((f.q_value <= 0.05).any().item() for f in found) <= 7
+
+
+@pytest.mark.usefixtures("signs_only")
+def test_signs_of_unequal_terms_alone_would_make_one():
+    """The negative control."""
+    assert sum(f.outcome == "differ" for f in outcomes("gamma", (256, 16))) > 7
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_the_shorter_render_has_not_seen_is_said(order):
+    rng = np.random.default_rng(1)
+    short, longer = rng.gamma(1.0, size=(8, 8, 1, 16)), rng.gamma(1.0, size=(8, 8, 1, 256))
+    longer[[1, 5, 7], 2, 0, [3, 50, 200]] = 2000.0
+    found = contrast(*(short, longer)[::order])
+    name, other = "AB"[::order]
+    assert found.outcome == "cannot tell"
+    assert found.why.startswith(f"{other} has 2")  # 6000 of 22,000
+    assert found.why.endswith(f"{name} has none: render {found.spp_needed} of {name}")
+    # Three of 256 samples of the image have it.
+    assert found.spp_needed == pytest.approx(np.log(0.05) / np.log(1 - 3 / 256), abs=3)
+    assert found.to_dict()["spp_needed"] == found.spp_needed
+    longer[longer > 1000] = 1.0
+    assert contrast(short, longer).outcome == "no difference found"
+
+
+def test_light_that_would_have_been_seen_is_a_difference():
+    """The longer render has fireflies in one of 100 samples, the shorter one none of 1024."""
+    rng = np.random.default_rng(2)
+    short, longer = rng.gamma(1.0, size=(8, 8, 1, 16)), rng.gamma(1.0, size=(8, 8, 1, 256))
+    longer += 1000 * (rng.random(longer.shape) < 0.01)
+    assert contrast(short, longer).outcome == "differ"
+
+
+@pytest.mark.parametrize("counts", [(16, 256), (100, 30), (16, 24), (300, 1000)])
+def test_a_loss_is_found_and_placed_at_unequal_spp(counts):
+    rng = np.random.default_rng(3)
+    a, b = (rng.gamma(1.0, size=(16, 16, 1, n)) for n in counts)
+    b[4:12, 4:12] *= 0.5
+    found = contrast(a, b)
+    assert found.outcome == "differ"
+    y, x, height, width = found.window
+    assert y < 12 and y + height > 4 and x < 12 and x + width > 4  # noqa: PT018
+    assert found.spp_needed is None
+
+
+@pytest.mark.parametrize("counts", [(16, 256), (300, 1000), (257, 999), (16, 24), (9, 4000)])
+def test_units_are_of_as_many_samples(counts):
+    pair = Pair.of(*(np.zeros((1, 1, 1, n), np.float32) for n in counts), None)
+    assert min(pair.units) == pair.terms
+    for i in (0, 1):
+        numbers = pair.unit_numbers(i)
+        assert len(numbers) <= counts[i]
+        np.testing.assert_array_equal(np.bincount(numbers), pair.unit_size)
+        assert len(np.unique(numbers)) == pair.units[i]
+    both = (pair.terms * pair.unit_size,)
+    np.testing.assert_array_equal(pair.unit_numbers(0)[: both[0]], pair.unit_numbers(1)[: both[0]])
+
+
+def test_samples_that_both_have_make_no_difference():
+    """Renders of one seed: the first samples of the longer one are those of the shorter one."""
+    for seed in range(10):
+        x = with_fireflies(np.random.default_rng(seed), 256, "gamma", edge=8)
+        assert contrast(x[..., :16], x, seed=seed).outcome != "differ"
+        short, longer = (chd.Samples.from_array(s, seed=3) for s in (x[..., :16], x))
+        assert "one render given twice" in contrast(short, longer).verdict
+        rest = longer.isel(sample=slice(16, 256))
+        assert not contrast(short, rest, seed=seed).paired
+        assert contrast(short, rest, seed=seed).outcome != "differ"
+
+
+@pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
+def test_bad_samples_do_not_matter_at_unequal_spp():
+    rng = np.random.default_rng(5)
+    a, b = (rng.gamma(1.0, size=(8, 8, 1, n)) for n in (16, 100))
+    a[rng.random(a.shape) < 0.1] = np.nan
+    b[rng.random(b.shape) < 0.1] = np.inf
+    b[0, 0] = np.nan
+    found = contrast(a, b)
+    assert found.outcome == "no difference found"
+    assert np.isnan(found.p_value[0, 0]).all()
+    assert np.isfinite(found.p_value.to_numpy().ravel()[1:]).all()
 
 
 # --- power --------------------------------------------------------------------------------------
@@ -297,6 +413,15 @@ def test_a_converged_image_is_exact(tmp_path):
         np.testing.assert_array_equal(contrast(a, other).p_value, found.p_value)
     assert np.isnan(found.efficiency).all()
     np.testing.assert_allclose(found.maps["mean_b"][..., 1:], image)
+
+
+def test_an_exact_image_does_not_say_what_may_have_been_missed():
+    rng = np.random.default_rng(3)
+    a, image = rng.gamma(4.0, 0.25, (16, 16, 1, 32)), np.full((16, 16, 1), 1.0)
+    darker, brighter = contrast(0.8 * a, image), contrast(1.2 * a, image)
+    assert darker.outcome == brighter.outcome == "differ"
+    assert "fewer than one of 2734 samples there" in darker.verdict  # 256 pixels x 32 / 3.0
+    assert "missed" not in brighter.verdict
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
