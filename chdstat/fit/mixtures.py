@@ -28,7 +28,7 @@ from chdstat.fit.families import (
     zero_log_likelihood,
 )
 from chdstat.fit.peaks import standard_errors
-from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, score, search
+from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, log_samples, score, search
 from chdstat.summary.dispatch import Part, Source, of_source, run
 
 if TYPE_CHECKING:
@@ -201,7 +201,7 @@ class ChosenMixtures:
         elif self._held_out is not None:
             best = _highest(self._held_out[found.rows], allowed)
         else:
-            log_n = np.log(found.summaries.n)
+            log_n = log_samples(found.summaries.n)
             best = _highest(np.stack([score(s, log_n) for s in solutions], axis=-1), allowed)
         for k in np.unique(best):
             at = np.flatnonzero(best == k)
@@ -223,9 +223,9 @@ class ChosenMixtures:
         rest = (zero_log_likelihood(part) - part.n * part.log_statistics.log_mean)[..., np.newaxis]
         values = self._likelihoods.reshape(*shape, largest) + rest
         k = self._k.reshape(shape)
-        of_shape = 3 * np.arange(1, largest + 1) - 1
+        further = 3 * np.arange(largest) * log_samples(part.n)[..., np.newaxis]
         with np.errstate(invalid="ignore", divide="ignore"):
-            penalty = of_shape * np.log(part.n)[..., np.newaxis]
+            penalty = 2 * np.log(part.n)[..., np.newaxis] + further
             bics = penalty + np.log(part.n_good)[..., np.newaxis] - 2 * values
         at = np.maximum(k, 1).astype(np.int64)[..., np.newaxis] - 1
         chosen, bic = (

@@ -19,8 +19,8 @@ import numpy.typing as npt
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit import em
 from chdstat.fit.em import Solution
-from chdstat.fit.search import Found, score, search
-from chdstat.fit.unimodal_bic import edge_scores, log_samples
+from chdstat.fit.search import Found, log_samples, score, search
+from chdstat.fit.unimodal_bic import edge_scores
 from chdstat.fit.weighted_samples import Summaries
 
 __all__ = ["LEAST_WEIGHT", "best_peaks", "standard_errors"]

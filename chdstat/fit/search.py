@@ -37,7 +37,16 @@ from chdstat.fit.weighted_samples import (
 )
 from chdstat.summary.dispatch import Part, PositiveHistogram
 
-__all__ = ["EFFORTS", "Effort", "Found", "log_likelihood", "score", "search", "segmentations"]
+__all__ = [
+    "EFFORTS",
+    "Effort",
+    "Found",
+    "log_likelihood",
+    "log_samples",
+    "score",
+    "search",
+    "segmentations",
+]
 
 _CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
@@ -131,6 +140,9 @@ class Objective:
         """Run EM to the end of the plan; the likelihood is the closest to that of the samples."""
         cycles, tolerance = self.plan.cycles, self.plan.tolerance
         solution = em.run(self.summaries, family, state, cycles=cycles, tolerance=tolerance)
+        if state.shape[1] > 1:
+            taken = em.penalty(family, solution.state, self.summaries.spacing)
+            solution = replace(solution, log_likelihood=solution.log_likelihood - taken)
         if self.samples is None or self.n is None:
             return self._of_bins(solution)
         if state.shape[1] == 1:
@@ -239,6 +251,15 @@ def search(
         yield Found(rows, _fit(objective, COMPONENTS[family], max_k, bar), objective)
 
 
+_FEW = 128
+"""BIC is an expansion for many samples: of fewer than these, a mixture fits chance."""
+
+
+def log_samples(n: Counts | Floats) -> Floats:
+    """Return the log n of a score: at least that of 128 samples."""
+    return np.asarray(np.log(np.maximum(n, _FEW)))
+
+
 def score(solution: Solution, log_n: Floats) -> Floats:
     """Return log-likelihood less half of log n for each parameter, shape (row,)."""
     return np.asarray(solution.log_likelihood - 1.5 * solution.state.shape[1] * log_n)
@@ -268,7 +289,7 @@ def _fit(
 ) -> list[Solution]:
     summaries, windows = objective.summaries, objective.plan.windows
     solutions = [objective.maximise(family, _single(summaries, family))]
-    rows, log_n = np.arange(len(summaries.n)), np.log(summaries.n)
+    rows, log_n = np.arange(len(summaries.n)), log_samples(summaries.n)
     for k in range(2, max_k + 1):
         if unimodal is not None and k > 2:
             # One component more may pay where the last one did.
@@ -419,7 +440,7 @@ def _best_window(
 def _state(summaries: Summaries, family: ComponentFamily, sums: Floats) -> Floats:
     """Return the state of components whose counts, sums of y and of t(y) are given."""
     n = np.maximum(sums[0], _LEAST)
-    return family.maximise(n / summaries.n, sums[1] / n, sums[2] / n, summaries.floor)
+    return em.state_of(family, n, sums[1] / n, sums[2] / n, summaries.floor, summaries.spacing)
 
 
 def _sums_below(summaries: Summaries, family: ComponentFamily) -> Floats:
