@@ -20,30 +20,31 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit.weighted_samples import cumulative
+from chdstat.summary.dispatch import Part
 
 __all__ = ["MOST_ATOMS", "Atoms", "split"]
 
 MOST_ATOMS = 8
 """Most atoms of a row: one with more has no continuous part to speak of."""
-_LEVEL = 0.01
+_LEVEL = 0.05
 """Of rows without atoms in which one may be found."""
 _RINGS = (1, 2, 4, 8, 16)
-_ENOUGH = 40
-"""Values on each side whose counts are compared: the fewest that hold so many samples, at most 16
-and a quarter of the values that there are."""
+_ENOUGH, _MANY = 40, 400
+"""Values on each side whose counts are compared: the fewest that hold so many samples, at most 16,
+and a quarter, for many samples a twelfth, of the values that there are."""
 _CURVED = 4
 """Most values on each side over which the logarithms of counts are a parabola."""
 _FEWEST_VALUES = 5
 """Fewer distinct values are no continuous law."""
 _HEAVY, _UNEVEN, _IRREGULAR = 10, 2.5, 0.25
-"""Of rounded samples, values with 10 samples lie in even steps, each at most 2.5 times as wide as
-the next, but for a quarter of them."""
+"""Rounded values with 10 samples have neighbours in even steps, one at most 2.5 times as far as the
+other, but for a quarter of them."""
+_LEAST_VARIANCE = 1e-12
 _FEWEST = 3
 """Least samples of an atom."""
 _CHUNK = 2**18
@@ -69,13 +70,29 @@ class Atoms:
 
     values: Floats
     counts: Counts
-    rest: PositivePart
+    rest: Part
     tied: Mask
     discrete: Mask
 
+    @classmethod
+    def none(cls, part: Part) -> Atoms:
+        """Return that a histogram shows no atoms: its bins are wider than a value."""
+        shape = part.n.shape
+        values, counts = np.full((*shape, MOST_ATOMS), np.nan), np.zeros((*shape, MOST_ATOMS), int)
+        return cls(values, counts, part, *np.zeros((2, *shape), dtype=bool))
 
-def split(part: PositivePart) -> Atoms:
+    @property
+    def log_likelihood(self) -> Floats:
+        """Log-likelihood of which positive samples are at which atom, or at none, shape (...)."""
+        parts = np.concatenate([self.counts, self.rest.n[..., np.newaxis]], axis=-1)
+        total = np.maximum(parts.sum(axis=-1, keepdims=True), 1)
+        return np.asarray(special.xlogy(parts, parts / total).sum(axis=-1))
+
+
+def split(part: Part) -> Atoms:
     """Split the positive samples into atoms and a continuous rest, row by row.
+
+    Samples in bins have no values of their own, and stay as they are.
 
     Examples
     --------
@@ -85,6 +102,8 @@ def split(part: PositivePart) -> Atoms:
     >>> atoms.values[:2], atoms.counts[:2], int(atoms.rest.n)
     (array([ 3., nan]), array([20,  0]), 180)
     """
+    if not isinstance(part, PositivePart):
+        return Atoms.none(part)
     shape, samples = part.n.shape, part.x.shape[-1]
     ascending, n = part.sorted.reshape(-1, samples), part.n.reshape(-1)
     equal = (ascending[:, 1:] == ascending[:, :-1]) & np.isfinite(ascending[:, 1:])
@@ -122,14 +141,22 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     ascending = np.take_along_axis(x, order, axis=-1)
     valid = np.arange(x.shape[-1]) < n[:, np.newaxis]
     log, count, run = _table(np.log(np.where(valid, ascending, 1.0)), valid)
-    kept, atoms, counts, many = _without_atoms(count)
+    kept, atoms, counts, many = _without_atoms(count, _widths(log))
     discrete = many | _is_discrete(log, kept)
+    # Where there are few values, each with several samples, they are all atoms.
+    few = discrete & (np.count_nonzero(count, axis=-1) <= MOST_ATOMS)
+    width = min(MOST_ATOMS, count.shape[-1])
+    atoms[few, :width] = np.argsort(-count[few], axis=-1, kind="stable")[:, :width]
+    counts[few] = np.take_along_axis(count[few], atoms[few], axis=-1)
+    counts[few, width:] = 0
+    counts[few] *= counts[few] >= _FEWEST
+    np.put_along_axis(kept, atoms, np.take_along_axis(count, atoms, axis=-1) - counts, axis=-1)
     values = np.take_along_axis(np.exp(log), atoms, axis=-1)
-    below, above = _half_steps(np.where(kept > 0, log, np.nan))
+    below, above = _half_steps(np.where(kept > 0, log, np.nan), kept > 1)
     rank = np.arange(x.shape[-1]) - np.take_along_axis(cumulative(count), run, axis=-1)
     share, below, above = (np.take_along_axis(v, run, axis=-1) for v in (kept, below, above))
     stays = valid & (rank < share)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         spread = ascending * np.exp((rank + 0.5) / np.maximum(share, 1) * (below + above) - below)
     moved, still = np.zeros_like(x), np.zeros_like(positive)
     np.put_along_axis(moved, order, np.where(stays & (share > 1), spread, ascending), axis=-1)
@@ -154,7 +181,17 @@ def _table(log: Floats, valid: Mask) -> tuple[Floats, Counts, Counts]:
     return value, count, run
 
 
-def _without_atoms(count: Counts) -> tuple[Counts, Counts, Counts, Mask]:
+def _widths(log: Floats) -> Floats:
+    """Return the width of what lies nearer to a value than to any other, shape of `log`."""
+    gap = np.full((len(log), log.shape[-1] + 1), np.nan)
+    gap[:, 1:-1] = np.diff(log, axis=-1)
+    below, above = gap[:, :-1], gap[:, 1:]
+    # The outer ones are as wide on both sides.
+    below, above = np.where(np.isnan(below), above, below), np.where(np.isnan(above), below, above)
+    return np.nan_to_num(0.5 * (below + above))
+
+
+def _without_atoms(count: Counts, width: Floats) -> tuple[Counts, Counts, Counts, Mask]:
     """Take atoms away, the most surprising of each row first.
 
     Return the counts without them, which values are atoms, shape (row, atom), how many samples each
@@ -164,7 +201,7 @@ def _without_atoms(count: Counts) -> tuple[Counts, Counts, Counts, Mask]:
     atoms, counts = np.zeros((2, len(count), MOST_ATOMS), dtype=np.int64)
     rows, many = np.arange(len(count)), np.zeros(len(count), dtype=bool)
     for atom in range(MOST_ATOMS + 1):
-        log_p, expected = _surprise(kept[rows])
+        log_p, expected = _surprise(kept[rows], width[rows])
         best = log_p.argmin(axis=-1)
         here = np.arange(len(rows))
         found = log_p[here, best] < np.log(_LEVEL / distinct[rows])
@@ -182,7 +219,7 @@ def _without_atoms(count: Counts) -> tuple[Counts, Counts, Counts, Mask]:
     return kept, atoms, counts, many
 
 
-def _surprise(count: Counts) -> tuple[Floats, Floats]:
+def _surprise(count: Counts, width: Floats) -> tuple[Floats, Floats]:
     """Return log p-values of counts among their neighbours, and what was expected, of their shape.
 
     An atom has three samples or more, and more than the values beside it have on average.
@@ -194,7 +231,7 @@ def _surprise(count: Counts) -> tuple[Floats, Floats]:
     row, at = np.nonzero((count >= _FEWEST) & (2 * count > beside))
     if not row.size:
         return log_p, expected
-    sums = np.stack([cumulative(v) for v in (count, count > 0)])
+    sums = np.stack([cumulative(v) for v in (count, count > 0, width)])
     log_rate, variance = np.zeros(len(row)), np.zeros(len(row))
     undecided = np.ones(len(row), dtype=bool)
     distinct = np.count_nonzero(count, axis=-1)
@@ -202,39 +239,47 @@ def _surprise(count: Counts) -> tuple[Floats, Floats]:
         here = np.flatnonzero(undecided)
         level, error, samples = _expected(sums, row[here], at[here], ring)
         log_rate[here], variance[here] = level, error
-        undecided[here] = (samples < _ENOUGH) & (8 * ring <= distinct[row[here]])
+        room = distinct[row[here]] / ring
+        undecided[here] = (samples < _ENOUGH) & (room >= 8) | (samples < _MANY) & (room >= 24)
     mean, number = np.exp(log_rate), count[row, at]
-    shape = 1 / variance
+    shape = 1 / np.maximum(variance, _LEAST_VARIANCE)
     with np.errstate(divide="ignore"):
-        tail, seen = (
-            np.log(special.betainc(k, shape, mean / (mean + shape))) for k in (number, 1)
-        )
+        tail, seen = (np.log(special.betainc(k, shape, mean / (mean + shape))) for k in (number, 1))
     log_p[row, at], expected[row, at] = tail - seen, mean
     return log_p, expected
 
 
-def _expected(
-    sums: Floats, row: Counts, at: Counts, ring: int
-) -> tuple[Floats, Floats, Floats]:
+def _expected(sums: Floats, row: Counts, at: Counts, ring: int) -> tuple[Floats, Floats, Floats]:
     """Return log expected counts, their variance, and how many samples they are from.
 
     They are from the `ring` nearest values on each side, and as many beyond these.
     """
     last = sums.shape[-1] - 1
-    edges = np.clip(at + np.array([-2 * ring, -ring, 0, 1, 1 + ring, 1 + 2 * ring])[:, np.newaxis], 0, last)
-    held = sums[:, row, edges]
-    samples, values = (np.delete(np.diff(v, axis=0), 2, axis=0) for v in held)
+    edges = np.clip(
+        at + np.array([-2 * ring, -ring, 0, 1, 1 + ring, 1 + 2 * ring])[:, np.newaxis], 0, last
+    )
+    held = np.diff(sums[:, row, edges], axis=1)
+    samples, values, width = np.delete(held, 2, axis=1)
     known = values > 0
     mean = (samples + 0.5) / np.maximum(values, 1)
     log_rate = np.interp(np.log(mean), *_TRUNCATED, right=np.nan)
     log_rate = np.where(np.isnan(log_rate), np.log(mean), log_rate)
-    error = 1 / ((samples + 0.5) * (1 + np.exp(log_rate) - mean))
+    rate = np.exp(log_rate)
+    if ring <= _CURVED:
+        # Of floats, the steps between values double at powers of two.
+        relative = held[2, 2] * values / np.where(width > 0, width, 1)
+        log_rate += np.log(np.clip(relative, 0.5, 2))
+    error = 1 / ((samples + 0.5) * (1 + rate - mean))
     near, far = (ring + 1) / 2, (3 * ring + 1) / 2
     curved = known.all(axis=0) & (ring <= _CURVED)
     beyond = np.where(curved, near**2 / (far**2 - near**2), 0.0)
     beside = known[1:3] * (1 + beyond) / np.maximum(known[1:3].sum(axis=0), 1)
     weight = np.stack([-beyond / 2, *beside, -beyond / 2])
-    return (weight * log_rate).sum(axis=0), (weight**2 * error).sum(axis=0), samples[1:3].sum(axis=0)
+    return (
+        (weight * log_rate).sum(axis=0),
+        (weight**2 * error).sum(axis=0),
+        samples[1:3].sum(axis=0),
+    )
 
 
 def _truncated() -> tuple[Floats, Floats]:
@@ -247,29 +292,33 @@ def _truncated() -> tuple[Floats, Floats]:
 _TRUNCATED = _truncated()
 
 
-def _half_steps(log: Floats) -> tuple[Floats, Floats]:
-    """Return how far what was rounded to a value may lie below and above it, shape of `log`.
+def _half_steps(log: Floats, wanted: Mask) -> tuple[Floats, Floats]:
+    """Return how far what was rounded to the wanted values may lie below and above them.
 
-    Half-way to the next value, unless that is further than twice the least of the four gaps around.
+    Half of a typical gap of the six around, the third smallest, but at most half-way to the next
+    value; shape of `log`, 0 where not wanted.
     """
-    gap = np.full((len(log), log.shape[-1] + 3), np.inf)
-    gap[:, 2:-2] = np.diff(log, axis=-1)
+    gap = np.full((len(log), log.shape[-1] + 5), np.inf)
+    gap[:, 3:-3] = np.diff(log, axis=-1)
     gap[np.isnan(gap)] = np.inf
-    least = np.min([gap[:, i : i + log.shape[-1]] for i in range(4)], axis=0)
-    least = np.where(np.isfinite(least), least, 0.0)
-    sides = gap[:, 1:-2], gap[:, 2:-1]
-    below, above = (np.where(side <= _UNEVEN * least, side, least) / 2 for side in sides)
-    return below, above
+    row, at = np.nonzero(wanted)
+    around = gap[row, at + np.arange(6)[:, np.newaxis]]
+    typical = np.sort(around, axis=0)[2]
+    typical = np.where(np.isfinite(typical), typical, 0.0)
+    half = np.zeros((2, *log.shape))
+    half[:, row, at] = np.minimum(around[2:4], typical) / 2
+    return half[0], half[1]
 
 
 def _is_discrete(log: Floats, kept: Counts) -> Mask:
     """Say which rows are a few values, or values with many samples in uneven steps, shape (row,)."""
-    few = np.count_nonzero(kept, axis=-1) < _FEWEST_VALUES
-    heavy = kept >= _HEAVY
-    most = 2 * np.where(heavy, kept, 0).sum(axis=-1) > kept.sum(axis=-1)
-    step = np.diff(np.sort(np.where(heavy, log, np.nan), axis=-1), axis=-1)
+    used = kept > 0
+    order = np.argsort(~used, axis=-1, kind="stable")
+    step = np.diff(np.take_along_axis(np.where(used, log, np.nan), order, axis=-1), axis=-1)
+    heavy = np.take_along_axis(kept, order, axis=-1)[:, 1:-1] >= _HEAVY
     with np.errstate(invalid="ignore"):
-        ratio = np.abs(np.diff(np.log(step), axis=-1))
-        uneven = np.count_nonzero(ratio > np.log(_UNEVEN), axis=-1)
-    known = np.count_nonzero(np.isfinite(ratio), axis=-1)
-    return np.asarray(few | most & (uneven > _IRREGULAR * known) & (known > 1))
+        uneven = np.abs(np.log(step[:, 1:] / step[:, :-1])) > np.log(_UNEVEN)
+    few = np.count_nonzero(used, axis=-1) < _FEWEST_VALUES
+    most = 2 * np.where(kept >= _HEAVY, kept, 0).sum(axis=-1) > kept.sum(axis=-1)
+    share = np.count_nonzero(heavy & uneven, axis=-1) > _IRREGULAR * np.count_nonzero(heavy, axis=-1)
+    return np.asarray(few | most & share)

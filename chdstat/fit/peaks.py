@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat.errors import Reason
 from chdstat.fit import em
 from chdstat.fit.em import Solution
 from chdstat.fit.search import Found, log_samples, score, search
@@ -30,8 +31,10 @@ _WORST = 1e-12
 """Reciprocal condition at or below which an information matrix counts as singular."""
 
 
-def standard_errors(solution: Solution, summaries: Summaries) -> Floats:
-    """Return standard errors of weights and both parameters, shape (3, component, row).
+def standard_errors(
+    solution: Solution, summaries: Summaries
+) -> tuple[Floats, npt.NDArray[np.int8]]:
+    """Return standard errors of weights and both parameters, (3, component, row), and `Reason`s.
 
     Inverse of the empirical information, the sum of the outer products of the scores of the samples
     (McLachlan and Peel, "Finite mixture models", 2000, doi:10.1002/0471721182, equation 2.62), here
@@ -49,7 +52,9 @@ def standard_errors(solution: Solution, summaries: Summaries) -> Floats:
             own[k - 1 :].reshape(2, k, -1), parameters, family.logarithmic, strict=True
         )
     )
-    return np.stack([np.vstack([own[: k - 1], np.where(k > 1, last, 0.0)]), *errors])
+    errors = np.stack([np.vstack([own[: k - 1], np.where(k > 1, last, 0.0)]), *errors])
+    reason = np.where(np.isnan(errors).any(axis=(0, 1)), Reason.NOT_REGULAR, Reason.OK)
+    return errors, reason.astype(np.int8)
 
 
 def _covariance(solution: Solution, summaries: Summaries) -> Floats:

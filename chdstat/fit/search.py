@@ -220,6 +220,12 @@ class Found:
         """Groups of the rows, as close to the samples as there are."""
         return self.objective.corrected
 
+    def among(self, chosen: Mask) -> Found:
+        """Select rows of these."""
+        at = np.flatnonzero(chosen)
+        solutions = [solution.take(at) for solution in self.solutions]
+        return Found(self.rows[at], solutions, self.objective.take(at))
+
     def also(self, family: MixtureFamily, rows: Counts) -> list[Solution]:
         """Fit another family to some of the rows, from where the solutions of this one are."""
         kind, objective, solutions = COMPONENTS[family], self.objective.take(rows), []

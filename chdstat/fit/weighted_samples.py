@@ -416,7 +416,9 @@ def _spacing(y: Floats, n: Counts) -> Floats:
     gaps[np.arange(1, y.shape[-1]) >= n[:, np.newaxis]] = np.inf
     gaps.sort(axis=-1)
     middle = np.maximum(n - 2, 0)[:, np.newaxis] // 2
-    spacing = np.zeros(len(y)) if gaps.shape[-1] == 0 else np.take_along_axis(gaps, middle, -1)[:, 0]
+    spacing = (
+        np.zeros(len(y)) if gaps.shape[-1] == 0 else np.take_along_axis(gaps, middle, -1)[:, 0]
+    )
     return np.where(n > 1, spacing, 0.0)
 
 
