@@ -311,7 +311,7 @@ def _half_steps(log: Floats, wanted: Mask) -> tuple[Floats, Floats]:
 
 
 def _is_discrete(log: Floats, kept: Counts) -> Mask:
-    """Say which rows are a few values, or values with many samples in uneven steps, shape (row,)."""
+    """Say which rows are a few values, or values of many samples in uneven steps, shape (row,)."""
     used = kept > 0
     order = np.argsort(~used, axis=-1, kind="stable")
     step = np.diff(np.take_along_axis(np.where(used, log, np.nan), order, axis=-1), axis=-1)
@@ -320,5 +320,5 @@ def _is_discrete(log: Floats, kept: Counts) -> Mask:
         uneven = np.abs(np.log(step[:, 1:] / step[:, :-1])) > np.log(_UNEVEN)
     few = np.count_nonzero(used, axis=-1) < _FEWEST_VALUES
     most = 2 * np.where(kept >= _HEAVY, kept, 0).sum(axis=-1) > kept.sum(axis=-1)
-    share = np.count_nonzero(heavy & uneven, axis=-1) > _IRREGULAR * np.count_nonzero(heavy, axis=-1)
-    return np.asarray(few | most & share)
+    several = _IRREGULAR * np.count_nonzero(heavy, axis=-1)
+    return np.asarray(few | most & (np.count_nonzero(heavy & uneven, axis=-1) > several))

@@ -138,7 +138,7 @@ class ZeroInflated(Shown):
         return np.where(np.isnan(self.null_share), np.nan, zeros / np.maximum(zeros + self.n, 1))
 
     def pdf(self, x: npt.ArrayLike) -> Floats:
-        """Return the density of the positive part alone: it integrates to 1, less a mixture's atoms.
+        """Return the density of the positive part alone: to 1 it lacks the atoms of a mixture only.
 
         Multiply by ``1 - zero_share`` for the density of the whole model away from 0. The result
         has the shape of the batch followed by that of `x`, which are radiances of any shape.

@@ -28,7 +28,7 @@ from chdstat.fit.families import (
     label_fit,
     zero_log_likelihood,
 )
-from chdstat.fit.peaks import standard_errors
+from chdstat.fit.mixture_errors import standard_errors
 from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, log_samples, score, search
 from chdstat.summary.dispatch import Part, Source, of_source, run
 
@@ -249,20 +249,24 @@ class ChosenMixtures:
         values = np.stack([s.log_likelihood for s in solutions], axis=-1)
         # Minus infinity stands for what the search did not try.
         self._likelihoods[found.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
+        log_n = log_samples(found.summaries.n)
+        scores = np.stack([score(s, log_n) for s in solutions], axis=-1)
         if self._chosen is not None:
             best = np.full(len(found.rows), self._chosen - 1)
         elif self._held_out is not None:
             best = _highest(self._held_out[found.rows], allowed)
         else:
-            log_n = log_samples(found.summaries.n)
-            best = _highest(np.stack([score(s, log_n) for s in solutions], axis=-1), allowed)
+            best = _highest(scores, allowed)
         for k in np.unique(best):
             at = np.flatnonzero(best == k)
             rows, solution = found.rows[at], solutions[k].take(at)
             weight, family = np.exp(solution.state[0]), solution.family
             parameters = family.parameters(solution.state, solution.origin)
             estimates = np.stack([weight / weight.sum(axis=0), *parameters])
-            errors, self._error_reason[rows] = standard_errors(solution, found.summaries.take(at))
+            gain = scores[at, k] - scores[at, :k].max(axis=-1, initial=-np.inf)
+            errors, self._error_reason[rows] = standard_errors(
+                solution, found.summaries.take(at), gain
+            )
             order = np.argsort(family.median(solution.state), axis=0)[np.newaxis, np.newaxis]
             ordered = np.take_along_axis(np.stack([estimates, errors]), order, axis=2)
             self._table[:, :, rows, : k + 1] = np.moveaxis(ordered, -1, 2)

@@ -6,9 +6,11 @@ from scipy import integrate, stats
 from sklearn.mixture import GaussianMixture
 
 import chdstat as chd
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.fit import mixture
-from chdstat.fit.em import COMPONENTS, bound_at, run
+from chdstat.fit.atoms import split
+from chdstat.fit.em import COMPONENTS, bound_at, penalty, run
 from chdstat.fit.search import segmentations
 from chdstat.fit.weighted_samples import summaries_of_each, summaries_of_samples
 
@@ -27,14 +29,13 @@ def two_gammas(rng, shape, share=0.4):
 
 
 def renders(rng, rows, spp):
-    """Rows as renders have them: lobes of any width, spikes, far outliers, an atom, few samples."""
+    """Rows as renders have them: lobes of any width, spikes, far outliers, few samples."""
     x = np.empty((rows, spp))
     for row in x:
         k = rng.integers(1, 5)
         which = rng.choice(k, size=spp, p=rng.dirichlet(np.ones(k)))
         spread = 10.0 ** rng.uniform(-2.5, 0.3, size=k)
         row[:] = np.exp(rng.normal(rng.normal(scale=2.5, size=k)[which], spread[which]))
-    x[::4, : spp // 5] = x[::4, :1]
     x[1::4, :2] *= 1e-9
     x[2::4, : spp // 2] = 0
     return rng.permuted(x, axis=-1)
@@ -99,13 +100,17 @@ def test_parameters_of_gamma_components_are_recovered():
 
 @pytest.mark.parametrize("k", [2, 3])
 def test_likelihood_is_at_least_that_of_scikit_learn(k):
-    """On 99 % of the pixels; here 60 made-up ones, so one miss is allowed."""
+    """On 99 % of the pixels; here 60 made-up ones, so one miss is allowed.
+
+    Theirs may have a component of a single sample, which ours may not.
+    """
     x = renders(np.random.default_rng(4), 60, 256)
     gain = mixture(x, k).log_likelihood - mixture(x, 1).log_likelihood
     missed = 0
     for row, of_all in zip(x, gain, strict=True):
         y = np.log(row[row > 0])[:, np.newaxis]
-        best = GaussianMixture(k, n_init=5, random_state=0).fit(y).score(y)
+        theirs = GaussianMixture(k, n_init=5, random_state=0).fit(y)
+        best = theirs.score(y) if theirs.weights_.min() * len(y) > 1.5 else -np.inf
         one = stats.norm(y.mean(), y.std()).logpdf(y).mean()
         missed += of_all / len(y) < best - one - 1e-3
     assert missed <= 1
@@ -158,15 +163,20 @@ def test_more_components_are_never_less_likely(family):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_every_cycle_raises_the_bound(family):
+def test_every_cycle_raises_the_penalised_bound(family):
     ascending = logarithms(renders(np.random.default_rng(10), 40, 300))
     kind = COMPONENTS[family]
     for summaries in (summaries_of_samples(*ascending), summaries_of_each(*ascending)):
         state = next(segmentations(summaries, kind, 3))
-        before = bound_at(summaries, kind, state)
+
+        def penalised(state, summaries=summaries):
+            bound = bound_at(summaries, kind, state)
+            return bound + penalty(kind, state, summaries.spacing)
+
+        before = penalised(state)
         for _ in range(10):
             state = run(summaries, kind, state, cycles=1, tolerance=0.0).state
-            after = bound_at(summaries, kind, state)
+            after = penalised(state)
             assert (after >= before - 1e-7 * np.abs(before)).all()
             before = after
 
