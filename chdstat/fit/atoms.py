@@ -81,11 +81,11 @@ class Atoms:
         values, counts = np.full((*shape, MOST_ATOMS), np.nan), np.zeros((*shape, MOST_ATOMS), int)
         return cls(values, counts, part, *np.zeros((2, *shape), dtype=bool))
 
-    @property
-    def log_likelihood(self) -> Floats:
-        """Log-likelihood of which positive samples are at which atom, or at none, shape (...)."""
-        parts = np.concatenate([self.counts, self.rest.n[..., np.newaxis]], axis=-1)
-        total = np.maximum(parts.sum(axis=-1, keepdims=True), 1)
+    def log_likelihood(self, n: Counts) -> Floats:
+        """Return that of which of n positive samples are at which atom, or at none, shape (...)."""
+        others = n - self.counts.sum(axis=-1)
+        parts = np.concatenate([self.counts, others[..., np.newaxis]], axis=-1)
+        total = np.maximum(n, 1)[..., np.newaxis]
         return np.asarray(special.xlogy(parts, parts / total).sum(axis=-1))
 
 
@@ -140,7 +140,8 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     order = np.argsort(np.where(positive, x, np.inf), axis=-1, kind="stable")
     ascending = np.take_along_axis(x, order, axis=-1)
     valid = np.arange(x.shape[-1]) < n[:, np.newaxis]
-    log, count, run = _table(np.log(np.where(valid, ascending, 1.0)), valid)
+    value, count, run = _table(ascending, valid)
+    log = np.log(value)
     kept, atoms, counts, many = _without_atoms(count, _widths(log))
     discrete = many | _is_discrete(log, kept)
     # Where there are few values, each with several samples, they are all atoms.
@@ -150,8 +151,9 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     counts[few] = np.take_along_axis(count[few], atoms[few], axis=-1)
     counts[few, width:] = 0
     counts[few] *= counts[few] >= _FEWEST
-    np.put_along_axis(kept, atoms, np.take_along_axis(count, atoms, axis=-1) - counts, axis=-1)
-    values = np.take_along_axis(np.exp(log), atoms, axis=-1)
+    rows, slots = np.nonzero(counts)
+    kept[rows, atoms[rows, slots]] = count[rows, atoms[rows, slots]] - counts[rows, slots]
+    values = np.take_along_axis(value, atoms, axis=-1)
     below, above = _half_steps(np.where(kept > 0, log, np.nan), kept > 1)
     rank = np.arange(x.shape[-1]) - np.take_along_axis(cumulative(count), run, axis=-1)
     share, below, above = (np.take_along_axis(v, run, axis=-1) for v in (kept, below, above))
@@ -164,19 +166,19 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     return np.where(counts > 0, values, np.nan), counts, discrete, moved, still
 
 
-def _table(log: Floats, valid: Mask) -> tuple[Floats, Counts, Counts]:
+def _table(ascending: Floats, valid: Mask) -> tuple[Floats, Counts, Counts]:
     """Return distinct values, how many samples each has, and which one each sample has.
 
     The last of the values, shape (row, value), is always none: NaN, without samples.
     """
-    begins = np.ones(log.shape, dtype=bool)
-    begins[:, 1:] = log[:, 1:] != log[:, :-1]
+    begins = np.ones(ascending.shape, dtype=bool)
+    begins[:, 1:] = ascending[:, 1:] != ascending[:, :-1]
     begins &= valid
     width = int(np.count_nonzero(begins, axis=-1).max(initial=0)) + 1
     run = np.where(valid, np.cumsum(begins, axis=-1) - 1, width - 1)
-    value = np.full((len(log), width), np.nan)
-    value[np.nonzero(begins)[0], run[begins]] = log[begins]
-    place = run + width * np.arange(len(log))[:, np.newaxis]
+    value = np.full((len(run), width), np.nan)
+    value[np.nonzero(begins)[0], run[begins]] = ascending[begins]
+    place = run + width * np.arange(len(run))[:, np.newaxis]
     count = np.bincount(place[valid], minlength=value.size).reshape(value.shape)
     return value, count, run
 
@@ -295,15 +297,16 @@ _TRUNCATED = _truncated()
 def _half_steps(log: Floats, wanted: Mask) -> tuple[Floats, Floats]:
     """Return how far what was rounded to the wanted values may lie below and above them.
 
-    Half of a typical gap of the six around, the third smallest, but at most half-way to the next
-    value; shape of `log`, 0 where not wanted.
+    Half of the median of the gaps to and between three values on each side, but at most half-way to
+    the next value; shape of `log`, 0 where not wanted.
     """
     gap = np.full((len(log), log.shape[-1] + 5), np.inf)
     gap[:, 3:-3] = np.diff(log, axis=-1)
     gap[np.isnan(gap)] = np.inf
     row, at = np.nonzero(wanted)
     around = gap[row, at + np.arange(6)[:, np.newaxis]]
-    typical = np.sort(around, axis=0)[2]
+    middle = np.count_nonzero(np.isfinite(around), axis=0) // 2
+    typical = np.take_along_axis(np.sort(around, axis=0), middle[np.newaxis], axis=0)[0]
     typical = np.where(np.isfinite(typical), typical, 0.0)
     half = np.zeros((2, *log.shape))
     half[:, row, at] = np.minimum(around[2:4], typical) / 2

@@ -229,7 +229,7 @@ COMPONENTS = {
 """Families of components by name."""
 
 
-_MORE, _APART = 1.0, 2.5
+_MORE, _APART = 1.0, 2.0
 """Samples that each component counts beside its own, and their distance from its centre, in median
 distances of neighbours."""
 _LEAST_SIZE = 1e-10

@@ -23,9 +23,9 @@ __all__ = ["covariance", "directions", "standard_errors"]
 _SMALLEST = 1e-150
 _WORST = 1e-12
 """Reciprocal condition at or below which an information matrix counts as singular."""
-_FEWEST, _TIMES, _CLEAR = 30, 3, 18.0
-"""Least samples of each of several components, how many times those that the family asks for there
-must be for its parameters, and least score by which there are that many components."""
+_FEWEST, _TIMES, _CLEAR = 30, 10, 18.0
+"""Least samples of each of several components; how many times those that the family asks for there
+must be of all; and least score by which there are that many components."""
 _FALL, _FLATTER, _STEEPER = 0.5 * 1.96**2, 0.7, 2.0
 """Fall of the log-likelihood at either end of an interval of 95 %, and how much of it there must be
 at least and at most."""
@@ -74,7 +74,8 @@ def standard_errors(
         family.logarithmic,
         strict=True,
     ):
-        enough = size >= described.errors_from.get(name, 0) * (1 if k == 1 else _TIMES)
+        least = described.errors_from.get(name, 0)
+        enough = (size >= least) & ((k == 1) | (summaries.n >= _TIMES * least))
         few |= ~enough.all(axis=0)
         error = error * parameter if logarithmic else error
         errors.append(np.where(enough, error, np.nan))

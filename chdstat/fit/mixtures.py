@@ -22,6 +22,7 @@ from chdstat.fit.em import COMPONENTS, MixtureFamily
 from chdstat.fit.families import (
     ZeroInflated,
     counts_of,
+    estimate_part,
     expand,
     fit_variables,
     get_family,
@@ -30,6 +31,7 @@ from chdstat.fit.families import (
 )
 from chdstat.fit.mixture_errors import standard_errors
 from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, log_samples, score, search
+from chdstat.fit.weighted_samples import take_part
 from chdstat.summary.dispatch import Part, Source, of_source, run
 
 if TYPE_CHECKING:
@@ -81,7 +83,7 @@ class Mixture(ZeroInflated):
     aic, bic
         Of the chosen mixture. It has 3 k parameters: those of k components, k - 1 weights, and the
         zero share, as `Fit` counts them. Of each component beyond the first, BIC counts three as if
-        there were at least 128 samples: it is an expansion for many.
+        there were at least 160 samples: it is an expansion for many.
     bics
         For 1 to K components, shape (..., K); NaN where there are too few samples for so many.
     held_out
@@ -278,7 +280,7 @@ class ChosenMixtures:
         part, atoms, largest = self._part, self._atoms, self._likelihoods.shape[-1]
         shape, n = part.n.shape, atoms.rest.n
         jacobian = -n * atoms.rest.log_statistics.log_mean
-        others = zero_log_likelihood(part) + atoms.log_likelihood
+        others = zero_log_likelihood(part) + atoms.log_likelihood(part.n)
         values = self._likelihoods.reshape(*shape, largest) + (jacobian + others)[..., np.newaxis]
         k = self._k.reshape(shape)
         further = 3 * np.arange(largest) * log_samples(n)[..., np.newaxis]
@@ -442,10 +444,62 @@ def mixture_of_part(
             )
             raise InputError(message)
         held_out = _held_out(atoms.rest, reason == Reason.OK, family, largest, effort)
+    atoms = replace(atoms, rest=before_clamps(part, atoms, family))
     chosen = ChosenMixtures(part, atoms, reason, largest, k=k, held_out=held_out)
     for found in search(atoms.rest, reason == Reason.OK, family, largest, effort=effort):
         chosen.enter(found)
     return chosen.result(family)
+
+
+_IMPUTATIONS, _LAMP = 12, 0.1
+"""How often clamped samples are drawn anew; and the share of an atom at the top that one law leaves
+to its tail, below which the atom is a lamp, not a clamp."""
+
+
+def before_clamps(part: Part, atoms: Atoms, family: MixtureFamily) -> Part:
+    """Return the continuous rest with the samples of an atom at its top as they may have been.
+
+    A clamp cuts a law off, and the rest alone looks like several components. Its samples become
+    the quantiles of the tail that one component leaves above it, which is fitted to all of them in
+    turn (multiple imputation without the noise: Wei and Tanner, "A Monte Carlo implementation of
+    the EM algorithm", 1990, doi:10.1080/01621459.1990.10474930).
+    """
+    if not isinstance(part, PositivePart) or not isinstance(atoms.rest, PositivePart):
+        return atoms.rest
+    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
+    top = np.take_along_axis(part.sorted, last, axis=-1).astype(np.float64)
+    held = np.where(atoms.values == top, atoms.counts, 0).sum(axis=-1)
+    rows = np.flatnonzero((held > 0) & ~atoms.discrete)
+    if not rows.size:
+        return atoms.rest
+    described, rest, whole = get_family(family), take_part(atoms.rest, rows), take_part(part, rows)
+    top, held = top.reshape(-1)[rows], held.reshape(-1)[rows]
+    clamped = whole.positive & ~rest.positive & (whole.x == top[:, np.newaxis])
+    parameters = estimate_part(rest, described)[0].parameters
+    with np.errstate(invalid="ignore"):
+        clamped &= (described.distribution(parameters).sf(top) * rest.n > _LAMP * held)[:, None]
+    row, at = np.nonzero(clamped)
+    share = (np.cumsum(clamped, axis=-1)[row, at] - 0.5) / held[row]
+    filled = replace(
+        rest,
+        x=rest.x.copy(),
+        positive=rest.positive | clamped,
+        n=rest.n + np.count_nonzero(clamped, axis=-1),
+    )
+    for _ in range(_IMPUTATIONS):
+        law = described.distribution({name: value[row] for name, value in parameters.items()})
+        filled.x[row, at] = law.isf(share * law.sf(top[row]))
+        filled = replace(filled)
+        parameters = estimate_part(filled, described)[0].parameters
+    x, positive, n = (
+        v.reshape(-1, *v.shape[part.n.ndim :]).copy()
+        for v in (atoms.rest.x, atoms.rest.positive, atoms.rest.n)
+    )
+    x[rows], positive[rows], n[rows] = filled.x, filled.positive, filled.n
+    shape = part.x.shape
+    return replace(
+        atoms.rest, x=x.reshape(shape), positive=positive.reshape(shape), n=n.reshape(shape[:-1])
+    )
 
 
 def reasons_of_rest(part: Part, atoms: Atoms, minimum: int) -> npt.NDArray[np.int8]:

@@ -257,12 +257,12 @@ def search(
         yield Found(rows, _fit(objective, COMPONENTS[family], max_k, bar), objective)
 
 
-_FEW = 128
+_FEW = 160
 """BIC is an expansion for many samples: of fewer than these, a mixture fits chance."""
 
 
 def log_samples(n: Counts | Floats) -> Floats:
-    """Return the log n of a score: at least that of 128 samples."""
+    """Return the log n of a score: at least that of 160 samples."""
     return np.asarray(np.log(np.maximum(n, _FEW)))
 
 

@@ -32,7 +32,7 @@ from chdstat._core.resampling import q_values
 from chdstat.errors import Reason
 from chdstat.fit.atoms import split
 from chdstat.fit.families import Fit
-from chdstat.fit.mixtures import ChosenMixtures, Mixture, reasons_of_rest
+from chdstat.fit.mixtures import ChosenMixtures, Mixture, before_clamps, reasons_of_rest
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
 from chdstat.fit.search import Found, search
 from chdstat.fit.unimodal_bic import unimodal_scores
@@ -213,6 +213,7 @@ def mixture_and_modes_of_part(
     """
     atoms = split(part)
     reason = reasons_of_rest(part, atoms, _MINIMUM)
+    atoms = replace(atoms, rest=before_clamps(part, atoms, "lognormal"))
     chosen, apart = ChosenMixtures(part, atoms, reason, MODES), atoms.tied.reshape(-1)
     modality = modality_of_part(
         part, fits=fits, also=lambda found: chosen.enter(found.among(~apart[found.rows]))
