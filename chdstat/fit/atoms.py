@@ -20,10 +20,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from scipy import special
 
 from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat.errors import Reason
 from chdstat.fit.weighted_samples import cumulative
 from chdstat.summary.dispatch import Part
 
@@ -81,6 +83,12 @@ class Atoms:
         values, counts = np.full((*shape, MOST_ATOMS), np.nan), np.zeros((*shape, MOST_ATOMS), int)
         return cls(values, counts, part, *np.zeros((2, *shape), dtype=bool))
 
+    def reason(self, part: Part, minimum: int) -> npt.NDArray[np.int8]:
+        """Say why rows have no continuous rest of at least so many samples, as `Reason` codes."""
+        whole, rest = part.reason(minimum), self.rest.reason(minimum)
+        gone = self.discrete | (rest != Reason.OK) & (self.rest.n < part.n)
+        return np.where(whole == Reason.OK, np.where(gone, Reason.TIED, rest), whole)
+
     def log_likelihood(self, n: Counts) -> Floats:
         """Return that of which of n positive samples are at which atom, or at none, shape (...)."""
         others = n - self.counts.sum(axis=-1)
@@ -113,17 +121,16 @@ def split(part: Part) -> Atoms:
     discrete, rest = np.zeros(n.size, dtype=bool), part
     rows = np.flatnonzero(tied)
     if rows.size:
-        x, positive = (
-            a.reshape(-1, samples).copy() for a in (part.x.astype(np.float64), part.positive)
-        )
+        x = np.array(part.x, dtype=np.float64).reshape(-1, samples)
+        positive = np.array(part.positive).reshape(-1, samples)
         for piece in spans(len(rows), max(1, _CHUNK // samples)):
             at = rows[piece]
             found = _split_rows(x[at], positive[at], n[at])
             values[at], counts[at], discrete[at], x[at], positive[at] = found
         rest = replace(
             part,
-            x=x.reshape(part.x.shape),
-            positive=positive.reshape(part.x.shape),
+            x=np.asarray(x.reshape(part.x.shape)),
+            positive=np.asarray(positive.reshape(part.x.shape)),
             n=(n - counts.sum(axis=-1)).reshape(shape),
         )
     return Atoms(
@@ -156,7 +163,8 @@ def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
     values = np.take_along_axis(value, atoms, axis=-1)
     below, above = _half_steps(np.where(kept > 0, log, np.nan), kept > 1)
     rank = np.arange(x.shape[-1]) - np.take_along_axis(cumulative(count), run, axis=-1)
-    share, below, above = (np.take_along_axis(v, run, axis=-1) for v in (kept, below, above))
+    share = np.take_along_axis(kept, run, axis=-1)
+    below, above = (np.take_along_axis(v, run, axis=-1) for v in (below, above))
     stays = valid & (rank < share)
     with np.errstate(invalid="ignore", over="ignore"):
         spread = ascending * np.exp((rank + 0.5) / np.maximum(share, 1) * (below + above) - below)

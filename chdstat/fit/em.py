@@ -10,7 +10,11 @@ differ within groups, they give the largest lower bound of the log-likelihood, a
 it (Verbeek, Nunnink and Vlassis, "Accelerated EM-based clustering of large data sets", 2006,
 doi:10.1007/s10618-005-0033-3). Steps are extrapolated by SQUAREM (Varadhan and Roland, "Simple and
 globally convergent methods for accelerating the convergence of any EM algorithm", 2008,
-doi:10.1111/j.1467-9469.2007.00585.x, scheme S3), which is undone wherever the bound falls.
+doi:10.1111/j.1467-9469.2007.00585.x, scheme S3), which is undone wherever the bound falls. The bound
+is penalised: each of several components counts a sample beside its own (`state_of`), a conjugate
+prior of its spread (Fraley and Raftery, "Bayesian regularization for normal mixture estimation and
+model-based clustering", 2007, doi:10.1007/s00357-007-0004-5), without which a component of two or
+three samples that happen to lie close is a spike.
 """
 
 from __future__ import annotations

@@ -18,11 +18,11 @@ from chdstat._core.display import Card
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.errors import InputError, Reason, check_option
 from chdstat.fit.atoms import Atoms, split
+from chdstat.fit.clamps import before_clamps
 from chdstat.fit.em import COMPONENTS, MixtureFamily
 from chdstat.fit.families import (
     ZeroInflated,
     counts_of,
-    estimate_part,
     expand,
     fit_variables,
     get_family,
@@ -31,7 +31,6 @@ from chdstat.fit.families import (
 )
 from chdstat.fit.mixture_errors import standard_errors
 from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, log_samples, score, search
-from chdstat.fit.weighted_samples import take_part
 from chdstat.summary.dispatch import Part, Source, of_source, run
 
 if TYPE_CHECKING:
@@ -148,7 +147,7 @@ class Mixture(ZeroInflated):
     def mean(self) -> Floats:
         """Return the expectation of zeros, atoms and components together, shape (...)."""
         of_atoms = np.vecdot(np.nan_to_num(self.atoms), self.atom_weights)
-        return super().mean() + (1 - self.zero_share) * of_atoms
+        return np.asarray(super().mean() + (1 - self.zero_share) * of_atoms)
 
     def rvs(self, size: int, *, seed: Seed = None) -> Floats:
         """Draw samples of all point masses and components, shape (..., size)."""
@@ -358,8 +357,14 @@ def mixture(
     hardly depends on spp. Its log-likelihood is of linear radiance and compares with that of any
     family.
 
-    The likelihood of a mixture has no maximum: a component may shrink to one sample. Its standard
-    deviation in log x is therefore at least 1e-3, as in scikit-learn, whose `reg_covar` is 1e-6.
+    The likelihood of a mixture has no maximum: a component may shrink to one sample. Therefore each
+    of several components counts one sample more, at two median distances of neighbouring samples
+    from its centre, and its standard deviation in log x is at least 1e-3.
+
+    Values that more samples share than a continuous law explains are atoms, see
+    `chdstat.fit.atoms`: the components describe the rest, of which samples that rounding made equal
+    are spread over what was rounded to them. Those of a clamp take part as the tail that one
+    component leaves above it. The number of components is chosen among 5 samples or more.
 
     Parameters
     ----------
@@ -397,6 +402,10 @@ def mixture(
     doi:10.1111/j.2517-6161.1977.tb01600.x. Verbeek, Nunnink and Vlassis, "Accelerated EM-based
     clustering of large data sets", 2006, doi:10.1007/s10618-005-0033-3. Smyth, "Model selection for
     probabilistic clustering using cross-validated likelihood", 2000, doi:10.1023/A:1008940618127.
+    Fraley and Raftery, "Bayesian regularization for normal mixture estimation and model-based
+    clustering", 2007, doi:10.1007/s00357-007-0004-5 (the penalty is the inverse gamma prior there,
+    much weaker). Chen and Tan, "Inference for multivariate normal mixtures", 2009,
+    doi:10.1016/j.jmva.2008.12.006.
 
     Examples
     --------
@@ -432,13 +441,13 @@ def mixture_of_part(
     """Fit a mixture to samples that are already split; options as of `mixture`."""
     largest = max_k if k is None else k
     atoms = split(part)
-    reason = reasons_of_rest(part, atoms, 3 * min(largest, 2) - 1)
+    reason = atoms.reason(part, 3 * min(largest, 2) - 1)
     if k is not None:
         least = _allowed_components(atoms.rest, k)[..., k - 1]
         reason[(reason == Reason.OK) & ~least] = Reason.TOO_FEW
     held_out = None
     if criterion == "held_out":
-        if not isinstance(part, PositivePart):
+        if not isinstance(atoms.rest, PositivePart):
             message = (
                 "held-out likelihood needs samples: a histogram has lost their order; use 'bic'"
             )
@@ -449,64 +458,6 @@ def mixture_of_part(
     for found in search(atoms.rest, reason == Reason.OK, family, largest, effort=effort):
         chosen.enter(found)
     return chosen.result(family)
-
-
-_IMPUTATIONS, _LAMP = 12, 0.1
-"""How often clamped samples are drawn anew; and the share of an atom at the top that one law leaves
-to its tail, below which the atom is a lamp, not a clamp."""
-
-
-def before_clamps(part: Part, atoms: Atoms, family: MixtureFamily) -> Part:
-    """Return the continuous rest with the samples of an atom at its top as they may have been.
-
-    A clamp cuts a law off, and the rest alone looks like several components. Its samples become
-    the quantiles of the tail that one component leaves above it, which is fitted to all of them in
-    turn (multiple imputation without the noise: Wei and Tanner, "A Monte Carlo implementation of
-    the EM algorithm", 1990, doi:10.1080/01621459.1990.10474930).
-    """
-    if not isinstance(part, PositivePart) or not isinstance(atoms.rest, PositivePart):
-        return atoms.rest
-    last = np.maximum(part.n - 1, 0)[..., np.newaxis]
-    top = np.take_along_axis(part.sorted, last, axis=-1).astype(np.float64)
-    held = np.where(atoms.values == top, atoms.counts, 0).sum(axis=-1)
-    rows = np.flatnonzero((held > 0) & ~atoms.discrete)
-    if not rows.size:
-        return atoms.rest
-    described, rest, whole = get_family(family), take_part(atoms.rest, rows), take_part(part, rows)
-    top, held = top.reshape(-1)[rows], held.reshape(-1)[rows]
-    clamped = whole.positive & ~rest.positive & (whole.x == top[:, np.newaxis])
-    parameters = estimate_part(rest, described)[0].parameters
-    with np.errstate(invalid="ignore"):
-        clamped &= (described.distribution(parameters).sf(top) * rest.n > _LAMP * held)[:, None]
-    row, at = np.nonzero(clamped)
-    share = (np.cumsum(clamped, axis=-1)[row, at] - 0.5) / held[row]
-    filled = replace(
-        rest,
-        x=rest.x.copy(),
-        positive=rest.positive | clamped,
-        n=rest.n + np.count_nonzero(clamped, axis=-1),
-    )
-    for _ in range(_IMPUTATIONS):
-        law = described.distribution({name: value[row] for name, value in parameters.items()})
-        filled.x[row, at] = law.isf(share * law.sf(top[row]))
-        filled = replace(filled)
-        parameters = estimate_part(filled, described)[0].parameters
-    x, positive, n = (
-        v.reshape(-1, *v.shape[part.n.ndim :]).copy()
-        for v in (atoms.rest.x, atoms.rest.positive, atoms.rest.n)
-    )
-    x[rows], positive[rows], n[rows] = filled.x, filled.positive, filled.n
-    shape = part.x.shape
-    return replace(
-        atoms.rest, x=x.reshape(shape), positive=positive.reshape(shape), n=n.reshape(shape[:-1])
-    )
-
-
-def reasons_of_rest(part: Part, atoms: Atoms, minimum: int) -> npt.NDArray[np.int8]:
-    """Say why rows have no continuous rest of at least so many samples, as `Reason` codes."""
-    reason, rest = part.reason(minimum), atoms.rest.reason(minimum)
-    gone = (rest != Reason.OK) & (atoms.rest.n < part.n)
-    return np.where(reason == Reason.OK, np.where(atoms.discrete | gone, Reason.TIED, rest), reason)
 
 
 def _held_out(

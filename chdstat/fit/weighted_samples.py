@@ -462,7 +462,7 @@ def _spikes(gaps: Floats) -> Counts:
     return np.argpartition(contrast, -kept, axis=-1)[:, -kept:]
 
 
-def cumulative(values: Floats) -> Floats:
+def cumulative(values: npt.NDArray[Any]) -> Floats:
     """Return sums of the values before each, and of all of them, shape (row, value + 1)."""
     sums = np.zeros((values.shape[0], values.shape[1] + 1))
     np.cumsum(values, axis=-1, out=sums[:, 1:])

@@ -31,8 +31,9 @@ from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values
 from chdstat.errors import Reason
 from chdstat.fit.atoms import split
+from chdstat.fit.clamps import before_clamps
 from chdstat.fit.families import Fit
-from chdstat.fit.mixtures import ChosenMixtures, Mixture, before_clamps, reasons_of_rest
+from chdstat.fit.mixtures import ChosenMixtures, Mixture
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
 from chdstat.fit.search import Found, search
 from chdstat.fit.unimodal_bic import unimodal_scores
@@ -212,7 +213,7 @@ def mixture_and_modes_of_part(
     mixtures are searched for once more, without the atoms.
     """
     atoms = split(part)
-    reason = reasons_of_rest(part, atoms, _MINIMUM)
+    reason = atoms.reason(part, _MINIMUM)
     atoms = replace(atoms, rest=before_clamps(part, atoms, "lognormal"))
     chosen, apart = ChosenMixtures(part, atoms, reason, MODES), atoms.tied.reshape(-1)
     modality = modality_of_part(
