@@ -76,7 +76,7 @@ class Reason(enum.IntEnum):
     NONE_POSITIVE = 7
     """No sample is positive, and some are negative: they have no logarithm."""
     TIED = 8
-    """Samples share values: the largest, as they were clamped or rounded, or all, as a few atoms."""
+    """Samples share values: the largest, being clamped or rounded, or all, being a few atoms."""
     UNTESTED = 9
     """No test was asked for: there is a statistic and no p-value."""
     FEW_REPLICATES = 10

@@ -66,7 +66,7 @@ HEAVY = (
     "bokeh",
 )
 
-LONGEST_MODULE = 450
+LONGEST_MODULE = 500
 
 RENDERING = {"scenes", "rendering"}
 """What may import Mitsuba."""

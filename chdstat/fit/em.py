@@ -10,11 +10,12 @@ differ within groups, they give the largest lower bound of the log-likelihood, a
 it (Verbeek, Nunnink and Vlassis, "Accelerated EM-based clustering of large data sets", 2006,
 doi:10.1007/s10618-005-0033-3). Steps are extrapolated by SQUAREM (Varadhan and Roland, "Simple and
 globally convergent methods for accelerating the convergence of any EM algorithm", 2008,
-doi:10.1111/j.1467-9469.2007.00585.x, scheme S3), which is undone wherever the bound falls. The bound
-is penalised: each of several components counts a sample beside its own (`state_of`), a conjugate
-prior of its spread (Fraley and Raftery, "Bayesian regularization for normal mixture estimation and
-model-based clustering", 2007, doi:10.1007/s00357-007-0004-5), without which a component of two or
-three samples that happen to lie close is a spike.
+doi:10.1111/j.1467-9469.2007.00585.x, scheme S3), which is undone wherever the bound falls.
+
+The bound is penalised: each of several components counts a part of a sample beside its own, see
+`state_of`: a conjugate prior of its spread (Fraley and Raftery, "Bayesian regularization for normal
+mixture estimation and model-based clustering", 2007, doi:10.1007/s00357-007-0004-5), without which
+two or three samples that happen to lie close are a spike.
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ __all__ = [
 
 MixtureFamily = Literal["lognormal", "gamma"]
 
+_BRIGHTEST = 700.0
+"""Largest logarithm of x, in scales, whose exponential is a number."""
 _DARKEST = 1e-280
 """Least mean of exp(y) of a component: a component without samples keeps a finite state."""
 _LOG_ROOT_TAU = 0.5 * np.log(2 * np.pi)
@@ -72,6 +75,8 @@ class ComponentFamily:
         That of maximum likelihood, from this variance.
     log_density
         Largest mean log density of y of samples of a given variance, from the log scale and that.
+    cdf
+        Distribution function of y, from y and a state of shapes that broadcast.
     coefficients
         (a0 + log weight, a1, a2) of a state.
     power
@@ -99,6 +104,7 @@ class ComponentFamily:
     variance: Callable[[Floats, Floats], Floats]
     log_scale: Callable[[Floats], Floats]
     log_density: Callable[[Floats, Floats], Floats]
+    cdf: Callable[[Floats, Floats], Floats]
     coefficients: Callable[[Floats], Floats]
     power: float
     moments: Callable[[Floats], tuple[Floats, Floats]]
@@ -198,6 +204,7 @@ COMPONENTS = {
             variance=lambda log, square: square - log * log,
             log_scale=lambda variance: 0.5 * np.log(variance),
             log_density=_lognormal_log_density,
+            cdf=lambda y, state: special.ndtr((y - state[1]) * np.exp(-state[2])),
             coefficients=_lognormal_coefficients,
             power=1.0,
             moments=lambda state: (state[1], np.exp(state[2])),
@@ -216,6 +223,9 @@ COMPONENTS = {
             variance=lambda log, ratio: 2 * (_gamma_location(log, ratio) - log),
             log_scale=lambda variance: _log_shape(0.5 * variance),
             log_density=_gamma_log_density,
+            cdf=lambda y, state: special.gammainc(
+                np.exp(state[2]), np.exp(np.minimum(state[2] + y - state[1], _BRIGHTEST))
+            ),
             coefficients=_gamma_coefficients,
             power=-0.5,
             moments=_gamma_moments,
@@ -233,7 +243,7 @@ COMPONENTS = {
 """Families of components by name."""
 
 
-_MORE, _APART = 1.0, 2.0
+_MORE, _APART = 0.3, 3.5
 """Samples that each component counts beside its own, and their distance from its centre, in median
 distances of neighbours."""
 _LEAST_SIZE = 1e-10

@@ -358,8 +358,8 @@ def mixture(
     family.
 
     The likelihood of a mixture has no maximum: a component may shrink to one sample. Therefore each
-    of several components counts one sample more, at two median distances of neighbouring samples
-    from its centre, and its standard deviation in log x is at least 1e-3.
+    of several components counts 0.3 of a sample more, at 3.5 median distances of neighbouring
+    samples from its centre, and its standard deviation in log x is at least 1e-3.
 
     Values that more samples share than a continuous law explains are atoms, see
     `chdstat.fit.atoms`: the components describe the rest, of which samples that rounding made equal
@@ -371,7 +371,7 @@ def mixture(
     x, null, progress
         As for `chdstat.fit.fit`. A log histogram loses components narrower than a bin: their
         standard deviation in log x is at least 0.28 of a bin's width h, 0.063 by default. Its
-        log-likelihood is that of the bins, per h, shifted by what binning costs one component.
+        log-likelihood is that of the bins, per h.
     k
         Number of components; None to choose it among 1 to `max_k`.
     family

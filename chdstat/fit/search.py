@@ -50,6 +50,7 @@ __all__ = [
 
 _CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
+_LEAST_MASS = 1e-300
 _SAMPLE_CYCLES, _TOLERANCE = 40, 1e-6
 """Of a run of EM on the samples themselves."""
 
@@ -124,6 +125,8 @@ class Objective:
     samples, n
         Logarithms of samples in ascending order, shape (row, sample), of which `n` count; None
         where only bins are.
+    width
+        That of the bins, shape (row,); None where samples are.
     """
 
     plan: Plan
@@ -131,6 +134,7 @@ class Objective:
     corrected: Summaries
     samples: Floats | None = None
     n: Counts | None = None
+    width: Floats | None = None
 
     def take(self, rows: Counts) -> Objective:
         """Return some of the rows."""
@@ -143,26 +147,27 @@ class Objective:
         if state.shape[1] > 1:
             taken = em.penalty(family, solution.state, self.summaries.spacing)
             solution = replace(solution, log_likelihood=solution.log_likelihood - taken)
-        if self.samples is None or self.n is None:
-            return self._of_bins(solution)
+        if self.width is not None:
+            return self._of_bins(solution, self.width)
+        assert self.samples is not None
+        assert self.n is not None
         if state.shape[1] == 1:
             # Sums over groups are those over samples.
             return solution
         return self._of_samples(solution, self.samples, self.n)
 
-    def _of_bins(self, solution: Solution) -> Solution:
+    def _of_bins(self, solution: Solution, width: Floats) -> Solution:
         """Let the last maximisation take Sheppard's corrections into account.
 
-        Moving the samples to the centres of bins costs all mixtures about the same, so the
-        likelihoods are shifted by what it costs one component.
+        The likelihood is that of the bins, the mass in each over its width.
         """
         family = solution.family
-        of_one, of_corrected = (
-            em.bound_at(groups, family, _single(groups, family))
-            for groups in (self.summaries, self.corrected)
-        )
         state = em.refit(self.summaries, solution, self.corrected, family)
-        value = solution.log_likelihood + (of_corrected - of_one)
+        y, half = self.summaries.log, width[:, np.newaxis] / 2
+        each = state[..., np.newaxis]
+        mass = np.exp(each[0]) * (family.cdf(y + half, each) - family.cdf(y - half, each))
+        log = np.log(np.maximum(mass.sum(axis=0), _LEAST_MASS) / width[:, np.newaxis])
+        value = np.vecdot(self.summaries.count, log)
         return replace(solution, state=state, log_likelihood=value)
 
     def _of_samples(self, solution: Solution, samples: Floats, n: Counts) -> Solution:
@@ -283,7 +288,8 @@ def _pieces(part: Part, usable: Mask, plan: Plan) -> Iterator[tuple[Counts, Obje
         if isinstance(part, PositiveHistogram):
             some = take_part(part, rows)
             bins = summaries_of_bins(some.counts, some.log_centers, some.width)
-            yield rows, Objective(plan, *bins)
+            width = np.broadcast_to(some.width, some.n.shape)
+            yield rows, Objective(plan, *bins, width=width)
         else:
             samples = part.log_sorted.reshape(-1, part.x.shape[-1])[rows, : n[rows[-1]]]
             summaries = summaries_of_samples(samples, n[rows], plan.groups)
