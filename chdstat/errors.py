@@ -81,7 +81,7 @@ class Reason(enum.IntEnum):
     NONE_POSITIVE = 7
     """No sample is positive, and some are negative: they have no logarithm."""
     TIED = 8
-    """Several samples share the largest value: they were clamped, rounded, or are a few atoms."""
+    """Samples share values: the largest, being clamped or rounded, or all, being a few atoms."""
     UNTESTED = 9
     """No test was asked for: there is a statistic and no p-value."""
     FEW_REPLICATES = 10

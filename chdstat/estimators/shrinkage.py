@@ -246,11 +246,10 @@ def mixture_shrinkage(x: Array, *, max_k: int = 3) -> Array:
 
     The plug-in ``(1 - null share) sum_j w_j exp(mu_j + sigma_j^2 / 2)`` extrapolates less than that
     of one log-normal, as its components are narrower. The components are not gamma ones: those
-    have, like one gamma distribution, the sample mean for their plug-in. The likelihood of a
-    mixture has no maximum, so that among few samples BIC mostly takes the largest number of
-    components, and some of these are single samples: the plug-in then stays near the mean, and it
-    does not depend on the order of the samples, as a choice by held-out likelihood would. Where no
-    mixture can be fitted it is the mean.
+    have, like one gamma distribution, the sample mean for their plug-in. Few samples mostly ask
+    for one component, whose plug-in is that of `lognormal_shrinkage`; BIC does not depend on the
+    order of the samples, as a choice by held-out likelihood would. Where no mixture can be fitted
+    it is the mean.
 
     Parameters
     ----------

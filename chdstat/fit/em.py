@@ -11,6 +11,11 @@ it (Verbeek, Nunnink and Vlassis, "Accelerated EM-based clustering of large data
 doi:10.1007/s10618-005-0033-3). Steps are extrapolated by SQUAREM (Varadhan and Roland, "Simple and
 globally convergent methods for accelerating the convergence of any EM algorithm", 2008,
 doi:10.1111/j.1467-9469.2007.00585.x, scheme S3), which is undone wherever the bound falls.
+
+The bound is penalised: each of several components counts a part of a sample beside its own, see
+`state_of`: a conjugate prior of its spread (Fraley and Raftery, "Bayesian regularization for normal
+mixture estimation and model-based clustering", 2007, doi:10.1007/s00357-007-0004-5), without which
+two or three samples that happen to lie close are a spike.
 """
 
 from __future__ import annotations
@@ -34,13 +39,17 @@ __all__ = [
     "Solution",
     "bound_at",
     "log_density",
+    "penalty",
     "refit",
     "responsibilities",
     "run",
+    "state_of",
 ]
 
 MixtureFamily = Literal["lognormal", "gamma"]
 
+_BRIGHTEST = 700.0
+"""Largest logarithm of x, in scales, whose exponential is a number."""
 _DARKEST = 1e-280
 """Least mean of exp(y) of a component: a component without samples keeps a finite state."""
 _LOG_ROOT_TAU = 0.5 * np.log(2 * np.pi)
@@ -58,9 +67,16 @@ class ComponentFamily:
         Mean of t(y) per group.
     transform
         t(y) itself.
-    maximise
-        State of maximum likelihood from the share of samples, mean y and mean t(y) of each
-        component, and the least spread of a component.
+    location
+        That of maximum likelihood, from mean y and mean t(y) of each component.
+    variance
+        About the variance of y, which sets the scale, from the same.
+    log_scale
+        That of maximum likelihood, from this variance.
+    log_density
+        Largest mean log density of y of samples of a given variance, from the log scale and that.
+    cdf
+        Distribution function of y, from y and a state of shapes that broadcast.
     coefficients
         (a0 + log weight, a1, a2) of a state.
     power
@@ -84,7 +100,11 @@ class ComponentFamily:
     name: MixtureFamily
     statistic: Callable[[Summaries], Floats]
     transform: Callable[[Floats], Floats]
-    maximise: Callable[[Floats, Floats, Floats, Floats], Floats]
+    location: Callable[[Floats, Floats], Floats]
+    variance: Callable[[Floats, Floats], Floats]
+    log_scale: Callable[[Floats], Floats]
+    log_density: Callable[[Floats, Floats], Floats]
+    cdf: Callable[[Floats, Floats], Floats]
     coefficients: Callable[[Floats], Floats]
     power: float
     moments: Callable[[Floats], tuple[Floats, Floats]]
@@ -108,16 +128,16 @@ class ComponentFamily:
         return np.stack([state[0], state[1], log_spread / self.power])
 
 
-def _maximise_lognormal(share: Floats, log: Floats, square: Floats, floor: Floats) -> Floats:
-    variance = np.maximum(square - log * log, floor * floor)
-    return np.stack([np.log(share), log, 0.5 * np.log(variance)])
-
-
 def _lognormal_coefficients(state: Floats) -> Floats:
     log_weight, mean, log_deviation = state
     precision = np.exp(-2 * log_deviation)
     constant = log_weight - log_deviation - _LOG_ROOT_TAU - 0.5 * precision * mean * mean
     return np.stack([constant, precision * mean, -0.5 * precision])
+
+
+def _lognormal_log_density(log_deviation: Floats, variance: Floats) -> Floats:
+    precision = np.exp(-2 * log_deviation)
+    return np.asarray(-log_deviation - _LOG_ROOT_TAU - 0.5 * variance * precision)
 
 
 def _lognormal_scores(summaries: Summaries, state: Floats) -> tuple[Floats, Floats]:
@@ -127,11 +147,13 @@ def _lognormal_scores(summaries: Summaries, state: Floats) -> tuple[Floats, Floa
     return (summaries.log - mean) * precision, square * precision - 1
 
 
-def _maximise_gamma(share: Floats, log: Floats, ratio: Floats, floor: Floats) -> Floats:
-    log_mean = np.log(np.maximum(ratio, _DARKEST))
-    # The variance of y is near 1 / shape, and the gap near 1 / (2 shape), where both are small.
-    gap = np.maximum(log_mean - log, 0.5 * floor * floor)
-    return np.stack([np.log(share), log_mean, _log_shape(gap)])
+def _gamma_location(_log: Floats, ratio: Floats) -> Floats:
+    return np.asarray(np.log(np.maximum(ratio, _DARKEST)))
+
+
+def _gamma_log_density(log_shape: Floats, variance: Floats) -> Floats:
+    shape = np.exp(log_shape)
+    return np.asarray(shape * (log_shape - 1 - 0.5 * variance) - special.gammaln(shape))
 
 
 def _gamma_coefficients(state: Floats) -> Floats:
@@ -178,7 +200,11 @@ COMPONENTS = {
             name="lognormal",
             statistic=lambda summaries: summaries.square,
             transform=np.square,
-            maximise=_maximise_lognormal,
+            location=lambda log, _square: log,
+            variance=lambda log, square: square - log * log,
+            log_scale=lambda variance: 0.5 * np.log(variance),
+            log_density=_lognormal_log_density,
+            cdf=lambda y, state: special.ndtr((y - state[1]) * np.exp(-state[2])),
             coefficients=_lognormal_coefficients,
             power=1.0,
             moments=lambda state: (state[1], np.exp(state[2])),
@@ -192,7 +218,14 @@ COMPONENTS = {
             name="gamma",
             statistic=lambda summaries: summaries.ratio,
             transform=np.exp,
-            maximise=_maximise_gamma,
+            location=_gamma_location,
+            # The variance is near 1 / shape, and the gap near 1 / (2 shape), where both are small.
+            variance=lambda log, ratio: 2 * (_gamma_location(log, ratio) - log),
+            log_scale=lambda variance: _log_shape(0.5 * variance),
+            log_density=_gamma_log_density,
+            cdf=lambda y, state: special.gammainc(
+                np.exp(state[2]), np.exp(np.minimum(state[2] + y - state[1], _BRIGHTEST))
+            ),
             coefficients=_gamma_coefficients,
             power=-0.5,
             moments=_gamma_moments,
@@ -210,6 +243,9 @@ COMPONENTS = {
 """Families of components by name."""
 
 
+_MORE, _APART = 0.3, 3.5
+"""Samples that each component counts beside its own, and their distance from its centre, in median
+distances of neighbours."""
 _LEAST_SIZE = 1e-10
 """Least share of a component, so that it keeps a place and a width."""
 _VANISHING = -80.0
@@ -231,7 +267,8 @@ class Solution:
     origin
         Of y = log x - origin, shape (row,).
     log_likelihood
-        Of log x, shape (row,): without the Jacobian of the logarithm. From `run`, it is the bound.
+        Of log x, shape (row,): without the Jacobian of the logarithm. From `run`, it is the
+        penalised bound.
     converged
         Whether the last cycle gained less than the tolerance, shape (row,).
     """
@@ -254,7 +291,7 @@ class Solution:
 
 
 class _Data(NamedTuple):
-    """What a step needs of groups: samples, y, t(y), shape (group, row); floor, n, shape (row,).
+    """What a step needs of groups, shape (group, row), and of rows: as `Summaries`.
 
     There are many more rows than groups: with rows last, loops are long, and take half the time.
     """
@@ -263,13 +300,14 @@ class _Data(NamedTuple):
     log: Floats
     statistic: Floats
     floor: Floats
+    spacing: Floats
     n: Floats
 
     @classmethod
     def of(cls, summaries: Summaries, family: ComponentFamily) -> _Data:
         by_group = (summaries.count, summaries.log, family.statistic(summaries))
         samples, log, statistic = (np.ascontiguousarray(values.T) for values in by_group)
-        return cls(samples, log, statistic, summaries.floor, summaries.n)
+        return cls(samples, log, statistic, summaries.floor, summaries.spacing, summaries.n)
 
     def take(self, rows: Mask) -> _Data:
         """Return some of the rows."""
@@ -360,9 +398,9 @@ def _extrapolate(state: Floats, one: Floats, two: Floats) -> Floats:
 
 
 def _step(data: _Data, family: ComponentFamily, state: Floats) -> tuple[Floats, Floats]:
-    """Return the next state, and the bound at this one."""
+    """Return the next state, and the penalised bound at this one."""
     shares, bound = _expect(data, family.coefficients(state))
-    return _maximise(data, family, shares), bound
+    return _maximise(data, family, shares), bound + penalty(family, state, data.spacing)
 
 
 def _expect(data: _Data, coefficients: Floats) -> tuple[Floats, Floats]:
@@ -395,4 +433,36 @@ def _maximise(data: _Data, family: ComponentFamily, shares: Floats) -> Floats:
     sizes = np.maximum(shares.sum(axis=1), _LEAST_SIZE)
     log = np.einsum("kcr,cr->kr", shares, data.log) / sizes
     statistic = np.einsum("kcr,cr->kr", shares, data.statistic) / sizes
-    return family.maximise(sizes / data.n, log, statistic, data.floor)
+    return state_of(family, sizes, log, statistic, data.floor, data.spacing)
+
+
+def state_of(
+    family: ComponentFamily,
+    sizes: Floats,
+    log: Floats,
+    statistic: Floats,
+    floor: Floats,
+    spacing: Floats,
+) -> Floats:
+    """Return the state that maximises the penalised likelihood of components.
+
+    Parameters
+    ----------
+    family
+        Of the components.
+    sizes, log, statistic
+        Samples, mean y and mean t(y) of each, shape (component, row).
+    floor, spacing
+        As of `Summaries`.
+    """
+    variance = family.variance(log, statistic)
+    if len(sizes) > 1:  # One component has a maximum of its own.
+        variance = (sizes * variance + _MORE * (_APART * spacing) ** 2) / (sizes + _MORE)
+    log_scale = family.log_scale(np.maximum(variance, floor * floor))
+    return np.stack([np.log(sizes / sizes.sum(axis=0)), family.location(log, statistic), log_scale])
+
+
+def penalty(family: ComponentFamily, state: Floats, spacing: Floats) -> Floats:
+    """Return the log density of the samples more that each component counts, shape (row,)."""
+    each = family.log_density(state[2], (_APART * spacing) ** 2)
+    return np.asarray(_MORE * each.sum(axis=0))

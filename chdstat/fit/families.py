@@ -95,10 +95,12 @@ class ZeroInflated(Shown):
     """What fits of families and mixtures share: a point mass at 0, a density on the positive rest.
 
     The attributes are those of `Fit`. Of the variables that an image's fits become, `prefix` starts
-    the names, and `labels` has the long names of those that are fields.
+    the names, and `labels` has the long names of those that are fields; their last dimension is
+    that of `dims`, or else that of components.
     """
 
     prefix: ClassVar[str] = "{}"
+    dims: ClassVar[Mapping[str, str]] = {}
     labels: ClassVar[Mapping[str, str]] = {
         "log_likelihood": "log-likelihood of the zero-inflated model",
         "aic": "Akaike information criterion",
@@ -136,7 +138,7 @@ class ZeroInflated(Shown):
         return np.where(np.isnan(self.null_share), np.nan, zeros / np.maximum(zeros + self.n, 1))
 
     def pdf(self, x: npt.ArrayLike) -> Floats:
-        """Return the density of the positive part alone: it integrates to 1.
+        """Return the density of the positive part alone: to 1 it lacks the atoms of a mixture only.
 
         Multiply by ``1 - zero_share`` for the density of the whole model away from 0. The result
         has the shape of the batch followed by that of `x`, which are radiances of any shape.
@@ -254,6 +256,7 @@ def fit_variables(result: ZeroInflated) -> Mapped:
     variables = {f"{result.name}_{name}": value for name, value in own.items()}
     variables |= {name: getattr(result, name) for name in _SHARED}
     deep = {name: ("component",) for name, value in variables.items() if value.ndim > result.n.ndim}
+    deep |= {f"{result.name}_{name}": (dim,) for name, dim in result.dims.items()}
     deep["null_interval"] = ("bound",)
     return {name: (("channel", *deep.get(name, ())), value) for name, value in variables.items()}
 

@@ -25,6 +25,7 @@ from chdstat._core.positive import Counts, Floats, Mask
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values, rejections
 from chdstat.errors import InputError, Reason
+from chdstat.fit.atoms import split
 from chdstat.fit.distances import DISTANCES, FitTest, bootstrap, mixture_family
 from chdstat.fit.families import Fit, fit_part, get_family, zero_log_likelihood
 from chdstat.fit.family import Family, Parameters
@@ -165,7 +166,8 @@ def goodness(
     fit
         Name of a family, a `Family`, or, for an array or a `Histogram`, a `Fit`, a `Mixture` or a
         `Selection` that was fitted to it. Replicates of a mixture are fitted with as many
-        components as it has; of a selection, the best family of each pixel is tested.
+        components as it has, and its atoms are left out; of a selection, the best family of each
+        pixel is tested.
     tests
         Some of 'kolmogorov-smirnov', 'cramer-von-mises', 'anderson-darling', 'chi-square'.
     resamples
@@ -259,6 +261,8 @@ def goodness_of_part(
     """
     root = seed_number(seed)
     given = fit if isinstance(fit, Family) else None
+    if isinstance(fit, Mixture):
+        part = split(part).rest
     fit = fit_part(part, fit) if isinstance(fit, Family) else fit
     reason = fit.reason.copy()
     values = np.full((3, *part.n.shape, len(tests)), np.nan)
@@ -291,7 +295,8 @@ def goodness_of_part(
 def _check_fit(part: Part, fit: Fitted) -> None:
     """Raise InputError if a fit is not one to these samples: these have another likelihood.
 
-    That of a mixture in bins spreads the samples within them: there, only numbers are compared.
+    That of a mixture in bins spreads the samples within them, and that of one with atoms is of the
+    rest: there, only numbers are compared.
     """
     if fit.reason.shape != part.n.shape:
         message = f"expected a fit of batch shape {part.n.shape}, got {fit.reason.shape}"
@@ -301,8 +306,8 @@ def _check_fit(part: Part, fit: Fitted) -> None:
         found = family.log_likelihood(part, parameters) + zero_log_likelihood(part)
         with np.errstate(invalid="ignore"):
             far = np.abs(found - one.log_likelihood) > _SAME * (part.n + np.abs(found))
-        if isinstance(part, PositiveHistogram) and isinstance(one, Mixture):
-            far = np.zeros_like(rows)
+        if isinstance(one, Mixture):
+            far &= ~(split(part).tied | isinstance(part, PositiveHistogram))
         other |= rows & ((one.n != part.n) | (one.n_null != part.n_null) | far)
     if other.any():
         message = (

@@ -17,6 +17,8 @@ from chdstat._core.arrays import Seed, generator
 from chdstat._core.display import Card
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.errors import InputError, Reason, check_option
+from chdstat.fit.atoms import Atoms, split
+from chdstat.fit.clamps import before_clamps
 from chdstat.fit.em import COMPONENTS, MixtureFamily
 from chdstat.fit.families import (
     ZeroInflated,
@@ -27,8 +29,8 @@ from chdstat.fit.families import (
     label_fit,
     zero_log_likelihood,
 )
-from chdstat.fit.peaks import standard_errors
-from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, score, search
+from chdstat.fit.mixture_errors import standard_errors
+from chdstat.fit.search import EFFORTS, Effort, Found, log_likelihood, log_samples, score, search
 from chdstat.summary.dispatch import Part, Source, of_source, run
 
 if TYPE_CHECKING:
@@ -46,12 +48,13 @@ _DARKEST = 1e-320
 
 @dataclass(frozen=True, repr=False)
 class Mixture(ZeroInflated):
-    """A zero-inflated mixture: a point mass at 0, and K or fewer components on the rest.
+    """A zero-inflated mixture: point masses at 0 and at atoms, K or fewer components on the rest.
 
-    ``P(X = 0) = zero_share``; otherwise X follows ``sum_j weights_j f(x; parameters_j)``. Arrays
-    have the batch's shape, () for a single pixel, and (..., K) for components: those of a row are
-    sorted by their median, and NaN beyond its `k`. A row that could not be fitted holds NaN, has
-    `k` 0 and says why in `reason`.
+    ``P(X = 0) = zero_share``. A positive X is the i-th of `atoms` with probability
+    ``atom_weights_i``; otherwise it follows ``sum_j weights_j f(x; parameters_j)``. Arrays have the
+    batch's shape, () for a single pixel, and (..., K) for components: those of a row are sorted by
+    their median, and NaN beyond its `k`. A row that could not be fitted holds NaN, has `k` 0 and
+    says why in `reason`.
 
     Attributes
     ----------
@@ -62,18 +65,24 @@ class Mixture(ZeroInflated):
     k
         Number of components, shape (...).
     weights
-        Shape (..., K); they add up to 1.
+        Of the components, shape (..., K); they add up to 1, whatever the atoms hold.
+    atoms, atom_weights
+        Radiances that more samples share than a continuous law explains, such as that of a lamp or
+        of a clamp, and their shares of the positive samples, shape (..., 8), the heaviest first;
+        NaN and 0 beyond those that there are. Histograms show none.
     parameters
         By name, shape (..., K): ``mu`` and ``sigma`` of the natural logarithm of radiance, or
         ``shape`` (1) and ``scale`` (radiance).
     standard_errors
-        By the names of the parameters, and ``weight``, shape (..., K); NaN where the information
-        matrix is singular, as it is for components at the least spread.
+        By the names of the parameters, and ``weight``, shape (..., K); NaN where `error_reason`
+        says why.
     log_likelihood
-        Of all good samples: the positive ones in linear radiance, and the Bernoulli part of zeros.
+        Of all good samples: the continuous ones in linear radiance, and which ones are zeros or
+        atoms. Without atoms, it compares with that of any family.
     aic, bic
         Of the chosen mixture. It has 3 k parameters: those of k components, k - 1 weights, and the
-        zero share, as `Fit` counts them.
+        zero share, as `Fit` counts them. Of each component beyond the first, BIC counts three as if
+        there were at least 160 samples: it is an expansion for many.
     bics
         For 1 to K components, shape (..., K); NaN where there are too few samples for so many.
     held_out
@@ -88,13 +97,20 @@ class Mixture(ZeroInflated):
         Whether the last cycle of the chosen fit raised its log-likelihood by less than the
         tolerance; where not, it is the best that was reached.
     reason
-        `Reason` codes.
+        `Reason` codes: `TIED` where the positive samples are a few values.
+    error_reason
+        `Reason` codes of why there are no standard errors: as `reason`; `TOO_FEW` samples for them
+        to hold; or `NOT_REGULAR`, where the information is singular or components overlap so much
+        that errors are too small.
     """
 
     prefix: ClassVar[str] = "{}_mixture"
+    dims: ClassVar[Mapping[str, str]] = {"atoms": "atom", "atom_weights": "atom"}
     labels: ClassVar[Mapping[str, str]] = {
         "k": "number of components",
         "weights": "weights of the components",
+        "atoms": "radiance that many samples share",
+        "atom_weights": "shares of the positive samples at the atoms",
         "log_likelihood": "log-likelihood of the zero-inflated mixture",
         "aic": "Akaike information criterion",
         "bic": "Bayesian information criterion",
@@ -102,55 +118,91 @@ class Mixture(ZeroInflated):
         "held_out": "held-out log-likelihood per sample for each number of components",
         "converged": "the chosen fit converged",
         "reason": "why there is no {} mixture",
+        "error_reason": "why the {} mixture has no standard errors",
     }
 
     family: MixtureFamily
     criterion: MixtureCriterion
     k: npt.NDArray[np.int8]
     weights: Floats
+    atoms: Floats
+    atom_weights: Floats
     bics: Floats
     held_out: Floats
+    error_reason: npt.NDArray[np.int8]
 
     def _card(self) -> Card:
         card = super()._card()
-        return replace(card, facts={"components": self.k, "weights": self.weights, **card.facts})
+        own = {"components": self.k, "weights": self.weights}
+        if np.isfinite(self.atoms).any():
+            own |= {"atoms": self.atoms, "their shares": self.atom_weights}
+        return replace(card, facts={**own, **card.facts})
+
+    def cdf(self, x: npt.ArrayLike) -> Floats:
+        """Return P(X <= x) of all point masses and components, shape of the batch, then of `x`."""
+        x = np.asarray(x, dtype=np.float64)
+        positive = expand(1 - self.zero_share, x.ndim)
+        return super().cdf(x) + positive * self._at_atoms_below(x, x.ndim)
+
+    def mean(self) -> Floats:
+        """Return the expectation of zeros, atoms and components together, shape (...)."""
+        of_atoms = np.vecdot(np.nan_to_num(self.atoms), self.atom_weights)
+        return np.asarray(super().mean() + (1 - self.zero_share) * of_atoms)
 
     def rvs(self, size: int, *, seed: Seed = None) -> Floats:
-        """Draw samples of the zero-inflated model, shape (..., size)."""
+        """Draw samples of all point masses and components, shape (..., size)."""
         rng = generator(seed)
         shape = (*self.null_share.shape, size)
-        below = np.cumsum(np.nan_to_num(self.weights), axis=-1)[..., np.newaxis, :-1]
+        of_components = self._continuous_share[..., np.newaxis] * np.nan_to_num(self.weights)
+        shares = np.concatenate([of_components, self.atom_weights], axis=-1)
+        below = np.cumsum(shares, axis=-1)[..., np.newaxis, :-1]
         which = (rng.random(shape)[..., np.newaxis] > below).sum(axis=-1)
-        which = np.minimum(which, np.maximum(self.k, 1)[..., np.newaxis] - 1)
-        chosen = {n: np.take_along_axis(v, which, axis=-1) for n, v in self.parameters.items()}
+        largest = self.weights.shape[-1]
+        atom = np.take_along_axis(self.atoms, np.maximum(which - largest, 0), axis=-1)
+        part = np.minimum(which, np.maximum(self.k, 1)[..., np.newaxis] - 1)
+        chosen = {n: np.take_along_axis(v, part, axis=-1) for n, v in self.parameters.items()}
         drawn = get_family(self.family).distribution(chosen).ppf(rng.random(shape))
+        drawn = np.where((which < largest) | np.isnan(drawn), drawn, atom)
         zero = self.zero_share[..., np.newaxis]
         return np.asarray(np.where(rng.random(shape) < zero, 0 * drawn, drawn))
 
     def _positive_quantile(self, level: Floats, trailing: int) -> Floats:
-        """Bisect between the quantiles of the components, which it lies between."""
+        """Bisect between the quantiles of the components and the atoms, which it lies between."""
         axis, distribution = -1 - trailing, self._distribution(trailing)
         # The ends of the range are known; half stands in for them.
         inside = np.where((level > 0) & (level < 1), level, 0.5)
         each = distribution.ppf(np.expand_dims(inside, axis=axis))
         used = expand(~np.isnan(self.weights), trailing) & ~np.isnan(each)
         largest = np.finfo(np.float64).max
-        low = np.clip(np.where(used, each, np.inf).min(axis=axis), _DARKEST, largest)
-        high = np.clip(np.where(used, each, 0.0).max(axis=axis), _DARKEST, largest)
+        low, high = np.where(used, each, np.inf).min(axis=axis), np.where(used, each, 0).max(axis)
+        low = np.minimum(low, expand(np.fmin.reduce(self.atoms, axis=-1, initial=np.inf), trailing))
+        high = np.maximum(high, expand(np.fmax.reduce(self.atoms, axis=-1, initial=0.0), trailing))
+        low, high = (np.clip(end, _DARKEST, largest) for end in (low, high))
         for _ in range(_HALVINGS):
             middle = np.sqrt(low) * np.sqrt(high)
-            each = distribution.cdf(np.expand_dims(middle, axis=axis))
-            below = self._mixed(each, trailing) < inside
+            at = np.expand_dims(middle, axis=axis)
+            reached = self._mixed(distribution.cdf(at), trailing)
+            below = reached + self._at_atoms_below(at, trailing) < inside
             low, high = np.where(below, middle, low), np.where(below, high, middle)
         ends = np.where(level == 0, 0.0, np.where(level == 1, np.inf, high))
         return np.where(np.isnan(level + expand(self.weights[..., 0], trailing)), np.nan, ends)
 
     def _mixed(self, values: Floats, trailing: int) -> Floats:
         """Add up the values of the components, weighted; NaN where there are none."""
-        weighted = expand(self.weights, trailing) * values
+        weighted = expand(self._continuous_share[..., np.newaxis] * self.weights, trailing) * values
         used = expand(~np.isnan(self.weights), trailing)
         mixed = np.sum(np.where(used, weighted, 0.0), axis=-1 - trailing)
         return np.where(expand(self.k > 0, trailing), mixed, np.nan)
+
+    @property
+    def _continuous_share(self) -> Floats:
+        """Share of the components among the positive samples, shape (...)."""
+        return np.asarray(1 - self.atom_weights.sum(axis=-1))
+
+    def _at_atoms_below(self, x: Floats, trailing: int) -> Floats:
+        """Return the share of the atoms of at most x, whose axis -1 - `trailing` is for atoms."""
+        weight, value = expand(self.atom_weights, trailing), expand(self.atoms, trailing)
+        return np.asarray(np.where(value <= x, weight, 0.0).sum(axis=-1 - trailing))
 
 
 class ChosenMixtures:
@@ -158,8 +210,8 @@ class ChosenMixtures:
 
     Parameters
     ----------
-    part
-        What the search is of.
+    part, atoms
+        The positive samples, and how they split: the search is of the continuous rest.
     reason
         Why rows are not searched, shape (...).
     largest
@@ -173,6 +225,7 @@ class ChosenMixtures:
     def __init__(
         self,
         part: Part,
+        atoms: Atoms,
         reason: npt.NDArray[np.int8],
         largest: int,
         *,
@@ -180,13 +233,14 @@ class ChosenMixtures:
         held_out: Floats | None = None,
     ) -> None:
         rows = part.n.size
-        allowed = _allowed_components(part, largest) & (reason == Reason.OK)[..., np.newaxis]
-        self._part, self._reason, self._chosen = part, reason, k
+        allowed = _allowed_components(atoms.rest, largest) & (reason == Reason.OK)[..., np.newaxis]
+        self._part, self._atoms, self._reason, self._chosen = part, atoms, reason, k
         self._allowed = allowed.reshape(rows, largest)
         self._held_out = None if held_out is None else np.where(self._allowed, held_out, np.nan)
         self._k = np.zeros(rows, dtype=np.int8)
         # Estimates and their errors, of weights and of both parameters.
         self._table = np.full((2, 3, rows, largest), np.nan)
+        self._error_reason = reason.reshape(-1).copy()
         self._likelihoods = np.full((rows, largest), np.nan)
         self._converged = np.zeros(rows, dtype=bool)
 
@@ -196,20 +250,24 @@ class ChosenMixtures:
         values = np.stack([s.log_likelihood for s in solutions], axis=-1)
         # Minus infinity stands for what the search did not try.
         self._likelihoods[found.rows] = np.where(allowed & (values > -np.inf), values, np.nan)
+        log_n = log_samples(found.summaries.n)
+        scores = np.stack([score(s, log_n) for s in solutions], axis=-1)
         if self._chosen is not None:
             best = np.full(len(found.rows), self._chosen - 1)
         elif self._held_out is not None:
             best = _highest(self._held_out[found.rows], allowed)
         else:
-            log_n = np.log(found.summaries.n)
-            best = _highest(np.stack([score(s, log_n) for s in solutions], axis=-1), allowed)
+            best = _highest(scores, allowed)
         for k in np.unique(best):
             at = np.flatnonzero(best == k)
             rows, solution = found.rows[at], solutions[k].take(at)
             weight, family = np.exp(solution.state[0]), solution.family
             parameters = family.parameters(solution.state, solution.origin)
             estimates = np.stack([weight / weight.sum(axis=0), *parameters])
-            errors = standard_errors(solution, found.summaries.take(at))
+            gain = scores[at, k] - scores[at, :k].max(axis=-1, initial=-np.inf)
+            errors, self._error_reason[rows] = standard_errors(
+                solution, found.summaries.take(at), gain
+            )
             order = np.argsort(family.median(solution.state), axis=0)[np.newaxis, np.newaxis]
             ordered = np.take_along_axis(np.stack([estimates, errors]), order, axis=2)
             self._table[:, :, rows, : k + 1] = np.moveaxis(ordered, -1, 2)
@@ -218,14 +276,15 @@ class ChosenMixtures:
 
     def result(self, family: MixtureFamily) -> Mixture:
         """Return all of it."""
-        part, largest = self._part, self._likelihoods.shape[-1]
-        shape = part.n.shape
-        rest = (zero_log_likelihood(part) - part.n * part.log_statistics.log_mean)[..., np.newaxis]
-        values = self._likelihoods.reshape(*shape, largest) + rest
+        part, atoms, largest = self._part, self._atoms, self._likelihoods.shape[-1]
+        shape, n = part.n.shape, atoms.rest.n
+        jacobian = -n * atoms.rest.log_statistics.log_mean
+        others = zero_log_likelihood(part) + atoms.log_likelihood(part.n)
+        values = self._likelihoods.reshape(*shape, largest) + (jacobian + others)[..., np.newaxis]
         k = self._k.reshape(shape)
-        of_shape = 3 * np.arange(1, largest + 1) - 1
+        further = 3 * np.arange(largest) * log_samples(n)[..., np.newaxis]
         with np.errstate(invalid="ignore", divide="ignore"):
-            penalty = of_shape * np.log(part.n)[..., np.newaxis]
+            penalty = 2 * np.log(n)[..., np.newaxis] + further
             bics = penalty + np.log(part.n_good)[..., np.newaxis] - 2 * values
         at = np.maximum(k, 1).astype(np.int64)[..., np.newaxis] - 1
         chosen, bic = (
@@ -243,6 +302,8 @@ class ChosenMixtures:
             criterion="bic" if self._held_out is None else "held_out",
             k=k,
             weights=estimates.pop("weight"),
+            atoms=atoms.values,
+            atom_weights=atoms.counts / np.maximum(part.n, 1)[..., np.newaxis],
             parameters=estimates,
             standard_errors=errors,
             log_likelihood=chosen,
@@ -253,22 +314,20 @@ class ChosenMixtures:
             **counts_of(part),
             converged=self._converged.reshape(shape),
             reason=self._reason,
+            error_reason=self._error_reason.reshape(shape),
         )
 
 
 def _allowed_components(part: Part, largest: int) -> Mask:
     """Return which numbers of components have as many samples as parameters, or more.
 
-    Nor may there be more components than distinct values, shape (..., component).
+    Nor may there be more components than bins, shape (..., component).
     """
     k = np.arange(1, largest + 1)
-    if isinstance(part, PositivePart):
-        rises = part.sorted[..., 1:] > part.sorted[..., :-1]
-        distinct = np.count_nonzero(rises & part.valid[..., 1:], axis=-1) + (part.n > 0)
-    else:
-        distinct = np.count_nonzero(part.counts > 0, axis=-1)
     enough = part.n[..., np.newaxis] >= 3 * k - 1
-    return np.asarray(enough & (distinct[..., np.newaxis] >= k))
+    if isinstance(part, PositivePart):
+        return enough
+    return np.asarray(enough & (np.count_nonzero(part.counts > 0, axis=-1)[..., np.newaxis] >= k))
 
 
 def _highest(score: Floats, allowed: Mask) -> Counts:
@@ -298,15 +357,21 @@ def mixture(
     hardly depends on spp. Its log-likelihood is of linear radiance and compares with that of any
     family.
 
-    The likelihood of a mixture has no maximum: a component may shrink to one sample. Its standard
-    deviation in log x is therefore at least 1e-3, as in scikit-learn, whose `reg_covar` is 1e-6.
+    The likelihood of a mixture has no maximum: a component may shrink to one sample. Therefore each
+    of several components counts 0.3 of a sample more, at 3.5 median distances of neighbouring
+    samples from its centre, and its standard deviation in log x is at least 1e-3.
+
+    Values that more samples share than a continuous law explains are atoms, see
+    `chdstat.fit.atoms`: the components describe the rest, of which samples that rounding made equal
+    are spread over what was rounded to them. Those of a clamp take part as the tail that one
+    component leaves above it. The number of components is chosen among 5 samples or more.
 
     Parameters
     ----------
     x, null, progress
         As for `chdstat.fit.fit`. A log histogram loses components narrower than a bin: their
         standard deviation in log x is at least 0.28 of a bin's width h, 0.063 by default. Its
-        log-likelihood is that of the bins, per h, shifted by what binning costs one component.
+        log-likelihood is that of the bins, per h.
     k
         Number of components; None to choose it among 1 to `max_k`.
     family
@@ -337,6 +402,10 @@ def mixture(
     doi:10.1111/j.2517-6161.1977.tb01600.x. Verbeek, Nunnink and Vlassis, "Accelerated EM-based
     clustering of large data sets", 2006, doi:10.1007/s10618-005-0033-3. Smyth, "Model selection for
     probabilistic clustering using cross-validated likelihood", 2000, doi:10.1023/A:1008940618127.
+    Fraley and Raftery, "Bayesian regularization for normal mixture estimation and model-based
+    clustering", 2007, doi:10.1007/s00357-007-0004-5 (the penalty is the inverse gamma prior there,
+    much weaker). Chen and Tan, "Inference for multivariate normal mixtures", 2009,
+    doi:10.1016/j.jmva.2008.12.006.
 
     Examples
     --------
@@ -371,20 +440,22 @@ def mixture_of_part(
 ) -> Mixture:
     """Fit a mixture to samples that are already split; options as of `mixture`."""
     largest = max_k if k is None else k
-    reason = part.reason()
-    allowed = _allowed_components(part, largest)
-    least = allowed[..., 0 if k is None else k - 1]
-    reason[(reason == Reason.OK) & ~least] = Reason.TOO_FEW
+    atoms = split(part)
+    reason = atoms.reason(part, 3 * min(largest, 2) - 1)
+    if k is not None:
+        least = _allowed_components(atoms.rest, k)[..., k - 1]
+        reason[(reason == Reason.OK) & ~least] = Reason.TOO_FEW
     held_out = None
     if criterion == "held_out":
-        if not isinstance(part, PositivePart):
+        if not isinstance(atoms.rest, PositivePart):
             message = (
                 "held-out likelihood needs samples: a histogram has lost their order; use 'bic'"
             )
             raise InputError(message)
-        held_out = _held_out(part, reason == Reason.OK, family, largest, effort)
-    chosen = ChosenMixtures(part, reason, largest, k=k, held_out=held_out)
-    for found in search(part, reason == Reason.OK, family, largest, effort=effort):
+        held_out = _held_out(atoms.rest, reason == Reason.OK, family, largest, effort)
+    atoms = replace(atoms, rest=before_clamps(part, atoms, family))
+    chosen = ChosenMixtures(part, atoms, reason, largest, k=k, held_out=held_out)
+    for found in search(atoms.rest, reason == Reason.OK, family, largest, effort=effort):
         chosen.enter(found)
     return chosen.result(family)
 

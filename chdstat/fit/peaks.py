@@ -2,7 +2,7 @@
 
 A component makes a mode of its own where its weight is at least `LEAST_WEIGHT` and, on the way to
 every higher mode, the density falls below `_DEPTH` of its height; otherwise it belongs to the mode
-that it is least separated from. Standard errors of the parameters give those of the separation.
+that it is least separated from. The covariance of the parameters gives the separation's error.
 
 The peaks of a row are those of the mixture of 2 or more log-normal or gamma components that has the
 smallest BIC, unless a single family describes it better.
@@ -19,67 +19,12 @@ import numpy.typing as npt
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit import em
 from chdstat.fit.em import Solution
-from chdstat.fit.search import Found, score, search
-from chdstat.fit.unimodal_bic import edge_scores, log_samples
+from chdstat.fit.mixture_errors import covariance, directions
+from chdstat.fit.search import Found, log_samples, score, search
+from chdstat.fit.unimodal_bic import edge_scores
 from chdstat.fit.weighted_samples import Summaries
 
-__all__ = ["LEAST_WEIGHT", "best_peaks", "standard_errors"]
-
-_SMALLEST = 1e-150
-_WORST = 1e-12
-"""Reciprocal condition at or below which an information matrix counts as singular."""
-
-
-def standard_errors(solution: Solution, summaries: Summaries) -> Floats:
-    """Return standard errors of weights and both parameters, shape (3, component, row).
-
-    Inverse of the empirical information, the sum of the outer products of the scores of the samples
-    (McLachlan and Peel, "Finite mixture models", 2000, doi:10.1002/0471721182, equation 2.62), here
-    with the mean scores of the groups. NaN where it is singular.
-    """
-    family, k = solution.family, solution.state.shape[1]
-    found = _covariance(solution, summaries)
-    with np.errstate(invalid="ignore", over="ignore"):
-        own = np.sqrt(np.diagonal(found, axis1=-2, axis2=-1)).T
-        last = np.sqrt(found[:, : k - 1, : k - 1].sum(axis=(-2, -1)))
-    parameters = family.parameters(solution.state, solution.origin)
-    errors = (
-        error * parameter if logarithmic else error
-        for error, parameter, logarithmic in zip(
-            own[k - 1 :].reshape(2, k, -1), parameters, family.logarithmic, strict=True
-        )
-    )
-    return np.stack([np.vstack([own[: k - 1], np.where(k > 1, last, 0.0)]), *errors])
-
-
-def _covariance(solution: Solution, summaries: Summaries) -> Floats:
-    """Return the covariance that the information gives, shape (row, parameter, parameter).
-
-    Parameters are all weights but the last; then what the family's scores are by: the first of
-    each component, then the second.
-    """
-    shares = em.responsibilities(summaries, solution.family, solution.state)
-    share = shares / np.maximum(summaries.count, 1)
-    weight = np.exp(solution.state[0])[..., np.newaxis]
-    of_weights = share[:-1] / weight[:-1] - share[-1] / weight[-1]
-    first, second = solution.family.scores(summaries, solution.state[..., np.newaxis])
-    scores = np.concatenate([of_weights, share * first, share * second])
-    information = np.einsum("irc,jrc,rc->rij", scores, scores, summaries.count, optimize=True)
-    return _inverse(information)
-
-
-def _inverse(information: Floats) -> Floats:
-    """Invert symmetric matrices, scaled to a unit diagonal; NaN where they are singular."""
-    size = np.sqrt(np.diagonal(information, axis1=-2, axis2=-1))
-    size = np.where(size > _SMALLEST, size, 1.0)
-    scaled = information / (size[:, :, np.newaxis] * size[:, np.newaxis, :])
-    values, vectors = np.linalg.eigh(np.nan_to_num(scaled))
-    singular = values[:, :1] <= _WORST * values[:, -1:]
-    inverse = np.where(singular, np.nan, 1 / np.where(singular, 1.0, values))
-    unscaled = (vectors * inverse[:, np.newaxis, :]) @ vectors.transpose(0, 2, 1)
-    with np.errstate(over="ignore"):
-        return np.asarray(unscaled / size[:, :, np.newaxis] / size[:, np.newaxis, :])
-
+__all__ = ["LEAST_WEIGHT", "best_peaks"]
 
 _DEPTH = 0.98
 """A valley is a valley where the density falls below this share of the lower peak."""
@@ -211,11 +156,7 @@ def _errors(solution: Solution, summaries: Summaries, owner: Counts, order: Coun
         mean, variance, _ = _of_modes(owner, state[0], *family.moments(state))
         return _ashman(*(np.take_along_axis(v, order, axis=0) for v in (mean, variance)))
 
-    # How weight, location and log scale of the components move with each parameter.
-    moves, one = np.zeros((3 * k - 1, 3, k)), np.eye(k)
-    moves[: k - 1, 0] = one[:-1] - one[-1]
-    directions = np.reshape(family.directions, (2, 1, 2, 1)) * one[:, np.newaxis]
-    moves[k - 1 :, 1:] = directions.reshape(2 * k, 2, k)
+    moves = directions(family, k)
     steps = np.full((3 * k - 1, state.shape[-1]), _STEP)
     steps[: k - 1] *= np.minimum(state[0, :-1], state[0, -1])
     slopes = []
@@ -223,7 +164,7 @@ def _errors(solution: Solution, summaries: Summaries, owner: Counts, order: Coun
         rise = separation(state + step * move) - separation(state - step * move)
         slopes.append(rise / (2 * step))
     with np.errstate(invalid="ignore"):
-        gradient, found = np.stack(slopes), _covariance(solution, summaries)
+        gradient, found = np.stack(slopes), covariance(solution, summaries)
         error = np.sqrt(np.einsum("ipr,rij,jpr->pr", gradient, found, gradient))
     return np.asarray(error * (1 + (_FEW / summaries.n) ** 2))
 

@@ -37,10 +37,20 @@ from chdstat.fit.weighted_samples import (
 )
 from chdstat.summary.dispatch import Part, PositiveHistogram
 
-__all__ = ["EFFORTS", "Effort", "Found", "log_likelihood", "score", "search", "segmentations"]
+__all__ = [
+    "EFFORTS",
+    "Effort",
+    "Found",
+    "log_likelihood",
+    "log_samples",
+    "score",
+    "search",
+    "segmentations",
+]
 
 _CHUNK = 2**17
 """Samples worked on at once: they stay in the cache."""
+_LEAST_MASS = 1e-300
 _SAMPLE_CYCLES, _TOLERANCE = 40, 1e-6
 """Of a run of EM on the samples themselves."""
 
@@ -115,6 +125,8 @@ class Objective:
     samples, n
         Logarithms of samples in ascending order, shape (row, sample), of which `n` count; None
         where only bins are.
+    width
+        That of the bins, shape (row,); None where samples are.
     """
 
     plan: Plan
@@ -122,6 +134,7 @@ class Objective:
     corrected: Summaries
     samples: Floats | None = None
     n: Counts | None = None
+    width: Floats | None = None
 
     def take(self, rows: Counts) -> Objective:
         """Return some of the rows."""
@@ -131,26 +144,30 @@ class Objective:
         """Run EM to the end of the plan; the likelihood is the closest to that of the samples."""
         cycles, tolerance = self.plan.cycles, self.plan.tolerance
         solution = em.run(self.summaries, family, state, cycles=cycles, tolerance=tolerance)
-        if self.samples is None or self.n is None:
-            return self._of_bins(solution)
+        if state.shape[1] > 1:
+            taken = em.penalty(family, solution.state, self.summaries.spacing)
+            solution = replace(solution, log_likelihood=solution.log_likelihood - taken)
+        if self.width is not None:
+            return self._of_bins(solution, self.width)
+        assert self.samples is not None
+        assert self.n is not None
         if state.shape[1] == 1:
             # Sums over groups are those over samples.
             return solution
         return self._of_samples(solution, self.samples, self.n)
 
-    def _of_bins(self, solution: Solution) -> Solution:
+    def _of_bins(self, solution: Solution, width: Floats) -> Solution:
         """Let the last maximisation take Sheppard's corrections into account.
 
-        Moving the samples to the centres of bins costs all mixtures about the same, so the
-        likelihoods are shifted by what it costs one component.
+        The likelihood is that of the bins, the mass in each over its width.
         """
         family = solution.family
-        of_one, of_corrected = (
-            em.bound_at(groups, family, _single(groups, family))
-            for groups in (self.summaries, self.corrected)
-        )
         state = em.refit(self.summaries, solution, self.corrected, family)
-        value = solution.log_likelihood + (of_corrected - of_one)
+        y, half = self.summaries.log, width[:, np.newaxis] / 2
+        each = state[..., np.newaxis]
+        mass = np.exp(each[0]) * (family.cdf(y + half, each) - family.cdf(y - half, each))
+        log = np.log(np.maximum(mass.sum(axis=0), _LEAST_MASS) / width[:, np.newaxis])
+        value = np.vecdot(self.summaries.count, log)
         return replace(solution, state=state, log_likelihood=value)
 
     def _of_samples(self, solution: Solution, samples: Floats, n: Counts) -> Solution:
@@ -208,6 +225,12 @@ class Found:
         """Groups of the rows, as close to the samples as there are."""
         return self.objective.corrected
 
+    def among(self, chosen: Mask) -> Found:
+        """Select rows of these."""
+        at = np.flatnonzero(chosen)
+        solutions = [solution.take(at) for solution in self.solutions]
+        return Found(self.rows[at], solutions, self.objective.take(at))
+
     def also(self, family: MixtureFamily, rows: Counts) -> list[Solution]:
         """Fit another family to some of the rows, from where the solutions of this one are."""
         kind, objective, solutions = COMPONENTS[family], self.objective.take(rows), []
@@ -239,6 +262,15 @@ def search(
         yield Found(rows, _fit(objective, COMPONENTS[family], max_k, bar), objective)
 
 
+_FEW = 160
+"""BIC is an expansion for many samples: of fewer than these, a mixture fits chance."""
+
+
+def log_samples(n: Counts | Floats) -> Floats:
+    """Return the log n of a score: at least that of 160 samples."""
+    return np.asarray(np.log(np.maximum(n, _FEW)))
+
+
 def score(solution: Solution, log_n: Floats) -> Floats:
     """Return log-likelihood less half of log n for each parameter, shape (row,)."""
     return np.asarray(solution.log_likelihood - 1.5 * solution.state.shape[1] * log_n)
@@ -256,7 +288,8 @@ def _pieces(part: Part, usable: Mask, plan: Plan) -> Iterator[tuple[Counts, Obje
         if isinstance(part, PositiveHistogram):
             some = take_part(part, rows)
             bins = summaries_of_bins(some.counts, some.log_centers, some.width)
-            yield rows, Objective(plan, *bins)
+            width = np.broadcast_to(some.width, some.n.shape)
+            yield rows, Objective(plan, *bins, width=width)
         else:
             samples = part.log_sorted.reshape(-1, part.x.shape[-1])[rows, : n[rows[-1]]]
             summaries = summaries_of_samples(samples, n[rows], plan.groups)
@@ -268,7 +301,7 @@ def _fit(
 ) -> list[Solution]:
     summaries, windows = objective.summaries, objective.plan.windows
     solutions = [objective.maximise(family, _single(summaries, family))]
-    rows, log_n = np.arange(len(summaries.n)), np.log(summaries.n)
+    rows, log_n = np.arange(len(summaries.n)), log_samples(summaries.n)
     for k in range(2, max_k + 1):
         if unimodal is not None and k > 2:
             # One component more may pay where the last one did.
@@ -419,7 +452,7 @@ def _best_window(
 def _state(summaries: Summaries, family: ComponentFamily, sums: Floats) -> Floats:
     """Return the state of components whose counts, sums of y and of t(y) are given."""
     n = np.maximum(sums[0], _LEAST)
-    return family.maximise(n / summaries.n, sums[1] / n, sums[2] / n, summaries.floor)
+    return em.state_of(family, n, sums[1] / n, sums[2] / n, summaries.floor, summaries.spacing)
 
 
 def _sums_below(summaries: Summaries, family: ComponentFamily) -> Floats:

@@ -33,9 +33,10 @@ from chdstat._core.arrays import spans
 from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat.fit.em import COMPONENTS
 from chdstat.fit.families import FAMILIES, SELECTED, Fit, fit_part, zero_log_likelihood
+from chdstat.fit.search import log_samples
 from chdstat.fit.weighted_samples import SPREAD_FLOOR, cumulative
 
-__all__ = ["edge_scores", "log_concave_likelihood", "log_samples", "unimodal_scores"]
+__all__ = ["edge_scores", "log_concave_likelihood", "unimodal_scores"]
 
 _KNOTS = 33
 _QUANTILES = np.sin(np.linspace(0, np.pi / 2, _KNOTS)) ** 2
@@ -268,18 +269,11 @@ _ABOVE_FLOOR, _BELOW_CEILING, _LOG_CONCAVE = 3.5, 5.0, 9.2
 """Parameters that the distributions of `edge_scores` count as: as few, or as much likelihood, as it
 takes to find more than one mode in at most 5 % of the samples of hard-edged distributions, and as
 many as it takes to find nearly all that are there (``tests/benchmarks/test_modes.py``)."""
-_FEW = 128
-"""BIC is an expansion for many samples: of fewer than these, a mixture fits chance."""
 _FLOORS = (0.03, 0.12, 0.4, 1.5)
 """Distances of a floor from the smallest sample, in ranges of the samples."""
 _NEXT = 3
 """Samples from which the density at an end is estimated."""
 _LEAST_ABOVE = 1e-12
-
-
-def log_samples(n: Counts) -> Floats:
-    """Return the log n of a score: at least that of 128 samples."""
-    return np.asarray(np.log(np.maximum(n, _FEW)))
 
 
 def unimodal_scores(
@@ -360,14 +354,14 @@ def _gamma_above_a_floor(ascending: Floats, n: Counts) -> Floats:
     log = np.where(valid, ascending - last, 0.0)
     x = np.exp(log)
     above = x - x[:, :1]
-    gamma, one = COMPONENTS["gamma"], np.ones(len(n))
+    gamma = COMPONENTS["gamma"]
     best = np.full(len(n), -np.inf)
     for distance in (0.5 / n, *_FLOORS):
         z = above + (distance * (1 - x[:, 0]))[:, np.newaxis]
         mean = np.vecdot(z, valid) / n
         z /= mean[:, np.newaxis]
         log_z = np.vecdot(np.log(z, out=z), valid) / n
-        _, _, log_shape = gamma.maximise(one, log_z, one, one * SPREAD_FLOOR)
+        log_shape = gamma.log_scale(np.maximum(-2 * log_z, SPREAD_FLOOR**2))
         k = np.exp(log_shape)
         value = (k - 1) * log_z + k * (log_shape - 1) - special.gammaln(k) - np.log(mean)
         best = np.fmax(best, n * value)

@@ -322,6 +322,8 @@ class Summaries:
         Shape (row,): log of the largest sample, so that exp(y) cannot overflow.
     floor
         Least standard deviation of a component, shape (row,).
+    spacing
+        Median distance of neighbouring samples in y, shape (row,).
     """
 
     count: Floats
@@ -330,6 +332,7 @@ class Summaries:
     ratio: Floats
     origin: Floats
     floor: Floats
+    spacing: Floats
 
     def take(self, rows: Counts) -> Summaries:
         """Return some of the rows."""
@@ -355,16 +358,17 @@ def summaries_of_samples(log_sorted: Floats, n: Counts, most: int = 64) -> Summa
         count = np.diff(edges, axis=-1).astype(np.float64)
         below = (np.take_along_axis(cumulative(v), edges, axis=-1) for v in (y, y * y, np.exp(y)))
         means = (np.diff(sums, axis=-1) / np.maximum(count, 1) for sums in below)
-        pieces.append((count, *means, origin))
-    count, log, square, ratio, origin = map(np.concatenate, zip(*pieces, strict=True))
-    return Summaries(count, log, square, ratio, origin, np.full(len(n), SPREAD_FLOOR))
+        pieces.append((count, *means, origin, _spacing(y, n[part])))
+    count, log, square, ratio, origin, spacing = map(np.concatenate, zip(*pieces, strict=True))
+    return Summaries(count, log, square, ratio, origin, np.full(len(n), SPREAD_FLOOR), spacing)
 
 
 def summaries_of_each(log_sorted: Floats, n: Counts) -> Summaries:
     """Make each sample a group, which loses nothing; arguments as of `summaries_of_samples`."""
     y, origin = _relative(log_sorted, n)
     count = (np.arange(log_sorted.shape[-1]) < n[:, np.newaxis]).astype(np.float64)
-    return Summaries(count, y, y * y, np.exp(y), origin, np.full(len(n), SPREAD_FLOOR))
+    floor, spacing = np.full(len(n), SPREAD_FLOOR), _spacing(y, n)
+    return Summaries(count, y, y * y, np.exp(y), origin, floor, spacing)
 
 
 def summaries_of_bins(
@@ -389,9 +393,14 @@ def summaries_of_bins(
     square, ratio = y * y, np.exp(y)
     least = np.maximum(width / np.sqrt(2 * np.pi), SPREAD_FLOOR)
     corrected = np.maximum(width * np.sqrt(1 / (2 * np.pi) - 1 / 12), SPREAD_FLOOR)
-    as_they_are = Summaries(count, y, square, ratio, origin[:, 0], least)
-    ratio = ratio * (h / 2) / np.sinh(h / 2)
-    return as_they_are, Summaries(count, y, square - h * h / 12, ratio, origin[:, 0], corrected)
+    # Half of the samples lie in bins that hold as many as this one, or more.
+    fullest = -np.sort(-count, axis=-1)
+    half = 2 * np.cumsum(fullest, axis=-1) < count.sum(axis=-1, keepdims=True)
+    typical = np.take_along_axis(fullest, half.sum(axis=-1, keepdims=True), axis=-1)[:, 0]
+    spacing = width / typical
+    as_they_are = Summaries(count, y, square, ratio, origin[:, 0], least, spacing)
+    ratio, square = ratio * (h / 2) / np.sinh(h / 2), square - h * h / 12
+    return as_they_are, Summaries(count, y, square, ratio, origin[:, 0], corrected, spacing)
 
 
 def _relative(log_sorted: Floats, n: Counts) -> tuple[Floats, Floats]:
@@ -399,6 +408,18 @@ def _relative(log_sorted: Floats, n: Counts) -> tuple[Floats, Floats]:
     origin = np.take_along_axis(log_sorted, n[:, np.newaxis] - 1, axis=-1)
     valid = np.arange(log_sorted.shape[-1]) < n[:, np.newaxis]
     return np.where(valid, log_sorted - origin, 0.0), origin[:, 0]
+
+
+def _spacing(y: Floats, n: Counts) -> Floats:
+    """Return the median distance of neighbours, shape (row,); 0 for a single sample."""
+    gaps = np.diff(y, axis=-1)
+    gaps[np.arange(1, y.shape[-1]) >= n[:, np.newaxis]] = np.inf
+    gaps.sort(axis=-1)
+    middle = np.maximum(n - 2, 0)[:, np.newaxis] // 2
+    spacing = (
+        np.zeros(len(y)) if gaps.shape[-1] == 0 else np.take_along_axis(gaps, middle, -1)[:, 0]
+    )
+    return np.where(n > 1, spacing, 0.0)
 
 
 def _edges(y: Floats, n: Counts, most: int) -> Counts:
@@ -441,7 +462,7 @@ def _spikes(gaps: Floats) -> Counts:
     return np.argpartition(contrast, -kept, axis=-1)[:, -kept:]
 
 
-def cumulative(values: Floats) -> Floats:
+def cumulative(values: npt.NDArray[Any]) -> Floats:
     """Return sums of the values before each, and of all of them, shape (row, value + 1)."""
     sums = np.zeros((values.shape[0], values.shape[1] + 1))
     np.cumsum(values, axis=-1, out=sums[:, 1:])

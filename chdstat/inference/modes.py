@@ -30,10 +30,12 @@ from chdstat._core.positive import Counts, Floats, Mask, PositivePart
 from chdstat._core.reasons import label_variables
 from chdstat._core.resampling import q_values
 from chdstat.errors import Reason
+from chdstat.fit.atoms import split
+from chdstat.fit.clamps import before_clamps
 from chdstat.fit.families import Fit
 from chdstat.fit.mixtures import ChosenMixtures, Mixture
 from chdstat.fit.peaks import LEAST_WEIGHT, best_peaks
-from chdstat.fit.search import Found
+from chdstat.fit.search import Found, search
 from chdstat.fit.unimodal_bic import unimodal_scores
 from chdstat.inference.dip import dips
 from chdstat.inference.statistics import DIP_QUANTILES, interpolated_p
@@ -209,10 +211,20 @@ def mixture_and_modes_of_part(
 
     The mixtures are those of `mixture_of_part` with ``effort='fast'``, with two exceptions: they
     need 20 positive samples, as modes do; and three components are not tried, and have no BIC,
-    where two are worse than one or than the best distribution of one mode.
+    where two are worse than one or than the best distribution of one mode. Where samples are equal,
+    mixtures are searched for once more, without the atoms.
     """
-    chosen = ChosenMixtures(part, part.reason(_MINIMUM), MODES)
-    modality = modality_of_part(part, fits=fits, also=chosen.enter)
+    atoms = split(part)
+    reason = atoms.reason(part, _MINIMUM)
+    atoms = replace(atoms, rest=before_clamps(part, atoms, "lognormal"))
+    chosen, apart = ChosenMixtures(part, atoms, reason, MODES), atoms.tied.reshape(-1)
+    modality = modality_of_part(
+        part, fits=fits, also=lambda found: chosen.enter(found.among(~apart[found.rows]))
+    )
+    for found in search(
+        atoms.rest, atoms.tied & (reason == Reason.OK), "lognormal", MODES, effort="fast"
+    ):
+        chosen.enter(found)
     return chosen.result("lognormal"), modality
 
 

@@ -1,16 +1,36 @@
-"""Mixtures and modes: likelihood against scikit-learn's on real renders, and time.
+"""Mixtures and modes: numbers of components, errors, likelihood against scikit-learn's, time.
 
 The likelihoods are measured on the stores that the environment variable CHDSTAT_STORES names, their
 paths separated by colons; without it, on simulated rows.
 """
 
 import os
+from itertools import product
 
 import numpy as np
 import pytest
+from scipy import special, stats
 from sklearn.mixture import GaussianMixture
 
 import chdstat as chd
+
+ROWS = 400
+ONE_LAW = {
+    "lognormal": ((0.1, 0.5, 2.0), lambda rng, p, size: rng.lognormal(0.3, p, size)),
+    "gamma": ((0.3, 2.0, 20.0), lambda rng, p, size: rng.gamma(p, size=size)),
+}
+COUNTS, NULLS, BITS, ATOMS = (
+    (16, 32, 64, 128, 256, 1024, 4096),
+    (0.0, 0.5, 0.95),
+    (5, 8, 11, 24),
+    (0.0, 0.005, 0.02, 0.05),
+)
+"""Samples; shares of nulls; bits of mantissa; shares of an atom."""
+BEFORE = {
+    "lognormal": {(64, 3): 0.38, (128, 3): 0.66, (512, 2): 0.39, (512, 3): 0.98, (2048, 2): 1.00},
+    "gamma": {(64, 3): 0.45, (128, 3): 0.68, (512, 2): 0.59, (512, 3): 0.98, (2048, 2): 0.95},
+}
+"""Share of rows in which two components, weights .3 and .7, were found without a penalty."""
 
 PIXELS = 150
 NATS = 1e-3
@@ -40,6 +60,128 @@ def sources():
 
 def pixels_of(source):
     return simulated_pixels() if source == "simulated" else random_pixels(source)
+
+
+def rounded(x, bits):
+    mantissa, exponent = np.frexp(x)
+    return np.ldexp(np.round(mantissa * 2.0**bits) / 2.0**bits, exponent)
+
+
+def one_law(rng, family, parameter, size, *, nulls, bits, atom):
+    """Rows of one law: an atom at one of its own values, then rounded, then nulls."""
+    _, draw = ONE_LAW[family]
+    x, value = draw(rng, parameter, size), draw(rng, parameter, (size[0], 1))
+    x = rounded(np.where(rng.random(size) < atom, value, x), bits)
+    return np.where(rng.random(size) < nulls, 0, x), rounded(value, bits)
+
+
+def two_laws(rng, family, size, distance, weight):
+    """Rows of two log-normal or gamma(4) laws, `distance` standard deviations of log x apart."""
+    upper = rng.random(size) < weight
+    if family == "lognormal":
+        return np.exp(rng.normal(size=size) + distance * upper)
+    factor = np.exp(distance * np.sqrt(special.polygamma(1, 4.0)))
+    return rng.gamma(4, size=size) * np.where(upper, factor, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effort", ["fast", "thorough"])
+@pytest.mark.parametrize("family", ONE_LAW)
+def test_one_law_has_one_component(as_benchmark, family, effort):
+    """At most 5 % of the rows of each cell, but for what chance adds in one grid of 1000."""
+    parameters, _ = ONE_LAW[family]
+    cells = list(product(parameters, COUNTS, NULLS, BITS, ATOMS))
+    title = f"{family}, {effort}: per cent of rows with k > 1, of {ROWS} rows (± 1.1 at 5 %)"
+    print(f"\n{title}, atoms {ATOMS}; then without nulls, where the atom was named")
+    worst = 0.0
+    for parameter, n, nulls, bits in product(parameters, COUNTS, NULLS, BITS):
+        several, named = [], []
+        for atom in ATOMS:
+            rng = np.random.default_rng([n, bits, int(1000 * atom), int(100 * nulls)])
+            options = {"nulls": nulls, "bits": bits, "atom": atom}
+            x, value = one_law(rng, family, parameter, (ROWS, n), **options)
+            result = chd.fit.mixture(x, family=family, effort=effort)
+            several.append(100 * np.mean(result.k > 1))
+            named.append(100 * np.mean((result.atoms == value).any(axis=-1)))
+        worst = max(worst, *several)
+        row = "".join(f"{share:6.1f}" for share in several + (named if nulls == 0 else []))
+        print(f"{parameter:5g}{n:6}{nulls:6}{bits:4}{row}", flush=True)
+    print(f"worst cell {worst:.1f}")
+    assert worst <= 100 * stats.binom.isf(1e-3 / len(cells), ROWS, 0.05) / ROWS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bound", [0.8, 0.95, 0.99])
+@pytest.mark.parametrize("family", ONE_LAW)
+def test_a_clamped_law_has_one_component(as_benchmark, family, bound):
+    parameters, draw = ONE_LAW[family]
+    for parameter, n in product(parameters, (64, 256, 1024)):
+        x = draw(np.random.default_rng(n), parameter, (ROWS, n))
+        top = np.quantile(draw(np.random.default_rng(1), parameter, 200_000), bound)
+        result = chd.fit.mixture(np.minimum(x, top), family=family)
+        several, named = np.mean(result.k > 1), np.mean(result.atoms[:, 0] == top)
+        print(f"\n{family} {parameter:g}, {n}: k > 1 {several:.3f}, atom named {named:.3f}", end="")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", ONE_LAW)
+def test_histograms_and_samples_mostly_agree(as_benchmark, family):
+    parameters, draw = ONE_LAW[family]
+    print(f"\n{family}: k > 1 of samples, of histograms; share of equal k")
+    for n, parameter in product((64, 256, 1024), parameters):
+        x = draw(np.random.default_rng(n), parameter, (ROWS, n))
+        k, of_bins = (chd.fit.mixture(source, family=family).k for source in (x, chd.histogram(x)))
+        shares = np.mean(k > 1), np.mean(of_bins > 1), np.mean(k == of_bins)
+        print(f"{parameter:5g}{n:6}" + "".join(f"{share:8.3f}" for share in shares))
+    for n, distance in product((128, 512), (3, 5)):
+        x = two_laws(np.random.default_rng(n), family, (ROWS, n), distance, 0.3)
+        k, of_bins = (chd.fit.mixture(source, family=family).k for source in (x, chd.histogram(x)))
+        print(f"D = {distance}{n:6}   equal {np.mean(k == of_bins):.3f}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", ONE_LAW)
+def test_two_components_are_found(as_benchmark, family):
+    print(f"\n{family}: share of {ROWS} rows with k = 2, k > 2, before")
+    for n, distance, weight in product((64, 128, 512, 2048), (2, 3, 4), (0.3, 0.7)):
+        x = two_laws(np.random.default_rng(n), family, (ROWS, n), distance, weight)
+        k = chd.fit.mixture(x, family=family).k
+        before = BEFORE[family].get((n, distance), np.nan)
+        print(
+            f"{n:5}{distance:3}{weight:5}{np.mean(k == 2):8.3f}{np.mean(k > 2):8.3f}{before:8.2f}"
+        )
+        if (n, distance) == (512, 3):
+            assert np.mean(k == 2) >= before - 4 * np.sqrt(0.02 / ROWS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", ONE_LAW)
+def test_errors_of_two_components(as_benchmark, family):
+    """Where errors are known in a fifth of the rows or more: 90 to 99 %, and 3.5 deviations."""
+    print(f"\n{family}: share of 1000 rows with k = 2; share with errors, and coverage, of both")
+    scale = np.exp(np.sqrt(special.polygamma(1, 4.0)))
+    wrong = []
+    for n, distance, weight in product((32, 64, 128, 256, 512, 2048), (2, 3, 5), (0.3, 0.7, 0.1)):
+        x = two_laws(np.random.default_rng(n), family, (1000, n), distance, weight)
+        result = chd.fit.mixture(x, family=family)
+        two, line = result.k == 2, ""
+        truths = (
+            {"mu": (0, distance), "sigma": (1, 1)}
+            if family == "lognormal"
+            else {"shape": (4, 4), "scale": (1, scale**distance)}
+        )
+        estimates = {**result.parameters, "weight": result.weights}
+        for name, truth in {**truths, "weight": (1 - weight, weight)}.items():
+            for j in (0, 1):
+                z = (estimates[name][two, j] - truth[j]) / result.standard_errors[name][two, j]
+                z = z[np.isfinite(z)]
+                held = np.mean(np.abs(z) < 1.96) if z.size >= 50 else np.nan
+                line += f"{z.size / max(1, two.sum()):7.2f}{held:6.3f}"
+                near = 3.5 * np.sqrt(0.09 / max(1, z.size))
+                if z.size > 0.2 * two.sum() and z.size >= 50:
+                    wrong += [held] if not 0.9 - near <= held <= 0.99 + near else []
+        print(f"{n:5}{distance:3}{weight:5}{two.mean():7.2f} |{line}", flush=True)
+    assert not wrong
 
 
 @pytest.mark.slow

@@ -6,9 +6,11 @@ from scipy import integrate, stats
 from sklearn.mixture import GaussianMixture
 
 import chdstat as chd
+from chdstat._core.positive import PositivePart
 from chdstat.errors import InputError, Reason
 from chdstat.fit import mixture
-from chdstat.fit.em import COMPONENTS, bound_at, run
+from chdstat.fit.atoms import split
+from chdstat.fit.em import COMPONENTS, bound_at, penalty, run
 from chdstat.fit.search import segmentations
 from chdstat.fit.weighted_samples import summaries_of_each, summaries_of_samples
 
@@ -27,14 +29,13 @@ def two_gammas(rng, shape, share=0.4):
 
 
 def renders(rng, rows, spp):
-    """Rows as renders have them: lobes of any width, spikes, far outliers, an atom, few samples."""
+    """Rows as renders have them: lobes of any width, spikes, far outliers, few samples."""
     x = np.empty((rows, spp))
     for row in x:
         k = rng.integers(1, 5)
         which = rng.choice(k, size=spp, p=rng.dirichlet(np.ones(k)))
         spread = 10.0 ** rng.uniform(-2.5, 0.3, size=k)
         row[:] = np.exp(rng.normal(rng.normal(scale=2.5, size=k)[which], spread[which]))
-    x[::4, : spp // 5] = x[::4, :1]
     x[1::4, :2] *= 1e-9
     x[2::4, : spp // 2] = 0
     return rng.permuted(x, axis=-1)
@@ -79,11 +80,13 @@ def test_parameters_of_lognormal_components_are_recovered():
     """Z-scores over 300 rows: mean within 4/sqrt(300), sd within 20 % (fails by chance < 1e-3)."""
     result = mixture(two_lights(np.random.default_rng(2), (300, 1024)), 2)
     truth = {"mu": (-4, 0), "sigma": (0.8, 0.5)}
+    known = result.error_reason == Reason.OK
+    assert known.mean() > 0.9
     for name, values in truth.items():
-        z = (result.parameters[name] - values) / result.standard_errors[name]
+        z = ((result.parameters[name] - values) / result.standard_errors[name])[known]
         np.testing.assert_allclose(z.mean(axis=0), 0, atol=0.35)
         np.testing.assert_allclose(z.std(axis=0), 1, atol=0.2)
-    z = (result.weights[:, 0] - 0.3) / result.standard_errors["weight"][:, 0]
+    z = ((result.weights[:, 0] - 0.3) / result.standard_errors["weight"][:, 0])[known]
     np.testing.assert_allclose([z.mean(), z.std()], [0, 1], atol=0.25)
 
 
@@ -91,21 +94,27 @@ def test_parameters_of_gamma_components_are_recovered():
     """As above; shape and scale are skewed at 410 and 610 samples, hence medians."""
     result = mixture(two_gammas(np.random.default_rng(3), (300, 1024)), 2, family="gamma")
     truth = {"shape": (2, 5), "scale": (0.01, 1)}
+    known = result.error_reason == Reason.OK
+    assert known.mean() > 0.9
     for name, values in truth.items():
-        z = (result.parameters[name] - values) / result.standard_errors[name]
+        z = ((result.parameters[name] - values) / result.standard_errors[name])[known]
         np.testing.assert_allclose(np.median(z, axis=0), 0, atol=0.35)
         np.testing.assert_allclose(z.std(axis=0), 1, atol=0.25)
 
 
 @pytest.mark.parametrize("k", [2, 3])
 def test_likelihood_is_at_least_that_of_scikit_learn(k):
-    """On 99 % of the pixels; here 60 made-up ones, so one miss is allowed."""
+    """On 99 % of the pixels; here 60 made-up ones, so one miss is allowed.
+
+    Theirs may have a component of a single sample, which ours may not.
+    """
     x = renders(np.random.default_rng(4), 60, 256)
     gain = mixture(x, k).log_likelihood - mixture(x, 1).log_likelihood
     missed = 0
     for row, of_all in zip(x, gain, strict=True):
         y = np.log(row[row > 0])[:, np.newaxis]
-        best = GaussianMixture(k, n_init=5, random_state=0).fit(y).score(y)
+        theirs = GaussianMixture(k, n_init=5, random_state=0).fit(y)
+        best = theirs.score(y) if theirs.weights_.min() * len(y) > 1.5 else -np.inf
         one = stats.norm(y.mean(), y.std()).logpdf(y).mean()
         missed += of_all / len(y) < best - one - 1e-3
     assert missed <= 1
@@ -120,6 +129,48 @@ def test_bic_and_held_out_likelihood_choose_the_number_of_components():
     assert np.isfinite(held_out.held_out).all()
     one = np.random.default_rng(6).lognormal(size=(100, 512))
     assert (mixture(one).k == 1).mean() > 0.9
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("n", [16, 64])
+def test_one_law_has_one_component(n, family):
+    """More are found in at most 5 %: 9 % of 500 rows by chance with less than 1e-4.
+
+    The control: two lights are told apart.
+    """
+    rng = np.random.default_rng(27)
+    x = rng.lognormal(size=(500, n)) if family == "lognormal" else rng.gamma(2, size=(500, n))
+    assert (mixture(x, family=family).k > 1).mean() < 0.09
+    null = np.zeros((500, 15 * n))
+    assert (mixture(np.c_[x, null], family=family).k > 1).mean() < 0.09
+    assert (mixture(two_lights(rng, (100, 64)), family="lognormal").k > 1).mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("n", "share", "distance"), [(512, 0.3, 3), (512, 0.3, 5), (128, 0.3, 5), (2048, 0.1, 5)]
+)
+def test_errors_hold_or_are_missing(n, share, distance):
+    """Intervals of 95 % hold in 90 to 99 % where they are known; 4 deviations of 300 rows are 7 %.
+
+    The control: of components that overlap, few have errors.
+    """
+    rng = np.random.default_rng(28)
+
+    def drawn(n, share, distance):
+        return np.exp(rng.normal(size=(300, n)) + distance * (rng.random((300, n)) < share))
+
+    result = mixture(drawn(n, share, distance))
+    for name, truth in (("mu", (0, distance)), ("sigma", (1, 1)), ("weight", (1 - share, share))):
+        values = result.weights if name == "weight" else result.parameters[name]
+        error = result.standard_errors[name][:, :2]
+        known = np.isfinite(error) & (result.k == 2)[:, np.newaxis]
+        held = (np.abs(values[:, :2] - truth) < 1.96 * error)[known]
+        assert held.size < 40 or held.mean() > 0.83
+        assert held.size > 40 or (name == "sigma" and n == 128)
+    overlapping = mixture(drawn(128, share, 3))
+    missing = np.isnan(overlapping.standard_errors["mu"]).all(axis=-1)
+    assert (overlapping.error_reason[missing] > 0).all()
+    assert (overlapping.error_reason[overlapping.k == 2] == 0).mean() < 0.2
 
 
 def test_held_out_likelihood_is_that_of_the_other_half():
@@ -144,7 +195,8 @@ def test_the_likelihood_is_that_of_the_density(family):
         positive = np.log(density(result, row, x[row, 50:], family)).sum()
         zeros = 50 * np.log(0.25) + 150 * np.log(0.75)
         assert result.log_likelihood[row] == pytest.approx(positive + zeros, rel=1e-9)
-    penalty = (3 * result.k - 1) * np.log(150) + np.log(200)
+    # Components beyond the first cost as if there were 160 samples at least.
+    penalty = 2 * np.log(150) + 3 * (result.k - 1) * np.log(160) + np.log(200)
     np.testing.assert_allclose(result.bic, penalty - 2 * result.log_likelihood)
     at = result.k[:, np.newaxis] - 1
     np.testing.assert_allclose(result.bic, np.take_along_axis(result.bics, at, -1)[:, 0])
@@ -158,15 +210,20 @@ def test_more_components_are_never_less_likely(family):
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_every_cycle_raises_the_bound(family):
+def test_every_cycle_raises_the_penalised_bound(family):
     ascending = logarithms(renders(np.random.default_rng(10), 40, 300))
     kind = COMPONENTS[family]
     for summaries in (summaries_of_samples(*ascending), summaries_of_each(*ascending)):
         state = next(segmentations(summaries, kind, 3))
-        before = bound_at(summaries, kind, state)
+
+        def penalised(state, summaries=summaries):
+            bound = bound_at(summaries, kind, state)
+            return bound + penalty(kind, state, summaries.spacing)
+
+        before = penalised(state)
         for _ in range(10):
             state = run(summaries, kind, state, cycles=1, tolerance=0.0).state
-            after = bound_at(summaries, kind, state)
+            after = penalised(state)
             assert (after >= before - 1e-7 * np.abs(before)).all()
             before = after
 
@@ -273,13 +330,150 @@ def test_a_component_in_one_bin_gets_the_width_of_a_bin():
 # --- hard pixels --------------------------------------------------------------------------------
 
 
-def test_an_atom_is_a_component_at_the_least_spread():
+def test_an_atom_is_no_component():
     rng = np.random.default_rng(18)
     x = np.where(rng.random((20, 300)) < 0.4, 1.0, rng.lognormal(-3, 0.5, size=(20, 300)))
-    result = mixture(x.astype(np.float32), 2)
-    np.testing.assert_allclose(result.parameters["sigma"][:, 1], 1e-3, rtol=1e-6)
-    np.testing.assert_allclose(result.weights[:, 1], (x == 1).mean(axis=-1), atol=1e-3)
-    np.testing.assert_allclose(result.parameters["mu"][:, 1], 0, atol=1e-6)
+    x[:, :30] = 0
+    result = mixture(x.astype(np.float32))
+    np.testing.assert_array_equal(result.k, 1)
+    np.testing.assert_array_equal(result.atoms[:, 0], 1)
+    np.testing.assert_allclose(result.atom_weights[:, 0], (x == 1).sum(axis=-1) / 270)
+    assert np.isnan(result.atoms[:, 1:]).all()
+    np.testing.assert_allclose(result.parameters["mu"][:, 0], -3, atol=0.25)
+
+
+def test_atoms_belong_to_the_model():
+    """Mean of 2e4 draws within 4.5 standard errors: fails by chance with 1e-5."""
+    rng = np.random.default_rng(19)
+    x = np.where(rng.random(1000) < 0.2, 5.0, two_lights(rng, 1000))
+    x[:200] = 0
+    result = mixture(x)
+    share = (x == 5).sum() / 800
+    assert float(result.cdf(5.0) - result.cdf(np.nextafter(5, 0))) == pytest.approx(0.8 * share)
+    total = integrate.quad(lambda t: float(result.pdf(np.exp(t)) * np.exp(t)), -15, 6, limit=200)
+    assert total[0] == pytest.approx(1 - share, abs=1e-6)
+    middle = float(result.cdf(5.0)) - 0.4 * share
+    assert float(result.ppf(middle)) == pytest.approx(5, rel=1e-12)
+    assert float(result.ppf(1.0)) == np.inf
+    drawn = result.rvs(20_000, seed=1)
+    assert (drawn == 5).mean() == pytest.approx(0.8 * share, abs=0.02)
+    assert float(result.mean()) == pytest.approx(
+        drawn.mean(), abs=4.5 * drawn.std() / np.sqrt(drawn.size)
+    )
+    rest = mixture(x[x != 5])
+    for name, values in rest.parameters.items():
+        np.testing.assert_array_equal(result.parameters[name], values)
+
+
+def test_the_likelihood_tells_atoms_from_the_rest():
+    rng = np.random.default_rng(20)
+    x = np.where(rng.random(400) < 0.1, 2.0, rng.lognormal(size=400))
+    result, rest = mixture(x, 1), mixture(x[x != 2], 1)
+    n, held = 400, (x == 2).sum()
+    among = held * np.log(held / n) + (n - held) * np.log(1 - held / n)
+    assert result.log_likelihood == pytest.approx(float(rest.log_likelihood) + among)
+
+
+def test_a_clamp_is_an_atom():
+    x = np.random.default_rng(21).lognormal(size=(50, 512))
+    result = mixture(np.minimum(x, 4.0))
+    np.testing.assert_array_equal(result.k, 1)
+    np.testing.assert_array_equal(result.atoms[:, 0], 4)
+    np.testing.assert_allclose(result.atom_weights[:, 0], (x >= 4).mean(axis=-1))
+
+
+@pytest.mark.parametrize(
+    "round_",
+    [
+        lambda x: rounded(x, 5),
+        lambda x: rounded(x, 8) * 0.7,
+        lambda x: np.ceil(20 * x) / 20,
+        lambda x: np.round(255 * np.minimum(x / 30, 1) ** (1 / 2.2)) ** 2.2 + 1e-3,
+        lambda x: np.exp(np.round(np.log(x), 1)),
+    ],
+    ids=["5 bits", "8 bits, scaled", "even steps", "8-bit gamma", "even in the logarithm"],
+)
+def test_rounding_makes_neither_components_nor_atoms(round_):
+    """At most 15 % of 100 rows: with a chance of 5 % or less each, fails in 2e-4 at most."""
+    x = round_(np.random.default_rng(22).lognormal(0.3, 0.5, size=(100, 600)))
+    result = mixture(x, effort="fast")
+    assert (result.k > 1).mean() <= 0.15
+    assert (result.k == 1).mean() > 0.8
+    assert np.isfinite(result.atoms[:, 0]).mean() <= 0.15
+
+
+def rounded(x, bits):
+    mantissa, exponent = np.frexp(x)
+    return np.ldexp(np.round(mantissa * 2.0**bits) / 2.0**bits, exponent)
+
+
+def test_components_of_rounded_samples_are_those_of_the_samples():
+    x = two_lights(np.random.default_rng(23), (40, 512))
+    one, other = mixture(x, 2), mixture(rounded(x, 7), 2)
+    np.testing.assert_allclose(other.weights, one.weights, atol=5e-3)
+    np.testing.assert_allclose(
+        other.parameters["mu"][:, :2], one.parameters["mu"][:, :2], atol=0.03
+    )
+    np.testing.assert_array_equal(mixture(rounded(x, 7)).k, mixture(x).k)
+
+
+def test_what_is_spread_stays_between_its_neighbours_and_in_order():
+    x = rounded(np.random.default_rng(24).lognormal(size=(30, 400)), 6)
+    x[:, ::7] = 0
+    atoms = split(PositivePart.of(x))
+    rest = atoms.rest
+    assert ((x > 0) >= rest.positive).all()
+    np.testing.assert_array_equal(rest.n + atoms.counts.sum(axis=-1), (x > 0).sum(axis=-1))
+    for row in range(30):
+        kept = rest.positive[row]
+        was, now = x[row, kept], rest.x[row, kept]
+        order = np.argsort(now)
+        assert (np.diff(was[order]) >= 0).all()
+        assert len(np.unique(now)) == len(now)
+
+
+def test_a_row_does_not_depend_on_the_others():
+    rng = np.random.default_rng(25)
+    x = two_lights(rng, (6, 200))
+    x[1] = rounded(x[1], 5)
+    x[2, :40] = 3.0
+    x[3] = np.round(x[3]) + 1
+    x[4, 10:] = 0
+    together = mixture(x)
+    for row in range(6):
+        alone = mixture(x[row])
+        assert alone.k == together.k[row]
+        np.testing.assert_array_equal(alone.atoms, together.atoms[row])
+        np.testing.assert_allclose(alone.parameters["mu"], together.parameters["mu"][row])
+
+
+FEW_VALUES = {
+    "two": np.repeat([1.0, 2.0], 20),
+    "three": np.repeat([1.0, 2.0, 2.5], 20),
+    "uneven": np.repeat([1.0, 1.05, 1.3, 4.0, 4.1, 9.0], 30),
+    "ten uneven": np.repeat(np.random.default_rng(26).lognormal(size=10), 25),
+}
+
+
+@pytest.mark.parametrize("name", FEW_VALUES)
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_few_values_have_no_components(name, family):
+    x = FEW_VALUES[name]
+    result = mixture(x, family=family)
+    assert result.reason == Reason.TIED
+    assert result.k == 0
+    values = np.unique(x)
+    if len(values) <= 8:
+        np.testing.assert_array_equal(np.sort(result.atoms[: len(values)]), values)
+        assert result.atom_weights.sum() == pytest.approx(1)
+
+
+def test_three_samples_do_not_tell_one_component_from_two():
+    x = np.r_[1.0, 2.0, 4.0, np.zeros(60)]
+    assert mixture(x).reason == Reason.TOO_FEW
+    assert mixture(x).k == 0
+    assert mixture(x, 1).k == 1
+    assert mixture(x, max_k=1).k == 1
 
 
 @pytest.mark.filterwarnings("ignore::chdstat.errors.LeftOutWarning")
@@ -314,18 +508,20 @@ def test_extreme_radiance(family):
     x[4, 2:] = 0
     x[5, 5:] = 0
     result = mixture(x, family=family)
-    assert (result.k > 0).all()
-    assert np.isfinite(result.log_likelihood).all()
-    np.testing.assert_allclose(np.nansum(result.weights, axis=-1), 1)
-    assert result.k[4] == 1
-    assert np.isnan(result.bics[4, 1:]).all()
+    two_values, too_few = 3, 4
+    fitted = np.delete(np.arange(6), [two_values, too_few])
+    assert (result.k[fitted] > 0).all()
+    assert np.isfinite(result.log_likelihood[fitted]).all()
+    np.testing.assert_allclose(np.nansum(result.weights[fitted], axis=-1), 1)
+    assert result.reason[[two_values, too_few]].tolist() == [Reason.TIED, Reason.TOO_FEW]
+    assert np.isnan(result.bics[too_few]).all()
     assert np.isnan(result.bics[5, 2])
 
 
 def test_more_components_than_samples_or_values():
     assert mixture([1.0, 2.0, 3.0, 4.0], 2).reason == Reason.TOO_FEW
-    assert mixture(np.repeat([1.0, 2.0], 20), 3).reason == Reason.TOO_FEW
-    assert mixture(np.repeat([1.0, 2.0], 20), 2).reason == Reason.OK
+    assert mixture(np.r_[np.linspace(1, 2, 7), 0, 0], 3).reason == Reason.TOO_FEW
+    assert mixture(np.r_[np.linspace(1, 2, 8), 0, 0], 3).reason == Reason.OK
 
 
 @pytest.mark.parametrize("family", FAMILIES)

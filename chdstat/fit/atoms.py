@@ -1,0 +1,335 @@
+"""Atoms: values that more samples share than a continuous law explains.
+
+A lamp that is seen directly, or a clamp, gives many samples one value: a point mass, as nulls are.
+Rounding makes equal samples, too, at every value; a rounded law has about as many at a value as at
+those beside it. So a value is an atom where it holds more samples than its neighbours let expect:
+the logarithm of the expected count comes from the counts of the nearest values on either side, by
+the quadratic through them where they are many, and the count is compared with a negative binomial
+distribution, which is a Poisson one of an estimated mean (Greenwood and Yule, "An inquiry into the
+nature of frequency distributions", 1920, doi:10.2307/2341080). Values without samples are not seen:
+counts are those of a Poisson distribution without its zero (David and Johnson, "The truncated
+Poisson", 1952, doi:10.2307/3001863).
+
+`split` takes the samples of atoms out, and spreads those that rounding made equal over what was
+rounded to their value, never further than to the nearest values. What is left is continuous.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import special
+
+from chdstat._core.arrays import spans
+from chdstat._core.positive import Counts, Floats, Mask, PositivePart
+from chdstat.errors import Reason
+from chdstat.fit.weighted_samples import cumulative
+from chdstat.summary.dispatch import Part
+
+__all__ = ["MOST_ATOMS", "Atoms", "split"]
+
+MOST_ATOMS = 8
+"""Most atoms of a row: one with more has no continuous part to speak of."""
+_LEVEL = 0.05
+"""Of rows without atoms in which one may be found."""
+_RINGS = (1, 2, 4, 8, 16)
+_ENOUGH, _MANY = 40, 400
+"""Values on each side whose counts are compared: the fewest that hold so many samples, at most 16,
+and a quarter, for many samples a twelfth, of the values that there are."""
+_CURVED = 4
+"""Most values on each side over which the logarithms of counts are a parabola."""
+_FEWEST_VALUES = 5
+"""Fewer distinct values are no continuous law."""
+_HEAVY, _UNEVEN, _IRREGULAR = 10, 2.5, 0.25
+"""Rounded values with 10 samples have neighbours in even steps, one at most 2.5 times as far as the
+other, but for a quarter of them."""
+_LEAST_VARIANCE = 1e-12
+_FEWEST = 3
+"""Least samples of an atom."""
+_CHUNK = 2**18
+
+
+@dataclass(frozen=True)
+class Atoms:
+    """Atoms of rows, the heaviest first, and what they leave.
+
+    Attributes
+    ----------
+    values
+        Radiance of each atom, shape (..., atom); NaN beyond those that there are.
+    counts
+        Samples of each atom, same shape; 0 beyond.
+    rest
+        The continuous rest, of the shape of the part.
+    tied
+        Whether any samples of the row were equal, so that the rest is not the part, shape (...).
+    discrete
+        Whether the positive samples are a few values, without a continuous rest, shape (...).
+    """
+
+    values: Floats
+    counts: Counts
+    rest: Part
+    tied: Mask
+    discrete: Mask
+
+    @classmethod
+    def none(cls, part: Part) -> Atoms:
+        """Return that a histogram shows no atoms: its bins are wider than a value."""
+        shape = part.n.shape
+        values, counts = np.full((*shape, MOST_ATOMS), np.nan), np.zeros((*shape, MOST_ATOMS), int)
+        return cls(values, counts, part, *np.zeros((2, *shape), dtype=bool))
+
+    def reason(self, part: Part, minimum: int) -> npt.NDArray[np.int8]:
+        """Say why rows have no continuous rest of at least so many samples, as `Reason` codes."""
+        whole, rest = part.reason(minimum), self.rest.reason(minimum)
+        gone = self.discrete | (rest != Reason.OK) & (self.rest.n < part.n)
+        return np.where(whole == Reason.OK, np.where(gone, Reason.TIED, rest), whole)
+
+    def log_likelihood(self, n: Counts) -> Floats:
+        """Return that of which of n positive samples are at which atom, or at none, shape (...)."""
+        others = n - self.counts.sum(axis=-1)
+        parts = np.concatenate([self.counts, others[..., np.newaxis]], axis=-1)
+        total = np.maximum(n, 1)[..., np.newaxis]
+        return np.asarray(special.xlogy(parts, parts / total).sum(axis=-1))
+
+
+def split(part: Part) -> Atoms:
+    """Split the positive samples into atoms and a continuous rest, row by row.
+
+    Samples in bins have no values of their own, and stay as they are.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(1).lognormal(size=200)
+    >>> x[:20] = 3.0  # a lamp
+    >>> atoms = split(PositivePart.of(x))
+    >>> atoms.values[:2], atoms.counts[:2], int(atoms.rest.n)
+    (array([ 3., nan]), array([20,  0]), 180)
+    """
+    if not isinstance(part, PositivePart):
+        return Atoms.none(part)
+    shape, samples = part.n.shape, part.x.shape[-1]
+    ascending, n = part.sorted.reshape(-1, samples), part.n.reshape(-1)
+    equal = (ascending[:, 1:] == ascending[:, :-1]) & np.isfinite(ascending[:, 1:])
+    tied = equal.any(axis=-1)
+    values = np.full((n.size, MOST_ATOMS), np.nan)
+    counts = np.zeros((n.size, MOST_ATOMS), dtype=np.int64)
+    discrete, rest = np.zeros(n.size, dtype=bool), part
+    rows = np.flatnonzero(tied)
+    if rows.size:
+        x = np.array(part.x, dtype=np.float64).reshape(-1, samples)
+        positive = np.array(part.positive).reshape(-1, samples)
+        for piece in spans(len(rows), max(1, _CHUNK // samples)):
+            at = rows[piece]
+            found = _split_rows(x[at], positive[at], n[at])
+            values[at], counts[at], discrete[at], x[at], positive[at] = found
+        rest = replace(
+            part,
+            x=np.asarray(x.reshape(part.x.shape)),
+            positive=np.asarray(positive.reshape(part.x.shape)),
+            n=(n - counts.sum(axis=-1)).reshape(shape),
+        )
+    return Atoms(
+        values=values.reshape(*shape, MOST_ATOMS),
+        counts=counts.reshape(*shape, MOST_ATOMS),
+        rest=rest,
+        tied=tied.reshape(shape),
+        discrete=discrete.reshape(shape),
+    )
+
+
+def _split_rows(x: Floats, positive: Mask, n: Counts) -> tuple[Any, ...]:
+    """Return values and counts of atoms, which rows are discrete, and the rest in stored order."""
+    order = np.argsort(np.where(positive, x, np.inf), axis=-1, kind="stable")
+    ascending = np.take_along_axis(x, order, axis=-1)
+    valid = np.arange(x.shape[-1]) < n[:, np.newaxis]
+    value, count, run = _table(ascending, valid)
+    log = np.log(value)
+    kept, atoms, counts, many = _without_atoms(count, _widths(log))
+    discrete = many | _is_discrete(log, kept)
+    # Where there are few values, each with several samples, they are all atoms.
+    few = discrete & (np.count_nonzero(count, axis=-1) <= MOST_ATOMS)
+    width = min(MOST_ATOMS, count.shape[-1])
+    atoms[few, :width] = np.argsort(-count[few], axis=-1, kind="stable")[:, :width]
+    counts[few] = np.take_along_axis(count[few], atoms[few], axis=-1)
+    counts[few, width:] = 0
+    counts[few] *= counts[few] >= _FEWEST
+    rows, slots = np.nonzero(counts)
+    kept[rows, atoms[rows, slots]] = count[rows, atoms[rows, slots]] - counts[rows, slots]
+    values = np.take_along_axis(value, atoms, axis=-1)
+    below, above = _half_steps(np.where(kept > 0, log, np.nan), kept > 1)
+    rank = np.arange(x.shape[-1]) - np.take_along_axis(cumulative(count), run, axis=-1)
+    share = np.take_along_axis(kept, run, axis=-1)
+    below, above = (np.take_along_axis(v, run, axis=-1) for v in (below, above))
+    stays = valid & (rank < share)
+    with np.errstate(invalid="ignore", over="ignore"):
+        spread = ascending * np.exp((rank + 0.5) / np.maximum(share, 1) * (below + above) - below)
+    moved, still = np.zeros_like(x), np.zeros_like(positive)
+    np.put_along_axis(moved, order, np.where(stays & (share > 1), spread, ascending), axis=-1)
+    np.put_along_axis(still, order, stays, axis=-1)
+    return np.where(counts > 0, values, np.nan), counts, discrete, moved, still
+
+
+def _table(ascending: Floats, valid: Mask) -> tuple[Floats, Counts, Counts]:
+    """Return distinct values, how many samples each has, and which one each sample has.
+
+    The last of the values, shape (row, value), is always none: NaN, without samples.
+    """
+    begins = np.ones(ascending.shape, dtype=bool)
+    begins[:, 1:] = ascending[:, 1:] != ascending[:, :-1]
+    begins &= valid
+    width = int(np.count_nonzero(begins, axis=-1).max(initial=0)) + 1
+    run = np.where(valid, np.cumsum(begins, axis=-1) - 1, width - 1)
+    value = np.full((len(run), width), np.nan)
+    value[np.nonzero(begins)[0], run[begins]] = ascending[begins]
+    place = run + width * np.arange(len(run))[:, np.newaxis]
+    count = np.bincount(place[valid], minlength=value.size).reshape(value.shape)
+    return value, count, run
+
+
+def _widths(log: Floats) -> Floats:
+    """Return the width of what lies nearer to a value than to any other, shape of `log`."""
+    gap = np.full((len(log), log.shape[-1] + 1), np.nan)
+    gap[:, 1:-1] = np.diff(log, axis=-1)
+    below, above = gap[:, :-1], gap[:, 1:]
+    # The outer ones are as wide on both sides.
+    below, above = np.where(np.isnan(below), above, below), np.where(np.isnan(above), below, above)
+    return np.nan_to_num(0.5 * (below + above))
+
+
+def _without_atoms(count: Counts, width: Floats) -> tuple[Counts, Counts, Counts, Mask]:
+    """Take atoms away, the most surprising of each row first.
+
+    Return the counts without them, which values are atoms, shape (row, atom), how many samples each
+    has, and which rows have more than `MOST_ATOMS`.
+    """
+    kept, distinct = count.copy(), np.count_nonzero(count, axis=-1)
+    atoms, counts = np.zeros((2, len(count), MOST_ATOMS), dtype=np.int64)
+    rows, many = np.arange(len(count)), np.zeros(len(count), dtype=bool)
+    for atom in range(MOST_ATOMS + 1):
+        log_p, expected = _surprise(kept[rows], width[rows])
+        best = log_p.argmin(axis=-1)
+        here = np.arange(len(rows))
+        found = log_p[here, best] < np.log(_LEVEL / distinct[rows])
+        rows, best, expected = rows[found], best[found], expected[here[found], best[found]]
+        if atom == MOST_ATOMS:
+            many[rows] = True
+            break
+        if not rows.size:
+            break
+        atoms[rows, atom], left = best, np.rint(expected).astype(np.int64)
+        counts[rows, atom] = kept[rows, best] - left
+        kept[rows, best] = left
+    order = np.argsort(-counts, axis=-1, kind="stable")
+    atoms, counts = (np.take_along_axis(v, order, axis=-1) for v in (atoms, counts))
+    return kept, atoms, counts, many
+
+
+def _surprise(count: Counts, width: Floats) -> tuple[Floats, Floats]:
+    """Return log p-values of counts among their neighbours, and what was expected, of their shape.
+
+    An atom has three samples or more, and more than the values beside it have on average.
+    """
+    log_p, expected = np.zeros(count.shape), np.zeros(count.shape)
+    beside = np.zeros_like(count)
+    beside[:, 1:] += count[:, :-1]
+    beside[:, :-1] += count[:, 1:]
+    row, at = np.nonzero((count >= _FEWEST) & (2 * count > beside))
+    if not row.size:
+        return log_p, expected
+    sums = np.stack([cumulative(v) for v in (count, count > 0, width)])
+    log_rate, variance = np.zeros(len(row)), np.zeros(len(row))
+    undecided = np.ones(len(row), dtype=bool)
+    distinct = np.count_nonzero(count, axis=-1)
+    for ring in _RINGS:
+        here = np.flatnonzero(undecided)
+        level, error, samples = _expected(sums, row[here], at[here], ring)
+        log_rate[here], variance[here] = level, error
+        room = distinct[row[here]] / ring
+        undecided[here] = (samples < _ENOUGH) & (room >= 8) | (samples < _MANY) & (room >= 24)
+    mean, number = np.exp(log_rate), count[row, at]
+    shape = 1 / np.maximum(variance, _LEAST_VARIANCE)
+    with np.errstate(divide="ignore"):
+        tail, seen = (np.log(special.betainc(k, shape, mean / (mean + shape))) for k in (number, 1))
+    log_p[row, at], expected[row, at] = tail - seen, mean
+    return log_p, expected
+
+
+def _expected(sums: Floats, row: Counts, at: Counts, ring: int) -> tuple[Floats, Floats, Floats]:
+    """Return log expected counts, their variance, and how many samples they are from.
+
+    They are from the `ring` nearest values on each side, and as many beyond these.
+    """
+    last = sums.shape[-1] - 1
+    edges = np.clip(
+        at + np.array([-2 * ring, -ring, 0, 1, 1 + ring, 1 + 2 * ring])[:, np.newaxis], 0, last
+    )
+    held = np.diff(sums[:, row, edges], axis=1)
+    samples, values, width = np.delete(held, 2, axis=1)
+    known = values > 0
+    mean = (samples + 0.5) / np.maximum(values, 1)
+    log_rate = np.interp(np.log(mean), *_TRUNCATED, right=np.nan)
+    log_rate = np.where(np.isnan(log_rate), np.log(mean), log_rate)
+    rate = np.exp(log_rate)
+    if ring <= _CURVED:
+        # Of floats, the steps between values double at powers of two.
+        relative = held[2, 2] * values / np.where(width > 0, width, 1)
+        log_rate += np.log(np.clip(relative, 0.5, 2))
+    error = 1 / ((samples + 0.5) * (1 + rate - mean))
+    near, far = (ring + 1) / 2, (3 * ring + 1) / 2
+    curved = known.all(axis=0) & (ring <= _CURVED)
+    beyond = np.where(curved, near**2 / (far**2 - near**2), 0.0)
+    beside = known[1:3] * (1 + beyond) / np.maximum(known[1:3].sum(axis=0), 1)
+    weight = np.stack([-beyond / 2, *beside, -beyond / 2])
+    return (
+        (weight * log_rate).sum(axis=0),
+        (weight**2 * error).sum(axis=0),
+        samples[1:3].sum(axis=0),
+    )
+
+
+def _truncated() -> tuple[Floats, Floats]:
+    """Return logarithms of the mean of a Poisson distribution without its zero, and of its rate."""
+    log_rate = np.linspace(np.log(1e-3), np.log(40), 512)
+    rate = np.exp(log_rate)
+    return np.log(rate / -np.expm1(-rate)), log_rate
+
+
+_TRUNCATED = _truncated()
+
+
+def _half_steps(log: Floats, wanted: Mask) -> tuple[Floats, Floats]:
+    """Return how far what was rounded to the wanted values may lie below and above them.
+
+    Half of the median of the gaps to and between three values on each side, but at most half-way to
+    the next value; shape of `log`, 0 where not wanted.
+    """
+    gap = np.full((len(log), log.shape[-1] + 5), np.inf)
+    gap[:, 3:-3] = np.diff(log, axis=-1)
+    gap[np.isnan(gap)] = np.inf
+    row, at = np.nonzero(wanted)
+    around = gap[row, at + np.arange(6)[:, np.newaxis]]
+    middle = np.count_nonzero(np.isfinite(around), axis=0) // 2
+    typical = np.take_along_axis(np.sort(around, axis=0), middle[np.newaxis], axis=0)[0]
+    typical = np.where(np.isfinite(typical), typical, 0.0)
+    half = np.zeros((2, *log.shape))
+    half[:, row, at] = np.minimum(around[2:4], typical) / 2
+    return half[0], half[1]
+
+
+def _is_discrete(log: Floats, kept: Counts) -> Mask:
+    """Say which rows are a few values, or values of many samples in uneven steps, shape (row,)."""
+    used = kept > 0
+    order = np.argsort(~used, axis=-1, kind="stable")
+    step = np.diff(np.take_along_axis(np.where(used, log, np.nan), order, axis=-1), axis=-1)
+    heavy = np.take_along_axis(kept, order, axis=-1)[:, 1:-1] >= _HEAVY
+    with np.errstate(invalid="ignore"):
+        uneven = np.abs(np.log(step[:, 1:] / step[:, :-1])) > np.log(_UNEVEN)
+    few = np.count_nonzero(used, axis=-1) < _FEWEST_VALUES
+    most = 2 * np.where(kept >= _HEAVY, kept, 0).sum(axis=-1) > kept.sum(axis=-1)
+    several = _IRREGULAR * np.count_nonzero(heavy, axis=-1)
+    return np.asarray(few | most & (np.count_nonzero(heavy & uneven, axis=-1) > several))
