@@ -4,8 +4,8 @@ For each plugin there is a small scene. The mean luminance of its 48 pixels is c
 Mitsuba's own average of four times the samples. Seeds are fixed; with new ones, a scene differs by
 chance with a probability of 1e-5 over all pixels (Sidak), more often where tails are heavy.
 
-With ``CHDSTAT_MITSUBA_DATA=FOLDER``, a checkout of Mitsuba's data repository, its scenes are
-compared, too: ``pytest -n0 -s --benchmark-only tests/benchmarks/test_scenes.py`` prints both tables.
+``pytest -n0 -s --benchmark-only tests/benchmarks/test_scenes.py`` prints the table; given a
+checkout of Mitsuba's data repository, ``CHDSTAT_MITSUBA_DATA=FOLDER``, it compares its scenes.
 """
 
 from __future__ import annotations
@@ -97,10 +97,12 @@ POINTS = np.array([[0, 0, 0.2], [1, 0, 0.2], [0, 1, 0.9]], np.float32)
 def written(folder: Path, name: str) -> str:
     """Write a file that a plugin reads, and return its path."""
     path = folder / name
+    properties = "".join(f"property float {name}\n" for name in ("x", "y", "z", "r", "g", "b"))
     ply = (
-        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-        "property float z\nproperty float r\nproperty float g\nproperty float b\nelement face 1\nproperty list uchar int vertex_indices\n"
-        "end_header\n" + "\n".join(f"{x} {y} {z} {x} {y} 0.5" for x, y, z in POINTS) + "\n3 0 1 2\n"
+        f"ply\nformat ascii 1.0\nelement vertex 3\n{properties}element face 1\n"
+        "property list uchar int vertex_indices\nend_header\n"
+        + "".join(f"{x} {y} {z} {x} {y} 0.5\n" for x, y, z in POINTS)
+        + "3 0 1 2\n"
     )
     texts = {
         "curve.txt": "0 0 0 0.1\n0.3 0 0.4 0.1\n0.3 0.3 0.8 0.1\n0 0.3 1 0.1\n",
@@ -440,7 +442,8 @@ def test_integrators_in_python_render_with_llvm_only(name, tmp_path, llvm):
 
 def check(name: str, found: str) -> None:
     if name in REFUSED:
-        assert found.startswith("refused") and REFUSED[name] in found, found
+        assert found.startswith("refused"), found
+        assert REFUSED[name] in found
     elif name in REPLACED:
         assert found.startswith("not by Mitsuba"), found
     elif found.startswith("refused"):  # by Mitsuba, whose message is passed on
