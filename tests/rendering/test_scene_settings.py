@@ -16,10 +16,12 @@ import pytest
 
 import chdstat as chd
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
+from chdstat.io import write_exr
 from chdstat.rendering import render_pixels
 from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.job import scene_integrator, scene_size
 from chdstat.scenes import load_scene
+from chdstat.scenes.scene import look_at, translate
 
 WHOLE, CROP = (
     (48, 32),
@@ -196,3 +198,97 @@ def test_the_samples_of_a_python_wrapper_are_not_guessed(tmp_path: Path):
 def test_other_variants_are_refused_in_words(variant: Any):
     with pytest.raises(InputError, match=f"backend must be one of .* '{variant}'. .* by color"):
         render("cornell-box", backend=variant)
+
+
+# --- what Mitsuba's loader makes of a scene -------------------------------------------------------
+
+
+PLAIN_FILM = {"type": "hdrfilm", "width": 6, "height": 4, "rfilter": {"type": "box"}}
+ABOVE = {"type": "orthographic", "to_world": look_at([0, 0, 2], [0, 0, 0], up=[0, 1, 0])}
+
+
+def floor(**parts: Any) -> dict[str, Any]:
+    """Return a floor of reflectance .5 below a sky of 1, seen from above."""
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path"},
+        "sensor": {**ABOVE, "film": PLAIN_FILM},
+        "floor": {"type": "rectangle", "bsdf": {"type": "diffuse"}},
+        "sky": {"type": "constant"},
+        **parts,
+    }
+    return {name: part for name, part in scene.items() if part is not None}
+
+
+def test_files_are_found_in_the_resources_of_a_dict_and_belong_to_it(tmp_path):
+    (tmp_path / "maps").mkdir()
+    texture = {"type": "bitmap", "filename": "grey.exr", "raw": True}
+    scene = floor(
+        resources={"type": "resources", "path": str(tmp_path / "maps")},
+        floor={"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": texture}},
+    )
+    hashes = []
+    for grey in (0.25, 0.75):
+        write_exr(tmp_path / "maps/grey.exr", np.full((2, 2, 3), grey, np.float32))
+        samples = render(scene, spp=16)
+        assert samples.features["albedo"] == pytest.approx(grey)
+        hashes.append(samples.attrs["scene_hash"])
+        assert list(samples.attrs["scene_files"]) == ["grey.exr"]
+    assert hashes[0] != hashes[1]
+
+
+def test_a_misspelt_plugin_is_named():
+    for part in ("sensor", "floor", "sky", "integrator"):
+        with pytest.raises(SceneError, match='"fisheye"'):
+            render(floor(**{part: {"type": "fisheye"}}))
+    with pytest.raises(SceneError, match='"fisheye" not found'):
+        scene_size(floor(sensor={"type": "fisheye"}))
+    with pytest.raises(SceneError, match="fovv"):
+        render(floor(sensor={"type": "perspective", "fovv": 40}))
+
+
+def test_bands_of_a_film_and_settings_that_are_not_used_are_named():
+    bands = {"type": "specfilm", "red": {"type": "spectrum", "value": [(400, 0.0), (700, 1.0)]}}
+    scene = floor(
+        sensor={**ABOVE, "film": {**PLAIN_FILM, **bands}},
+        integrator={"type": "path", "timeout": 5.0, "samples_per_pass": 2},
+    )
+    for color in ("rgb", "spectral"):
+        samples = render(scene, spp=4, color=color)
+        assert samples.attrs["notes"] == [
+            "the scene asks for the specfilm film and its red: samples are linear sRGB",
+            "samples_per_pass, timeout of the path integrator: not used",
+        ]
+        assert samples.shape == (4, 6, 3, 4)
+    grey = render(floor(sensor={**ABOVE, "film": {**PLAIN_FILM, "pixel_format": "luminance"}}))
+    assert grey.attrs["notes"] == ["the film's pixel_format luminance: samples are linear sRGB"]
+
+
+def test_sensors_that_show_all_of_what_they_measure_in_any_crop(tmp_path):
+    half = {**ABOVE, "to_world": ABOVE["to_world"] @ translate(2.0, 0.0, 0.0)}
+    film = {**PLAIN_FILM, "width": 140, "height": 2}
+    scene = floor(sensor={"type": "batch", "floor": ABOVE, "sky": half, "film": film})
+    wide = render(scene, spp=8)  # more than one tile
+    seen = wide.features["depth"] > 0
+    assert seen[:, :70].all()
+    assert not seen[:, 70:].any()
+    assert (wide.read()[:, 70:] == 1).all()
+    assert wide.read()[:, :70].mean() == pytest.approx(0.5, abs=0.02)
+    out = tmp_path / "s.zarr"
+    render(scene, spp=70, out=out)
+    assert np.array_equal(render(scene, spp=80, out=out).read(), render(scene, spp=80).read())
+    with pytest.raises(InputError, match="a batch sensor cannot be cropped"):
+        render(scene, crop=(0, 0, 8, 2))
+    meter = {"type": "irradiancemeter", "film": PLAIN_FILM}
+    lit = {"type": "rectangle", "to_world": translate(0, 0, 1), "sensor": meter}
+    irradiance = render(floor(sensor=None, meter=lit), spp=8)
+    assert irradiance.read() == pytest.approx(np.pi, rel=1e-5)
+
+
+def test_differentiable_integrators_render_with_llvm_and_are_refused_with_scalar(llvm):
+    scene = floor(integrator={"type": "prb", "max_depth": 4})
+    assert scene_integrator(scene) == "prb"
+    samples = render(scene, backend=llvm)
+    assert samples.read().mean() == pytest.approx(0.5, abs=0.02)
+    with pytest.raises(RenderError, match="'prb' is there with Mitsuba's llvm and cuda backends"):
+        render(scene)

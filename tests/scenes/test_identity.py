@@ -19,6 +19,7 @@ from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.scenes import Scene, load_scene
 from chdstat.scenes.loading import ParsedScene
+from chdstat.scenes.scene import look_at, scale, translate
 
 SETTINGS: dict[str, Any] = {"size": (4, 4), "backend": "scalar"}
 
@@ -298,3 +299,29 @@ def test_real_scenes_name_all_their_files(scenes_folder, folder, least):
         p for kind in ("models", "textures") for p in (scenes_folder / folder / kind).iterdir()
     ]
     assert {p.name for p in beside if p.name in text} <= {p.name for p in named.values()}
+
+
+def test_lights_have_one_order_however_often_a_scene_is_loaded():
+    """Mitsuba merges meshes in the order of their addresses, lights among them."""
+    cubes = {
+        f"cube-{i}": {
+            "type": "cube",
+            "to_world": translate(i % 4 - 1.5, i // 4 - 1.0, -8.0) @ scale(0.2, 0.2, 0.2),
+            "bsdf": {"type": "diffuse", "reflectance": 0.05 * (i + 1)},
+            "emitter": {"type": "area", "radiance": float(i + 1)},
+        }
+        for i in range(12)
+    }
+    walls = {
+        f"wall-{i}": {
+            "type": "cube",
+            "to_world": translate(i - 1.0, 0.0, -10.0) @ scale(0.4, 2.0, 0.5),
+            "bsdf": {"type": "diffuse", "reflectance": 0.3},
+        }
+        for i in range(3)
+    }
+    camera = {"type": "perspective", "to_world": look_at([0, 0, 0], [0, 0, -1], up=[0, 1, 0])}
+    scene = {"type": "scene", "integrator": {"type": "path"}, "sensor": camera, **cubes, **walls}
+    drawn = [chd.render(scene, spp=2, **SETTINGS).read() for _ in range(5)]
+    assert drawn[0].max() > 1
+    assert all(np.array_equal(drawn[0], other) for other in drawn)
