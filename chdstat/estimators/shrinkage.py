@@ -283,7 +283,7 @@ def mixture_shrinkage(x: Array, *, max_k: int = 3) -> Array:
     >>> dark, bright = [0.5, 1.0, 2.0, 4.0], [50.0, 100.0, 200.0, 400.0]
     >>> x = np.tile(np.concatenate([dark, bright] * 4), (3, 1))
     >>> float(x.mean()), mixture_shrinkage(x)[0].round(1).item()
-    (94.6875, 96.5)
+    (94.6875, 98.0)
     """
 
     def kernel(rows: Floats) -> Floats:

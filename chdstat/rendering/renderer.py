@@ -405,11 +405,11 @@ class Renderer:
                 raise Interrupted
         return np.ascontiguousarray(block.transpose(1, 2, 3, 0))
 
-    def _pixel_scalar(self, number: int, y: int, x: int, spp: int) -> Image:
+    def _pixel_scalar(self, number: int, y: int, x: int, count: int) -> Image:
         sampler = self._mi.load_dict({"type": "independent"})
         sampler.seed(number, 1)
         sample = self._sampling_scalar(sampler, self.size)
-        return np.stack([sample(x, y) for _ in range(spp)], axis=-1)
+        return np.stack([sample(x, y) for _ in range(count)], axis=-1)
 
     def _sampling_scalar(self, sampler: Any, size: tuple[int, int]) -> Callable[[int, int], Any]:
         """Return a function that draws the next sample of the pixel at (x, y) of so many."""

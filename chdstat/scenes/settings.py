@@ -243,11 +243,17 @@ def _sampled(parsed: ParsedScene, found: list[int]) -> tuple[ParsedScene, list[s
 
     Raises
     ------
+    SceneError
+        If there are several.
     RenderError
-        If it is none of this variant, or wraps integrators whose samples cannot be kept.
+        If it is none, or wraps integrators whose samples cannot be kept.
     """
     if not found:
         return parsed.sole({"type": _INTEGRATOR}), []
+    if len(found) > 1:
+        names = ", ".join(parsed.plugin(i) for i in found)
+        message = f"scene {parsed.name!r} must have one integrator, got {len(found)}: {names}"
+        raise SceneError(message)
     index, notes = found[0], []
     while (name := parsed.plugin(index)) in _WRAPPERS:
         within = parsed.held(index, "Integrator")

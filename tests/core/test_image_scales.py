@@ -112,7 +112,7 @@ def test_it_does_not_depend_on_the_order_of_samples_pixels_or_tiles():
     mixed = rng.permutation(rng.permutation(x.reshape(-1, 3, 8)), axis=2)
     assert mean_radiance(mixed) == pytest.approx(whole, rel=1e-12)
     # `Samples` are walked tile by tile, and batch by batch within a tile.
-    long = np.tile(x, 12)
+    long = rng.lognormal(sigma=2, size=(80, 70, 3, 96)).astype(np.float32)
     assert mean_radiance(chd.Samples.from_array(long)) == pytest.approx(
         mean_radiance(long), rel=1e-12
     )

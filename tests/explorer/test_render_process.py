@@ -17,6 +17,7 @@ from chdstat.errors import RenderError, SceneError
 from chdstat.explorer.render_process import RenderProcess
 from chdstat.explorer.sources import SceneSource
 from chdstat.explorer.startup import Startup
+from chdstat.rendering.backend import activate
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 
@@ -35,9 +36,10 @@ def test_it_draws_what_the_renderer_draws(job):
         drawn = [render("pixels", PIXELS, 8, seed=seed) for seed in (None, 3)]
     finally:
         render.close()
-    expected = Renderer(job)
-    np.testing.assert_array_equal(drawn[0], expected.pixels(PIXELS, 8))
-    np.testing.assert_array_equal(drawn[1], expected.pixels(PIXELS, 8, seed=3))
+    with activate(job.verdict):
+        expected = Renderer(job)
+        np.testing.assert_array_equal(drawn[0], expected.pixels(PIXELS, 8))
+        np.testing.assert_array_equal(drawn[1], expected.pixels(PIXELS, 8, seed=3))
 
 
 def test_a_process_that_has_ended_says_so(job):
@@ -90,10 +92,11 @@ def test_the_coarse_image_is_whole_and_told_as_it_is_drawn(job):
 
 def test_the_bands_of_a_preview_are_the_rows_of_the_image(job):
     """An image of six rows in eight bands: two of them are empty."""
-    renderer = Renderer(replace(job, size=(24, 6)))
-    bands = [renderer.preview(24, 1, band=(i, 8)) for i in range(8)]
+    with activate(job.verdict):
+        renderer = Renderer(replace(job, size=(24, 6)))
+        bands = [renderer.preview(24, 1, band=(i, 8)) for i in range(8)]
+        whole, drawn = renderer.preview(24, 64), np.concatenate(bands)
     assert sorted(len(band) for band in bands) == [0, 0, 1, 1, 1, 1, 1, 1]
-    whole, drawn = renderer.preview(24, 64), np.concatenate(bands)
     assert drawn.shape == whole.shape == (6, 24, 3)
     assert np.isfinite(drawn).all()
 
