@@ -197,6 +197,9 @@ def _level_of(edge):
 
 
 @pytest.mark.parametrize("counts", COUNTS, ids=lambda c: f"{c[0]}-{c[1]}")
+@pytest.mark.filterwarnings(
+    "ignore::chdstat.errors.InputWarning"
+)  # short renders without any noise
 def test_levels_at_unequal_spp(as_benchmark, counts):
     """At most .06 of the verdicts of one distribution are "differ", and of its images have a q."""
     print(f"\n{counts[0]} against {counts[1]} spp{'':24}differ   any q <= .05   cannot tell")
