@@ -59,14 +59,15 @@ def small(mi: Any, path: Path, parameters: dict[str, str]) -> Any:
     try:
         config = mi.parser.ParserConfig(mi.variant())
         state = mi.parser.parse_file(config, str(path), **parameters)
-        for node in state.nodes:
-            if node.type == mi.ObjectType.Film:
-                one = node.props.get("width", 2) == 1
-                node.props["width"], node.props["height"] = (1, 1) if one else SIZE
-            if node.type == mi.ObjectType.ReconstructionFilter:
-                for key in list(node.props.keys()):
-                    del node.props[key]
-                node.props.set_plugin_name("box")
+        box = mi.parser.parse_dict(config, {"type": "box"}).nodes[0]
+        for node in [n for n in state.nodes if n.type == mi.ObjectType.Film]:
+            one = node.props.get("width", 2) == 1
+            node.props["width"], node.props["height"] = (1, 1) if one else SIZE
+            held = mi.Properties.Type.ResolvedReference
+            for key in [k for k in node.props.keys() if node.props.type(k) == held]:  # noqa: SIM118
+                del node.props[key]  # its filter
+            node.props["rfilter"] = mi.Properties.ResolvedReference(len(state.nodes))
+            state.nodes.append(box)
         mi.parser.transform_all(config, state)
         return mi.parser.instantiate(config, state)
     finally:
