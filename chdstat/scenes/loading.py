@@ -93,15 +93,7 @@ class ParsedScene:
 
     def branch(self, root: int) -> ParsedScene:
         """Return a node and all that it holds, copied."""
-        order: dict[int, int] = {}
-
-        def visit(index: int) -> None:
-            if index not in order:
-                order[index] = len(order)
-                for held in self.held(index):
-                    visit(held)
-
-        visit(root)
+        order = self._reached(root, first=0)
         state = mi.parser.ParserState(self.state)
         state.nodes.clear()
         for index in order:
@@ -109,6 +101,33 @@ class ParsedScene:
         if state.node_paths:
             state.node_paths = [self.state.node_paths[index] for index in order]
         return ParsedScene(self.name, state, self.resolver)
+
+    def unshare(self, kind: str) -> None:
+        """Give each node of a kind such as ``"Emitter"`` copies of all that it holds."""
+        paths = list(self.state.node_paths)
+        for holder in range(len(self.state.nodes)):
+            if self.node(holder).type.name != kind:
+                continue
+            for key, index in self.references(holder):
+                order = self._reached(index, first=len(self.state.nodes))
+                for old in order:
+                    self.state.nodes.append(_moved(self.node(old), order.__getitem__))
+                paths += [paths[old] for old in order if paths]
+                self.node(holder).props[key] = mi.Properties.ResolvedReference(order[index])
+        self.state.node_paths = paths
+
+    def _reached(self, root: int, *, first: int) -> dict[int, int]:
+        """Return numbers from `first` on for a node and all that it holds, by their indices."""
+        order: dict[int, int] = {}
+
+        def visit(index: int) -> None:
+            if index not in order:
+                order[index] = first + len(order)
+                for held in self.held(index):
+                    visit(held)
+
+        visit(root)
+        return order
 
     def make(self, *, parallel: bool = False) -> Any:
         """Return the Mitsuba object of the root, its models and textures read.
@@ -162,6 +181,7 @@ def parse(scene: Scene) -> ParsedScene:
             state = mi.parser.parse_file(config, str(source), **dict(scene.parameters))
         mi.parser.transform_all(config, state)
     parsed = ParsedScene(scene.name, state, resolver)
+    parsed.unshare("Emitter")  # equal textures are one object, but lights are darkened one by one
     _merge(parsed)
     return parsed
 
