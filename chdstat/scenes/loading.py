@@ -10,6 +10,7 @@ With `chdstat.rendering` the only part of the library that imports Mitsuba.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ParsedScene", "parse"]
 
+_MESHES = ("blender", "cube", "ellipsoidsmesh", "obj", "ply", "rectangle", "serialized")
+"""Plugins of which Mitsuba makes meshes."""
 _RESOLVING = threading.RLock()
 """Held while Mitsuba's resolver, which belongs to the process, is that of a scene."""
 
@@ -60,13 +63,6 @@ class ParsedScene:
         """Return the nodes that a node holds, those of a kind such as ``"Film"`` if told."""
         found = [i for _, i in self.references(index)]
         return [i for i in found if kind in (None, self.node(i).type.name)]
-
-    def children(self) -> list[int]:
-        """Return the nodes that the root holds, in Mitsuba's order."""
-        found = []
-        for index in self.held(0):
-            found += self.held(index) if self.plugin(index) == "merge" else [index]
-        return found
 
     def drop(self, parts: Iterable[int]) -> None:
         """Take some nodes away from those that hold them."""
@@ -182,8 +178,42 @@ def parse(scene: Scene) -> ParsedScene:
         mi.parser.transform_all(config, state)
     parsed = ParsedScene(scene.name, state, resolver)
     parsed.unshare("Emitter")  # equal textures are one object, but lights are darkened one by one
+    _expand(parsed)
     _merge(parsed)
     return parsed
+
+
+def _expand(parsed: ParsedScene) -> None:
+    """Order the parts of a scene as Mitsuba's loader does, so that its sensors have their numbers.
+
+    It merges all of the scene: what merges hold follows after the rest, and meshes after that.
+    """
+    root, merges = parsed.node(0).props, _keyed(parsed, "merge")
+    for key in merges:
+        index = root[key].index()
+        merge = parsed.node(index).props
+        names = list(merge.keys())
+        if len(names) != 1:
+            del root[key]
+        places = {n: _unused(root, f"{key}_{n}") if len(names) > 1 else key for n in names}
+        for name, place in places.items():
+            root[place] = merge[name]
+        merges += [places[n] for n, i in parsed.references(index) if parsed.plugin(i) == "merge"]
+    for key in _keyed(parsed, *_MESHES):
+        if parsed.held(root[key].index(), "Sensor"):
+            part = root[key]
+            del root[key]
+            root[key] = part
+
+
+def _keyed(parsed: ParsedScene, *plugins: str) -> list[str]:
+    """Return the names of those parts of a scene that are made by some plugins."""
+    return [key for key, index in parsed.references(0) if parsed.plugin(index) in plugins]
+
+
+def _unused(properties: Any, name: str) -> str:
+    """Return a name that no property has."""
+    return next(n for i in itertools.count() if (n := f"{name}_{i}") not in properties)
 
 
 def _merge(parsed: ParsedScene) -> None:
@@ -202,17 +232,18 @@ def _merge(parsed: ParsedScene) -> None:
             group = (parsed.plugin(index), flat, *sorted(held))
             groups.setdefault(group, {})[key] = index
     root = parsed.node(0).props
-    for number, meshes in enumerate(g for g in groups.values() if len(g) > 1):
+    for meshes in (group for group in groups.values() if len(group) > 1):
         merged = mi.parser.SceneNode()
         merged.type = mi.ObjectType.Shape
         merged.props.set_plugin_name("merge")
         for key, index in meshes.items():
             merged.props[key] = mi.Properties.ResolvedReference(index)
             del root[key]
-        root[f"_merged_{number}"] = mi.Properties.ResolvedReference(len(parsed.state.nodes))
+        name = _unused(root, "_merged")
+        root[name] = mi.Properties.ResolvedReference(len(parsed.state.nodes))
         parsed.state.nodes.append(merged)
         if parsed.state.node_paths:
-            parsed.state.node_paths = [*parsed.state.node_paths, f"merged {number}"]
+            parsed.state.node_paths = [*parsed.state.node_paths, name]
 
 
 def _config() -> Any:
