@@ -303,21 +303,21 @@ class LiveScene:
         import mitsuba as mi
 
         found = []
-        for part in (*self._objects(), *self.value.sensors(), self.value.integrator()):
-            if part is not None:
-                held = [(_ADDRESS.sub("object", name), value) for name, value in mi.traverse(part)]
-                found.append([_ADDRESS.sub("object", str(part)), sorted(held, key=itemgetter(0))])
+        for part in self._objects():
+            held = [(_ADDRESS.sub("object", name), value) for name, value in mi.traverse(part)]
+            found.append([_ADDRESS.sub("object", str(part)), sorted(held, key=itemgetter(0))])
         return found
 
     @property
     def code(self) -> dict[str, str]:
         """Digests of the classes of its objects that are written in Python, by name."""
-        unique = {id(part): part for part in self._objects() if part is not None}.values()
-        return code_of([p for p in unique if not type(p).__module__.startswith("mitsuba")])
+        return code_of([p for p in self._objects() if not type(p).__module__.startswith("mitsuba")])
 
     def _objects(self) -> list[Any]:
-        shapes = self.value.shapes()
-        return [*shapes, *(shape.bsdf() for shape in shapes), *self.value.emitters()]
+        """Return all that the scene holds and that Mitsuba leads to, each object once."""
+        import mitsuba as mi
+
+        return [part for part in mi.traverse(self.value).hierarchy if part is not self.value]
 
     def sensors(self) -> dict[str, Any]:
         """Return a scene dict of its sensors and films, which are made anew for each tile.

@@ -102,6 +102,19 @@ def test_its_hash_does_not_depend_on_where_or_in_which_order_objects_are_built(m
     assert chd.load_scene(mi.load_dict(glass)).hash != chd.load_scene(built[0]).hash
 
 
+def test_what_instances_are_made_of_belongs_to_the_hash(mi):
+    def hashed(radius, grey):
+        ball = {"type": "sphere", "radius": radius}
+        ball["bsdf"] = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": grey}}
+        group = {"type": "shapegroup", "ball": ball, "cube": {"type": "cube"}}
+        copy = {"type": "instance", "shapes": {"type": "ref", "id": "group"}}
+        built = mi.load_dict({**BALL, "group": group, "copy": copy})
+        return chd.load_scene(built).hash
+
+    assert len({hashed(1.0, 0.5) for _ in range(10)}) == 1
+    assert len({hashed(1.0, 0.5), hashed(2.0, 0.5), hashed(1.0, 0.2)}) == 3
+
+
 def test_a_sensor_that_cannot_be_described_is_used_as_it_is(mi):
     down = mi.ScalarTransform4f(LOOKING_DOWN)
     sky = {"type": "scene", "sky": {"type": "constant", "radiance": 0.5}, "floor": FLOOR}
