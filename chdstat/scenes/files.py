@@ -125,14 +125,20 @@ def _digest(path: Path, *_state: int) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _texts(value: Any) -> Iterator[str]:
+def _texts(value: Any, key: str = "") -> Iterator[str]:
     """Yield the texts of a scene dict that may name a file."""
     if isinstance(value, str | Path):
-        yield str(value)
+        yield from _named(key, str(value))
     elif isinstance(value, Mapping):
-        for key, item in value.items():
-            if key not in ("type", "id"):
-                yield from _texts(item)
+        for name, item in value.items():
+            if name not in ("type", "id"):
+                yield from _texts(item, name)
+
+
+def _named(key: str, text: str) -> list[str]:
+    """Return the names of the files that the text of a property may stand for."""
+    tables = [f"data/ior/{text}.{part}.spd" for part in ("eta", "k")]  # of a metal
+    return [text, *tables] if key == "material" else [text]
 
 
 def is_file(path: Path) -> bool:
@@ -145,9 +151,10 @@ def is_file(path: Path) -> bool:
 
 def _found_by_mitsuba(name: str) -> Path:
     """Return where the user's own search path has a name: the current folder, or in Mitsuba's."""
-    mi = sys.modules.get("mitsuba")
-    known = mi is not None and mi.variant() is not None
-    return Path(str(mi.file_resolver().resolve(name)) if known else name)  # type: ignore[union-attr]
+    import mitsuba
+
+    mi: Any = mitsuba
+    return Path(str(mi.file_resolver().resolve(name)))
 
 
 class _Reader:
@@ -201,7 +208,8 @@ class _Reader:
             for path in self._found.find(name):
                 self.read(path, name, level + 1)
         else:
-            self.names.append(attributes.get("filename", value if tag == "string" else ""))
+            text = attributes.get("filename", value if tag == "string" else "")
+            self.names += _named(attributes.get("name", ""), text)
 
     def _filled(self, text: str) -> str:
         """Put the values of parameters in place, the longest name first, as Mitsuba does."""

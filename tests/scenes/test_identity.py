@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pickle
+import subprocess
+import sys
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -101,6 +103,31 @@ def test_an_include_and_a_spectrum_are_files_of_the_scene_wherever_one_stands(
     part.write_text("<scene version='3.0.0'><shape type='cube'/></scene>")
     hashes.add(loaded.hash)
     assert len(hashes) == 3
+
+
+def test_the_tables_of_a_metal_are_files_of_the_scene(tmp_path):
+    body = (
+        "<shape type='sphere'><bsdf type='conductor'><string name='material' value='{}'/>"
+        "</bsdf></shape><emitter type='constant'/>"
+    )
+    own = load_scene(scene(tmp_path, body.format("mine")))
+    hashes = []
+    for index in (0.5, 1.5):
+        for part in ("eta", "k"):
+            table = tmp_path / f"rooms/data/ior/mine.{part}.spd"
+            table.parent.mkdir(parents=True, exist_ok=True)
+            table.write_text(f"400 {index}\n700 {index}\n")
+        tables = {"data/ior/mine.eta.spd", "data/ior/mine.k.spd"}
+        assert set(own.files()) == {"scene.xml"} | tables
+        hashes.append(own.hash)
+        chd.render(own, spp=1, **SETTINGS)
+    assert hashes[0] != hashes[1]
+    # Those of Mitsuba, also where it is not loaded yet.
+    gold = load_scene({"type": "scene", "ball": {"bsdf": {"type": "conductor", "material": "Au"}}})
+    assert len(gold.files()) == 2
+    code = f"import chdstat; print(chdstat.load_scene({dict(gold.source)}).hash)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == gold.hash
 
 
 def test_what_lies_beside_a_scene_and_is_not_named_is_never_touched(tmp_path, monkeypatch):
