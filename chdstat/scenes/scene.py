@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from chdstat._core.display import Card, Shown
 from chdstat.errors import InputError, SceneError
-from chdstat.scenes.files import Description, code_of, described, digest_of
+from chdstat.scenes.files import code_of, described, digest_of
 
 __all__ = [
     "Axis",
@@ -106,12 +106,12 @@ class Scene(Shown):
         SceneError
             If a file cannot be read, or the description is no XML or nested too deep.
         """
-        return {name: digest_of(path) for name, path in self.described().files.items()}
+        return {name: digest_of(path) for name, path in self.described().items()}
 
-    def described(self) -> Description:
-        """Return the files that the scene reads, and the folders where they are looked for."""
+    def described(self) -> dict[str, Path]:
+        """Return the files that the scene reads, by their names there."""
         if isinstance(self.source, LiveScene):
-            return Description()
+            return {}
         with _bounded(self.name):
             return described(self.name, self.source, self.parameters)
 

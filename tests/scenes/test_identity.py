@@ -105,6 +105,28 @@ def test_an_include_and_a_spectrum_are_files_of_the_scene_wherever_one_stands(
     assert len(hashes) == 3
 
 
+def test_an_include_is_the_one_file_that_mitsuba_takes(tmp_path):
+    """That beside the file that includes it; folders that it adds are forgotten behind it."""
+    write(tmp_path / "rooms/tex.exr", 1.0)
+    write(tmp_path / "parts/skies/tex.exr", 2.0)
+    source = scene(tmp_path, "<include filename='../parts/a.xml'/>" + ENVMAP.format("tex.exr"))
+    part = "<scene version='3.0.0'>{}</scene>"
+    include = "<path value='skies'/><include filename='b.xml'/>"
+    (tmp_path / "parts/a.xml").write_text(part.format(include))
+    (tmp_path / "parts/b.xml").write_text(part.format("<shape type='disk'/>"))
+    (tmp_path / "rooms/b.xml").write_text("this is no XML, and nobody reads it")
+    assert load_scene(source).described() == {
+        "scene.xml": source,
+        "../parts/a.xml": tmp_path / "parts/a.xml",
+        "b.xml": tmp_path / "parts/b.xml",
+        "tex.exr": tmp_path / "rooms/tex.exr",
+    }
+    assert chd.render(source, spp=1, **SETTINGS).read().max() == 1
+    (tmp_path / "parts/b.xml").unlink()
+    with pytest.raises(SceneError, match=r"rooms/b\.xml \(no well-formed XML"):
+        _ = load_scene(source).hash
+
+
 def test_the_tables_of_a_metal_are_files_of_the_scene(tmp_path):
     body = (
         "<shape type='sphere'><bsdf type='conductor'><string name='material' value='{}'/>"
@@ -319,7 +341,7 @@ def test_scenes_of_compiled_plugins_have_no_code():
 @pytest.mark.parametrize(("folder", "least"), [("bathroom", 800), ("white-room", 150)])
 def test_real_scenes_name_all_their_files(scenes_folder, folder, least):
     source = load_scene(scenes_folder / folder / "scene.xml")
-    named = source.described().files
+    named = source.described()
     assert len(named) > least
     text = (scenes_folder / folder / "scene.xml").read_text()
     beside = [
