@@ -306,7 +306,7 @@ class LiveScene:
         for part in self._objects():
             held = [(_ADDRESS.sub("object", name), value) for name, value in mi.traverse(part)]
             found.append([_ADDRESS.sub("object", str(part)), sorted(held, key=itemgetter(0))])
-        return found
+        return [*found, *map(_wavelengths, self.value.sensors())]
 
     @property
     def code(self) -> dict[str, str]:
@@ -328,11 +328,34 @@ class LiveScene:
         return {"type": "scene", **sensors}
 
     def is_described(self, sensor: int) -> bool:
-        """Return whether another sensor like the one of a number can be made."""
-        return self.value.sensors()[sensor].class_name() in _SENSORS
+        """Return whether another sensor like the one of a number can be made.
+
+        The bands of a film are left out, but a response function of the sensor's own cannot be.
+        """
+        import mitsuba as mi
+
+        built = self.value.sensors()[sensor]
+        plain = mi.load_dict({"type": "perspective"})
+        has_bands = built.film().class_name() == "SpecFilm"
+        responds = not has_bands and _wavelengths(built) != _wavelengths(plain)
+        return built.class_name() in _SENSORS and not responds
 
     def __reduce__(self) -> NoReturn:
         raise InputError(_ELSEWHERE)
+
+
+def _wavelengths(sensor: Any) -> list[list[float]]:
+    """Return some wavelengths that a sensor draws and their weights.
+
+    They tell its response function, of which Mitsuba says nothing.
+    """
+    import mitsuba as mi
+
+    if not mi.is_spectral:
+        return []
+    nowhere = mi.SurfaceInteraction3f()
+    drawn = [sensor.sample_wavelengths(nowhere, u) for u in np.linspace(0.05, 0.95, 10).tolist()]
+    return [np.ravel(np.array(values)).tolist() for pair in drawn for values in pair]
 
 
 def _sensor(sensor: Any) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """Scenes that Mitsuba has built: rendered as they are, known again, and what they cannot do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -130,6 +132,31 @@ def test_a_sensor_that_cannot_be_described_is_used_as_it_is(mi):
     mean = both.read().mean(axis=(0, 2, 3))
     assert mean[:35].mean() == pytest.approx(mean[35:].mean(), abs=0.05)
     assert both.features["depth"] == pytest.approx(1.99, abs=1e-3)  # from the near clip
+
+
+def test_the_spectral_response_of_a_sensor_is_kept_and_belongs_to_the_hash():
+    with activate(replace(probe("scalar"), color="spectral")) as mi:
+
+        def built(response):
+            sensor = {"type": "perspective", "film": METER["film"], **response}
+            parts = {"sensor": sensor, "sky": {"type": "constant"}, "integrator": PATH}
+            return mi.load_dict({"type": "scene", **parts})
+
+        red = {"type": "regular", "wavelength_min": 600.0, "wavelength_max": 700.0}
+        scenes = [
+            built({"srf": {**red, "values": v}} if v else {}) for v in ("0, 1, 0", "1, 1", "")
+        ]
+        narrow, _, plain = scenes
+        assert len({chd.load_scene(scene).hash for scene in scenes}) == 3
+        view = {"spp": 64, "color": "spectral", "progress": False}
+        means = [chd.render(scene, **view).read().mean(axis=(0, 1, 3)) for scene in scenes]
+        expected = [np.array(mi.render(scene, spp=4096)).ravel() for scene in scenes]
+        for mean, exact in zip(means, expected, strict=True):
+            np.testing.assert_allclose(mean, exact, rtol=0.2, atol=0.05 * exact.max())
+        assert np.ptp(means[2]) < np.ptp(means[0])
+        with pytest.raises(RenderError, match="shows 1 x 1 pixels only"):
+            chd.render(narrow, **view, size=(4, 4))
+        assert chd.render(plain, **view, size=(4, 4)).shape[:2] == (4, 4)
 
 
 def test_what_it_cannot_do_is_told(mi):
