@@ -21,7 +21,7 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, whole
 from chdstat._core.places import place_of
 from chdstat._core.progress import track
-from chdstat.errors import InputError, RenderError, StoreError
+from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
 from chdstat.rendering.lights import check_lights
@@ -192,7 +192,7 @@ def render(
         )
         raise InputError(message)
     if client is not None:
-        pickle.dumps(job)  # one that cannot travel is refused before any work
+        _check_portable(job)
     with activate(job.verdict):
         renderer = renderer_of(job, spp, kept=spp * (1 + len(depths) + len(by_light)), out=out)
         check_lights(renderer.lights, by_light)
@@ -303,6 +303,19 @@ def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray
         message = f"pixel (y={y}, x={x}) is outside the image of {width} x {height} pixels"
         raise InputError(message)
     return array.astype(np.intp)
+
+
+def _check_portable(job: Job) -> None:
+    """Refuse a job that cannot be sent to other processes, before any work."""
+    try:
+        pickle.dumps(job)
+    except (TypeError, AttributeError, pickle.PicklingError) as error:
+        message = (
+            f"scene {job.scene.name!r} cannot be sent to the workers of a cluster: {brief(error)}; "
+            "describe it by files and plain values, such as {'type': 'bitmap', 'data': array} for "
+            "an image texture"
+        )
+        raise InputError(message) from error
 
 
 def _cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[Part, Job]:

@@ -286,6 +286,8 @@ def _to_mitsuba(value: Any, *, key: str = "") -> Any:
         return {name: _to_mitsuba(item, key=name) for name, item in value.items()}
     if isinstance(value, np.ndarray) and value.shape == (4, 4):
         return mi.ScalarTransform4f(value)
+    if isinstance(value, np.ndarray) and value.shape == (3, 3):
+        return mi.ScalarTransform3f(value)
     if isinstance(value, np.ndarray):
         return value.tolist()
     return value

@@ -35,6 +35,7 @@ __all__ = [
     "Vector",
     "is_built",
     "look_at",
+    "portable",
     "rotate",
     "scale",
     "translate",
@@ -54,9 +55,10 @@ class Scene(Shown):
         A short name: of a built-in scene, or the stem of the file.
     source
         A Mitsuba XML file, or a scene dict in Mitsuba's form. In a dict, values are plain:
-        matrices are (4, 4) arrays, ``{"type": "mesh", "vertices", "faces", "uv", "bsdf"}`` is a
-        triangle mesh, and ``{"type": "bitmap", "data": array}`` an image texture (see
-        `chdstat.scenes.loading`). Or a scene that Mitsuba has built.
+        matrices are (4, 4) or (3, 3) arrays,
+        ``{"type": "mesh", "vertices", "faces", "uv", "bsdf"}`` is a triangle mesh, and
+        ``{"type": "bitmap", "data": array}`` an image texture (see `chdstat.scenes.loading`). Or a
+        scene that Mitsuba has built.
     parameters
         Values for the ``$name`` parameters of an XML file.
     """
@@ -142,6 +144,28 @@ def _bounded(name: str) -> Iterator[None]:
         raise SceneError(message) from error
 
 
+def portable(source: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return a scene dict with arrays in place of Mitsuba's transforms, which cannot be pickled.
+
+    Raises
+    ------
+    SceneError
+        If it is nested without end.
+    """
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {name: plain(part) for name, part in value.items()}
+        kind = type(value)
+        if kind.__module__.startswith("mitsuba") and "Transform" in kind.__name__:
+            matrix = np.array(value.matrix)
+            return matrix.reshape(matrix.shape[:2])
+        return value
+
+    with _bounded("scene"):
+        return {name: plain(part) for name, part in source.items()}
+
+
 def _digest_of(value: Any) -> str:
     digest = hashlib.sha256()
     _hash_value(digest, value)
@@ -172,9 +196,8 @@ def _plain(value: Any) -> Any:
     """Return the content of a value of Mitsuba's that holds nothing but numbers."""
     kind = type(value)
     if kind.__module__.split(".")[0] in ("drjit", "mitsuba"):
-        numbers = value.matrix if "Transform" in kind.__name__ else value
         with contextlib.suppress(TypeError, ValueError, RuntimeError):
-            array = np.array(numbers)
+            array = np.array(value)
             if array.dtype != object:
                 return str(value), array
     message = (
