@@ -19,7 +19,7 @@ import numpy.typing as npt
 from chdstat._core.executor import Interrupted
 from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import activate, one_thread
-from chdstat.rendering.instances import IntegratorObject
+from chdstat.rendering.instances import IntegratorObject, told
 from chdstat.rendering.job import Job
 from chdstat.rendering.lights import darken, flush, light_names
 from chdstat.rendering.rays import drawn, sensed
@@ -82,7 +82,7 @@ class Renderer:
                 self._scene = live.value if live else asked.scene.make(parallel=True)
             # Only now, for Mitsuba takes note of which settings were looked at.
             given = self._given.description if self._given else asked.integrator.node(0).props
-            self.integrator |= dict(given)
+            self.integrator |= told(dict(given))
             self._loaded_sensor = self._scene.sensors()[job.sensor]
             self._sensor_medium = self._loaded_sensor.get_medium()
             self._as_it_is = live is not None and not live.is_described(job.sensor)
