@@ -24,7 +24,6 @@ from chdstat._core.progress import track
 from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
-from chdstat.rendering.lights import check_lights
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import features_restored, rendered
@@ -195,7 +194,7 @@ def render(
         _check_portable(job)
     with activate(job.verdict):
         renderer = renderer_of(job, spp, kept=spp * (1 + len(depths) + len(by_light)), out=out)
-        check_lights(renderer.lights, by_light)
+        renderer.check_lights(by_light)
         partial = _cut_paths(job, renderer, depths) | {n: replace(job, light=n) for n in by_light}
         if existing is not None and spp < existing.complete_spp() == existing.shape[3]:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
@@ -347,8 +346,15 @@ def _writer(job: Job, renderer: Renderer, spp: int, out: str | Path | None) -> I
     if out is None:
         yield MemoryWriter(attrs, renderer.size, spp)
         return
-    with opened_store(place_of(out), attrs, renderer.size, spp) as store:
-        yield store
+    place = place_of(out)
+    is_new = not is_store(place)
+    with opened_store(place, attrs, renderer.size, spp) as store:
+        try:
+            yield store
+        except Exception:
+            if is_new:
+                store.discard()
+            raise
 
 
 def _fill(
