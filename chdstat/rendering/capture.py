@@ -311,8 +311,8 @@ def _check_portable(job: Job) -> None:
     except (TypeError, AttributeError, pickle.PicklingError) as error:
         message = (
             f"scene {job.scene.name!r} cannot be sent to the workers of a cluster: {brief(error)}; "
-            "describe it by files and plain values, such as {'type': 'bitmap', 'data': array} for "
-            "an image texture"
+            "describe it by files and plain values: a (4, 4) array for a transform, "
+            "{'type': 'bitmap', 'data': array} for an image texture"
         )
         raise InputError(message) from error
 

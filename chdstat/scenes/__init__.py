@@ -15,7 +15,7 @@ from typing import Any
 from chdstat.errors import InputError, SceneError
 from chdstat.scenes.files import is_file
 from chdstat.scenes.plugins import load_plugin
-from chdstat.scenes.scene import LiveScene, Scene, portable
+from chdstat.scenes.scene import LiveScene, Scene
 
 __all__ = ["BUILTIN", "REMAKES", "Scene", "SceneLike", "load_plugin", "load_scene"]
 
@@ -105,7 +105,7 @@ def _checked_dict(source: Mapping[str, Any]) -> Mapping[str, Any]:
     if source.get("type") != "scene":
         message = f"a scene dict needs 'type': 'scene', got 'type': {source.get('type')!r}"
         raise SceneError(message)
-    return portable(source)
+    return source
 
 
 def _checked_file(path: Path) -> tuple[str, Path]:

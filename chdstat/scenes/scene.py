@@ -35,7 +35,6 @@ __all__ = [
     "Vector",
     "is_built",
     "look_at",
-    "portable",
     "rotate",
     "scale",
     "translate",
@@ -144,28 +143,6 @@ def _bounded(name: str) -> Iterator[None]:
         raise SceneError(message) from error
 
 
-def portable(source: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a scene dict with arrays in place of Mitsuba's transforms, which cannot be pickled.
-
-    Raises
-    ------
-    SceneError
-        If it is nested without end.
-    """
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, Mapping):
-            return {name: plain(part) for name, part in value.items()}
-        kind = type(value)
-        if kind.__module__.startswith("mitsuba") and "Transform" in kind.__name__:
-            matrix = np.array(value.matrix)
-            return matrix.reshape(matrix.shape[:2])
-        return value
-
-    with _bounded("scene"):
-        return {name: plain(part) for name, part in source.items()}
-
-
 def _digest_of(value: Any) -> str:
     digest = hashlib.sha256()
     _hash_value(digest, value)
@@ -196,8 +173,9 @@ def _plain(value: Any) -> Any:
     """Return the content of a value of Mitsuba's that holds nothing but numbers."""
     kind = type(value)
     if kind.__module__.split(".")[0] in ("drjit", "mitsuba"):
+        numbers = value.matrix if "Transform" in kind.__name__ else value
         with contextlib.suppress(TypeError, ValueError, RuntimeError):
-            array = np.array(value)
+            array = np.array(numbers)
             if array.dtype != object:
                 return str(value), array
     message = (
