@@ -31,6 +31,12 @@ Floats = npt.NDArray[np.floating[Any]]
 
 _SCALES = (1.5, 4.0, 12.0)
 """Standard deviations in pixels of the windows that comparisons are averaged over."""
+_USUAL = 0.999
+"""Share of an image's radiances, the darkest, that its unit is made of."""
+_ABSURD = 1e5
+"""Multiple of their mean from which a pixel is absurd."""
+_NEAR = 5
+"""Edge in pixels of what is around an absurd pixel."""
 _FAINT = 0.01
 """Share of the image's mean radiance that is added to a pixel's own, as unit of its errors."""
 
@@ -39,13 +45,22 @@ _FAINT = 0.01
 class Measured:
     """Images of what a combination has to know of the samples, which are read once, by tiles.
 
+    All radiance is in `unit`.
+
     Attributes
     ----------
     starts
         The mean and `shared_shape` of all samples, and of every other of them, by name; NaN where
-        no sample is good.
-    mean, error
-        Mean of each channel's good samples, and its standard error, shape (y, x, channel).
+        no sample is good, and what is around where `absurd`.
+    errors
+        Standard errors of the mean of all samples, and of every other of them.
+    mean
+        Of each channel's good samples, shape (y, x, channel), 0 where there is none.
+    unit
+        A power of two, near the typical radiance of the image.
+    absurd
+        Marks pixels that are brighter than all others by so much that no other may know of them,
+        shape (y, x).
     null
         Share of null samples, shape (y, x).
     count
@@ -55,8 +70,10 @@ class Measured:
     """
 
     starts: Sequence[Mapping[str, Image]]
+    errors: Sequence[Floats]
     mean: Floats
-    error: Floats
+    unit: float
+    absurd: npt.NDArray[np.bool_]
     null: Floats
     count: Floats
     signed: bool
@@ -66,10 +83,7 @@ class Measured:
         """Measure an image in memory that does not grow with the number of samples."""
 
         def of_tile(x: Image) -> dict[str, tuple[tuple[str, ...], Floats]]:
-            mean, error = _mean_and_error(x)
             found = {
-                "mean": mean,
-                "error": error,
                 "null": is_null(x).mean(axis=-1),
                 "count": np.isfinite(x).sum(axis=-1),
                 "signed": ((x < 0) & np.isfinite(x)).any(axis=(2, 3)),
@@ -77,6 +91,7 @@ class Measured:
             for i, part in enumerate((x, x[..., ::2], x[..., 1::2])):
                 measured = vars(ShapeStatistics.of(ScaledSamples.of(np.ascontiguousarray(part))))
                 found |= {f"{name} {i}": value for name, value in measured.items()}
+                found[f"standard error {i}"] = _error_of_mean(part)
             return {
                 name: (("channel",) if image.ndim == 3 else (), image.astype(np.float32))
                 for name, image in found.items()
@@ -84,15 +99,40 @@ class Measured:
 
         maps = image.map(of_tile, dependent=True, description="estimating", **work)
         names = [field.name for field in fields(ShapeStatistics)]
-        starts: list[dict[str, Image]] = []
+        starts: list[dict[str, Floats]] = []
         for i in range(3):
             part = ShapeStatistics(*(maps[f"{name} {i}"].values for name in names))
-            limited = part.or_mean(part.limited()).astype(np.float32)
-            starts.append({"mean": part.good_mean.astype(np.float32), "shared_shape": limited})
-        mean, error, null, count = (
-            maps[name].values for name in ("mean", "error", "null", "count")
+            starts.append({"mean": part.good_mean, "shared_shape": part.or_mean(part.limited())})
+        mean = np.nan_to_num(starts[0]["mean"].astype(np.float64), posinf=0, neginf=0)
+        unit, absurd = _unit_and_absurd(np.abs(starts[0]["shared_shape"]), np.abs(mean))
+        return cls(
+            [{k: _tamed(v / unit, absurd) for k, v in start.items()} for start in starts],
+            [_tamed(maps[f"standard error {i}"].values / unit, absurd) for i in range(3)],
+            mean / unit,
+            unit,
+            absurd,
+            maps["null"].values,
+            maps["count"].values,
+            bool(maps["signed"].any()),
         )
-        return cls(starts, mean, error, null, count, bool(maps["signed"].any()))
+
+
+def _unit_and_absurd(limited: Floats, mean: Floats) -> tuple[float, npt.NDArray[np.bool_]]:
+    """Return the unit of an image, and the pixels that no other may know of."""
+    known = limited[np.isfinite(limited)].astype(np.float64)
+    usual = known[known <= np.quantile(known, _USUAL)] if known.size else known
+    typical = float(usual.mean()) if usual.size else 0.0
+    unit = float(np.exp2(np.round(np.log2(typical)))) if typical > 0 else 1.0
+    most = _ABSURD * typical if typical > 0 else np.inf
+    return unit, np.asarray((mean > most).any(axis=-1))
+
+
+def _tamed(image: Floats, absurd: npt.NDArray[np.bool_]) -> Image:
+    """Return an image with the median of what is around in place of absurd pixels."""
+    if absurd.any():
+        around = ndimage.median_filter(np.nan_to_num(image), size=(_NEAR, _NEAR, 1))
+        image = np.where(absurd[..., np.newaxis], around, image)
+    return image.astype(np.float32)
 
 
 def candidates(
@@ -127,14 +167,15 @@ def _denoised(job: tuple[Floats, Any, Any]) -> Floats:
 
 def compare_halves(
     measured: Measured, features: Mapping[str, npt.NDArray[Any]], client: Client | None = None
-) -> tuple[list[str], Image, Image, Image]:
+) -> tuple[list[str], Image, Image, Image, Image]:
     """Return candidates, and how those of half the samples compare with the other half.
 
     Returns
     -------
     names : list of str
-    full : ndarray
-        The candidates from all samples, shape (candidate, y, x, channel).
+    full, halves : ndarray
+        The candidates from all samples, shape (candidate, y, x, channel), and from each half of
+        them, (half, candidate, y, x, channel).
     inputs : ndarray
         What the network sees, shape (y, x, number).
     unit : ndarray
@@ -148,19 +189,19 @@ def compare_halves(
         full,
         parts,
         targets.astype(np.float32),
-        np.square(measured.error),
+        np.square(measured.errors[0]),
         measured.null,
-        measured.mean,
+        np.nan_to_num(measured.starts[0]["mean"]),
     )
-    return names, full, inputs, unit
+    return names, full, parts, inputs, unit
 
 
 def _stacked(images: Mapping[str, Image]) -> tuple[list[str], Image]:
     return list(images), np.stack(list(images.values()))
 
 
-def _mean_and_error(x: Image) -> tuple[Floats, Floats]:
-    """Return the mean of each channel's good samples, and its standard error."""
+def _error_of_mean(x: Image) -> Floats:
+    """Return the standard error of the mean of each channel's good samples."""
     good = np.isfinite(x)
     n = np.maximum(good.sum(axis=-1), 1)
     kept = np.where(good, x, 0)
@@ -168,7 +209,7 @@ def _mean_and_error(x: Image) -> tuple[Floats, Floats]:
     apart = np.where(good, kept - mean[..., np.newaxis], 0)
     error = np.sqrt(np.square(apart).sum(axis=-1) / (n * np.maximum(n - 1, 1)))
     # One sample says nothing of its error, which is as large as the mean if all others were null.
-    return mean, np.where(n == 1, np.abs(mean), error)
+    return np.asarray(np.where(n == 1, np.abs(mean), error))
 
 
 def _inputs(
@@ -202,8 +243,8 @@ def _inputs(
     )
     scale = unit[..., np.newaxis]
     target_variance = 2 * variance / scale**2
-    parts /= scale  # in place: of a large image, each of these arrays takes much memory
-    targets /= scale
+    parts = parts / scale
+    targets = targets / scale
     for j in range(1, len(full)):
         apart = parts[:, j] - parts[:, 0]
         towards = (apart * (targets - parts[:, 0])).mean(axis=(0, 3))

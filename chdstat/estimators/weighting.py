@@ -31,6 +31,7 @@ from chdstat._core.arrays import as_pixels
 from chdstat._core.cache import checkpoints
 from chdstat.errors import InputError
 from chdstat.estimators.halves import Measured, compare_halves
+from chdstat.estimators.held_out import Proposal, weight_of_mean
 from chdstat.estimators.progressive.inputs import Estimates
 from chdstat.estimators.registry import check_probability, register
 from chdstat.estimators.training import read_model
@@ -164,31 +165,53 @@ def combine(
     known = (image.features if features is None else features) or {}
     with checkpoints(checkpoint, functools.partial(checkpoint_key, image)) as kept:
         measured = Measured.of(image, progress=progress, client=client, checkpoint=kept)
-        names, full, inputs, unit = compare_halves(measured, known, client)
+        names, full, halves, inputs, scale = compare_halves(measured, known, client)
     weighting = Weighting.shipped(with_features="albedo" in known)
     weights, width = weighting(inputs)
-    mean, error = measured.mean, measured.error
-    least = _floor(mean, error, measured.count)
-    radiance = np.maximum(np.einsum("yxj,jyxc->yxc", weights, full), least)
-    radiance = _balanced(radiance, mean, error)
-    half = (weighting.quantile(level, unit) * width * unit)[..., np.newaxis]
-    lost = np.isnan(measured.starts[0]["mean"])
-    radiance = np.where(lost, np.nan, radiance).astype(np.float32)
-    low, high = radiance - half, radiance + half
-    if not measured.signed:
-        low = np.maximum(low, 0)
-    bias, bias_error = _bias(radiance, mean, error)
+    proposed = [
+        Proposal(
+            np.einsum("yxj,jyxc->yxc", weights, images),
+            np.nan_to_num(start["mean"]),
+            error,
+            np.nan_to_num(start["shared_shape"]),
+        )
+        for images, start, error in zip(
+            (full, *halves), measured.starts, measured.errors, strict=True
+        )
+    ]
+    of_mean = np.where(measured.absurd, 1, weight_of_mean(*proposed))[..., np.newaxis]
+    mean, error, image_of = measured.mean, measured.errors[0], proposed[0].image
+    radiance = image_of + of_mean * (mean - image_of)
+    balanced = _balanced(radiance, mean, error, 1 - of_mean)
+    half = (weighting.quantile(level, scale) * width * scale)[..., np.newaxis]
+    ends = _interval_of_mean(mean, error, measured.count, level, signed=measured.signed)
+    # Where nothing was found, that tells nothing of what there is.
+    ends[1] = np.where((mean == 0) & (error == 0), np.maximum(image_of + half, 0), ends[1])
+    # The best weight of a mean of variance v leaves the variance of_mean v (James and Stein 1961).
+    below, above = (
+        np.hypot((1 - of_mean) * half, np.sqrt(of_mean) * reach)
+        for reach in (mean - ends[0], ends[1] - mean)
+    )
+    low, high = balanced - below, balanced + above
+    weights = (weights * (1 - of_mean)).astype(np.float32)
+    weights[..., names.index("mean")] += of_mean[..., 0]
+    lost = np.isnan(measured.starts[0]["mean"]) & ~measured.absurd[..., np.newaxis]
+
+    def in_its_unit(image: Floats) -> Image:
+        return np.where(lost, np.nan, image * measured.unit).astype(np.float32)
+
+    bias, bias_error = _bias(np.where(lost, 0, balanced), mean, error)
     return Combination(
-        radiance,
+        in_its_unit(balanced),
         1 - weights[..., names.index("mean")],
-        low.astype(np.float32),
-        high.astype(np.float32),
+        in_its_unit(low if measured.signed else np.maximum(low, 0)),
+        in_its_unit(high),
         level,
-        mean=measured.starts[0]["mean"],
+        mean=in_its_unit(mean),
         weights={name: weights[..., j] for j, name in enumerate(names)},
         bias=bias,
         bias_error=bias_error,
-        least=least.astype(np.float32),
+        least=in_its_unit(_floor(mean, error, measured.count)),
     )
 
 
@@ -241,8 +264,29 @@ def combination(
     return combine(reordered(samples)[0], features=features).radiance
 
 
+def _interval_of_mean(
+    mean: Floats, error: Floats, count: Floats, level: float, *, signed: bool
+) -> Floats:
+    """Return the lower and upper ends of intervals of the mean, shape (2, y, x, channel).
+
+    Means of positive samples are nearly gamma distributed, of the shape k = (mean / error)^2: those
+    of exponential samples are so, and k equal ones among many nulls are nearly (Garwood 1936,
+    doi:10.1093/biomet/28.3-4.437). k is smaller as far as Student's quantile is larger than the
+    normal one. Signed samples have Student's interval.
+    """
+    tails = np.array((0.5 + level / 2, 0.5 - level / 2))
+    n = np.maximum(count.astype(np.float64) - 1, 1)
+    student = special.stdtrit(n, tails[0])
+    ends = np.stack([mean - student * error, mean + student * error])
+    skewed = (mean > 0) & (error > 1e-3 * mean) & (not signed)
+    m, of_error = mean[skewed], error[skewed]
+    k = np.square(m / of_error * (special.ndtri(tails[0]) / student[skewed]))
+    ends[:, skewed] = m * k / np.maximum(special.gammaincinv(k, tails[:, np.newaxis]), 1e-30)
+    return ends
+
+
 def _floor(mean: Floats, error: Floats, count: Floats) -> Floats:
-    """Return what a pixel's radiance is at least, so that no lamp is taken for fireflies.
+    """Return what a pixel's radiance is at least when it is denoised once more.
 
     The lower end of Student's interval. One bright sample of n makes mean and standard error
     alike, k of them a standard error of about mean / sqrt(k): only light that many samples found
@@ -253,16 +297,17 @@ def _floor(mean: Floats, error: Floats, count: Floats) -> Floats:
     return np.asarray(mean - certain[place] * error)
 
 
-def _balanced(radiance: Floats, mean: Floats, error: Floats) -> Floats:
+def _balanced(radiance: Floats, mean: Floats, error: Floats, moved: Floats) -> Floats:
     """Return an image whose sum agrees with that of the mean, which has no bias.
 
-    What denoised images lose or add beyond `_AGREES` standard errors of that sum is given back in
-    proportion to radiance, or to twice the standard error of a pixel that is known better, so that
-    what is certain stays. It is no more than `_MOST` of it: more would be guessed at.
+    What proposals lose or add beyond `_AGREES` standard errors of that sum is given back in
+    proportion to radiance, or to twice the standard error of a pixel that is known better, and to
+    how far it was moved from its mean, so that what is certain stays. It is no more than `_MOST` of
+    it: more would be guessed at.
     """
     apart = float(radiance.sum(dtype=np.float64) - mean.sum())
     lost = np.sign(apart) * max(abs(apart) - _AGREES * _error_of_sum(error), 0)
-    share = np.clip(radiance, 0, 2 * error)
+    share = np.clip(radiance, 0, 2 * error) * moved
     return np.asarray(radiance - np.clip(lost / (share.sum() or 1), -_MOST, _MOST) * share)
 
 

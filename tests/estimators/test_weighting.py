@@ -9,7 +9,7 @@ from scipy import stats
 
 import chdstat as chd
 from chdstat.errors import InputError
-from chdstat.estimators import combine, estimate, write_estimates
+from chdstat.estimators import combine, estimate, weighting, write_estimates
 from chdstat.estimators.estimates import through_denoiser
 from chdstat.estimators.halves import Measured, candidates, compare_halves
 from chdstat.estimators.weighting import LEVELS, Combination, Weighting
@@ -44,41 +44,27 @@ def test_it_is_the_default_and_each_candidate_has_its_share(samples, found):
     assert np.allclose(total, 1, atol=1e-5)
     assert min(weight.min() for weight in found.weights.values()) >= 0
     assert np.allclose(found.certainty, 1 - found.weights["mean"], atol=1e-6)
-    x = samples.read()
-    made = candidates(Measured.of(samples).starts[0], samples.features)
+    measured = Measured.of(samples)
+    made = candidates(measured.starts[0], samples.features)
     assert made.keys() == found.weights.keys()
     mixed = sum(found.weights[name][..., np.newaxis] * made[name] for name in made)
-    error = x.std(axis=-1, ddof=1) / 8
-    kept = mixed > made["mean"] - 3 * error  # above the floor
-    assert kept.mean() > 0.9
-    assert (np.abs(found.radiance - mixed)[kept] <= error[kept] + 1e-4).all()
+    # No more is given back of lost light than a standard error, and a tenth of what there is.
+    moved = np.abs(found.radiance / measured.unit - mixed)
+    assert (moved <= np.minimum(measured.errors[0], 0.1 * np.abs(mixed)) + 1e-4).all()
 
 
-def test_light_that_denoisers_lose_is_given_back_but_not_to_what_is_certain(monkeypatch):
-    # Whatever the samples say, a sixth of an image that has lost light.
-    weights = {
-        "denoised": 5 / 6,
-        "denoised shared_shape": 1 / 6,
-        "mean": 1e-9,
-        "shared_shape": 1e-9,
-    }
-    centre = Weighting.shipped(with_features=False).centre
-    scores = np.array([*np.log(list(weights.values())), 0.0])
-    fixed = Weighting(
-        [(np.zeros((5, len(centre))), scores)], centre, np.ones_like(centre), np.ones((3, 5))
-    )
-    monkeypatch.setattr(Weighting, "shipped", lambda **_: fixed)
+def test_light_that_proposals_lose_is_given_back_but_not_to_what_is_certain():
     rng = np.random.default_rng(1)
-    found_one = rng.random((64, 64, 1, 16)) < 0.1
-    x = np.where(found_one, 5, 0.1) * rng.exponential(size=found_one.shape)
-    x = np.repeat(x, 3, axis=2).astype(np.float32)
-    x[:8, :8] = 0.7
-    found, made = combine(x), candidates(Measured.of(chd.Samples.from_array(x)).starts[0], {})
-    mixed = sum(weights[name] * made[name] for name in made)
-    assert mixed.mean() / x.mean() - 1 < -2 * found.bias_error
-    assert -1.6 * found.bias_error < found.bias < 0
-    certain = slice(8), slice(8)
-    assert np.allclose(found.radiance[certain], np.maximum(mixed, 0.7)[certain], rtol=1e-4)
+    mean = np.broadcast_to(1 + 0.1 * rng.random((32, 32, 1)), (32, 32, 3))
+    error, moved = np.full_like(mean, 0.1), np.ones((32, 32, 1))
+    moved[:8], dark = 0, 0.993 * mean
+    found = weighting._balanced(dark, mean, error, moved)
+    of_sum = weighting._error_of_sum(error)
+    assert (mean - found).sum() == pytest.approx(1.5 * of_sum)
+    assert np.array_equal(found[:8], dark[:8])
+    # More than a twentieth of what may be moved would be guessed at.
+    least = weighting._balanced(0.5 * mean, mean, error, moved)
+    assert (least - 0.5 * mean).max() == pytest.approx(0.05 * 0.2)
 
 
 def test_it_is_better_than_the_mean_and_than_a_denoiser(samples, found, reference):
@@ -269,8 +255,8 @@ def test_the_file_holds_what_each_candidate_was_given(samples, found, tmp_path):
 
 def test_a_network_sees_ratios_only(samples):
     x = samples.read(slice(0, 32), slice(0, 32))
-    inputs = compare_halves(Measured.of(chd.Samples.from_array(x)), {})[2]
-    scaled = compare_halves(Measured.of(chd.Samples.from_array(x * 256)), {})[2]
+    inputs = compare_halves(Measured.of(chd.Samples.from_array(x)), {})[3]
+    scaled = compare_halves(Measured.of(chd.Samples.from_array(x * 256)), {})[3]
     assert np.allclose(inputs, scaled, atol=0.05)
     assert np.isfinite(inputs).all()
     assert Weighting.shipped(with_features=False).centre.shape == inputs.shape[-1:]
@@ -287,3 +273,82 @@ def test_bad_samples_of_one_pixel_spoil_no_other_and_make_nothing_certain():
     assert (found.low[kept] >= 0).all()  # no finite sample is negative
     assert (found.high - found.low)[kept].min() > 0
     assert (found.radiance[18, 18] < 100).all()  # of a single bright sample, nothing is known
+
+
+def exponential(truth, n, seed):
+    return truth[..., np.newaxis] * np.random.default_rng(seed).exponential(size=(*truth.shape, n))
+
+
+def images_that_refute_a_prior():
+    """Yield the name, the truth and the samples of images whose detail is no noise."""
+    rng = np.random.default_rng(2)
+    y, x = np.indices((48, 48))
+    glints = np.where(rng.random((48, 48)) < 0.01, 30.0, 0.1)
+    lamp = np.where((y == 20) & (x == 30), 50.0, 0.1)
+    for name, truth in {
+        "glints": glints,
+        "lamp": lamp,
+        "checker": np.where((x + y) % 2, 1.0, 0.1),
+        "white noise": rng.uniform(0.05, 1, (48, 48)),
+        "lines": np.where(x % 7 == 0, 1.0, 0.1),
+    }.items():
+        yield name, np.repeat(truth[..., np.newaxis], 3, axis=2)
+
+
+@pytest.mark.parametrize(("name", "truth"), list(images_that_refute_a_prior()))
+def test_detail_that_is_no_noise_is_kept_and_held_by_the_intervals(name, truth):
+    """Before held-out samples were asked, squared errors were 2 to 50 times the mean's."""
+    x = exponential(truth, 128, seed=5)
+    found, mean = combine(x), x.mean(axis=-1)
+    weight = 1 / (truth**2 + 0.01 * truth.mean() ** 2)
+    for w in (1, weight):
+        assert (w * (found.radiance - truth) ** 2).mean() <= 1.05 * (w * (mean - truth) ** 2).mean()
+    inside = (found.low <= truth) & (truth <= found.high)
+    assert inside.mean() > 0.8
+    assert inside[truth == truth.max()].mean() > 0.5  # none before
+
+
+def test_where_nothing_refutes_it_the_proposal_is_taken():
+    truth = np.full((48, 48, 3), 0.4)
+    x = exponential(truth, 32, seed=6)
+    found = combine(x)
+    assert ((found.radiance - truth) ** 2).mean() < 0.05 * ((x.mean(axis=-1) - truth) ** 2).mean()
+    assert found.certainty.mean() > 0.9
+
+
+@pytest.mark.parametrize("value", [1e8, 1e21, 1e37])
+def test_one_absurd_sample_changes_no_other_pixel(samples, value):
+    x = samples.read()[..., :16].copy()
+    before = combine(x)
+    x[30, 31, :, 7] = value
+    after = combine(x)
+    other = np.ones((64, 64), bool)
+    other[30, 31] = False
+    moved = np.abs(after.radiance - before.radiance)[other]
+    assert (moved <= (before.high - before.low)[other] + 1e-4).all()
+    assert np.allclose(after.radiance[30, 31], x[30, 31].mean(axis=-1), rtol=1e-5)
+    assert np.isfinite(after.low).all()
+
+
+@pytest.mark.parametrize("unit", [2.0**-100, 2.0**100])
+def test_an_image_may_be_in_any_unit(samples, unit):
+    x = samples.read()[..., :16]
+    first, scaled = combine(x), combine(x * np.float32(unit))
+    rounding = 0.02 * (first.high - first.low)
+    for name in ("radiance", "low", "high"):
+        apart = getattr(first, name) - getattr(scaled, name) / np.float32(unit)
+        assert (np.abs(apart) <= rounding).all()
+    assert scaled.bias == pytest.approx(first.bias, abs=1e-4)
+
+
+def test_the_interval_of_a_mean_holds_the_truth_of_skewed_samples():
+    # Exact for exponential samples, but for the error that is estimated.
+    rng = np.random.default_rng(3)
+    x = rng.exponential(size=(4000, 16))
+    mean, error = x.mean(axis=-1), x.std(axis=-1, ddof=1) / 4
+    count = np.full(4000, 16)
+    low, high = weighting._interval_of_mean(mean, error, count, 0.9, signed=False)
+    missed = np.mean(high < 1), np.mean(low > 1)
+    assert max(missed) < 0.09
+    student = weighting._interval_of_mean(mean, error, count, 0.9, signed=True)[1]
+    assert np.mean(student < 1) > missed[0] + 0.02

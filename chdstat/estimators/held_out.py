@@ -1,0 +1,235 @@
+"""Held-out samples: how far the mean of a pixel has to be kept, whatever was proposed in its place.
+
+A proposal is an image that is less noisy than the mean and may be biased, such as a weighted sum of
+denoised images. `weight_of_mean` measures on the image at hand which mixture of the two is nearest
+to the truth: a proposal of one half of the samples is compared with the mean of the other half,
+which is noisy, but neither biased nor correlated with it (a super learner: van der Laan, Polley and
+Hubbard 2007, doi:10.2202/1544-6115.1309).
+
+With d the mean minus the proposal p of one half and t the mean of the other, the squared error of
+``p + r d`` is least at ``r = -E d (p - t) / E d^2`` (Stein's loss: James and Stein 1961). All
+samples are twice as many as half of them, so half of the noise is taken off both expectations;
+the difference of the halves tells it. The expectations are those of pixels alike: over the image
+in classes of the pixel's standard score, of whether `shared_shape` takes it for fireflies and of
+its brightness, then over wider and closer surroundings in the same class. Each of these steps
+either confirms the one before or refutes it (a spike and a slab: George and McCulloch 1993,
+doi:10.1080/01621459.1993.10476353), and needs more evidence where single pixels make it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy import ndimage
+
+__all__ = ["Proposal", "weight_of_mean"]
+
+Floats = npt.NDArray[np.floating[Any]]
+Places = npt.NDArray[np.signedinteger[Any]]
+
+_SCORES = np.array((-8, -4, -2.5, -1.5, -0.7, 0, 0.7, 1.5, 2.5, 4, 8))
+"""Standard scores of the proposal against the mean, between which weights are interpolated."""
+_LIMITED = np.array((-0.1, 0.5))
+"""Logarithms of the mean over that which `shared_shape` limits it to."""
+_BRIGHT = np.array((1.0, 2.5))
+"""Logarithms of a pixel's unit over that of the image."""
+_BELIEVED = (-3.0, -1.5), (-4.5, -2.5)
+"""Scores between which the mean is believed before held-out samples are asked: of pixels that are
+not limited, since so many samples found the light, and of those that are."""
+_TILE = 8
+"""Distance in pixels of the nodes that evidence is gathered at."""
+_AROUND = 6.0, 1.5
+"""Standard deviations, in nodes, of the windows that evidence is pooled over."""
+_REFUTED = 0.1
+"""Probability that a step is refuted."""
+_CONFIRMED, _FREE = 0.05, 0.5
+"""Standard deviation of a weight around the step before, where that is confirmed and refuted."""
+_SINGLE = 0.5
+"""Variance of a weight that one pixel alone tells."""
+_FAINT = 0.03
+"""Share of the image's mean radiance that is added to a pixel's own, as unit of its errors."""
+_ERROR = 1e-3
+"""Share of that unit that is added to standard errors, so that no score is infinite."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An image that was proposed in place of the mean, from some samples.
+
+    Attributes
+    ----------
+    image
+        The proposal, shape (y, x, channel).
+    mean, error
+        Of the same samples: the mean and its standard error, shape (y, x, channel).
+    limited
+        The mean as `shared_shape` limits it, shape (y, x, channel).
+    """
+
+    image: Floats
+    mean: Floats
+    error: Floats
+    limited: Floats
+
+    def unit(self) -> Floats:
+        """Return the radiance that errors are measured in, shape (y, x)."""
+        bright = np.abs(self.image).mean(axis=-1)
+        around = ndimage.gaussian_filter(bright, 1.5, mode="nearest")
+        return np.asarray(around + (_FAINT * float(bright.mean(dtype=np.float64)) or 1.0))
+
+    def classes(self) -> list[tuple[Floats, Floats]]:
+        """Return what pixels are sorted by, each with the knots it is interpolated between."""
+        unit = self.unit()
+        apart = (self.image - self.mean) / (self.error + _ERROR * unit[..., np.newaxis])
+        mean, limited = (
+            np.maximum(image.mean(axis=-1), 0) + 0.01 * unit for image in (self.mean, self.limited)
+        )
+        return [
+            (_signed_log(apart.mean(axis=-1)), _signed_log(_SCORES)),
+            (np.log(mean / limited), _LIMITED),
+            (np.log(unit / unit.mean()), _BRIGHT),
+        ]
+
+
+def weight_of_mean(whole: Proposal, one: Proposal, other: Proposal) -> Floats:
+    """Return how much of the mean is kept of each pixel.
+
+    Parameters
+    ----------
+    whole
+        The proposal from all samples.
+    one, other
+        Those from one half of the samples and from the other. An image is proposed of each by the
+        same weights of candidates, which may depend on all samples, but hardly on one pixel's.
+
+    Returns
+    -------
+    ndarray
+        Weights between 0, for the proposal, and 1, for the mean, shape (y, x).
+
+    References
+    ----------
+    M. J. van der Laan, E. C. Polley and A. E. Hubbard, "Super learner", Statistical Applications in
+    Genetics and Molecular Biology 6(1), 2007, doi:10.2202/1544-6115.1309. E. I. George and R. E.
+    McCulloch, "Variable selection via Gibbs sampling", Journal of the American Statistical
+    Association 88, 1993, doi:10.1080/01621459.1993.10476353.
+
+    Examples
+    --------
+    The mean of uniform noise is worse than what is right everywhere, and better than what is wrong:
+
+    >>> rng = np.random.default_rng(0)
+    >>> halves = 1 + rng.normal(size=(2, 32, 32, 1)) / 8
+    >>> def proposed(mean, image):
+    ...     return Proposal(np.full_like(mean, image), mean, np.full_like(mean, 1 / 8), mean)
+    >>> for image in (1, 2):
+    ...     parts = [proposed(mean, image) for mean in (halves.mean(axis=0), *halves)]
+    ...     print(weight_of_mean(*parts).mean().round(1))
+    0.0
+    1.0
+    """
+    sides = _sides(whole.mean.shape[:2])
+    knots = [len(places) for _, places in whole.classes()]
+    shape = (*(size for _, _, size in sides), *knots)
+    evidence = np.zeros((5, int(np.prod(shape))))
+    for half, held_out in ((one, other), (other, one)):
+        told = _evidence(half, held_out)
+        for place, share in _corners(half, sides):
+            for total, values in zip(evidence, told, strict=True):
+                total += np.bincount(place.ravel(), (share * values).ravel(), len(total))
+    evidence = evidence.reshape(5, *shape)
+    weight = _believed(knots)
+    weight = np.broadcast_to(_updated(weight, evidence.sum(axis=(1, 2))), shape)
+    for scale in _AROUND:
+        spread = (0, scale, scale, *[0] * len(knots))
+        around = ndimage.gaussian_filter(evidence, spread, mode="nearest", truncate=3)
+        # The whole weight of a window is the number of nodes in it.
+        weight = _updated(weight, around * (4 * np.pi * scale * scale))
+    nodes = _updated(weight, evidence).ravel()
+    return np.asarray(sum(share * nodes[place] for place, share in _corners(whole, sides)))
+
+
+def _evidence(half: Proposal, held_out: Proposal) -> list[Floats]:
+    """Return what one half and the mean of the other tell of the weight in each pixel.
+
+    The terms n of E d^2 and c of -E d (p - t) without half of their noise, and the products
+    that the variance of c - r n is made of.
+    """
+    unit = half.unit()[..., np.newaxis]
+    apart = (half.mean - half.image) / unit
+    noise = apart - (held_out.mean - held_out.image) / unit
+    missed = (half.image - held_out.mean) / unit
+    moved = (half.image - held_out.image) / unit
+    n = (apart**2 - noise**2 / 4).sum(axis=-1)
+    c = (noise * moved / 4 - apart * missed).sum(axis=-1)
+    return [n, c, c * c, c * n, n * n]
+
+
+def _updated(before: Floats, evidence: Floats) -> Floats:
+    """Return weights after evidence, which confirms those before it or refutes them."""
+    n, c, cc, cn, nn = evidence
+    known = n > 1e-12
+    n = np.where(known, n, 1)
+    found = np.clip(c / n, -0.2, 1.2)
+    kept = np.clip(found, 0, 1)
+    variance = (np.maximum(cc - 2 * kept * cn + kept**2 * nn, 0) + _SINGLE * nn) / n**2 + 1e-9
+    apart = found - before
+    free, confirmed = _FREE**2, _CONFIRMED**2
+    odds = apart**2 / 2 * (1 / (variance + confirmed) - 1 / (variance + free))
+    odds -= np.log((variance + free) / (variance + confirmed)) / 2
+    refuted = 1 / (1 + (1 / _REFUTED - 1) * np.exp(-np.clip(odds, -50, 50)))
+    step = refuted * free / (free + variance) + (1 - refuted) * confirmed / (confirmed + variance)
+    return np.asarray(np.where(known, np.clip(before + step * apart, 0, 1), before))
+
+
+def _believed(knots: list[int]) -> Floats:
+    """Return the weight of the mean in each class before any evidence.
+
+    k samples of equal radiance among nulls make a score of minus the root of k.
+    """
+    weight = np.empty(knots)
+    for i, (most, least) in enumerate(_BELIEVED):
+        t = np.clip((_SCORES - most) / (least - most), 0, 1)
+        weight[:, i] = (1 - t * t * (3 - 2 * t))[:, np.newaxis]
+    return weight
+
+
+def _sides(shape: tuple[int, ...]) -> list[tuple[Places, Floats, int]]:
+    """Return the node before each row and column, how far it is passed, and how many there are."""
+    found = []
+    for axis, pixels in enumerate(shape):
+        nodes = -(-pixels // _TILE) + 1
+        place = (np.arange(pixels) + 0.5) / pixels * (nodes - 1)
+        side = np.expand_dims(place, 1 - axis)
+        found.append((*_between(side, np.arange(nodes)), nodes))
+    return found
+
+
+def _between(x: Floats, knots: npt.NDArray[Any]) -> tuple[Places, Floats]:
+    """Return the knot before each number and which share of the way to the next it has gone."""
+    x = np.clip(x, knots[0], knots[-1])
+    before = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
+    return before, (x - knots[before]) / (knots[before + 1] - knots[before])
+
+
+def _corners(
+    pixels: Proposal, sides: list[tuple[Places, Floats, int]]
+) -> Iterator[tuple[Places, Floats]]:
+    """Yield the nodes around each pixel, one kind at a time, and its share in them."""
+    axes = [*sides, *((*_between(x, knots), len(knots)) for x, knots in pixels.classes())]
+    shape = pixels.mean.shape[:2]
+    for steps in itertools.product((0, 1), repeat=len(axes)):
+        place, share = np.zeros(shape, np.intp), np.ones(shape)
+        for step, (before, passed, size) in zip(steps, axes, strict=True):
+            place = place * size + before + step
+            share = share * (passed if step else 1 - passed)
+        yield place, share
+
+
+def _signed_log(x: Floats) -> Floats:
+    return np.asarray(np.sign(x) * np.log1p(np.abs(x)))
