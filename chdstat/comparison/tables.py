@@ -24,6 +24,7 @@ from chdstat.comparison.presentation import (
     dataset_of,
     described,
     latex,
+    notes,
     row_of,
     text_coordinate,
     titled,
@@ -127,7 +128,7 @@ class Comparison(Shown):
     Attributes
     ----------
     estimators
-        Names, in the order asked for, those that use neighbours last.
+        Names, in the order asked for.
     uses_neighbours
         Which of them look at the pixels around, shape (estimator,): a class of their own, as they
         see more than n samples.
@@ -186,6 +187,16 @@ class Comparison(Shown):
     provenance: Mapping[str, Any]
 
     @property
+    def notes(self) -> dict[str, str]:
+        """What a reader of the table has to know beside it, in words.
+
+        What the default estimate is; which estimators use neighbours; which were left out of
+        `chdstat.comparison.DEFAULT_ESTIMATORS`, and why.
+        """
+        left_out = self.provenance.get("left_out", {})
+        return notes(self.estimators, uses_neighbours=self.uses_neighbours, left_out=left_out)
+
+    @property
     def reusable_models(self) -> dict[str, Model]:
         """Those of `models` that take only n samples, and so serve wherever they serve at all.
 
@@ -214,14 +225,12 @@ class Comparison(Shown):
         ]
 
     def _card(self) -> Card:
-        facts = {
-            "samples per estimate": self.n,
-            "test pixels": int(self.test_pixels.sum()),
-            "estimates": self.batches,
-        }
+        pixels = f"{self.test_pixels.sum()} test pixels"
+        facts = {"estimates": f"{self.batches} from {self.n} samples each, of {pixels}"}
         images = {}
         if len(self.channels) in (1, 3):
             images["reference: the mean of all samples"] = png(tonemap(self.reference))
+        facts |= {name: text for name, text in self.notes.items() if name != "use neighbours"}
         return Card("Comparison of estimators", facts, titled(self.table()), images)
 
     def to_dataframe(self) -> pd.DataFrame:
