@@ -209,10 +209,7 @@ def choose(
     """
     if estimators is None:
         return _defaults(sizes, samples)
-    if isinstance(estimators, str):
-        message = f"estimators must be a list of names, got the single name {estimators!r}"
-        raise InputError(message)
-    found = [entry_of(given) for given in estimators]
+    found = _entries(estimators)
     entries = {entry.name: entry for entry in found}
     if not entries or len(entries) < len(found):
         message = f"estimators must be one or more different names, got {[e.name for e in found]}"
@@ -222,6 +219,13 @@ def choose(
             message = f"{without_denoiser(entry).name} {reason}; give another n"
             raise InputError(message)
     return Chosen(entries)
+
+
+def _entries(estimators: Sequence[str | Entry]) -> list[Entry]:
+    if isinstance(estimators, str):
+        message = f"estimators must be a list of names, got the single name {estimators!r}"
+        raise InputError(message)
+    return [entry_of(given) for given in estimators]
 
 
 def _defaults(sizes: Sequence[int], samples: Samples | None) -> Chosen:
@@ -279,8 +283,7 @@ def curve_sizes(
     if sizes is None:
         largest = max(_SMALLEST, samples.spp // _SHARE)
         doubled = [2**k for k in range(_SMALLEST.bit_length() - 1, largest.bit_length())]
-        named = DEFAULT_ESTIMATORS if estimators is None else estimators
-        entries = [entry_of(given) for given in named]
+        entries = _entries(DEFAULT_ESTIMATORS if estimators is None else estimators)
         fewest = {_least_taken(e) for e in entries if not any(takes(e, n) for n in doubled)}
         sizes = [*doubled, *(n for n in fewest if 2 * n <= samples.spp)]
     if np.ndim(sizes) != 1:

@@ -27,7 +27,7 @@ __all__ = [
     "in_words",
     "latex",
     "notes",
-    "row_of",
+    "rows_of",
     "shown_ratio",
     "text_coordinate",
     "titled",
@@ -61,9 +61,15 @@ def columns_of(measures: Mapping[str, Interval[Array]], *, over_batches: bool = 
     return found
 
 
-def row_of(columns: Columns, *index: int) -> dict[str, float]:
-    """Return one place of all columns as a flat row."""
-    return {name: float(values[index]) for name, (values, _) in columns.items()}
+def rows_of(
+    columns: Columns, estimators: Sequence[str], uses_neighbours: Array, *before: int
+) -> list[dict[str, Any]]:
+    """Return a flat row for each estimator: what all columns hold of it at a place."""
+    return [
+        {"estimator": name, "uses_neighbours": bool(uses_neighbours[k])}
+        | {column: float(values[before][k]) for column, (values, _) in columns.items()}
+        for k, name in enumerate(estimators)
+    ]
 
 
 def variables_of(columns: Columns, *dims: str, prefix: str = "") -> dict[str, Any]:

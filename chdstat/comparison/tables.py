@@ -25,7 +25,7 @@ from chdstat.comparison.presentation import (
     described,
     latex,
     notes,
-    row_of,
+    rows_of,
     text_coordinate,
     titled,
     variables_of,
@@ -109,15 +109,9 @@ class Breakdown(Shown):
         """Return one row per label and estimator: names, pixels and every measure."""
         columns = columns_of(self.measures)
         return [
-            {
-                "label": label,
-                "pixels": int(self.pixels[row]),
-                "estimator": name,
-                "uses_neighbours": bool(self.uses_neighbours[k]),
-                **row_of(columns, row, k),
-            }
+            {"label": label, "pixels": int(self.pixels[row]), **one}
             for row, label in enumerate(self.labels)
-            for k, name in enumerate(self.estimators)
+            for one in rows_of(columns, self.estimators, self.uses_neighbours, row)
         ]
 
 
@@ -214,15 +208,12 @@ class Comparison(Shown):
         Each measure also has ``_se``, ``_low`` and ``_high``, the standard error and the interval
         over blocks, and the same with ``_over_batches``.
         """
-        columns = columns_of(self.measures) | columns_of(self.over_batches, over_batches=True)
-        return [
-            {
-                "estimator": name,
-                "uses_neighbours": bool(self.uses_neighbours[index]),
-                **row_of(columns, index, _ALL_CHANNELS),
-            }
-            for index, name in enumerate(self.estimators)
-        ]
+        over_blocks, over_batches = (
+            {name: measure[:, _ALL_CHANNELS] for name, measure in measures.items()}
+            for measures in (self.measures, self.over_batches)
+        )
+        columns = columns_of(over_blocks) | columns_of(over_batches, over_batches=True)
+        return rows_of(columns, self.estimators, self.uses_neighbours)
 
     def _card(self) -> Card:
         pixels = f"{self.test_pixels.sum()} test pixels"
@@ -404,15 +395,10 @@ class ErrorCurve(Shown):
         """Return one row per size and estimator that takes it, with every measure."""
         columns = columns_of(self.measures)
         return [
-            {
-                "n": size,
-                "estimator": name,
-                "uses_neighbours": bool(self.uses_neighbours[k]),
-                **row_of(columns, row, k),
-            }
+            {"n": size, **one}
             for row, size in enumerate(self.sizes)
-            for k, name in enumerate(self.estimators)
-            if np.isfinite(self.measures["mse"].value[row, k])
+            for one in rows_of(columns, self.estimators, self.uses_neighbours, row)
+            if np.isfinite(one["mse"])
         ]
 
     def _card(self) -> Card:
