@@ -77,6 +77,8 @@ class ScoredEstimate:
         Of a trained estimator, the mean over batches; NaN where it has none.
     low, high
         Of a trained estimator, the ends of its interval, means over batches, shape (channel,).
+    given
+        Whether it is a trained estimator that the page was opened with.
     """
 
     name: str
@@ -87,6 +89,7 @@ class ScoredEstimate:
     certainty: float = float("nan")
     low: Floats | None = None
     high: Floats | None = None
+    given: bool = False
 
 
 @dataclass(frozen=True)
@@ -318,7 +321,9 @@ class Learner:
         model, n = self.model, batches.n
         if isinstance(model, MLP):
             fits = model.inputs == n
-            return _score(self.name, model.predict(batches.x), batches) if fits else None
+            if not fits:
+                return None
+            return replace(_score(self.name, model.predict(batches.x), batches), given=True)
         if model.channels != batches.x.shape[-2]:
             return None
         names = ("radiance", "certainty", "low", "high")
@@ -338,7 +343,7 @@ class Learner:
             fields = [getattr(estimated, name) for name in names]
         certainty, low, high = (_average(values) for values in fields[1:])
         one = _score(self.name, fields[0], batches)
-        return replace(one, certainty=float(certainty), low=low, high=high)
+        return replace(one, certainty=float(certainty), low=low, high=high, given=True)
 
 
 def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:

@@ -189,8 +189,8 @@ def estimates_table(
 ) -> Table:
     """Return the estimate and the error of every estimator.
 
-    The default estimators come first, in their order, then the best of the others. `note` says what
-    is the reference.
+    The default estimators come first, in their order, then the trained ones that the page was
+    opened with, then the best of the others. `note` says what is the reference.
     """
     rows = []
     for e in sorted(found, key=_rank):
@@ -210,12 +210,12 @@ def estimates_table(
     return {**_table(f"Estimates from {n} samples", columns, rows, note), "first": _FIRST}
 
 
-def _rank(estimate: ScoredEstimate) -> tuple[int, bool, float]:
+def _rank(estimate: ScoredEstimate) -> tuple[int, bool, bool, float]:
     # An image without features has the denoised mean without them.
     order = [name.removesuffix(" features") for name in DEFAULT_ESTIMATORS]
     name, known = estimate.name.removesuffix(" features"), np.isfinite(estimate.mse_ratio)
     place = order.index(name) if name in order else len(order)
-    return place, not known, float(estimate.mse_ratio) if known else 0.0
+    return place, not estimate.given, not known, float(estimate.mse_ratio) if known else 0.0
 
 
 def goodness_table(

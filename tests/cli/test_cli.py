@@ -143,8 +143,10 @@ def test_options_that_are_not_given_are_as_in_the_library(command):
                 assert ours[name].default == option.default, name
     for function in (chd.render, render_batches):
         assert signature(function).parameters["spp"].default == program.SPP
-    chosen = signature(chd.study).parameters["estimators"].default
-    assert signature(reports.study).parameters["estimator"].default == list(chosen)
+    for judge in (chd.compare, chd.bench, chd.report, chd.study):
+        command = commands[judge.__name__]
+        assert signature(judge).parameters["estimators"].default is None
+        assert signature(command).parameters["estimator"].default is None
 
 
 def test_a_reader_finds_spp_in_few_files(run, tmp_path):
@@ -512,6 +514,6 @@ def test_settings_of_a_render_are_refused_where_samples_are_there(run, tmp_path,
 
 def test_a_curve_that_cannot_be_measured_is_refused_before_the_comparison(run, tmp_path):
     chd.render("cornell-box", spp=48, size=(6, 5), backend="scalar", out=tmp_path / "s.zarr")
-    code, out, err = run("compare", tmp_path / "s.zarr", "--curve", "-q")
+    code, out, err = run("compare", tmp_path / "s.zarr", "-e", "elek2019", "--curve", "-q")
     assert (code, out) == (1, "")
     assert "elek2019 takes exactly 32 samples" in err
