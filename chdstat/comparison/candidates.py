@@ -16,8 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import whole
+from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser, through_denoiser
+from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup
 from chdstat.estimators.validation import Totals, check_spp, draw_pixels, judging_pixels
 from chdstat.samples import Samples
@@ -323,6 +325,7 @@ def estimate_by(
     *,
     features: Mapping[str, Array] | None = None,
     model: Any = None,
+    at_home: bool = False,
 ) -> Array:
     """Estimate radiance (y, x, channel) from samples (y, x, channel, sample).
 
@@ -336,18 +339,23 @@ def estimate_by(
         First-hit features of the same pixels, for those that take them.
     model
         Of an estimator that learns.
+    at_home
+        Whether the model was trained on this scene, so that it is followed all the way.
     """
     own, known = without_denoiser(entry), features or {}
     options = dict(own.options) if isinstance(own, LearnedEstimator) else {}
     if own.uses_features and known:
         options["features"] = known
+    if at_home and isinstance(model, Progressive):
+        options["unit"] = mean_radiance(x)
     if not isinstance(entry, Denoised):
         return np.asarray(own(x, **options) if model is None else model.predict(x, **options))  # type: ignore[operator]
     guides = known if entry.with_features else {}
     if entry.with_certainty:
         found = model.estimate(x, **options)
         return through_denoiser(found.radiance, guides, certainty=found.certainty)
-    return through_denoiser(estimate_by(own, x, features=known, model=model), guides)
+    radiance = estimate_by(own, x, features=known, model=model, at_home=at_home)
+    return through_denoiser(radiance, guides)
 
 
 @dataclass(frozen=True)
@@ -366,6 +374,8 @@ class Candidates:
         Those that were trained, by name; entries that share a training share a model.
     judging
         Pixels that no training draws, shape (y, x), whoever takes part.
+    at_home
+        Those of the models that were trained on this scene, by name.
     left_out
         As of `Chosen`.
     """
@@ -375,6 +385,7 @@ class Candidates:
     entries: Mapping[str, Entry]
     models: Mapping[str, Model]
     judging: npt.NDArray[np.bool_]
+    at_home: frozenset[str]
     left_out: Mapping[str, str]
 
     @classmethod
@@ -414,7 +425,8 @@ class Candidates:
                     raise InputError(message)
         own = [without_denoiser(entry) for entry in entries.values()]
         learned = {e.name: e for e in own if isinstance(e, LearnedEstimator)}
-        trained = _given(model, learned)
+        given = _given(model, learned)
+        trained = dict(given)
         for name, entry in list(learned.items()):
             if entry.train in trained:
                 continue
@@ -437,8 +449,14 @@ class Candidates:
             if certain and not hasattr(models[base], "estimate"):
                 message = f"{base} says no certainty; leave {name!r} out"
                 raise InputError(message)
+        at_home = frozenset(
+            name
+            for name, entry in learned.items()
+            if entry.train not in given
+            or (isinstance(one := models[name], Progressive) and one.trained_on(samples.attrs))
+        )
         judging = judging_pixels(samples.shape[:2], seed=seed)
-        return cls(samples, totals, entries, models, judging, left_out)
+        return cls(samples, totals, entries, models, judging, at_home, left_out)
 
     def with_denoised(self) -> Candidates:
         """Add every way to denoise each of them that the image and its model allow, at the end."""
@@ -472,17 +490,18 @@ class Candidates:
 
     def taking(self, n: int) -> dict[str, Callable[[Array], Array]]:
         """Return those that take n samples, as functions of samples (y, x, channel, sample)."""
-        features = self.samples.features
-        return {
-            name: partial(
-                estimate_by,
-                entry,
-                features=features,
-                model=self.models.get(without_denoiser(entry).name),
-            )
-            for name, entry in self.entries.items()
-            if takes(entry, n)
-        }
+        found: dict[str, Callable[[Array], Array]] = {}
+        for name, entry in self.entries.items():
+            if takes(entry, n):
+                own = without_denoiser(entry).name
+                found[name] = partial(
+                    estimate_by,
+                    entry,
+                    features=self.samples.features,
+                    model=self.models.get(own),
+                    at_home=own in self.at_home,
+                )
+        return found
 
     def test_pixels(self) -> npt.NDArray[np.bool_]:
         """Return the pixels that judge: all where no model was trained on an image of this shape.

@@ -267,7 +267,7 @@ def pixel_estimates(found: PixelEstimates, *, ax: Axes | None = None) -> Axes:
     ax.set(xlim=(0.3, len(mean) + 0.7), xticks=[])
     ax.set_xlabel(f"{len(mean)} random pixels, from dark to bright")
     ax.set_ylabel(f"{'luminance' if colored else verbatim(found.channels[0])}, {UNIT}")
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(6, 2 + len(drawn)))
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(4, 2 + len(drawn)))
     return ax
 
 

@@ -277,7 +277,8 @@ def _function(
         # A model under a name of one's own is asked as it is.
         if name not in names():
             return np.asarray(model.predict(x), dtype=np.float64)
-        found = estimate_by(entry_of(name), x, features=features, model=model)
+        # The network itself is asked, as at home.
+        found = estimate_by(entry_of(name), x, features=features, model=model, at_home=True)
         return np.asarray(found, dtype=np.float64)
 
     return estimate
