@@ -616,3 +616,16 @@ def test_what_it_shows_are_the_same_words_as_the_latex(found):
     latex = [line.removesuffix(r" \\").split(" & ") for line in found.to_latex().splitlines()[2:-2]]
     assert [row[0] for row in shown] == [latex[0][0], *(row[0] for row in latex[2:])]
     assert shown[2][1] == latex[3][1]
+
+
+def test_an_error_of_the_mean_that_is_rounding_divides_nothing():
+    """Of equal samples, the mean is exact but for rounding: nothing is better or worse."""
+    x = image(height=6, width=6).read().copy()
+    x[:3] = np.random.default_rng(0).uniform(0.1, 0.9, size=(3, 6, 3, 1))
+    labels = np.where(np.arange(6) < 3, Label.CONSTANT, Label.LONG_TAIL)[:, None] + np.zeros(6, int)
+    brighter = Estimator("brighter", lambda x: 1.001 * x.mean(axis=-1), source="this test")
+    found = chd.compare(chd.Samples.from_array(x), [brighter], labels=labels).breakdown
+    rows = {row["label"]: row for row in found.table()}
+    assert 0 < rows["constant"]["relmse"] < 1e-5
+    assert np.isnan([rows["constant"][name] for name in ("mse_ratio", "relmse_ratio")]).all()
+    assert rows["long_tail"]["mse_ratio"] == pytest.approx(1, abs=0.1)
