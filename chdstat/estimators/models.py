@@ -56,7 +56,6 @@ register_learned(
         about="Network of the paper: 32 samples of a channel in, its radiance out.",
         label="Elek et al. 2019",
         place=8,
-        default=True,
     )
 )
 _PROGRESSIVE = "Network that weighs any number of samples by their luminance"
@@ -80,7 +79,6 @@ for _name, _label, _loss_weight, _inputs in _ROWS:
             about=_PROGRESSIVE + _label.removeprefix(Progressive.name) + ".",
             label=_label,
             place=9,
-            default=_name == "progressive",
             options={"loss_weight": _loss_weight},
             uses_features="features" in _inputs,
             joint_channels=True,

@@ -2,15 +2,15 @@
 
 `batches_of` cuts the samples of a place into batches; `scored` and `scored_around` let the fixed
 estimators estimate from them, `Learner.score` a trained one. An estimator that looks at the
-pixels around is given a part of the image, not all of it: its estimate is close to that of
-`chdstat.estimate`, not the same to the bit.
+pixels around, as the default estimate does, is given a part of the image with its first-hit
+features, not all of it: its estimate is close to that of `chdstat.estimate`, not the same.
 """
 
 from __future__ import annotations
 
 import timeit
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -20,13 +20,15 @@ import numpy.typing as npt
 
 from chdstat import estimators
 from chdstat._core.arrays import is_bad
+from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.accumulate import SUMS, errors_of
-from chdstat.errors import InputError
-from chdstat.estimators import MLP, Progressive, registry
+from chdstat.comparison.candidates import Entry, choose, estimate_by, takes
+from chdstat.estimators import MLP, registry
 from chdstat.estimators.models import AnyModel, load_model
 from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import Box, Pixel
+from chdstat.samples import Samples
 
 __all__ = [
     "BATCHES_AROUND",
@@ -48,8 +50,6 @@ BATCHES_AROUND = 4
 _AROUND, _AROUND_LEARNED = 10, 24
 """Pixels to each side that fixed and trained estimators look at."""
 _QUICK = 4e-3
-_PART = 256
-"""Side of the part of an image that the shrinkage of a model is measured on."""
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
@@ -77,6 +77,8 @@ class ScoredEstimate:
         Of a trained estimator, the mean over batches; NaN where it has none.
     low, high
         Of a trained estimator, the ends of its interval, means over batches, shape (channel,).
+    given
+        Whether it is a trained estimator that the page was opened with.
     """
 
     name: str
@@ -87,6 +89,7 @@ class ScoredEstimate:
     certainty: float = float("nan")
     low: Floats | None = None
     high: Floats | None = None
+    given: bool = False
 
 
 @dataclass(frozen=True)
@@ -178,17 +181,12 @@ def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:
 
 
 def fixed(*, neighbours: bool = False) -> dict[str, registry.Estimator]:
-    """Return the fixed estimators of one pixel by name, or those that look at the pixels around.
-
-    Those that take first-hit features are left out, as no place has any.
-    """
+    """Return the fixed estimators of one pixel by name, or those that look at the pixels around."""
     entries = {name: registry.lookup(name) for name in registry.names("fixed")}
     return {
         name: entry
         for name, entry in entries.items()
-        if isinstance(entry, registry.Estimator)
-        and entry.uses_neighbours == neighbours
-        and not entry.uses_features
+        if isinstance(entry, registry.Estimator) and entry.uses_neighbours == neighbours
     }
 
 
@@ -249,17 +247,27 @@ def scored_around(
     step
         As for `scored`.
     """
-    batches = batches.first(BATCHES_AROUND)
-    spp = len(batches.x) * batches.n
-    window, (y, x), _ = source.around(*place, spp, radius=_AROUND)
-    cuts = _cut(window, batches.n)
-    found = []
-    for name, entry in fixed(neighbours=True).items():
-        if batches.n >= entry.minimum_samples:
+    batches, found = batches.first(BATCHES_AROUND), []
+    for entry, radius in _around(source.samples, batches.n):
+        window, (y, x), (ys, xs) = source.around(*place, len(batches.x) * batches.n, radius=radius)
+        features = {name: image[ys, xs] for name, image in source.samples.features.items()}
+        estimates = []
+        for cut in _cut(window, batches.n):
             step()
-            estimates = np.stack([np.asarray(entry(cut), np.float64)[y, x] for cut in cuts])
-            found.append(_score(name, estimates, batches))
+            estimates.append(estimate_by(entry, cut, features=features)[y, x])
+        found.append(_score(entry.name, np.stack(estimates), batches))
     return found
+
+
+def _around(samples: Samples, n: int) -> Iterator[tuple[Entry, int]]:
+    """Yield what looks at the pixels around, and how far: the default estimators first."""
+    default = choose(None, [n], samples=samples).entries
+    for entry in default.values():
+        if entry.uses_neighbours:
+            yield entry, _AROUND_LEARNED
+    for name, entry in fixed(neighbours=True).items():
+        if name not in DEFAULT_ESTIMATORS and not entry.learns and takes(entry, n):
+            yield entry, _AROUND
 
 
 def _cut(window: Image, n: int) -> list[Image]:
@@ -286,7 +294,6 @@ class Learner:
 
     name: str
     model: AnyModel
-    _trust: dict[tuple[int, int], float] = field(default_factory=dict, repr=False)
 
     def score(
         self,
@@ -314,7 +321,9 @@ class Learner:
         model, n = self.model, batches.n
         if isinstance(model, MLP):
             fits = model.inputs == n
-            return _score(self.name, model.predict(batches.x), batches) if fits else None
+            if not fits:
+                return None
+            return replace(_score(self.name, model.predict(batches.x), batches), given=True)
         if model.channels != batches.x.shape[-2]:
             return None
         names = ("radiance", "certainty", "low", "high")
@@ -325,43 +334,16 @@ class Learner:
             batches = batches.first(BATCHES_AROUND)
             spp = len(batches.x) * n
             window, (y, x), (ys, xs) = source.around(*place, spp, radius=_AROUND_LEARNED)
-            features, trust = self._features(source, ys, xs), self.trust(source, n)
-            found = [
-                model.estimate(cut, features=features, unit=unit, trust=trust)
-                for cut in _cut(window, n)
-            ]
+            shown = source.samples.features if model.inputs.features else {}
+            features = {name: own[ys, xs] for name, own in shown.items()} or None
+            found = [model.estimate(cut, features=features, unit=unit) for cut in _cut(window, n)]
             fields = [np.stack([getattr(e, name)[y, x] for e in found]) for name in names]
         else:
-            # Without an image, the batches of the place tell the shrinkage.
-            trust = self.trust(source, n) if source else model.trust(batches.x, unit=unit)
-            estimated = model.estimate(batches.x, unit=unit, trust=trust)
+            estimated = model.estimate(batches.x, unit=unit)
             fields = [getattr(estimated, name) for name in names]
         certainty, low, high = (_average(values) for values in fields[1:])
         one = _score(self.name, fields[0], batches)
-        return replace(one, certainty=float(certainty), low=low, high=high)
-
-    def trust(self, source: StoreSource, n: int) -> float:
-        """Return the shrinkage of a model on an image, from n samples of each pixel.
-
-        It is measured once, on a part of a large image: 1 where it was trained on the scene.
-        """
-        samples = source.samples
-        if not isinstance(self.model, Progressive) or self.model.trained_on(samples.attrs):
-            return 1.0
-        key = id(samples), n
-        if key not in self._trust:
-            ys, xs = (
-                slice((k - _PART) // 2, (k + _PART) // 2) if k > _PART else slice(None)
-                for k in source.size
-            )
-            window, features = samples.read(ys, xs, slice(n)), self._features(source, ys, xs)
-            self._trust[key] = self.model.trust(window, features=features)
-        return self._trust[key]
-
-    def _features(self, source: StoreSource, ys: slice, xs: slice) -> dict[str, Image] | None:
-        if not isinstance(self.model, Progressive) or not self.model.inputs.features:
-            return None
-        return {name: own[ys, xs] for name, own in source.samples.features.items()}
+        return replace(one, certainty=float(certainty), low=low, high=high, given=True)
 
 
 def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
@@ -371,20 +353,10 @@ def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
     ------
     StoreError
         If a file cannot be read, or holds something else.
-    InputError
-        If one looks at direct light, which the page does not read.
     """
-    found = [
+    return [
         Learner(Path(model).stem, load_model(model))
         if isinstance(model, str | Path)
         else Learner(model.name, model)
         for model in models
     ]
-    for learner in found:
-        if isinstance(learner.model, Progressive) and learner.model.inputs.direct:
-            message = (
-                f"{learner.name} sees direct light, which the page does not read; give a model "
-                "without that input"
-            )
-            raise InputError(message)
-    return found

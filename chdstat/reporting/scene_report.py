@@ -19,10 +19,14 @@ from chdstat._core.files import checked_target, scratch
 from chdstat._core.progress import track
 from chdstat.analysis import analyze, overview
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
-from chdstat.comparison.candidates import DEFAULT
-from chdstat.comparison.side_by_side import SelfTraining, train_alone
+from chdstat.comparison.candidates import (
+    DEFAULT_ESTIMATORS,
+    Entry,
+    entry_of,
+    without_denoiser,
+)
 from chdstat.errors import InputError
-from chdstat.estimators import LearnedEstimator, Progressive, lookup
+from chdstat.estimators import LearnedEstimator
 from chdstat.estimators.models import first_samples
 from chdstat.estimators.registry import Model
 from chdstat.estimators.training import check_iterations
@@ -57,7 +61,7 @@ _PILOT = 32
 """Samples per pixel from which the time of many is told."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
-_ITERATIONS = {"elek2019": 10_000, "progressive": 1200, "self_trained": 800}
+_ITERATIONS = {"elek2019": 10_000, "progressive": 1200}
 """Minibatches of each training unless all is as published; more take longer and gain little."""
 _CURVE_SPP, _CURVE_BATCHES = 256, 2
 """Samples from which errors are shown against N, and batches per pixel for each N."""
@@ -73,7 +77,7 @@ def report(
     max_depth: int | None = None,
     recipe: str | Path | None = None,
     store: str | Path | None = None,
-    estimators: Sequence[str] = DEFAULT,
+    estimators: Sequence[str | Entry] | None = None,
     iterations: int | None = None,
     as_published: bool = False,
     backend: Backend = "auto",
@@ -98,9 +102,7 @@ def report(
         Where to keep the rendered samples, so that the next report resumes from them; None keeps
         them in memory.
     estimators
-        Names of the estimators to compare; those that learn are trained on these samples. With
-        "progressive" among them, what it learns without a reference is shown, too, with its
-        certainty and its intervals.
+        As for `chdstat.compare`; those that learn are trained on these samples.
     iterations
         Minibatches of each training; None takes as many as pay in a report.
     as_published
@@ -123,8 +125,8 @@ def report(
         As for `chdstat.render` and `chdstat.open`.
     """
     target = checked_target(path, ".pdf")
-    for name in estimators:
-        lookup(name)  # an unknown one is refused before the work
+    for name in estimators or ():
+        entry_of(name)  # an unknown one is refused before the work
     check_iterations(iterations)
     asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     given = {name: value for name, value in asked.items() if value is not None}
@@ -177,7 +179,11 @@ def published_seconds(
 
 
 def _trainings(
-    samples: Samples, estimators: Sequence[str], iterations: int | None, *, as_published: bool
+    samples: Samples,
+    estimators: Sequence[str | Entry] | None,
+    iterations: int | None,
+    *,
+    as_published: bool,
 ) -> dict[str, Any]:
     """Return what has to be trained, by name, to be called in a process of its own."""
 
@@ -185,27 +191,29 @@ def _trainings(
         return iterations or (None if as_published else _ITERATIONS.get(name))
 
     calls = {}
-    for name in estimators:
-        entry = lookup(name)
-        if name in _ITERATIONS and isinstance(entry, LearnedEstimator):
-            calls[name] = delayed(_train)(samples, entry, number_of(name))
-    if "progressive" in estimators:
-        calls["self_trained"] = delayed(train_alone)(
-            samples, iterations=number_of("self_trained"), progress=False
-        )
+    for name in DEFAULT_ESTIMATORS if estimators is None else estimators:
+        entry = without_denoiser(entry_of(name))
+        if entry.name in _ITERATIONS and isinstance(entry, LearnedEstimator):
+            calls[entry.name] = delayed(_train)(samples, entry, number_of(entry.name))
     return calls
 
 
-def _train(samples: Samples, entry: LearnedEstimator, iterations: int | None) -> Model:
-    """Train an estimator with a reference, on the pixels that a comparison draws."""
+def _train(samples: Samples, entry: LearnedEstimator, iterations: int | None) -> Model | None:
+    """Train an estimator on the pixels that a comparison draws.
+
+    Return None where the samples are too few: the comparison then says why.
+    """
     pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=0)
-    return entry.train(samples, seed=0, pixels=pixels, iterations=iterations, progress=False)
+    try:
+        return entry.train(samples, seed=0, pixels=pixels, iterations=iterations, progress=False)
+    except InputError:
+        return None
 
 
 def _document(
     samples: Samples,
     regions: tuple[Region, ...],
-    estimators: Sequence[str],
+    estimators: Sequence[str | Entry] | None,
     trainings: Mapping[str, Any],
     progress: bool | None,
     checkpoint: Path | None,
@@ -214,25 +222,21 @@ def _document(
     with _in_background(trainings.values()) as results:
         dataset = analyze(samples, progress=progress, checkpoint=checkpoint)
         shapes = atlas(samples, progress=progress)
-        models, why_not = _trained(trainings, results, progress)
-    alone = models.pop("self_trained", None)
-    comparison, trial, curve = None, None, None
-    if not why_not:
-        try:
-            comparison = compare(
-                samples,
-                estimators,
-                n=_BATCH,
-                labels=dataset["label"],
-                model=models,
-                progress=progress,
-            )
-        except InputError as error:
-            why_not = str(error)
+        models = _trained(trainings, results, progress)
+    comparison, curve, why_not = None, None, ""
+    try:
+        comparison = compare(
+            samples,
+            estimators,
+            n=_BATCH,
+            labels=dataset["label"],
+            model=models,
+            progress=progress,
+        )
+    except InputError as error:
+        why_not = str(error)
     if comparison is not None:
         curve = _curve(samples, comparison, progress)
-        if isinstance(alone, Progressive):
-            trial = SelfTraining.of(samples, comparison, alone, progress=progress)
     data = SceneData(
         samples.name,
         samples,
@@ -247,7 +251,6 @@ def _document(
         atlas=shapes if len(shapes.share) else None,
         claims=claims,
         comparison=comparison,
-        self_training=trial,
     )
     entries = content.scene_content(found) | {
         "regions_chosen": not regions,
@@ -271,18 +274,16 @@ def _in_background(calls: Iterable[Any]) -> Iterator[Iterator[Any]]:
 
 def _trained(
     names: Iterable[str], results: Iterator[Any], progress: bool | None
-) -> tuple[dict[str, Any], str]:
-    """Return the trained models by name; where the samples are too few for one, the reason."""
-    models = {}
-    names = list(names)
+) -> dict[str, Model]:
+    """Return the trained models by name."""
+    names, models = list(names), {}
     with track("training", len(names), unit="models", show=progress) as advance:
         for name in names:
-            try:
-                models[name] = next(results)
-            except InputError as error:
-                return {}, str(error)
+            model = next(results)
             advance(1)
-    return models, ""
+            if model is not None:
+                models[name] = model
+    return models
 
 
 def _curve(samples: Samples, comparison: Comparison, progress: bool | None) -> ErrorCurve | None:
