@@ -1,8 +1,9 @@
 """Images whose detail is no noise, so that a learned prior is wrong: errors and intervals.
 
-For each image, law of the samples and number of samples: MSE and relMSE of the default estimate over
-those of the mean, and the share of 90 % intervals that hold the truth by thirds of brightness. Run
-with ``--benchmark-only -s``; CHDSTAT_SEEDS images are drawn of each kind, CHDSTAT_FILM is their edge.
+For each image, law of the samples and number of samples: MSE and relMSE of the default estimate
+over those of the mean, and the share of 90 % intervals that hold the truth by thirds of brightness.
+Run with ``--benchmark-only -s``; CHDSTAT_SEEDS images are drawn of each kind, CHDSTAT_FILM is their
+edge.
 """
 
 from __future__ import annotations
