@@ -13,10 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
-from chdstat._core.arrays import is_null
 from chdstat._core.executor import in_order
-from chdstat.estimators.shapes import ShapeStatistics
-from chdstat.estimators.similarity import ScaledSamples
+from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 from chdstat.io.denoiser import denoise
 from chdstat.samples import Samples
 from chdstat.samples.tiles import Work
@@ -81,39 +79,46 @@ class Measured:
     @classmethod
     def of(cls, image: Samples, **work: Unpack[Work]) -> Measured:
         """Measure an image in memory that does not grow with the number of samples."""
+        names = [field.name for field in fields(PowerSums)]
 
         def of_tile(x: Image) -> dict[str, tuple[tuple[str, ...], Floats]]:
-            found = {
-                "null": is_null(x).mean(axis=-1),
-                "count": np.isfinite(x).sum(axis=-1),
-                "signed": ((x < 0) & np.isfinite(x)).any(axis=(2, 3)),
-            }
-            for i, part in enumerate((x, x[..., ::2], x[..., 1::2])):
-                measured = vars(ShapeStatistics.of(ScaledSamples.of(np.ascontiguousarray(part))))
-                found |= {f"{name} {i}": value for name, value in measured.items()}
-                found[f"standard error {i}"] = _error_of_mean(part)
-            return {
-                name: (("channel",) if image.ndim == 3 else (), image.astype(np.float32))
-                for name, image in found.items()
-            }
+            found: dict[str, tuple[tuple[str, ...], Floats]] = {}
+            for i, half in enumerate((x[..., ::2], x[..., 1::2])):
+                sums = vars(PowerSums.of(half))
+                sums["roots"] = np.moveaxis(sums["roots"], 0, -1)
+                for name, value in sums.items():
+                    dims = ("channel", "power")[: value.ndim - 2]
+                    found[f"{name} {i}"] = dims, value
+            return found
 
         maps = image.map(of_tile, dependent=True, description="estimating", **work)
-        names = [field.name for field in fields(ShapeStatistics)]
+
+        def half(i: int) -> PowerSums:
+            values = {name: maps[f"{name} {i}"].values for name in names}
+            return PowerSums(**values | {"roots": np.moveaxis(values["roots"], -1, 0)})
+
+        return cls.of_halves(half(0), half(1))
+
+    @classmethod
+    def of_halves(cls, one: PowerSums, other: PowerSums) -> Measured:
+        """Measure an image of which every other sample was added to the one sums, the others."""
+        parts = (one.merged(other), one, other)
         starts: list[dict[str, Floats]] = []
-        for i in range(3):
-            part = ShapeStatistics(*(maps[f"{name} {i}"].values for name in names))
-            starts.append({"mean": part.good_mean, "shared_shape": part.or_mean(part.limited())})
-        mean = np.nan_to_num(starts[0]["mean"].astype(np.float64), posinf=0, neginf=0)
+        for part in parts:
+            shape = ShapeStatistics.of(part)
+            starts.append({"mean": part.mean(), "shared_shape": shape.or_mean(shape.limited())})
+        whole = parts[0]
+        mean = np.nan_to_num(starts[0]["mean"], posinf=0, neginf=0)
         unit, absurd = _unit_and_absurd(np.abs(starts[0]["shared_shape"]), np.abs(mean))
         return cls(
             [{k: _tamed(v / unit, absurd) for k, v in start.items()} for start in starts],
-            [_tamed(maps[f"standard error {i}"].values / unit, absurd) for i in range(3)],
+            [_tamed(part.error() / unit, absurd) for part in parts],
             mean / unit,
             unit,
             absurd,
-            maps["null"].values,
-            maps["count"].values,
-            bool(maps["signed"].any()),
+            whole.null / np.maximum(whole.good.max(axis=-1), 1),
+            whole.good,
+            bool((whole.below < 0).any()),
         )
 
 
@@ -198,18 +203,6 @@ def compare_halves(
 
 def _stacked(images: Mapping[str, Image]) -> tuple[list[str], Image]:
     return list(images), np.stack(list(images.values()))
-
-
-def _error_of_mean(x: Image) -> Floats:
-    """Return the standard error of the mean of each channel's good samples."""
-    good = np.isfinite(x)
-    n = np.maximum(good.sum(axis=-1), 1)
-    kept = np.where(good, x, 0)
-    mean = kept.sum(axis=-1, dtype=np.float64) / n
-    apart = np.where(good, kept - mean[..., np.newaxis], 0)
-    error = np.sqrt(np.square(apart).sum(axis=-1) / (n * np.maximum(n - 1, 1)))
-    # One sample says nothing of its error, which is as large as the mean if all others were null.
-    return np.asarray(np.where(n == 1, np.abs(mean), error))
 
 
 def _inputs(

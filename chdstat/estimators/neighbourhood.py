@@ -20,7 +20,7 @@ from chdstat._core.image_scales import exposure_unit
 from chdstat.errors import InputError
 from chdstat.estimators import similarity
 from chdstat.estimators.registry import Array, Floats, check_positive, check_probability, register
-from chdstat.estimators.shapes import ShapeStatistics
+from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 
 __all__ = ["Fireflies", "delbracio2014", "sakai2024", "shared_patches"]
 
@@ -305,9 +305,11 @@ def shared_patches(
     if fireflies not in ("limit", "keep"):
         message = f"fireflies must be 'limit' or 'keep', got {fireflies!r}"
         raise InputError(message)
-    image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
-    limited = fireflies == "limit"
-    own = ShapeStatistics.of(image).limited() / image.unit if limited else image.mean()
+    samples = as_pixels(x, minimum=2)
+    image = similarity.ScaledSamples.of(samples)
+    own = image.mean()
+    if fireflies == "limit":
+        own = ShapeStatistics.of(PowerSums.of(samples)).limited() / image.unit
     members = similarity.significance(similarity.corrected_means(image), image.count, _ALPHA)
 
     def pooled(

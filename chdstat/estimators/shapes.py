@@ -6,7 +6,7 @@ leaves noise and edges to a denoiser. It is new here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -19,13 +19,13 @@ from chdstat.estimators.registry import (
     Floats,
     check_positive,
     check_probability,
-    mean_of_good,
     register,
 )
 
-__all__ = ["ShapeStatistics", "shared_shape"]
+__all__ = ["PowerSums", "ShapeStatistics", "shared_shape"]
 
-_ROUNDING = 1e-6
+_ROUNDING, _EQUAL = 1e-6, 1e-13
+_POWERS = 0.25, 0.5, 0.75, 1.0
 _LIMIT, _ALPHA, _AROUND = 1.75, 0.005, 5
 _OURS = "this library, after Sakai et al. 2024, doi:10.1145/3680528.3687591"
 
@@ -90,9 +90,97 @@ def shared_shape(
     whole("radius", radius, least=0)
     check_probability(alpha=alpha)
     check_positive(limit=limit)
-    image = similarity.ScaledSamples.of(as_pixels(x, minimum=2))
-    measured = ShapeStatistics.of(image)
+    measured = ShapeStatistics.of(PowerSums.of(as_pixels(x, minimum=2)))
     return measured.or_mean(measured.limited(limit, alpha, radius))
+
+
+@dataclass
+class PowerSums:
+    """Sums over the samples of each pixel, from which means, errors and shapes follow.
+
+    Samples are added one after the other, so that it makes no difference in which batches they
+    come. The memory does not depend on their number.
+
+    Attributes
+    ----------
+    good, total, square
+        Good samples of each channel, their sum and that of their squares, shape (y, x, channel) as
+        all but `count` and `null`.
+    positive, roots, below, largest
+        Of the samples whose channels are all good: how many are above 0, sums of these to the
+        powers `_POWERS`, the sum of those below 0, and the largest (at least 0).
+    count, null
+        How many these are, and how many are null, shape (y, x).
+    """
+
+    good: Floats
+    total: Floats
+    square: Floats
+    positive: Floats
+    roots: Floats
+    below: Floats
+    largest: Floats
+    count: Floats
+    null: Floats
+
+    @classmethod
+    def empty(cls, shape: tuple[int, ...]) -> PowerSums:
+        """Return sums of no samples of an image (y, x, channel)."""
+        sizes = {"roots": (len(_POWERS), *shape), "count": shape[:2], "null": shape[:2]}
+        return cls(**{field.name: np.zeros(sizes.get(field.name, shape)) for field in fields(cls)})
+
+    @classmethod
+    def of(cls, x: npt.NDArray[np.floating[Any]]) -> PowerSums:
+        """Return sums over samples (y, x, channel, sample)."""
+        found = cls.empty(x.shape[:3])
+        found.update(x)
+        return found
+
+    def update(self, x: npt.NDArray[np.floating[Any]]) -> None:
+        """Add samples (y, x, channel, sample)."""
+        for i in range(x.shape[-1]):
+            sample = x[..., i].astype(np.float64)
+            good = np.asarray(np.isfinite(sample))
+            sample = np.where(good, sample, 0)
+            whole = np.asarray(good.all(axis=-1))
+            kept = sample if whole.all() else np.where(whole[..., np.newaxis], sample, 0)
+            positive = np.maximum(kept, 0)
+            self.good += good
+            self.total += sample
+            with np.errstate(over="ignore"):  # float64 samples may be of any size
+                self.square += sample * sample
+            self.positive += kept > 0
+            self.roots += _powers(positive)
+            self.below += np.minimum(kept, 0)
+            np.maximum(self.largest, positive, out=self.largest)
+            self.count += whole
+            self.null += (x[..., i] == 0).all(axis=-1)
+
+    def merged(self, other: PowerSums) -> PowerSums:
+        """Return the sums over the samples of both."""
+        added = {name: value + getattr(other, name) for name, value in vars(self).items()}
+        return PowerSums(**added | {"largest": np.maximum(self.largest, other.largest)})
+
+    def mean(self) -> Floats:
+        """Return the mean of each channel's good samples; NaN where there is none."""
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.total / self.good)
+
+    def error(self) -> Floats:
+        """Return the standard error of that mean; as large as the mean where it is one sample."""
+        n = np.maximum(self.good, 1)
+        spread = np.maximum(self.square - self.total**2 / n, 0)
+        # What is left of equal samples is rounding.
+        spread = np.where(spread > _EQUAL * self.square, spread, 0)
+        error = np.sqrt(spread / (n * np.maximum(n - 1, 1)))
+        return np.asarray(np.where(n == 1, np.abs(self.total), error))
+
+
+def _powers(x: Floats) -> Floats:
+    """Return the fourth root, the root, their product and x itself."""
+    root = np.sqrt(x)
+    fourth = np.sqrt(root)
+    return np.stack([fourth, root, fourth * root, x])
 
 
 @dataclass(frozen=True)
@@ -110,7 +198,7 @@ class ShapeStatistics:
     level, positive
         Levels, and numbers of positive samples, without the largest sample.
     shape, error
-        Of `similarity.shape_means`, and its squared standard error.
+        ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)`` and its squared standard error, without it, too.
     count
         Number of samples whose channels are all good, shape (y, x).
     """
@@ -125,22 +213,31 @@ class ShapeStatistics:
     count: npt.NDArray[np.number[Any]]
 
     @classmethod
-    def of(cls, image: similarity.ScaledSamples) -> ShapeStatistics:
-        """Measure the samples of each pixel."""
-        below = np.minimum(image.samples, 0).sum(axis=-1, dtype=np.float64)
-        below /= np.maximum(image.count, 1)[..., np.newaxis]
-        mean, (level, positive) = image.mean() * image.unit - below, _level(image)
-        shape, error = similarity.shape_means(image)
-        return cls(
-            mean_of_good(image.given),
-            mean,
-            below,
-            level * image.unit,
-            positive,
-            shape,
-            error,
-            image.count,
-        )
+    def of(cls, sums: PowerSums) -> ShapeStatistics:
+        """Measure the samples of each pixel.
+
+        The shape is ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)``, a number without a scale: 1 of equal
+        samples, and the smaller, the more they differ or are null. Its error is that of a smooth
+        function of two means (the delta method).
+        """
+        count = sums.count[..., np.newaxis]
+        below = sums.below / np.maximum(count, 1)
+        mean = sums.roots[3] / np.where(count > 0, count, np.nan)
+        # The largest sample is left out, so that a firefly does not set a pixel apart.
+        fourth, root, product, kept = np.maximum(sums.roots - _powers(sums.largest), 0)
+        positive = np.maximum(sums.positive - 1, 0)
+        pairs = root**2 - kept
+        # What is left of a single sample, or of one among many darker by far, is rounding.
+        pairs[(pairs < _ROUNDING * root**2) | (positive < 2)] = 0
+        level = pairs / (np.maximum(positive - 1, 1) * np.maximum(count, 1))
+        m = np.maximum(count - 1, 0)
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            a, b, c, d = (np.where(positive > 0, k, 0) / m for k in (fourth, root, product, kept))
+            # var(v) / b - a cov(v, v^2) / b^2 + a^2 var(v^2) / (4 b^3), with a = E v and b = E v^2.
+            relative = (b - a * a) / b - a * (c - a * b) / b**2 + a * a * (d - b * b) / (4 * b**3)
+            error = np.maximum(relative, 0) / np.where(m > 1, m - 1, np.nan)
+            shape = a / np.sqrt(b)
+        return cls(sums.mean(), mean, below, level, positive, shape, error, sums.count)
 
     def limited(
         self, limit: float = _LIMIT, alpha: float = _ALPHA, radius: int = _AROUND
@@ -161,18 +258,3 @@ class ShapeStatistics:
         """Return estimates, or the mean of a channel's good samples where there is none."""
         missing = (self.count == 0) | ~np.isfinite(found).all(axis=-1)
         return np.asarray(np.where(missing[..., np.newaxis], self.good_mean, found))
-
-
-def _level(image: similarity.ScaledSamples) -> tuple[Floats, ...]:
-    """Return levels and the number k of positive samples, without the largest sample."""
-
-    def work(rows: Floats, _: object, n: npt.NDArray[np.int64]) -> tuple[Floats, Floats]:
-        kept = np.maximum(similarity.without_largest(rows), 0)
-        positive = np.count_nonzero(kept, axis=-1).astype(np.float64)
-        total = np.sqrt(kept).sum(axis=-1)
-        pairs = total**2 - kept.sum(axis=-1)
-        # What is left of a single sample, or of one among many darker by far, is rounding.
-        pairs[pairs < _ROUNDING * total**2] = 0
-        return pairs / (np.maximum(positive - 1, 1) * np.maximum(n, 1)), positive
-
-    return image.walk(work)

@@ -33,7 +33,6 @@ __all__ = [
     "not_different",
     "pairs",
     "root",
-    "shape_means",
     "significance",
     "window_sum",
     "without_largest",
@@ -153,30 +152,6 @@ def corrected_means(image: ScaledSamples, transform: Callable[[Floats], Floats] 
             # Equal samples need no correction.
             shift = np.where((second > 0) & np.isfinite(shift), shift, 0)
             return mean + shift, second / (n * np.where(n > 1, n - 1, np.nan))
-
-    return image.walk(work)
-
-
-def shape_means(image: ScaledSamples) -> Means:
-    """Return ``mean(x^(1/4)) / mean(x^(1/2))^(1/2)`` of every channel, and its standard error.
-
-    Negative samples count as 0.
-
-    The largest sample is left out, so that a firefly does not set a pixel apart.
-
-    A number without a scale: 1 of equal samples, and the smaller, the more they differ or are null;
-    NaN of nulls alone. Its error is that of a smooth function of two means (the delta method).
-    """
-
-    def work(rows: Floats, _: object, n: npt.NDArray[np.int64]) -> tuple[Floats, Floats]:
-        kept, m = np.maximum(without_largest(rows), 0), np.maximum(n - 1, 0)
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            v = np.sqrt(np.sqrt(kept))
-            w = v * v
-            a, b, c, d = (k.sum(axis=-1) / m for k in (v, w, v * w, kept))
-            # var(v) / b - a cov(v, v^2) / b^2 + a^2 var(v^2) / (4 b^3), with a = E v and b = E v^2.
-            relative = (b - a * a) / b - a * (c - a * b) / b**2 + a * a * (d - b * b) / (4 * b**3)
-            return a / np.sqrt(b), np.maximum(relative, 0) / np.where(m > 1, m - 1, np.nan)
 
     return image.walk(work)
 

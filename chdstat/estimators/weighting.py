@@ -34,6 +34,7 @@ from chdstat.estimators.halves import Measured, compare_halves
 from chdstat.estimators.held_out import Proposal, weight_of_mean
 from chdstat.estimators.progressive.inputs import Estimates
 from chdstat.estimators.registry import check_probability, register
+from chdstat.estimators.shapes import PowerSums
 from chdstat.estimators.training import read_model
 from chdstat.estimators.validation import reordered
 from chdstat.samples import Samples, checkpoint_key
@@ -41,7 +42,15 @@ from chdstat.samples import Samples, checkpoint_key
 if TYPE_CHECKING:
     from distributed import Client
 
-__all__ = ["LEAST", "LEVELS", "Combination", "Weighting", "combination", "combine"]
+__all__ = [
+    "LEAST",
+    "LEVELS",
+    "Combination",
+    "Weighting",
+    "combination",
+    "combine",
+    "combine_measured",
+]
 
 Image = npt.NDArray[np.float32]
 Floats = npt.NDArray[np.floating[Any]]
@@ -88,6 +97,14 @@ class Combination(Estimates):
     bias: float = np.nan
     bias_error: float = np.nan
     least: Image = field(default_factory=lambda: np.empty(0, np.float32))
+
+    @property
+    def relative_error(self) -> float:
+        """Root of the image's mean squared error over its mean, as the intervals estimate it."""
+        width = (self.high - self.low) / (2 * stats.norm.ppf(0.5 + self.level / 2))
+        return float(np.sqrt(np.nanmean(np.square(width, dtype=np.float64)))) / float(
+            np.abs(np.nanmean(self.radiance, dtype=np.float64))
+        )
 
     def guarded(self, denoised: Image) -> Image:
         """Return a denoised image of these estimates as far as the samples agree with it.
@@ -165,8 +182,95 @@ def combine(
     known = (image.features if features is None else features) or {}
     with checkpoints(checkpoint, functools.partial(checkpoint_key, image)) as kept:
         measured = Measured.of(image, progress=progress, client=client, checkpoint=kept)
-        names, full, halves, inputs, scale = compare_halves(measured, known, client)
-    weighting = Weighting.shipped(with_features="albedo" in known)
+    return combine_measured(measured, known, level=level, client=client)
+
+
+class CombinationStream:
+    """Samples of an image as they come, of which only sums are kept.
+
+    The memory does not depend on their number. What `estimate` returns is, to the bit, what
+    `combine` makes of the same samples in the same order, however they are cut into batches.
+
+    Parameters
+    ----------
+    shape
+        Of the image: (y, x, channel), 1 or 3 channels.
+
+    Examples
+    --------
+    >>> x = np.random.default_rng(0).exponential(size=(16, 16, 3, 32)).astype(np.float32)
+    >>> stream = CombinationStream((16, 16, 3))
+    >>> for batch in np.split(x, 4, axis=-1):
+    ...     stream.update(batch)
+    >>> stream.spp, np.array_equal(stream.estimate().radiance, combine(x).radiance)
+    (32, True)
+    """
+
+    def __init__(self, shape: tuple[int, int, int]) -> None:
+        if len(shape) != 3 or shape[2] not in (1, 3):
+            message = f"expected the shape (y, x, channel) of 1 or 3 channels, got {shape}"
+            raise InputError(message)
+        self._halves = [PowerSums.empty(shape) for _ in range(2)]
+        self.shape, self.spp = shape, 0
+
+    def update(self, batch: npt.ArrayLike) -> None:
+        """Add samples, shape (y, x, channel, sample)."""
+        x = np.asarray(batch)
+        if x.ndim != 4 or x.shape[:3] != tuple(self.shape):
+            message = f"expected samples of shape {(*self.shape, 'sample')}, got {x.shape}"
+            raise InputError(message)
+        for i in range(2):
+            self._halves[(self.spp + i) % 2].update(x[..., i::2])
+        self.spp += x.shape[-1]
+
+    def merge(self, other: CombinationStream) -> None:
+        """Add the samples of another stream, such as that of another worker."""
+        if self.shape != other.shape:
+            message = f"expected a stream of an image of shape {self.shape}, got {other.shape}"
+            raise InputError(message)
+        pairs = zip(self._halves, other._halves, strict=True)
+        self._halves = [one.merged(two) for one, two in pairs]
+        self.spp += other.spp
+
+    def estimate(
+        self, *, features: Mapping[str, npt.NDArray[Any]] | None = None, level: float = 0.9
+    ) -> Combination:
+        """Estimate the radiance from the samples until now, as `combine` does."""
+        check_probability(level=level)
+        if self.spp < LEAST:
+            message = f"expected at least {LEAST} samples of a pixel, got {self.spp}"
+            raise InputError(message)
+        return combine_measured(Measured.of_halves(*self._halves), features or {}, level=level)
+
+
+def combine_measured(
+    measured: Measured,
+    features: Mapping[str, npt.NDArray[Any]],
+    *,
+    level: float = 0.9,
+    client: Client | None = None,
+) -> Combination:
+    """Combine candidates from what was measured of the samples, none of which is needed any more.
+
+    Parameters
+    ----------
+    measured
+        What is known of the samples.
+    features, level, client
+        As for `combine`.
+
+    Returns
+    -------
+    Combination
+        As of `combine`.
+
+    Raises
+    ------
+    InputError
+        If the library of Open Image Denoise cannot be loaded.
+    """
+    names, full, halves, inputs, scale = compare_halves(measured, features, client)
+    weighting = Weighting.shipped(with_features="albedo" in features)
     weights, width = weighting(inputs)
     proposed = [
         Proposal(

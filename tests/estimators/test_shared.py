@@ -6,12 +6,12 @@ from scipy import stats
 
 from chdstat import estimators
 from chdstat.errors import InputError
+from chdstat.estimators.shapes import PowerSums, ShapeStatistics
 from chdstat.estimators.similarity import (
     ScaledSamples,
     Window,
     corrected_means,
     histograms,
-    shape_means,
     window_sum,
 )
 
@@ -144,8 +144,23 @@ def test_shape_has_the_standard_error_that_repeats_have():
     """
     rng = np.random.default_rng(4)
     x = rng.gamma(0.7, size=(4000, 1, 1, 400)) * (rng.random((4000, 1, 1, 400)) < 0.6)
-    shape, variance = shape_means(ScaledSamples.of(x))
-    assert variance.mean() == pytest.approx(shape.var(), rel=0.08)
+    found = ShapeStatistics.of(PowerSums.of(x))
+    assert found.error.mean() == pytest.approx(found.shape.var(), rel=0.08)
+
+
+def test_sums_are_the_same_in_any_batches_and_merged():
+    x = image(5, (4, 3, 3, 40), sigma=2)
+    x[1, 1, 0, 3], x[2, 2, :, 7], x[3, 0, 1, 5] = np.nan, 0, -2
+    once, batches = PowerSums.of(x), PowerSums.empty((4, 3, 3))
+    for part in np.split(x, (16, 17, 32), axis=-1):
+        batches.update(part)
+    merged = PowerSums.of(x[..., ::2]).merged(PowerSums.of(x[..., 1::2]))
+    for name, value in vars(once).items():
+        assert np.array_equal(getattr(batches, name), value)
+        assert np.allclose(getattr(merged, name), value, rtol=1e-13)
+    assert once.error()[0, 0] == pytest.approx(stats.sem(x[0, 0], axis=-1), rel=1e-12)
+    assert once.error()[1, 1, 0] == pytest.approx(stats.sem(x[1, 1, 0], nan_policy="omit"))
+    assert (once.null == (x == 0).all(axis=2).sum(axis=-1)).all()
 
 
 # --- windows --------------------------------------------------------------------------------------

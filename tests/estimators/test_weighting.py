@@ -12,7 +12,7 @@ from chdstat.errors import InputError
 from chdstat.estimators import combine, estimate, weighting, write_estimates
 from chdstat.estimators.estimates import through_denoiser
 from chdstat.estimators.halves import Measured, candidates, compare_halves
-from chdstat.estimators.weighting import LEVELS, Combination, Weighting
+from chdstat.estimators.weighting import LEVELS, Combination, CombinationStream, Weighting
 from chdstat.io import read_exr
 
 pytestmark = pytest.mark.skipif(
@@ -352,3 +352,30 @@ def test_the_interval_of_a_mean_holds_the_truth_of_skewed_samples():
     assert max(missed) < 0.09
     student = weighting._interval_of_mean(mean, error, count, 0.9, signed=True)[1]
     assert np.mean(student < 1) > missed[0] + 0.02
+
+
+def test_a_stream_is_what_all_its_samples_are_and_merges(samples, found):
+    x = samples.read()
+    stream, other = (CombinationStream(x.shape[:3]) for _ in range(2))
+    for batch in np.split(x, (3, 16, 33), axis=-1):
+        stream.update(batch)
+    streamed = stream.estimate(features=samples.features)
+    for name in ("radiance", "low", "high", "certainty"):
+        assert np.array_equal(getattr(streamed, name), getattr(found, name))
+    one = CombinationStream(x.shape[:3])
+    one.update(x[..., :32])
+    other.update(x[..., 32:])
+    one.merge(other)
+    assert one.spp == 64
+    merged = one.estimate(features=samples.features)
+    assert np.allclose(merged.radiance, found.radiance, rtol=1e-3, atol=1e-4)
+    with pytest.raises(InputError, match=r"expected samples of shape \(64, 64, 3"):
+        one.update(x[:5])
+    with pytest.raises(InputError, match="at least 4 samples"):
+        CombinationStream((4, 4, 3)).estimate()
+
+
+def test_the_relative_error_is_about_that_of_the_image(samples, found, reference):
+    truth, error = reference
+    squared = ((found.radiance - truth) ** 2 - error**2).mean()
+    assert found.relative_error == pytest.approx(np.sqrt(squared) / truth.mean(), rel=0.5)
