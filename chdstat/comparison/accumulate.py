@@ -358,7 +358,7 @@ def judge(
     InputError
         If an estimator returns another shape, or no batch has a reference.
     """
-    samples, direct = candidates.samples, candidates.direct
+    samples = candidates.samples
     height, width, channels, spp = samples.shape
     rounds = spp // n if limit is None else min(limit, spp // n)
     sums = len(SUMS), 1 + len(candidates.entries), channels
@@ -368,8 +368,7 @@ def judge(
     def items() -> Iterator[_Batch]:
         for index in range(rounds):
             batch = slice(index * n, (index + 1) * n)
-            part = None if direct is None else direct.isel(sample=batch)
-            yield _Batch(samples.isel(sample=batch), part, shown=index == 0)
+            yield _Batch(samples.isel(sample=batch), shown=index == 0)
 
     # What travels to workers with every batch holds no samples of others.
     light = replace(candidates, samples=samples.isel(sample=slice(1)))
@@ -396,10 +395,9 @@ def judge(
 
 
 class _Batch(NamedTuple):
-    """Samples to estimate from, their direct part, and whether the images are wanted, too."""
+    """Samples to estimate from, and whether the images are wanted, too."""
 
     samples: Samples
-    direct: Samples | None
     shown: bool
 
 
@@ -414,7 +412,7 @@ class _OfBatch(NamedTuple):
 
 def _errors_of_batch(candidates: Candidates, units: Units, n: int, batch: _Batch) -> _OfBatch:
     """Let every estimator that takes n samples estimate from one batch."""
-    x, direct = batch.samples.read(), None if batch.direct is None else batch.direct.read()
+    x = batch.samples.read()
     functions, totals = candidates.taking(n), candidates.totals
     scene_mean = totals.mean()[totals.count > 0].mean(axis=0)
     average, reference = mean(x), totals.mean_without(x)
@@ -426,7 +424,7 @@ def _errors_of_batch(candidates: Candidates, units: Units, n: int, batch: _Batch
     for k, name in enumerate(names):
         if k > 0 and name not in functions:
             continue
-        estimate = average if k == 0 else np.asarray(functions[name](x, direct))
+        estimate = average if k == 0 else np.asarray(functions[name](x))
         if estimate.shape != average.shape:
             message = (
                 f"{name} must return one estimate for each pixel and channel, shape "

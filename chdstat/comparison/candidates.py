@@ -16,11 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import whole
+from chdstat._core.image_scales import mean_radiance
 from chdstat.errors import InputError
 from chdstat.estimators.estimates import check_denoiser, through_denoiser
 from chdstat.estimators.progressive import Progressive
 from chdstat.estimators.registry import Estimator, LearnedEstimator, Model, lookup, names
-from chdstat.estimators.validation import Totals, check_spp, direct_of, draw_pixels, judging_pixels
+from chdstat.estimators.validation import Totals, check_spp, draw_pixels, judging_pixels
 from chdstat.samples import Samples
 
 __all__ = [
@@ -285,8 +286,6 @@ class Candidates:
                     raise InputError(message)
         own = [_without_denoiser(entry) for entry in entries.values()]
         learned = {e.name: e for e in own if isinstance(e, LearnedEstimator)}
-        if any(entry.uses_direct for entry in learned.values()):
-            direct_of(samples)
         given = _given(model, learned)
         trained = dict(given)
         for entry in learned.values():
@@ -326,12 +325,6 @@ class Candidates:
         """Which of them look at the pixels around, shape (estimator,)."""
         return np.array([entry.uses_neighbours for entry in self.entries.values()], bool)
 
-    @property
-    def direct(self) -> Samples | None:
-        """Direct part of the samples; None where no estimator takes it."""
-        used = any(_without_denoiser(entry).uses_direct for entry in self.entries.values())
-        return direct_of(self.samples) if used else None
-
     def provenance(self, *, seed: int, max_batches: int | None) -> dict[str, Any]:
         """Return scene, samples and settings of a comparison, and what is known of the models."""
         return {
@@ -343,24 +336,21 @@ class Candidates:
             "models": {n: getattr(model, "provenance", {}) for n, model in self.models.items()},
         }
 
-    def taking(self, n: int) -> dict[str, Callable[[Array, Array | None], Array]]:
-        """Return those that take n samples, as functions of samples and of their direct part."""
+    def taking(self, n: int) -> dict[str, Callable[[Array], Array]]:
+        """Return those that take n samples, as functions of samples (y, x, channel, sample)."""
         return {
             name: partial(self._estimate, entry)
             for name, entry in self.entries.items()
             if _takes(entry, n)
         }
 
-    def _estimate(self, entry: Entry, x: Array, direct: Array | None) -> Array:
-        """Estimate from samples (y, x, channel, sample) and their direct part."""
+    def _estimate(self, entry: Entry, x: Array) -> Array:
         own, features = _without_denoiser(entry), self.samples.features
         model: Any = self.models.get(own.name)
         options = options_of(own, features)
-        if own.uses_direct:
-            options["direct"] = direct
         if isinstance(model, Progressive):
             here = own.name in self.trained_here or model.trained_on(self.samples.attrs)
-            options |= {"trust": 1.0} if here else {}
+            options |= {"unit": mean_radiance(x)} if here else {}
         guides = features if isinstance(entry, Denoised) and entry.with_features else {}
         if isinstance(entry, Denoised) and entry.with_certainty:
             found = model.estimate(x, **options)

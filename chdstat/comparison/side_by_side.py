@@ -7,15 +7,14 @@ depends on the image and the seed alone, so that no row of the table depends on 
 estimators; only where none was trained on an image of this size, all pixels judge.
 
 `error_curve` does the same for many n: use it to see up to which size an estimator pays. Where it
-has a bias that does not fall, its error does not. `SelfTraining` is an estimate without a
-reference, and its errors against all other samples.
+has a bias that does not fall, its error does not. `WithoutReference` is the default
+estimate, and its errors against all other samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -26,7 +25,7 @@ from chdstat._core.display import Shown
 from chdstat.comparison.accumulate import Units, counts, judge, labels_of, measures_of, stacked
 from chdstat.comparison.candidates import DEFAULT, Candidates, Entry, Given, curve_sizes, resolve
 from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
-from chdstat.estimators import Estimates, Estimator, Progressive
+from chdstat.estimators import Estimates, Progressive, combine
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.validation import check_spp
 from chdstat.samples import Image, Samples, check_equal_counts, samples_of
@@ -35,13 +34,13 @@ if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-__all__ = ["LEVELS", "SelfTraining", "compare", "coverage", "error_curve", "train_alone"]
+__all__ = ["LEVELS", "WithoutReference", "compare", "coverage", "error_curve"]
 
 Array = npt.NDArray[Any]
 
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 """Probabilities that intervals state."""
-_SELF_TRAINED = 64
+_FIRST = 64
 """Samples that are improved without a reference."""
 
 
@@ -277,8 +276,8 @@ def _limit(max_batches: int | None) -> int | None:
 
 
 @dataclass(frozen=True, repr=False)
-class SelfTraining(Shown):
-    """An estimate without a reference, and its errors.
+class WithoutReference(Shown):
+    """The estimate of `chdstat.estimate` from the first samples of an image, and its errors.
 
     Attributes
     ----------
@@ -288,64 +287,36 @@ class SelfTraining(Shown):
         The estimate of the whole image, with its certainty and the interval of 90 %.
     coverage
         Share of the intervals that contain the reference, at `LEVELS`, by what estimated.
-    iterations
-        Minibatches of the training.
     """
 
     comparison: Comparison
     estimates: Estimates
     coverage: Mapping[str, tuple[float, ...]]
-    iterations: int
 
     @classmethod
-    def of(
-        cls, samples: Samples, comparison: Comparison, model: Progressive, *, progress: bool | None
-    ) -> Self:
-        """Measure what `train_alone` trained against all other samples of the scene.
+    def of(cls, samples: Samples, comparison: Comparison, *, progress: bool | None) -> Self | None:
+        """Measure the estimate against all other samples; None where these are too few.
 
         Parameters
         ----------
         samples, comparison
-            The scene, and how estimators compare on it, a progressive one among them.
-        model
-            Trained on the first samples alone.
+            The scene, and how estimators compare on it.
         progress
             As for `chdstat.compare`.
         """
-        features, few = samples.features, samples.read(ss=slice(0, _SELF_TRAINED))
-        alone = Estimator(
-            "self_trained",
-            partial(model.predict, trust=1.0),
-            "this library",
-            uses_neighbours=True,
-            uses_features=True,
-        )
-        found = compare(samples, ["mean", alone], n=_SELF_TRAINED, max_batches=1, progress=progress)
-        own = [model.estimate(few, features=features, level=p, trust=1.0) for p in LEVELS]
-        measured = {f"{_SELF_TRAINED} spp, without a reference": coverage(own, found)}
+        if samples.spp < 2 * _FIRST:
+            return None
+        names = ["mean", "combination"]
+        found = compare(samples, names, n=_FIRST, max_batches=1, progress=progress)
+        few = samples.first(_FIRST)
+        own = [combine(few, level=p) for p in LEVELS]
+        measured = {f"{_FIRST} spp, without a reference": coverage(own, found)}
         supervised = comparison.models.get("progressive")
         if isinstance(supervised, Progressive):
-            first = samples.read(ss=slice(0, comparison.n))
-            theirs = [supervised.estimate(first, level=p, trust=1.0) for p in LEVELS]
+            first = samples.first(comparison.n)
+            theirs = [supervised.estimate(first, level=p) for p in LEVELS]
             measured[f"{comparison.n} spp, with one"] = coverage(theirs, comparison)
-        return cls(
-            comparison=found,
-            estimates=own[LEVELS.index(0.9)],
-            coverage=measured,
-            iterations=int(model.history.iteration[-1]),
-        )
-
-
-def train_alone(
-    samples: Samples, *, iterations: int | None, progress: bool | None
-) -> Progressive | None:
-    """Train on the first samples, without a reference; None where too few others would judge."""
-    if samples.spp < 2 * _SELF_TRAINED:
-        return None
-    model = Progressive(inputs=["features", "neighbours"] if samples.features else ["neighbours"])
-    return model.train(
-        samples.first(_SELF_TRAINED), reference=False, iterations=iterations, progress=progress
-    )
+        return cls(comparison=found, estimates=own[LEVELS.index(0.9)], coverage=measured)
 
 
 def coverage(estimates: Sequence[Estimates], comparison: Comparison) -> tuple[float, ...]:

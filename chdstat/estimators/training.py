@@ -502,7 +502,8 @@ def load_model(path: str | Path) -> TrainedModel[Any]:
     _, about = read_model(Path(path))
     kind = about.get("kind") if isinstance(about, dict) else None
     if not isinstance(kind, str) or kind not in TrainedModel.kinds:
-        message = f"{path} holds a model of kind {kind!r}; this version knows {', '.join(TrainedModel.kinds)}"
+        known = ", ".join(TrainedModel.kinds)
+        message = f"{path} holds a model of kind {kind!r}; this version knows {known}"
         raise StoreError(message)
     return TrainedModel.kinds[kind].load(path)
 

@@ -9,8 +9,9 @@ pixels around is given a part of the image, not all of it: its estimate is close
 from __future__ import annotations
 
 import timeit
+import warnings
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,9 @@ import numpy.typing as npt
 from chdstat import estimators
 from chdstat._core.arrays import is_bad
 from chdstat.comparison.accumulate import SUMS, errors_of
-from chdstat.errors import InputError
+from chdstat.errors import OtherSceneWarning
 from chdstat.estimators import MLP, Progressive, registry
-from chdstat.estimators.models import AnyModel, load_model
+from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import Box, Pixel
@@ -48,8 +49,6 @@ BATCHES_AROUND = 4
 _AROUND, _AROUND_LEARNED = 10, 24
 """Pixels to each side that fixed and trained estimators look at."""
 _QUICK = 4e-3
-_PART = 256
-"""Side of the part of an image that the shrinkage of a model is measured on."""
 
 Floats = npt.NDArray[np.float64]
 Image = npt.NDArray[np.float32]
@@ -285,8 +284,7 @@ class Learner:
     """
 
     name: str
-    model: AnyModel
-    _trust: dict[tuple[int, int], float] = field(default_factory=dict, repr=False)
+    model: TrainedModel[Any]
 
     def score(
         self,
@@ -315,76 +313,49 @@ class Learner:
         if isinstance(model, MLP):
             fits = model.inputs == n
             return _score(self.name, model.predict(batches.x), batches) if fits else None
-        if model.channels != batches.x.shape[-2]:
+        if not isinstance(model, Progressive) or model.channels != batches.x.shape[-2]:
             return None
         names = ("radiance", "certainty", "low", "high")
-        if model.inputs.features or model.inputs.neighbours:
-            lacking = source is None or (model.inputs.features and not source.samples.features)
-            if source is None or lacking or len(place) != 2:
-                return None
+        known = source is not None and model.trained_on(source.samples.attrs)
+        if source is not None and len(place) == 2 and (model.with_features or not known):
+            # Of another scene, the pixels around tell how far the model counts.
             batches = batches.first(BATCHES_AROUND)
             spp = len(batches.x) * n
             window, (y, x), (ys, xs) = source.around(*place, spp, radius=_AROUND_LEARNED)
-            features, trust = self._features(source, ys, xs), self.trust(source, n)
-            found = [
-                model.estimate(cut, features=features, unit=unit, trust=trust)
-                for cut in _cut(window, n)
-            ]
+            features = {k: field[ys, xs] for k, field in source.samples.features.items()}
+            if model.with_features and not features:
+                return None
+            own = unit if known else None
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", OtherSceneWarning)
+                found = [
+                    model.estimate(cut, features=features, unit=own) for cut in _cut(window, n)
+                ]
             fields = [np.stack([getattr(e, name)[y, x] for e in found]) for name in names]
+        elif model.with_features:
+            return None
         else:
-            # Without an image, the batches of the place tell the shrinkage.
-            trust = self.trust(source, n) if source else model.trust(batches.x, unit=unit)
-            estimated = model.estimate(batches.x, unit=unit, trust=trust)
+            # Without an image, the batches of the place tell it.
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", OtherSceneWarning)
+                estimated = model.estimate(batches.x, unit=unit if known else None)
             fields = [getattr(estimated, name) for name in names]
         certainty, low, high = (_average(values) for values in fields[1:])
         one = _score(self.name, fields[0], batches)
         return replace(one, certainty=float(certainty), low=low, high=high)
 
-    def trust(self, source: StoreSource, n: int) -> float:
-        """Return the shrinkage of a model on an image, from n samples of each pixel.
 
-        It is measured once, on a part of a large image: 1 where it was trained on the scene.
-        """
-        samples = source.samples
-        if not isinstance(self.model, Progressive) or self.model.trained_on(samples.attrs):
-            return 1.0
-        key = id(samples), n
-        if key not in self._trust:
-            ys, xs = (
-                slice((k - _PART) // 2, (k + _PART) // 2) if k > _PART else slice(None)
-                for k in source.size
-            )
-            window, features = samples.read(ys, xs, slice(n)), self._features(source, ys, xs)
-            self._trust[key] = self.model.trust(window, features=features)
-        return self._trust[key]
-
-    def _features(self, source: StoreSource, ys: slice, xs: slice) -> dict[str, Image] | None:
-        if not isinstance(self.model, Progressive) or not self.model.inputs.features:
-            return None
-        return {name: own[ys, xs] for name, own in source.samples.features.items()}
-
-
-def learners(models: Sequence[AnyModel | str | Path]) -> list[Learner]:
+def learners(models: Sequence[TrainedModel[Any] | str | Path]) -> list[Learner]:
     """Return trained estimators, read from their files where they are files.
 
     Raises
     ------
     StoreError
         If a file cannot be read, or holds something else.
-    InputError
-        If one looks at direct light, which the page does not read.
     """
-    found = [
+    return [
         Learner(Path(model).stem, load_model(model))
         if isinstance(model, str | Path)
         else Learner(model.name, model)
         for model in models
     ]
-    for learner in found:
-        if isinstance(learner.model, Progressive) and learner.model.inputs.direct:
-            message = (
-                f"{learner.name} sees direct light, which the page does not read; give a model "
-                "without that input"
-            )
-            raise InputError(message)
-    return found

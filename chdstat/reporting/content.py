@@ -28,7 +28,7 @@ from chdstat.reporting.result_tables import (
     pattern_table,
     region_table,
     remake_note,
-    self_training_content,
+    without_reference_content,
 )
 from chdstat.samples import Samples
 from chdstat.samples.description import provenance
@@ -228,12 +228,12 @@ def headlines(found: Results) -> list[Headline]:
         )
     if found.comparison is not None:
         rows += _what_helps(found.comparison)
-    if found.self_training is not None:
-        trial = self_training_content(found.self_training)
+    if found.without_reference is not None:
+        trial = without_reference_content(found.without_reference)
         rows.append(
             Headline(
                 "It can be done without a reference.",
-                f"Trained on the first {trial['n']} samples alone, the progressive estimator has "
+                f"From the first {trial['n']} samples alone, the combination of candidates has "
                 f"{trial['relmse_ratio']} times the relative squared error of their mean and "
                 f"improves {trial['improved']} of the pixels.",
             )
@@ -377,8 +377,8 @@ def scene_content(found: Results) -> dict[str, Any]:
         entries["atlas"] = atlas_content(found.atlas)
     if found.comparison is not None:
         entries["estimators"] = estimator_table(found.comparison)
-    if found.self_training is not None:
-        entries["self_training"] = self_training_content(found.self_training)
+    if found.without_reference is not None:
+        entries["without_reference"] = without_reference_content(found.without_reference)
     return entries
 
 

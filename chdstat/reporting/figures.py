@@ -24,7 +24,7 @@ from chdstat._core.files import replacing, unused, writing
 from chdstat._core.image_scales import display_stops
 from chdstat.analysis import Overview, save
 from chdstat.comparison import Comparison, ErrorCurve
-from chdstat.comparison.side_by_side import LEVELS, SelfTraining
+from chdstat.comparison.side_by_side import LEVELS, WithoutReference
 from chdstat.errors import StoreError
 from chdstat.estimators import MLP, Progressive
 from chdstat.inference import MORE_THAN_TESTED
@@ -50,7 +50,7 @@ __all__ = [
     "save_comparison",
     "save_figure",
     "scene_figures",
-    "self_training",
+    "without_reference",
 ]
 
 _BATCH, _BATCHES = 32, 64
@@ -75,8 +75,8 @@ class Results:
         Shapes that recur; None where there are none.
     claims
         Findings on those claims of the paper that one scene can support.
-    comparison, self_training
-        Estimators side by side, and the estimate without a reference; None where the samples are
+    comparison, without_reference
+        Estimators side by side, and the default estimate; None where the samples are
         too few.
     """
 
@@ -85,7 +85,7 @@ class Results:
     atlas: Atlas | None
     claims: Sequence[Finding]
     comparison: Comparison | None
-    self_training: SelfTraining | None
+    without_reference: WithoutReference | None
 
 
 # --- one scene ----------------------------------------------------------------------------------
@@ -107,8 +107,8 @@ def report_figures(found: Results, curve: ErrorCurve | None) -> dict[str, Figure
         drawn["plots"] = plots
     if found.comparison is not None:
         drawn |= of_comparison(found.comparison, curve)
-    if found.self_training is not None:
-        drawn["self_training"] = self_training(found.self_training)
+    if found.without_reference is not None:
+        drawn["without_reference"] = without_reference(found.without_reference)
     return drawn
 
 
@@ -306,7 +306,7 @@ def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[st
     return drawn
 
 
-def self_training(found: SelfTraining) -> Figure:
+def without_reference(found: WithoutReference) -> Figure:
     """Draw mean, estimate and reference; certainty, width and coverage of the intervals."""
     mean, ours = found.comparison.estimates
     reference = found.comparison.reference
@@ -320,7 +320,7 @@ def self_training(found: SelfTraining) -> Figure:
     # A plot is among the maps, and wants some height.
     figure = viz.map_grid(6, aspect=max(height / size, 0.8))
     axes = figure.axes
-    titles = f"Mean of {found.comparison.n} samples", "Self-trained", "Reference"
+    titles = f"Mean of {found.comparison.n} samples", "Estimate", "Reference"
     for ax, title, image in zip(axes, titles, (mean, ours, reference), strict=False):
         viz.image_map(image, title=title, exposure=exposure, ax=ax)
     viz.value_map(estimates.certainty, title="Certainty", limits=(0, 1), ax=axes[3])

@@ -17,7 +17,7 @@ from chdstat._core.display import between, number, percent, with_interval
 from chdstat.analysis import Overview, pooled_shares
 from chdstat.comparison import Comparison
 from chdstat.comparison.presentation import in_words
-from chdstat.comparison.side_by_side import LEVELS, SelfTraining
+from chdstat.comparison.side_by_side import LEVELS, WithoutReference
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS, Atlas
 from chdstat.rendering.recipes import remake_of
@@ -44,8 +44,8 @@ __all__ = [
     "plot_findings",
     "region_table",
     "remake_note",
-    "self_training_content",
     "with_others",
+    "without_reference_content",
 ]
 
 _TINY = 1e-4
@@ -279,17 +279,16 @@ def estimator_table(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def self_training_content(trained: SelfTraining) -> dict[str, Any]:
-    """Return the errors of an estimate without a reference, and the coverage of its intervals."""
-    _, row = trained.comparison.table()
-    shares = [percent(measured[LEVELS.index(0.9)]) for measured in trained.coverage.values()]
+def without_reference_content(found: WithoutReference) -> dict[str, Any]:
+    """Return the errors of the default estimate, and the coverage of its intervals."""
+    _, row = found.comparison.table()
+    shares = [percent(measured[LEVELS.index(0.9)]) for measured in found.coverage.values()]
     return {
-        "n": trained.comparison.n,
-        "iterations": trained.iterations,
+        "n": found.comparison.n,
         "mse_ratio": number(row["mse_ratio"]),
         "relmse_ratio": number(row["relmse_ratio"]),
         "improved": percent(row["improved"]),
         "bias": percent(row["bias"], sign=True),
         "at_90": shares[0],
-        "at_90_supervised": shares[1],
+        "at_90_supervised": shares[1] if len(shares) > 1 else "",
     }

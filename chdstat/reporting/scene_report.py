@@ -20,12 +20,11 @@ from chdstat._core.progress import track
 from chdstat.analysis import analyze, overview
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
 from chdstat.comparison.candidates import DEFAULT
-from chdstat.comparison.side_by_side import SelfTraining, train_alone
+from chdstat.comparison.side_by_side import WithoutReference
 from chdstat.errors import InputError
-from chdstat.estimators import LearnedEstimator, Progressive, lookup
-from chdstat.estimators.models import first_samples
+from chdstat.estimators import LearnedEstimator, lookup
 from chdstat.estimators.registry import Model
-from chdstat.estimators.training import check_iterations
+from chdstat.estimators.training import check_iterations, first_samples
 from chdstat.estimators.validation import draw_pixels
 from chdstat.patterns import atlas
 from chdstat.rendering import refuse_render
@@ -57,7 +56,7 @@ _PILOT = 32
 """Samples per pixel from which the time of many is told."""
 _BATCH = 32
 """Samples of one estimate, as in Elek et al. 2019."""
-_ITERATIONS = {"elek2019": 10_000, "progressive": 1200, "self_trained": 800}
+_ITERATIONS = {"elek2019": 10_000, "progressive": 1200}
 """Minibatches of each training unless all is as published; more take longer and gain little."""
 _CURVE_SPP, _CURVE_BATCHES = 256, 2
 """Samples from which errors are shown against N, and batches per pixel for each N."""
@@ -98,9 +97,7 @@ def report(
         Where to keep the rendered samples, so that the next report resumes from them; None keeps
         them in memory.
     estimators
-        Names of the estimators to compare; those that learn are trained on these samples. With
-        "progressive" among them, what it learns without a reference is shown, too, with its
-        certainty and its intervals.
+        Names of the estimators to compare; those that learn are trained on these samples.
     iterations
         Minibatches of each training; None takes as many as pay in a report.
     as_published
@@ -189,10 +186,6 @@ def _trainings(
         entry = lookup(name)
         if name in _ITERATIONS and isinstance(entry, LearnedEstimator):
             calls[name] = delayed(_train)(samples, entry, number_of(name))
-    if "progressive" in estimators:
-        calls["self_trained"] = delayed(train_alone)(
-            samples, iterations=number_of("self_trained"), progress=False
-        )
     return calls
 
 
@@ -215,7 +208,6 @@ def _document(
         dataset = analyze(samples, progress=progress, checkpoint=checkpoint)
         shapes = atlas(samples, progress=progress)
         models, why_not = _trained(trainings, results, progress)
-    alone = models.pop("self_trained", None)
     comparison, trial, curve = None, None, None
     if not why_not:
         try:
@@ -231,8 +223,7 @@ def _document(
             why_not = str(error)
     if comparison is not None:
         curve = _curve(samples, comparison, progress)
-        if isinstance(alone, Progressive):
-            trial = SelfTraining.of(samples, comparison, alone, progress=progress)
+        trial = WithoutReference.of(samples, comparison, progress=progress)
     data = SceneData(
         samples.name,
         samples,
@@ -247,7 +238,7 @@ def _document(
         atlas=shapes if len(shapes.share) else None,
         claims=claims,
         comparison=comparison,
-        self_training=trial,
+        without_reference=trial,
     )
     entries = content.scene_content(found) | {
         "regions_chosen": not regions,

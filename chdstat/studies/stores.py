@@ -19,8 +19,8 @@ from chdstat.analysis import analyze, save
 from chdstat.comparison import Comparison, compare
 from chdstat.errors import InputError, StoreError
 from chdstat.estimators import LearnedEstimator, lookup
-from chdstat.estimators.models import AnyModel, load_model
 from chdstat.estimators.registry import Model
+from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.rendering import recipes
 from chdstat.rendering.backend import Backend
 from chdstat.rendering.capture import render
@@ -325,7 +325,7 @@ class Stores:
             )
             models.update(comparison.models)
             for name, model in comparison.models.items():
-                if name not in trained and isinstance(model, AnyModel):
+                if name not in trained and isinstance(model, TrainedModel):
                     cache.write(f"{name}.safetensors", model.save)
             return replace(comparison, models={})  # a record holds no network
 

@@ -19,6 +19,7 @@ import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import generator, is_bad
+from chdstat._core.image_scales import mean_radiance
 from chdstat._core.positive import Floats
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison
@@ -34,7 +35,7 @@ from chdstat.studies.scene_data import SceneData, ratio_of
 __all__ = ["measure", "measure_reduction"]
 
 Array = npt.NDArray[Any]
-Estimate = Callable[[Array, Array | None], Floats]
+Estimate = Callable[[Array], Floats]
 
 PAPER = "elek2019"
 """Name of the estimator that the claims are about."""
@@ -198,23 +199,23 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
     """Test whether one estimator that learned is the mean where there is no pattern."""
     anew = name not in comparison.models
     edge, levels = (_EDGE_TO_LEARN, _FEWER_LEVELS) if anew else (_EDGE, LEVELS)
-    x, direct, features = _middle(data.samples, comparison.n, edge)
+    x, features = _middle(data.samples, comparison.n, edge)
     estimate = _function(comparison, name, features)
     small = min(_EDGE_OF_CONSTANTS, *x.shape[:2])
     few = _function(comparison, name, {k: v[:small, :small] for k, v in features.items()})
     constants = {}
     for level in levels:
         equal = np.full((small, small, *x.shape[2:]), level, np.float32)
-        deviation = few(equal, equal) - float(np.float32(level))
+        deviation = few(equal) - float(np.float32(level))
         constants[level] = _largest(deviation, np.full(deviation.shape, level))
     good = ~is_bad(x).any(axis=(-2, -1))
     if not good.any():
         return Outcome(missing=("needs pixels without bad samples",))
-    first = estimate(x, direct)[good]
+    first = estimate(x)[good]
 
     def changes(convert: Callable[[Array], Array], factor: float = 1.0) -> Floats:
         """Return by how much estimates change with the samples, in their own unit."""
-        other = estimate(convert(x), None if direct is None else convert(direct))[good]
+        other = estimate(convert(x))[good]
         return other / factor - first
 
     moved = {"reversed": changes(lambda part: np.ascontiguousarray(part[..., ::-1]))}
@@ -259,29 +260,26 @@ def _reduction(data: SceneData, comparison: Comparison, name: str) -> Outcome:
 
 def _middle(
     samples: Samples, n: int, edge: int
-) -> tuple[Array, Array | None, dict[str, npt.NDArray[np.float32]]]:
-    """Return samples in the middle of the image, their direct light, and features there."""
+) -> tuple[Array, dict[str, npt.NDArray[np.float32]]]:
+    """Return samples in the middle of the image, and features there."""
     starts = [max(0, (length - edge) // 2) for length in samples.shape[:2]]
     ys, xs = (slice(start, start + edge) for start in starts)
-    direct = samples.direct
-    part = None if direct is None or direct.spp < n else direct.read(ys, xs, slice(0, n))
     features = {name: image[ys, xs] for name, image in samples.features.items()}
-    return samples.read(ys, xs, slice(0, n)), part, features
+    return samples.read(ys, xs, slice(0, n)), features
 
 
 def _function(
     comparison: Comparison, name: str, features: dict[str, npt.NDArray[np.float32]]
 ) -> Estimate:
-    """Return an estimator as a function of samples (y, x, channel, sample) and direct light."""
+    """Return an estimator as a function of samples (y, x, channel, sample)."""
     entry = lookup(name) if name in names() else None
     model = comparison.models.get(name)
     function: Any = entry if model is None else model.predict
     options = {} if entry is None else options_of(entry, features)
-    if isinstance(model, Progressive):
-        options["trust"] = 1.0  # of the network itself
 
-    def estimate(x: Array, direct: Array | None) -> Floats:
-        more = {"direct": direct} if entry is not None and entry.uses_direct else {}
+    def estimate(x: Array) -> Floats:
+        # With its unit given, the network itself estimates, not its mixture with the mean.
+        more = {"unit": mean_radiance(x)} if isinstance(model, Progressive) else {}
         return np.asarray(function(x, **options, **more), dtype=np.float64)
 
     return estimate
