@@ -474,7 +474,8 @@ def check_choice(name: str, *, with_features: bool = False) -> LearnedEstimator:
     """
     entry = lookup(name)
     if not isinstance(entry, LearnedEstimator):
-        message = f"{name} trains no network; give one of {', '.join(names('learned'))}"
+        trainable = [n for n in names("learned") if isinstance(lookup(n), LearnedEstimator)]
+        message = f"{name} trains no network; give one of {', '.join(trainable)}"
         raise InputError(message)
     if not with_features or entry.uses_features:
         return entry

@@ -318,6 +318,8 @@ def share_of(
         np.bincount(pixels, (weight * move * other).sum(axis=-1)) for other in (wanted, move)
     )
     share, error = ratio(along, squares)
+    if not np.isfinite(error):  # too few pixels to tell
+        return 0.0
     return float(np.clip(min(share + beyond * error, 2 * (share - error)), 0, 1))
 
 

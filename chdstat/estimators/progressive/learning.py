@@ -315,7 +315,9 @@ class TrainingSet:
         samples : ndarray
             In units of the image's radiance, shape (mark, channel).
         """
-        rows, places = rng.integers(len(self), size=_TRIED), rng.integers(self.spp, size=_TRIED)
+        # None twice: of a small image all are tried.
+        tried = np.unique(rng.integers(len(self) * self.spp, size=_TRIED))
+        rows, places = np.divmod(tried, self.spp)
         drawn = self.samples[rows, :, places]
         _, first, count = np.unique(drawn, axis=0, return_index=True, return_counts=True)
         chosen = rng.permutation(first[(count == 1) & drawn[first].all(axis=1)])[:_MARKS]

@@ -355,8 +355,8 @@ class Progressive(TrainedModel[learning.Learned]):
             usable = np.isfinite(move) & np.isfinite(wanted)
             third = np.floor(_THIRDS * _rank(found.radiance))[:, np.newaxis]
             darker = np.minimum(mean[i], found.radiance / unit)
-            fields = (np.where(usable, a, 0) for a in (move, wanted, darker**2 + errors.FLOOR))
-            moved.append((*fields, third))
+            squared = np.where(usable, darker, 0) ** 2 + errors.FLOOR
+            moved.append((*(np.where(usable, a, 0) for a in (move, wanted)), squared, third))
         moves, wanted, squared, thirds = map(np.concatenate, zip(*moved, strict=True))
         pixels = np.tile(np.arange(len(rows)), 2)
         shares = [
@@ -445,8 +445,12 @@ for _name, _which, _loss_weight, _given in _ROWS:
 
 
 def _rank(radiance: Floats) -> Floats:
-    """Return which share of the pixels (pixel, channel) is darker than each, shape (pixel,)."""
-    return np.asarray((stats.rankdata(radiance.mean(axis=-1)) - 0.5) / max(len(radiance), 1))
+    """Return which share of the pixels (pixel, channel) is darker than each, shape (pixel,).
+
+    One without radiance counts as black: its rank would else be that of all, NaN.
+    """
+    luminance = np.nan_to_num(radiance.mean(axis=-1, dtype=np.float64))
+    return np.asarray((stats.rankdata(luminance) - 0.5) / max(len(radiance), 1))
 
 
 def _mixed(found: Estimates, rows: Array, weights: Floats) -> Estimates:
@@ -457,20 +461,18 @@ def _mixed(found: Estimates, rows: Array, weights: Floats) -> Estimates:
     """
     centres = (np.arange(_THIRDS) + 0.5) / _THIRDS
     weight = np.interp(_rank(found.radiance), centres, weights)[:, np.newaxis]
-    with np.errstate(over="ignore"):
+    low, high = found.low, found.high
+    # What exceeds single precision is infinite in the estimate, and 0 of it is not a number.
+    with np.errstate(over="ignore", invalid="ignore"):
         mean = np.asarray(mean_of_good(rows), np.float64)
         radiance = np.where(weight > 0, mean + weight * (found.radiance - mean), mean)
-    ends = []
-    if not np.isnan(found.level):
-        low, high, unknown = _student(rows, mean, found.level)
-        share = np.where(unknown, 1.0, weight)
-        for end, own, outer in ((low, found.low, np.minimum), (high, found.high, np.maximum)):
-            ends.append(outer(end, end + share * (own - end)))
-    low, high = ends or (found.low, found.high)
-    radiance, certainty, low, high = (
-        a.astype(np.float32) for a in (radiance, weight[:, 0] * found.certainty, low, high)
-    )
-    return Estimates(radiance, certainty, low, high, found.level)
+        if not np.isnan(found.level):
+            below, above, unknown = _student(rows, mean, found.level)
+            share = np.where(unknown, 1.0, weight)
+            low = np.fmin(below, below + share * (low - below))
+            high = np.fmax(above, above + share * (high - above))
+        mixed = radiance, weight[:, 0] * found.certainty, low, high
+        return Estimates(*(a.astype(np.float32) for a in mixed), found.level)
 
 
 def _student(rows: Array, mean: Floats, level: float) -> tuple[Floats, Floats, Array]:
