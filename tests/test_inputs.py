@@ -14,7 +14,7 @@ from chdstat import estimators, fit
 from chdstat.cli import main
 from chdstat.errors import InputError, LeftOutWarning, StoreError
 from chdstat.estimators import Progressive
-from chdstat.estimators.progressive.dataset import Profile
+from chdstat.estimators.progressive.inputs import Profile
 from chdstat.inference import gaussianity_of_means
 from chdstat.patterns import random_chds
 from chdstat.samples import Samples

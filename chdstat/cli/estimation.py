@@ -189,7 +189,7 @@ def estimate(
 )
 def compare(
     store: cli.StorePath,
-    estimator: Annotated[list[str] | None, cli.compared(cli.COMPARED)] = None,
+    estimator: cli.Compared = None,
     n: Annotated[int, typer.Option("--n", help="Number of samples per estimate.")] = 32,
     seed: cli.Seed = 0,
     max_batches: Annotated[
@@ -220,19 +220,18 @@ def compare(
     import chdstat
     from chdstat._core.executor import client_of
     from chdstat._core.files import unused
-    from chdstat.comparison.candidates import DEFAULT
     from chdstat.reporting.figures import save_comparison
 
     cli.load_plugins(plugin)
     if out is not None:
         unused(out)  # refused before the work, not after
-    samples, estimators = chdstat.open(store), estimator or DEFAULT
-    sizes = chdstat.comparison.curve_sizes(samples, estimators) if curve else None
+    samples = chdstat.open(store)
+    sizes = chdstat.comparison.curve_sizes(samples, estimator or None) if curve else None
     errors = None
     with client_of(scheduler, workers) as client:
         found = chdstat.compare(
             samples,
-            estimators,
+            estimator or None,
             n=n,
             seed=seed,
             max_batches=max_batches,
@@ -244,7 +243,7 @@ def compare(
         if curve:
             errors = chdstat.comparison.error_curve(
                 samples,
-                estimators,
+                estimator or None,
                 sizes=sizes,
                 seed=seed,
                 max_batches=max_batches,
@@ -320,9 +319,7 @@ def bench(
         list[str],
         typer.Argument(metavar="SCENE|STORE...", help="Built-in names, Mitsuba XML files, stores."),
     ],
-    estimator: Annotated[
-        list[str] | None, cli.compared("mean, mean + OIDN features, combination")
-    ] = None,
+    estimator: cli.Compared = None,
     spp: Annotated[
         list[int] | None,
         typer.Option(help="Samples per pixel to estimate from; repeat.", show_default="16 and 64"),
@@ -366,7 +363,6 @@ def bench(
     """Compare estimators on several scenes against converged references, as a paper would."""
     import chdstat
     from chdstat._core.files import checked_target
-    from chdstat.comparison.benchmark import DEFAULT
     from chdstat.comparison.cases import FORMATS
 
     if out is not None:
@@ -378,7 +374,7 @@ def bench(
         images.setdefault(name, {})[scene] = file
     found = chdstat.bench(
         scenes,
-        estimator or DEFAULT,
+        estimator or None,
         spp=spp or (16, 64),
         seeds=seeds,
         seed=seed,
@@ -408,7 +404,8 @@ def _print_comparison(found: Comparison, curve: ErrorCurve | None) -> None:
         f"{len(found.estimators)} estimators from {found.n} samples, on "
         f"{found.test_pixels.sum()} test pixels; 95 % intervals in brackets\n"
     )
-    output.print_rows(_in_words(found.table()), _COMPARED, separate="uses_neighbours")
+    output.print_rows(_in_words(found.table()), _COMPARED)
+    output.print_notes(found.notes)
     if found.breakdown is not None:
         typer.echo()
         columns = {"label": "pattern", "pixels": "pixels", **_COMPARED}

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = [
     "after_render",
     "print_json",
+    "print_notes",
     "print_rows",
     "print_sentences",
     "print_table",
@@ -84,12 +85,19 @@ def print_table(content: Mapping[str, Any]) -> None:
     print_rows(rows, {"name": "", "value": ""}, text=["value"])
 
 
+def print_notes(notes: Mapping[str, str]) -> None:
+    """Print what belongs to a table, below it."""
+    if notes:
+        typer.echo()
+        texts = (f"{name}: {text.rstrip('.')}." for name, text in notes.items())
+        print_sentences(texts, bullet="- ")
+
+
 def print_rows(
     rows: Sequence[Mapping[str, Any]],
     columns: Mapping[str, str],
     *,
     text: Sequence[str] = (),
-    separate: str | None = None,
 ) -> None:
     """Print rows with the columns that they have.
 
@@ -101,8 +109,6 @@ def print_rows(
         Titles by name; without any, there is no header.
     text
         Other columns of text, which stand at the left, too.
-    separate
-        A key; a line stands before the first row that has it.
     """
     from rich.console import Console
     from rich.table import Table
@@ -112,11 +118,7 @@ def print_rows(
     for index, (key, title) in enumerate(shown.items()):
         side: Any = "left" if index == 0 or key in text else "right"
         table.add_column(title, justify=side, no_wrap=index == 0)
-    before = False
     for row in rows:
-        if separate is not None and row[separate] and not before:
-            before = True
-            table.add_row("with neighbours:", style="bold")
         table.add_row(*(_readable(row[key]) for key in shown))
     console = Console(highlight=False, markup=False, width=_columns() or _WIDE)
     with console.capture() as captured:

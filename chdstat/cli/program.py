@@ -28,10 +28,10 @@ else:
     Backend = str  # the library knows which there are; it is imported when a command runs
 
 __all__ = [
-    "COMPARED",
     "SEED",
     "SPP",
     "BackendName",
+    "Compared",
     "Defines",
     "Depth",
     "Iterations",
@@ -49,7 +49,6 @@ __all__ = [
     "StorePath",
     "Workers",
     "app",
-    "compared",
     "crop_of",
     "integrator_of",
     "load_plugins",
@@ -63,8 +62,6 @@ __all__ = [
 
 SPP = 256
 """Samples per pixel of a render where none are asked for, as in `chdstat.render`."""
-COMPARED = "mean, median_of_means, elek2019, progressive"
-"""Estimators that take part where none are named; written here, so that help comes at once."""
 _INTERRUPTED = 130
 
 # --- options ------------------------------------------------------------------------------------
@@ -109,6 +106,18 @@ Spp = Annotated[
         "--spp",
         help="Number of samples per pixel; of a store, the first ones.",
         show_default=f"{SPP} of a scene, all of a store",
+    ),
+]
+Compared = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-e",
+        "--estimator",
+        metavar="NAME",
+        help="An estimator to compare, trained here if it learns; can be repeated. "
+        '" + OIDN" behind a name denoises its estimate.',
+        show_default="the default estimate, the mean and a few more",
+        autocompletion=_estimator_names,
     ),
 ]
 Size = Annotated[
@@ -185,18 +194,6 @@ StoreKept = Annotated[
         show_default="none: in memory",
     ),
 ]
-
-
-def compared(default: str | bool = True) -> Any:
-    """Return the option of estimators to compare, with what the help calls its default."""
-    return typer.Option(
-        "-e",
-        "--estimator",
-        metavar="NAME",
-        help="An estimator to compare, trained here if it learns; can be repeated.",
-        show_default=default,
-        autocompletion=_estimator_names,
-    )
 
 
 def load_plugins(files: list[Path] | None) -> None:

@@ -80,7 +80,7 @@ def analyze(
 def report(
     source: cli.SceneOrStore,
     out: Annotated[Path, typer.Option("--out", "-o", help="The PDF to write.")],
-    estimator: Annotated[list[str] | None, cli.compared(cli.COMPARED)] = None,
+    estimator: cli.Compared = None,
     iterations: cli.Iterations = None,
     spp: Annotated[
         int | None,
@@ -118,7 +118,6 @@ def report(
 ) -> None:
     """Render, analyse, train, compare and typeset: a PDF on the sample distributions of a scene."""
     import chdstat
-    from chdstat.comparison.candidates import DEFAULT
     from chdstat.reporting.typst import pages_of
     from chdstat.scenes import Scene
 
@@ -143,7 +142,7 @@ def report(
         max_depth=max_depth,
         recipe=recipe,
         store=store,
-        estimators=estimator or DEFAULT,
+        estimators=estimator or None,
         iterations=iterations,
         as_published=as_published,
         backend=backend,
@@ -194,10 +193,7 @@ def study(
         typer.Option("--integrators", help="Render built-in scenes by five more integrators, too."),
     ] = False,
     backend: cli.BackendName = "auto",
-    estimator: Annotated[list[str], cli.compared()] = [  # noqa: B006 - Typer takes lists
-        "mean",
-        "elek2019",
-    ],
+    estimator: cli.Compared = None,
     plugin: cli.Plugins = None,
     quiet: cli.Quiet = False,
     as_json: cli.Json = False,
@@ -217,7 +213,7 @@ def study(
         size=cli.size_of(size),
         seed=seed,
         max_depth=max_depth,
-        estimators=estimator,
+        estimators=estimator or None,
         sampler=sampler,
         integrators=integrators,
         backend=backend,

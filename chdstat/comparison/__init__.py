@@ -2,9 +2,10 @@
 
 `compare` measures estimators on batches of n samples; its `Comparison` holds every measure, the
 `Breakdown` of them by pattern, and `PixelEstimates` to look at one by one. `error_curve` does the
-same for many n, and returns an `ErrorCurve`. `denoised` puts a denoiser after an estimator.
-`bench` compares on several scenes against converged references, and returns a `Bench`. `MEASURES`
-says what is measured; each measure is an `Interval`.
+same for many n, and returns an `ErrorCurve`. `DEFAULT_ESTIMATORS` is what they, `bench`,
+`chdstat.study`, `chdstat.report` and the explorer judge where nobody names any. `denoised` puts a
+denoiser after an estimator. `bench` compares on several scenes against converged references, and
+returns a `Bench`. `MEASURES` says what is measured; each measure is an `Interval`.
 """
 
 from __future__ import annotations
@@ -12,12 +13,13 @@ from __future__ import annotations
 from chdstat._core.resampling import Interval
 from chdstat.comparison.accumulate import MEASURES, PixelEstimates
 from chdstat.comparison.benchmark import bench
-from chdstat.comparison.candidates import Denoised, curve_sizes, denoised
+from chdstat.comparison.candidates import DEFAULT_ESTIMATORS, Denoised, curve_sizes, denoised
 from chdstat.comparison.cases import Bench, Case
 from chdstat.comparison.side_by_side import compare, error_curve
 from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
 
 __all__ = [
+    "DEFAULT_ESTIMATORS",
     "MEASURES",
     "Bench",
     "Breakdown",

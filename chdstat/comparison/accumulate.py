@@ -155,7 +155,10 @@ def _measures(sums: Array) -> Array:
         found = np.stack([*(part / count for part in shares), error / reference])
         found = np.concatenate([found, found.mean(axis=-1, keepdims=True)], axis=-1)
         squared, relative, improved, unchanged, firefly, bias = found
-        ratios = [part / part[:, :1] for part in (squared, relative, firefly)]
+        # What is left of the mean's error of equal samples is rounding, and divides nothing.
+        exact = relative[:, :1] <= _SAME**2
+        ratios = [np.where(exact, np.nan, part / part[:, :1]) for part in (squared, relative)]
+        ratios.append(firefly / firefly[:, :1])
     measures = [squared, relative, improved, unchanged, bias, firefly, *ratios]
     return np.stack(measures, axis=1)[:, :, 1:]
 

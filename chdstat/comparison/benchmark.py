@@ -22,10 +22,9 @@ from chdstat._core.arrays import Seed, seed_number, whole
 from chdstat._core.files import replacing
 from chdstat._core.progress import track
 from chdstat._core.resampling import Blocks
-from chdstat.comparison.candidates import Denoised, Entry, denoised, options_of, resolve
+from chdstat.comparison.candidates import Entry, choose, estimate_by, takes, without_denoiser
 from chdstat.comparison.cases import MEASURES, Bench, Case, flip
 from chdstat.errors import InputError
-from chdstat.estimators.estimates import through_denoiser
 from chdstat.estimators.registry import LearnedEstimator
 from chdstat.io import read_exr
 from chdstat.rendering import render, render_batches
@@ -33,14 +32,12 @@ from chdstat.samples import Samples, is_store
 from chdstat.samples import open as open_samples
 from chdstat.summary import summarize
 
-__all__ = ["DEFAULT", "bench"]
+__all__ = ["bench"]
 
 Array = npt.NDArray[Any]
 Scenes = Sequence[str | Path | Samples] | Mapping[str, Any]
 Images = Mapping[str, Mapping[str, Any]]
 
-DEFAULT = ("mean", "mean + OIDN features", "combination")
-"""Entries of a benchmark that names none."""
 _SIZE = (128, 128)
 _REFERENCE_SPP = 2048
 _BATCH = 64
@@ -55,7 +52,7 @@ _SMALL = 16
 
 def bench(
     scenes: Scenes,
-    estimators: Sequence[str | Entry] = DEFAULT,
+    estimators: Sequence[str | Entry] | None = None,
     *,
     spp: Sequence[int] = (16, 64),
     seeds: int = 1,
@@ -83,9 +80,10 @@ def bench(
         Names, XML files, stores or `Samples`; a mapping gives them names of your own. Scenes are
         rendered, of samples the first are taken.
     estimators
-        Names of registered estimators, alone or followed by " + OIDN" or " + OIDN features" for
-        Open Image Denoise after them; or entries of your own. One that trains against a reference
-        has no place here: make an `Estimator` of what it has learned.
+        As for `chdstat.compare`; None takes those of `chdstat.comparison.DEFAULT_ESTIMATORS` that
+        train nothing, and says which were left out. One that trains against a reference has no
+        place here: make an `Estimator` of what it has learned. One that takes more samples than a
+        number of `spp` has no row there.
     spp
         Numbers of samples that are estimated from.
     seeds
@@ -104,7 +102,7 @@ def bench(
         Finished images of any other program, by name and scene, each the path of an EXR file; with
         several `spp`, a mapping from these to paths.
     baseline
-        What errors are divided by; None takes the first estimator.
+        What errors are divided by; None takes the sample mean, or the first where it is missing.
     folder
         Where rendered samples and references are kept, so that a second run has them; None keeps
         nothing.
@@ -130,16 +128,18 @@ def bench(
     (['mean', 'median'], 1.0)
     """
     numbers, seeds = sorted({whole("spp", n, least=1) for n in spp}), whole("seeds", seeds, least=1)
-    given = [_entry(one) for one in estimators]
-    entries = resolve(given, numbers)
-    for name, entry in entries.items():
-        if isinstance(entry.entry if isinstance(entry, Denoised) else entry, LearnedEstimator):
+    chosen = choose(estimators, numbers)
+    for name, entry in chosen.entries.items():
+        if isinstance(without_denoiser(entry), LearnedEstimator):
             message = f"{name!r} trains against a reference; give an Estimator of a trained model"
             raise InputError(message)
-    names = _order([entry.name for entry in given], images)
-    baseline = names[0] if baseline is None else baseline
+    names = _order(list(chosen.entries), images)
+    baseline = baseline or ("mean" if "mean" in names else names[0])
     if baseline not in names:
         message = f"baseline must be one of {', '.join(names)}; got {baseline!r}"
+        raise InputError(message)
+    if baseline in chosen.entries and not takes(chosen.entries[baseline], numbers[0]):
+        message = f"the baseline, {baseline}, takes more than {numbers[0]} samples; give more spp"
         raise InputError(message)
     named = scenes if isinstance(scenes, Mapping) else {_name(scene): scene for scene in scenes}
     source = _Inputs(numbers, seed_number(seed), seeds, size or _SIZE, reference_spp, folder)
@@ -148,25 +148,17 @@ def bench(
         for name, scene in named.items():
             parts: list[list[Case]] = []
             truth = source.reference(name, scene, (references or {}).get(name))
-            measure = partial(_measured, entries, images or {}, numbers, truth)
+            measure = partial(_measured, chosen.entries, images or {}, numbers, truth)
             for i in range(seeds):
                 samples = source.samples(name, scene, i)
                 if not (cases or parts):  # networks are loaded before time is taken
-                    for entry in entries.values():
-                        _estimated(entry, samples.isel(y=slice(_SMALL), x=slice(_SMALL)))
+                    small = samples.isel(y=slice(_SMALL), x=slice(_SMALL))
+                    for entry in chosen.entries.values():
+                        estimate_by(entry, small.read(), features=small.features)
                 parts.append(measure(samples, name))
                 advance(1)
             cases += [Case.average([part[k] for part in parts]) for k in range(len(numbers))]
-    return Bench(tuple(names), baseline, tuple(cases))
-
-
-def _entry(given: str | Entry) -> Entry:
-    if not isinstance(given, str):
-        return given
-    name, after, denoiser = given.partition(" + OIDN")
-    if not after:
-        return resolve([given], [_REFERENCE_SPP])[given]
-    return denoised(name, with_features=denoiser.strip() == "features")
+    return Bench(tuple(names), baseline, tuple(cases), chosen.left_out)
 
 
 def _order(names: list[str], images: Images | None) -> list[str]:
@@ -292,8 +284,10 @@ def _measured(
         few = samples.first(n)
         found: dict[str, tuple[Array, float]] = {}
         for name, entry in entries.items():
-            start = time.perf_counter()
-            found[name] = _estimated(entry, few), time.perf_counter() - start
+            if takes(entry, n):
+                start = time.perf_counter()
+                image = estimate_by(entry, few.read(), features=few.features)
+                found[name] = image, time.perf_counter() - start
         for name, of_scene in images.items():
             if scene in of_scene:
                 found[name] = _finished(of_scene[scene], n, len(numbers), reference.shape), np.nan
@@ -330,14 +324,6 @@ def _middles(found: Mapping[str, tuple[Array, float]], reference: Array) -> dict
     middle = tuple(slice(start, start + _CROP) for start in starts)
     images = {name: image for name, (image, _) in found.items()} | {"reference": reference}
     return {name: image[middle].astype(np.float32) for name, image in images.items()}
-
-
-def _estimated(entry: Entry, samples: Samples) -> Array:
-    if isinstance(entry, Denoised):
-        features = samples.features if entry.with_features else {}
-        return through_denoiser(_estimated(entry.entry, samples), features)
-    found: Array = entry(samples.read(), **options_of(entry, samples.features))  # type: ignore[operator]
-    return found
 
 
 def _finished(given: Any, n: int, numbers: int, shape: tuple[int, ...]) -> Array:

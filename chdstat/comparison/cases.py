@@ -16,6 +16,7 @@ import numpy.typing as npt
 from chdstat._core.display import Card, Shown, number, percent
 from chdstat._core.files import checked_target, replacing
 from chdstat._core.resampling import Blocks, Interval, interval_of
+from chdstat.comparison.presentation import latex, notes
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -144,11 +145,14 @@ class Bench(Shown):
         The one whose errors are 1.
     cases
         One for each scene and number of samples.
+    left_out
+        Those of `chdstat.comparison.DEFAULT_ESTIMATORS` that do not apply, with the reason.
     """
 
     estimators: tuple[str, ...]
     baseline: str
     cases: tuple[Case, ...]
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     def table(self) -> list[dict[str, Any]]:
         """Return a row for each scene, number of samples and estimator.
@@ -233,9 +237,15 @@ class Bench(Shown):
             rows.append(row)
         return rows
 
+    @property
+    def notes(self) -> dict[str, str]:
+        """What a reader of the table has to know beside it, as of a `Comparison`."""
+        return notes(self.estimators, left_out=self.left_out)
+
     def _card(self) -> Card:
         scenes, spp = {c.scene: None for c in self.cases}, {c.spp: None for c in self.cases}
         facts = {"scenes": ", ".join(scenes), "spp": ", ".join(map(str, spp))}
+        facts |= self.notes
         if not _HAS_FLIP:
             facts["FLIP"] = "not measured; pip install 'chdstat[flip]' adds it"
         title = f"Benchmark: errors over those of {self.baseline}"
@@ -260,9 +270,7 @@ class Bench(Shown):
 
     def to_latex(self) -> str:
         """Return the summary as LaTeX, for a paper; it needs the package booktabs."""
-        import pandas as pd
-
-        return str(pd.DataFrame(self.shown()).to_latex(index=False, escape=True))
+        return latex(self.shown())
 
     def save(self, path: str | Path) -> Path:
         """Write `table` to a .csv, the summary to a .tex, both to a .json file, or a .pdf.

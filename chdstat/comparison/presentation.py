@@ -12,7 +12,8 @@ import numpy.typing as npt
 from chdstat._core.display import number, percent, with_interval, written
 from chdstat._core.resampling import Interval
 from chdstat.comparison.accumulate import MEASURES
-from chdstat.estimators.registry import LABELS
+from chdstat.comparison.candidates import DEFAULT_ESTIMATE
+from chdstat.estimators.registry import LABELS, Estimator, lookup
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,7 +26,8 @@ __all__ = [
     "described",
     "in_words",
     "latex",
-    "row_of",
+    "notes",
+    "rows_of",
     "shown_ratio",
     "text_coordinate",
     "titled",
@@ -59,9 +61,15 @@ def columns_of(measures: Mapping[str, Interval[Array]], *, over_batches: bool = 
     return found
 
 
-def row_of(columns: Columns, *index: int) -> dict[str, float]:
-    """Return one place of all columns as a flat row."""
-    return {name: float(values[index]) for name, (values, _) in columns.items()}
+def rows_of(
+    columns: Columns, estimators: Sequence[str], uses_neighbours: Array, *before: int
+) -> list[dict[str, Any]]:
+    """Return a flat row for each estimator: what all columns hold of it at a place."""
+    return [
+        {"estimator": name, "uses_neighbours": bool(uses_neighbours[k])}
+        | {column: float(values[before][k]) for column, (values, _) in columns.items()}
+        for k, name in enumerate(estimators)
+    ]
 
 
 def variables_of(columns: Columns, *dims: str, prefix: str = "") -> dict[str, Any]:
@@ -154,6 +162,42 @@ def data_frame(
         for part in ("value", "low", "high")
     }
     return pd.DataFrame(columns, index)
+
+
+def notes(
+    estimators: Sequence[str],
+    *,
+    uses_neighbours: npt.ArrayLike = (),
+    left_out: Mapping[str, str] | None = None,
+) -> dict[str, str]:
+    """Return what a reader of a table of estimators has to know beside it.
+
+    Parameters
+    ----------
+    estimators
+        Names, those of the rows.
+    uses_neighbours
+        Which of them look at the pixels around, shape (estimator,), where that is known.
+    left_out
+        Those of the default estimators that do not apply, with the reason.
+
+    Examples
+    --------
+    >>> notes(["mean", "zirr2018"], uses_neighbours=[False, True])
+    {'use neighbours': 'Zirr et al. 2018'}
+    """
+    found = {}
+    default = lookup(DEFAULT_ESTIMATE)
+    if DEFAULT_ESTIMATE in estimators and isinstance(default, Estimator):
+        about = f"{default.about[:1].lower()}{default.about[1:]}"
+        found["default estimate"] = f"{LABELS[DEFAULT_ESTIMATE]}: {about}"
+    around = [estimators[k] for k in np.flatnonzero(uses_neighbours).tolist()]
+    if around:
+        found["use neighbours"] = ", ".join(LABELS.get(name, name) for name in around)
+    if left_out:
+        reasons = (f"{LABELS.get(name, name)} {why}" for name, why in left_out.items())
+        found["left out"] = "; ".join(reasons)
+    return found
 
 
 _LATEX = str.maketrans(

@@ -7,46 +7,37 @@ depends on the image and the seed alone, so that no row of the table depends on 
 estimators; only where none was trained on an image of this size, all pixels judge.
 
 `error_curve` does the same for many n: use it to see up to which size an estimator pays. Where it
-has a bias that does not fall, its error does not. `WithoutReference` is the default
-estimate, and its errors against all other samples.
+has a bias that does not fall, its error does not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from chdstat._core.arrays import Seed, seed_number, whole
-from chdstat._core.display import Shown
 from chdstat.comparison.accumulate import Units, counts, judge, labels_of, measures_of, stacked
-from chdstat.comparison.candidates import DEFAULT, Candidates, Entry, Given, curve_sizes, resolve
+from chdstat.comparison.candidates import Candidates, Entry, Given, choose, curve_sizes
 from chdstat.comparison.tables import Breakdown, Comparison, ErrorCurve
-from chdstat.estimators import Estimates, Progressive, combine
 from chdstat.estimators.estimates import check_denoiser
 from chdstat.estimators.validation import check_spp
-from chdstat.samples import Image, Samples, check_equal_counts, samples_of
+from chdstat.samples import Image, check_equal_counts, samples_of
 
 if TYPE_CHECKING:
     import xarray as xr
     from distributed import Client
 
-__all__ = ["LEVELS", "WithoutReference", "compare", "coverage", "error_curve"]
+__all__ = ["compare", "error_curve"]
 
 Array = npt.NDArray[Any]
-
-LEVELS = (0.5, 0.8, 0.9, 0.95)
-"""Probabilities that intervals state."""
-_FIRST = 64
-"""Samples that are improved without a reference."""
 
 
 def compare(
     samples: Image | npt.ArrayLike,
-    estimators: Sequence[str | Entry] = DEFAULT,
+    estimators: Sequence[str | Entry] | None = None,
     *,
     n: int = 32,
     seed: Seed = 0,
@@ -81,8 +72,12 @@ def compare(
         The image, as `Samples`, an array (y, x, channel, sample) or the path of a store, at least
         2 n samples per pixel.
     estimators
-        Names of registered estimators, or entries of your own, such as `denoised` returns. Those
-        that use neighbours come last in the result, and are marked: they see more than n samples.
+        Names of registered estimators, alone or followed by " + OIDN" or " + OIDN features" for
+        Open Image Denoise after them; or entries of your own. None takes those of
+        `chdstat.comparison.DEFAULT_ESTIMATORS` that apply to the image and to n: the default
+        estimate first, then the sample mean. An estimator that uses neighbours, as the default
+        estimate does, is given the whole image of each batch with its first-hit features; it is
+        marked, as it sees more than n samples of a pixel.
     n
         Samples per estimate.
     seed
@@ -135,12 +130,12 @@ def compare(
     """
     samples, seed = samples_of(samples), seed_number(seed)
     n, max_batches = whole("n", n, least=1), _limit(max_batches)
-    entries = resolve(estimators, [n])
+    chosen = choose(estimators, [n], samples=samples)
     check_spp(samples, n)
     if denoise:
         check_denoiser(samples.shape[2])  # before the training, not after
     codes, names = (None, {}) if labels is None else labels_of(labels, samples, progress=progress)
-    found = Candidates.of(entries, samples, sizes=[n], seed=seed, model=model, progress=progress)
+    found = Candidates.of(chosen, samples, sizes=[n], seed=seed, model=model, progress=progress)
     found = found.with_denoised() if denoise else found
     test = found.test_pixels()
     units = Units.of(test, codes)
@@ -188,7 +183,7 @@ def _breakdown(
 
 def error_curve(
     samples: Image | npt.ArrayLike,
-    estimators: Sequence[str | Entry] = DEFAULT,
+    estimators: Sequence[str | Entry] | None = None,
     *,
     sizes: Sequence[int] | None = None,
     seed: Seed = 0,
@@ -210,8 +205,7 @@ def error_curve(
     samples
         The image, as `compare` takes it, at least twice as many samples per pixel as the largest N.
     estimators
-        Names of registered estimators, or entries of your own. Where one does not take N samples,
-        there is no number.
+        As `compare` takes them. Where one does not take N samples, there is no number.
     sizes
         N, in any order; None doubles from 4 to an eighth of the samples, and adds the fewest that
         an estimator takes where these are none.
@@ -245,12 +239,12 @@ def error_curve(
     samples, seed = samples_of(samples), seed_number(seed)
     check_equal_counts(samples)
     max_batches = _limit(max_batches)
-    chosen = curve_sizes(samples, estimators, sizes=sizes)
-    entries = resolve(estimators, chosen)
-    found = Candidates.of(entries, samples, sizes=chosen, seed=seed, model=model, progress=progress)
+    numbers = curve_sizes(samples, estimators, sizes=sizes)
+    chosen = choose(estimators, numbers, samples=samples)
+    found = Candidates.of(chosen, samples, sizes=numbers, seed=seed, model=model, progress=progress)
     units = Units.of(found.test_pixels())
     parts, noise, judged = [], [], []
-    for n in chosen:
+    for n in numbers:
         errors = judge(found, units, n=n, limit=max_batches, progress=progress, client=client)
         sums = errors.by_unit
         parts.append(measures_of(sums, seed=seed))
@@ -261,7 +255,7 @@ def error_curve(
     return ErrorCurve(
         estimators=tuple(found.entries),
         uses_neighbours=found.uses_neighbours,
-        sizes=chosen,
+        sizes=numbers,
         measures=stacked(parts),
         reference_noise=dict(zip(("mse", "relmse"), np.transpose(noise), strict=True)),
         batches=np.array(judged),
@@ -273,57 +267,3 @@ def error_curve(
 
 def _limit(max_batches: int | None) -> int | None:
     return None if max_batches is None else whole("max_batches", max_batches, least=1)
-
-
-@dataclass(frozen=True, repr=False)
-class WithoutReference(Shown):
-    """The estimate of `chdstat.estimate` from the first samples of an image, and its errors.
-
-    Attributes
-    ----------
-    comparison
-        Of the mean and the estimate from the same samples.
-    estimates
-        The estimate of the whole image, with its certainty and the interval of 90 %.
-    coverage
-        Share of the intervals that contain the reference, at `LEVELS`, by what estimated.
-    """
-
-    comparison: Comparison
-    estimates: Estimates
-    coverage: Mapping[str, tuple[float, ...]]
-
-    @classmethod
-    def of(cls, samples: Samples, comparison: Comparison, *, progress: bool | None) -> Self | None:
-        """Measure the estimate against all other samples; None where these are too few.
-
-        Parameters
-        ----------
-        samples, comparison
-            The scene, and how estimators compare on it.
-        progress
-            As for `chdstat.compare`.
-        """
-        if samples.spp < 2 * _FIRST:
-            return None
-        names = ["mean", "combination"]
-        found = compare(samples, names, n=_FIRST, max_batches=1, progress=progress)
-        few = samples.first(_FIRST)
-        own = [combine(few, level=p) for p in LEVELS]
-        measured = {f"{_FIRST} spp, without a reference": coverage(own, found)}
-        supervised = comparison.models.get("progressive")
-        if isinstance(supervised, Progressive):
-            first = samples.first(comparison.n)
-            theirs = [supervised.estimate(first, level=p) for p in LEVELS]
-            measured[f"{comparison.n} spp, with one"] = coverage(theirs, comparison)
-        return cls(comparison=found, estimates=own[LEVELS.index(0.9)], coverage=measured)
-
-
-def coverage(estimates: Sequence[Estimates], comparison: Comparison) -> tuple[float, ...]:
-    """Return the share of the test pixels' intervals, of each level, that contain the reference."""
-    usable = comparison.test_pixels & np.isfinite(comparison.first_reference).all(axis=-1)
-    reference = comparison.first_reference[usable].astype(np.float32)
-    return tuple(
-        float(((x.low[usable] <= reference) & (reference <= x.high[usable])).mean())
-        for x in estimates
-    )

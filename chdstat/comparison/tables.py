@@ -24,7 +24,8 @@ from chdstat.comparison.presentation import (
     dataset_of,
     described,
     latex,
-    row_of,
+    notes,
+    rows_of,
     text_coordinate,
     titled,
     variables_of,
@@ -108,15 +109,9 @@ class Breakdown(Shown):
         """Return one row per label and estimator: names, pixels and every measure."""
         columns = columns_of(self.measures)
         return [
-            {
-                "label": label,
-                "pixels": int(self.pixels[row]),
-                "estimator": name,
-                "uses_neighbours": bool(self.uses_neighbours[k]),
-                **row_of(columns, row, k),
-            }
+            {"label": label, "pixels": int(self.pixels[row]), **one}
             for row, label in enumerate(self.labels)
-            for k, name in enumerate(self.estimators)
+            for one in rows_of(columns, self.estimators, self.uses_neighbours, row)
         ]
 
 
@@ -127,7 +122,7 @@ class Comparison(Shown):
     Attributes
     ----------
     estimators
-        Names, in the order asked for, those that use neighbours last.
+        Names, in the order asked for.
     uses_neighbours
         Which of them look at the pixels around, shape (estimator,): a class of their own, as they
         see more than n samples.
@@ -186,6 +181,16 @@ class Comparison(Shown):
     provenance: Mapping[str, Any]
 
     @property
+    def notes(self) -> dict[str, str]:
+        """What a reader of the table has to know beside it, in words.
+
+        What the default estimate is; which estimators use neighbours; which were left out of
+        `chdstat.comparison.DEFAULT_ESTIMATORS`, and why.
+        """
+        left_out = self.provenance.get("left_out", {})
+        return notes(self.estimators, uses_neighbours=self.uses_neighbours, left_out=left_out)
+
+    @property
     def reusable_models(self) -> dict[str, Model]:
         """Those of `models` that take only n samples, and so serve wherever they serve at all.
 
@@ -203,25 +208,20 @@ class Comparison(Shown):
         Each measure also has ``_se``, ``_low`` and ``_high``, the standard error and the interval
         over blocks, and the same with ``_over_batches``.
         """
-        columns = columns_of(self.measures) | columns_of(self.over_batches, over_batches=True)
-        return [
-            {
-                "estimator": name,
-                "uses_neighbours": bool(self.uses_neighbours[index]),
-                **row_of(columns, index, _ALL_CHANNELS),
-            }
-            for index, name in enumerate(self.estimators)
-        ]
+        over_blocks, over_batches = (
+            {name: measure[:, _ALL_CHANNELS] for name, measure in measures.items()}
+            for measures in (self.measures, self.over_batches)
+        )
+        columns = columns_of(over_blocks) | columns_of(over_batches, over_batches=True)
+        return rows_of(columns, self.estimators, self.uses_neighbours)
 
     def _card(self) -> Card:
-        facts = {
-            "samples per estimate": self.n,
-            "test pixels": int(self.test_pixels.sum()),
-            "estimates": self.batches,
-        }
+        pixels = f"{self.test_pixels.sum()} test pixels"
+        facts = {"estimates": f"{self.batches} from {self.n} samples each, of {pixels}"}
         images = {}
         if len(self.channels) in (1, 3):
             images["reference: the mean of all samples"] = png(tonemap(self.reference))
+        facts |= {name: text for name, text in self.notes.items() if name != "use neighbours"}
         return Card("Comparison of estimators", facts, titled(self.table()), images)
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -395,15 +395,10 @@ class ErrorCurve(Shown):
         """Return one row per size and estimator that takes it, with every measure."""
         columns = columns_of(self.measures)
         return [
-            {
-                "n": size,
-                "estimator": name,
-                "uses_neighbours": bool(self.uses_neighbours[k]),
-                **row_of(columns, row, k),
-            }
+            {"n": size, **one}
             for row, size in enumerate(self.sizes)
-            for k, name in enumerate(self.estimators)
-            if np.isfinite(self.measures["mse"].value[row, k])
+            for one in rows_of(columns, self.estimators, self.uses_neighbours, row)
+            if np.isfinite(one["mse"])
         ]
 
     def _card(self) -> Card:

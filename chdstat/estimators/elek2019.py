@@ -317,7 +317,6 @@ register_learned(
         about="Network of the paper: 32 samples of a channel in, its radiance out.",
         label="Elek et al. 2019",
         place=8,
-        default=True,
     )
 )
 

@@ -49,7 +49,6 @@ _TUKEY_TOLERANCE = 1e-10
     "Metropolis and Ulam 1949, doi:10.1080/01621459.1949.10483310",
     label="sample mean",
     place=0,
-    default=True,
 )
 def mean(x: Array) -> Array:
     """Sample mean, (1/N) sum x_i: unbiased, and at the mercy of fireflies.

@@ -134,8 +134,6 @@ class Estimator(Shown):
     place
         Place in lists of estimators, ascending; those of one place are in the order of their
         registration.
-    default
-        Whether it takes part in a comparison or report that names no estimators.
     minimum_samples
         Fewest samples that it takes.
     uses_neighbours
@@ -155,7 +153,6 @@ class Estimator(Shown):
     source: str
     label: str = ""
     place: int = _LAST
-    default: bool = False
     minimum_samples: int = 1
     uses_neighbours: bool = False
     joint_channels: bool = False
@@ -204,7 +201,7 @@ class LearnedEstimator(Shown):
         that takes any number of samples also takes ``sizes``, those that it will estimate from.
     source
         Author, year, DOI.
-    label, place, default
+    label, place
         As for `Estimator`.
     inputs
         Samples per estimate, where it takes neither more nor fewer; None for any number.
@@ -229,7 +226,6 @@ class LearnedEstimator(Shown):
     about: str = ""
     label: str = ""
     place: int = _LAST
-    default: bool = False
     options: Mapping[str, Any] = field(default_factory=dict)
     uses_features: bool = False
     joint_channels: bool = False
@@ -248,7 +244,6 @@ class Facts(TypedDict, total=False):
 
     label: str
     place: int
-    default: bool
     minimum_samples: int
     uses_neighbours: bool
     joint_channels: bool

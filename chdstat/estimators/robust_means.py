@@ -36,7 +36,7 @@ Location = Literal["median", "huber"]
 _BUISINE = "Buisine et al. 2021, doi:10.2312/sr.20211296"
 
 
-@register("median_of_means", "Nemirovsky and Yudin 1983", place=3, default=True, minimum_samples=11)
+@register("median_of_means", "Nemirovsky and Yudin 1983", place=3, minimum_samples=11)
 def median_of_means(x: Array, buckets: int = 11) -> Array:
     """Median of means: deal the samples into M buckets, take the median of the buckets' means.
 

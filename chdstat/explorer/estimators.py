@@ -2,15 +2,15 @@
 
 `batches_of` cuts the samples of a place into batches; `scored` and `scored_around` let the fixed
 estimators estimate from them, `Learner.score` a trained one. An estimator that looks at the
-pixels around is given a part of the image, not all of it: its estimate is close to that of
-`chdstat.estimate`, not the same to the bit.
+pixels around, as the default estimate does, is given a part of the image with its first-hit
+features, not all of it: its estimate is close to that of `chdstat.estimate`, not the same.
 """
 
 from __future__ import annotations
 
 import timeit
 import warnings
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -21,13 +21,16 @@ import numpy.typing as npt
 
 from chdstat import estimators
 from chdstat._core.arrays import is_bad
+from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.comparison.accumulate import SUMS, errors_of
+from chdstat.comparison.candidates import Entry, choose, estimate_by, takes
 from chdstat.errors import OtherSceneWarning
 from chdstat.estimators import MLP, Progressive, registry
 from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.estimators.validation import Totals
 from chdstat.explorer.sources import StoreSource
 from chdstat.explorer.view import Box, Pixel
+from chdstat.samples import Samples
 
 __all__ = [
     "BATCHES_AROUND",
@@ -76,6 +79,8 @@ class ScoredEstimate:
         Of a trained estimator, the mean over batches; NaN where it has none.
     low, high
         Of a trained estimator, the ends of its interval, means over batches, shape (channel,).
+    given
+        Whether it is a trained estimator that the page was opened with.
     """
 
     name: str
@@ -86,6 +91,7 @@ class ScoredEstimate:
     certainty: float = float("nan")
     low: Floats | None = None
     high: Floats | None = None
+    given: bool = False
 
 
 @dataclass(frozen=True)
@@ -177,17 +183,12 @@ def _average(values: npt.NDArray[np.floating[Any]]) -> Floats:
 
 
 def fixed(*, neighbours: bool = False) -> dict[str, registry.Estimator]:
-    """Return the fixed estimators of one pixel by name, or those that look at the pixels around.
-
-    Those that take first-hit features are left out, as no place has any.
-    """
+    """Return the fixed estimators of one pixel by name, or those that look at the pixels around."""
     entries = {name: registry.lookup(name) for name in registry.names("fixed")}
     return {
         name: entry
         for name, entry in entries.items()
-        if isinstance(entry, registry.Estimator)
-        and entry.uses_neighbours == neighbours
-        and not entry.uses_features
+        if isinstance(entry, registry.Estimator) and entry.uses_neighbours == neighbours
     }
 
 
@@ -248,17 +249,27 @@ def scored_around(
     step
         As for `scored`.
     """
-    batches = batches.first(BATCHES_AROUND)
-    spp = len(batches.x) * batches.n
-    window, (y, x), _ = source.around(*place, spp, radius=_AROUND)
-    cuts = _cut(window, batches.n)
-    found = []
-    for name, entry in fixed(neighbours=True).items():
-        if batches.n >= entry.minimum_samples:
+    batches, found = batches.first(BATCHES_AROUND), []
+    for entry, radius in _around(source.samples, batches.n):
+        window, (y, x), (ys, xs) = source.around(*place, len(batches.x) * batches.n, radius=radius)
+        features = {name: image[ys, xs] for name, image in source.samples.features.items()}
+        estimates = []
+        for cut in _cut(window, batches.n):
             step()
-            estimates = np.stack([np.asarray(entry(cut), np.float64)[y, x] for cut in cuts])
-            found.append(_score(name, estimates, batches))
+            estimates.append(estimate_by(entry, cut, features=features)[y, x])
+        found.append(_score(entry.name, np.stack(estimates), batches))
     return found
+
+
+def _around(samples: Samples, n: int) -> Iterator[tuple[Entry, int]]:
+    """Yield what looks at the pixels around, and how far: the default estimators first."""
+    default = choose(None, [n], samples=samples).entries
+    for entry in default.values():
+        if entry.uses_neighbours:
+            yield entry, _AROUND_LEARNED
+    for name, entry in fixed(neighbours=True).items():
+        if name not in DEFAULT_ESTIMATORS and not entry.learns and takes(entry, n):
+            yield entry, _AROUND
 
 
 def _cut(window: Image, n: int) -> list[Image]:
@@ -312,7 +323,9 @@ class Learner:
         model, n = self.model, batches.n
         if isinstance(model, MLP):
             fits = model.inputs == n
-            return _score(self.name, model.predict(batches.x), batches) if fits else None
+            if not fits:
+                return None
+            return replace(_score(self.name, model.predict(batches.x), batches), given=True)
         if not isinstance(model, Progressive) or model.channels != batches.x.shape[-2]:
             return None
         names = ("radiance", "certainty", "low", "high")
@@ -342,7 +355,7 @@ class Learner:
             fields = [getattr(estimated, name) for name in names]
         certainty, low, high = (_average(values) for values in fields[1:])
         one = _score(self.name, fields[0], batches)
-        return replace(one, certainty=float(certainty), low=low, high=high)
+        return replace(one, certainty=float(certainty), low=low, high=high, given=True)
 
 
 def learners(models: Sequence[TrainedModel[Any] | str | Path]) -> list[Learner]:

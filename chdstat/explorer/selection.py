@@ -17,6 +17,7 @@ from chdstat import viz
 from chdstat._core.arrays import take_rows
 from chdstat._core.display import percent
 from chdstat._core.files import scratch
+from chdstat.comparison.presentation import notes
 from chdstat.explorer import estimators, tables
 from chdstat.explorer.panels import panels
 from chdstat.explorer.plots import BLENDED, PanelData, series_of
@@ -191,7 +192,9 @@ class SelectionResults:
             return self._estimates_table(plots, found)
         around = estimators.scored_around(batches, store, key, step=step)
         count = estimators.BATCHES_AROUND
-        more = f"; the last {len(around)} look at the pixels around, in {count} batches"
+        more = f"; {len(around)} look at the pixels around, in {count} batches"
+        said = notes([estimate.name for estimate in around])
+        more += "".join(f". The {name} is {text}" for name, text in said.items()).rstrip(".")
         return self._estimates_table(plots, [*found, *around], more)
 
     def goodness(self, plots: SelectionPlots, step: Callable[[float], None]) -> Table:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from chdstat import inference
 from chdstat._core.display import number, percent
+from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.errors import Reason
 from chdstat.explorer.estimators import ScoredEstimate
 from chdstat.explorer.statistics import MOST_TESTED, RESAMPLES, PlaceStatistics
@@ -41,7 +42,7 @@ _VARIANCE = {
     "not identified": "variance not identified",
 }
 _FIRST = 7
-"""Rows of the table of estimates that are shown at once: the mean and the six best."""
+"""Rows of the table of estimates that are shown at once: the default ones and the best others."""
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -186,9 +187,10 @@ def _pattern_value(pattern: Pattern, place: PlaceStatistics, *, alone: bool) -> 
 def estimates_table(
     found: Sequence[ScoredEstimate], channels: Sequence[str], n: int, note: str
 ) -> Table:
-    """Return the estimate and the error of every estimator, the mean first, then the best.
+    """Return the estimate and the error of every estimator.
 
-    `note` says what is the reference.
+    The default estimators come first, in their order, then the trained ones that the page was
+    opened with, then the best of the others. `note` says what is the reference.
     """
     rows = []
     for e in sorted(found, key=_rank):
@@ -208,9 +210,12 @@ def estimates_table(
     return {**_table(f"Estimates from {n} samples", columns, rows, note), "first": _FIRST}
 
 
-def _rank(estimate: ScoredEstimate) -> tuple[bool, bool, float]:
-    known = np.isfinite(estimate.mse_ratio)
-    return estimate.name != "mean", not known, float(estimate.mse_ratio) if known else 0.0
+def _rank(estimate: ScoredEstimate) -> tuple[int, bool, bool, float]:
+    # An image without features has the denoised mean without them.
+    order = [name.removesuffix(" features") for name in DEFAULT_ESTIMATORS]
+    name, known = estimate.name.removesuffix(" features"), np.isfinite(estimate.mse_ratio)
+    place = order.index(name) if name in order else len(order)
+    return place, not estimate.given, not known, float(estimate.mse_ratio) if known else 0.0
 
 
 def goodness_table(

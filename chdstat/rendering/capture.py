@@ -21,10 +21,9 @@ import numpy.typing as npt
 from chdstat._core.arrays import Seed, whole
 from chdstat._core.places import place_of
 from chdstat._core.progress import track
-from chdstat.errors import InputError, RenderError, StoreError
+from chdstat.errors import InputError, RenderError, StoreError, brief
 from chdstat.rendering.backend import Backend, Color, activate
 from chdstat.rendering.job import Crop, IntegratorLike, Job
-from chdstat.rendering.lights import check_lights
 from chdstat.rendering.renderer import Renderer
 from chdstat.rendering.sequences import SamplerName
 from chdstat.rendering.workers import features_restored, rendered
@@ -192,10 +191,10 @@ def render(
         )
         raise InputError(message)
     if client is not None:
-        pickle.dumps(job)  # one that cannot travel is refused before any work
+        _check_portable(job)
     with activate(job.verdict):
         renderer = renderer_of(job, spp, kept=spp * (1 + len(depths) + len(by_light)), out=out)
-        check_lights(renderer.lights, by_light)
+        renderer.check_lights(by_light)
         partial = _cut_paths(job, renderer, depths) | {n: replace(job, light=n) for n in by_light}
         if existing is not None and spp < existing.complete_spp() == existing.shape[3]:
             message = "nothing to render: %s holds %d samples per pixel, %d were asked for"
@@ -305,6 +304,19 @@ def _checked_pixels(pixels: npt.ArrayLike, size: tuple[int, int]) -> npt.NDArray
     return array.astype(np.intp)
 
 
+def _check_portable(job: Job) -> None:
+    """Refuse a job that cannot be sent to other processes, before any work."""
+    try:
+        pickle.dumps(job)
+    except (TypeError, AttributeError, pickle.PicklingError) as error:
+        message = (
+            f"scene {job.scene.name!r} cannot be sent to the workers of a cluster: {brief(error)}; "
+            "describe it by files and plain values: a (4, 4) array for a transform, "
+            "{'type': 'bitmap', 'data': array} for an image texture"
+        )
+        raise InputError(message) from error
+
+
 def _cut_paths(job: Job, renderer: Renderer, depths: Collection[int]) -> dict[Part, Job]:
     """Return the same job with paths cut after each of some depths, where that cuts any.
 
@@ -334,8 +346,15 @@ def _writer(job: Job, renderer: Renderer, spp: int, out: str | Path | None) -> I
     if out is None:
         yield MemoryWriter(attrs, renderer.size, spp)
         return
-    with opened_store(place_of(out), attrs, renderer.size, spp) as store:
-        yield store
+    place = place_of(out)
+    is_new = not is_store(place)
+    with opened_store(place, attrs, renderer.size, spp) as store:
+        try:
+            yield store
+        except Exception:
+            if is_new:
+                store.discard()
+            raise
 
 
 def _fill(

@@ -36,10 +36,10 @@ def is_plain(mi: Any, scene: Any, sensor: Any, name: str, *, hides: bool) -> boo
     hides
         Whether it hides lamps.
     """
-    shapes = scene.shapes()
-    materials = [shape.bsdf() for shape in shapes]  # of an instance, there is none to be seen
-    passing = any(b is None or mi.has_flag(b.flags(), mi.BSDFFlags.Null) for b in materials)
-    hidden = hides and any(shape.is_emitter() for shape in shapes)
+    held = mi.traverse(scene).hierarchy  # instances do not say what they are made of
+    materials = [part for part in held if isinstance(part, mi.BSDF)]
+    passing = any(mi.has_flag(bsdf.flags(), mi.BSDFFlags.Null) for bsdf in materials)
+    hidden = hides and any(shape.is_emitter() for shape in scene.shapes())
     return not (passing or hidden or (name in _VOLUMETRIC and sensor.get_medium() is not None))
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NoReturn, cast
 
@@ -14,7 +16,7 @@ from chdstat.errors import InputError
 from chdstat.rendering.backend import BACKENDS, Backend, Verdict
 from chdstat.scenes.files import code_of
 
-__all__ = ["IntegratorObject", "own_backend"]
+__all__ = ["IntegratorObject", "own_backend", "told"]
 
 _UNLIMITED = 2**32 - 1
 """What Mitsuba's integrators print of a max_depth of -1."""
@@ -92,8 +94,7 @@ class IntegratorObject:
             settings |= {name: _number(text) for name, text in _printed(str(self.value))}
         with contextlib.suppress(RuntimeError, TypeError):  # a class that does not say
             settings |= dict(mi.traverse(self.value))
-        told = {name: _told(value) for name, value in settings.items()}
-        return {name: value for name, value in told.items() if value is not None}
+        return told(settings)
 
     def __reduce__(self) -> NoReturn:
         raise InputError(_ELSEWHERE)
@@ -138,14 +139,21 @@ def _number(text: str) -> str | int | float:
     return text
 
 
+def told(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings ready for JSON: texts, numbers and arrays; parts with others are left out."""
+    found = {name: _told(value) for name, value in settings.items()}
+    return {name: value for name, value in found.items() if value is not None}
+
+
 def _told(value: Any) -> Any:
-    """Return a value for JSON, or None of what is neither text nor numbers."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
     if isinstance(value, _PLAIN):
         return value
     with contextlib.suppress(TypeError, ValueError, RuntimeError):
-        array = np.asarray(value)
+        array = np.asarray(value.matrix if "Transform" in type(value).__name__ else value)
         if array.dtype.kind in "biuf":
-            if array.size <= _LONGEST:
+            if array.size <= _LONGEST and np.isfinite(array).all():
                 return array.tolist()
             return "SHA-256 " + hashlib.sha256(array.tobytes()).hexdigest()[:16]
     return None

@@ -17,7 +17,7 @@ import numpy as np
 from chdstat.errors import InputError, RenderError
 from chdstat.samples.layout import Image
 
-__all__ = ["check_lights", "darken", "flush", "light_names"]
+__all__ = ["check_lights", "darken", "flush", "light_names", "switched_off"]
 
 _DARK = 2.0**-100
 """What a light that is off is multiplied by: not 0, of which a texture or an environment map could
@@ -72,14 +72,15 @@ def check_lights(names: Sequence[str], patterns: Sequence[str]) -> None:
             raise InputError(message)
 
 
-def darken(mi: Any, scene: Any, kept: str) -> None:
-    """Switch off all lights of a Mitsuba scene but those whose names match a pattern.
+def switched_off(mi: Any, scene: Any, kept: str) -> list[tuple[Any, list[str]]]:
+    """Return the parameters of all lights but those of a pattern, and the names of their radiance.
 
     Raises
     ------
     RenderError
         If a light has no radiance that can be changed.
     """
+    found = []
     for light, name in zip(scene.emitters(), light_names(scene), strict=True):
         if fnmatchcase(name, kept):
             continue
@@ -89,6 +90,19 @@ def darken(mi: Any, scene: Any, kept: str) -> None:
         if not keys:
             message = f"light {name!r} ({type(light).__name__}) cannot be switched off"
             raise RenderError(message)
+        found.append((parameters, keys))
+    return found
+
+
+def darken(mi: Any, scene: Any, kept: str) -> None:
+    """Switch off all lights of a Mitsuba scene but those whose names match a pattern.
+
+    Raises
+    ------
+    RenderError
+        If a light has no radiance that can be changed.
+    """
+    for parameters, keys in switched_off(mi, scene, kept):
         for key in keys:
             parameters[key] = parameters[key] * _DARK
         parameters.update()

@@ -10,7 +10,7 @@ import contextlib
 import gc
 import logging
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,9 +19,9 @@ import numpy.typing as npt
 from chdstat._core.executor import Interrupted
 from chdstat.errors import ChdstatError, InputError, RenderError, SceneError, brief
 from chdstat.rendering.backend import activate, one_thread
-from chdstat.rendering.instances import IntegratorObject
+from chdstat.rendering.instances import IntegratorObject, told
 from chdstat.rendering.job import Job
-from chdstat.rendering.lights import darken, flush, light_names
+from chdstat.rendering.lights import check_lights, darken, flush, light_names, switched_off
 from chdstat.rendering.rays import drawn, sensed
 from chdstat.rendering.seeds import Streams
 from chdstat.samples.layout import BATCH, TILE, Chunk, Image
@@ -82,7 +82,7 @@ class Renderer:
                 self._scene = live.value if live else asked.scene.make(parallel=True)
             # Only now, for Mitsuba takes note of which settings were looked at.
             given = self._given.description if self._given else asked.integrator.node(0).props
-            self.integrator |= dict(given)
+            self.integrator |= told(dict(given))
             self._loaded_sensor = self._scene.sensors()[job.sensor]
             self._sensor_medium = self._loaded_sensor.get_medium()
             self._as_it_is = live is not None and not live.is_described(job.sensor)
@@ -175,10 +175,11 @@ class Renderer:
                     drawn.append(self._wavefront(number, (x, y), (1, 1), spp)[0, 0])
         return np.stack(drawn)
 
-    @property
-    def lights(self) -> list[str]:
-        """Names of the scene's lights."""
-        return light_names(self._scene)
+    def check_lights(self, patterns: Sequence[str]) -> None:
+        """Refuse patterns of names of which the lights cannot be drawn alone."""
+        check_lights(light_names(self._scene), patterns)
+        for pattern in patterns:
+            switched_off(self._mi, self._scene, pattern)
 
     @property
     def depth(self) -> int | None:

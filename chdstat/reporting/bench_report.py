@@ -64,6 +64,7 @@ def document(found: Bench) -> Document:
         ],
         "images": [{"scene": case.scene, "spp": case.spp} for case in shown],
         "flip": "FLIP" in rows[0],
+        "notes": found.notes,
     }
     return Document("bench.typ", content, drawn)
 

@@ -28,7 +28,6 @@ from chdstat.reporting.result_tables import (
     pattern_table,
     region_table,
     remake_note,
-    without_reference_content,
 )
 from chdstat.samples import Samples
 from chdstat.samples.description import provenance
@@ -161,7 +160,7 @@ def analysis_content(samples: Samples, dataset: xr.Dataset) -> dict[str, Any]:
     """
     scene = overview(dataset)
     data = SceneData(samples.name, samples, given=dataset)
-    found = Results(data, scene, None, (), None, None)
+    found = Results(data, scene, None, (), None)
     return {
         "sentences": [
             f"{samples.name}: {samples.shape[1]} × {samples.shape[0]} pixels with {samples.spp} "
@@ -228,16 +227,6 @@ def headlines(found: Results) -> list[Headline]:
         )
     if found.comparison is not None:
         rows += _what_helps(found.comparison)
-    if found.without_reference is not None:
-        trial = without_reference_content(found.without_reference)
-        rows.append(
-            Headline(
-                "It can be done without a reference.",
-                f"From the first {trial['n']} samples alone, the combination of candidates has "
-                f"{trial['relmse_ratio']} times the relative squared error of their mean and "
-                f"improves {trial['improved']} of the pixels.",
-            )
-        )
     return rows[:6]
 
 
@@ -377,8 +366,6 @@ def scene_content(found: Results) -> dict[str, Any]:
         entries["atlas"] = atlas_content(found.atlas)
     if found.comparison is not None:
         entries["estimators"] = estimator_table(found.comparison)
-    if found.without_reference is not None:
-        entries["without_reference"] = without_reference_content(found.without_reference)
     return entries
 
 

@@ -21,10 +21,8 @@ from chdstat import viz
 from chdstat._core.arrays import is_bad, luminance
 from chdstat._core.display import number, percent
 from chdstat._core.files import replacing, unused, writing
-from chdstat._core.image_scales import display_stops
 from chdstat.analysis import Overview, save
 from chdstat.comparison import Comparison, ErrorCurve
-from chdstat.comparison.side_by_side import LEVELS, WithoutReference
 from chdstat.errors import StoreError
 from chdstat.estimators import MLP, Progressive
 from chdstat.inference import MORE_THAN_TESTED
@@ -50,7 +48,6 @@ __all__ = [
     "save_comparison",
     "save_figure",
     "scene_figures",
-    "without_reference",
 ]
 
 _BATCH, _BATCHES = 32, 64
@@ -75,9 +72,8 @@ class Results:
         Shapes that recur; None where there are none.
     claims
         Findings on those claims of the paper that one scene can support.
-    comparison, without_reference
-        Estimators side by side, and the default estimate; None where the samples are
-        too few.
+    comparison
+        Estimators side by side; None where the samples are too few.
     """
 
     data: SceneData
@@ -85,7 +81,6 @@ class Results:
     atlas: Atlas | None
     claims: Sequence[Finding]
     comparison: Comparison | None
-    without_reference: WithoutReference | None
 
 
 # --- one scene ----------------------------------------------------------------------------------
@@ -107,8 +102,6 @@ def report_figures(found: Results, curve: ErrorCurve | None) -> dict[str, Figure
         drawn["plots"] = plots
     if found.comparison is not None:
         drawn |= of_comparison(found.comparison, curve)
-    if found.without_reference is not None:
-        drawn["without_reference"] = without_reference(found.without_reference)
     return drawn
 
 
@@ -304,30 +297,6 @@ def of_comparison(found: Comparison, curve: ErrorCurve | None = None) -> dict[st
         if isinstance(model, Progressive):
             drawn["training_progressive"] = viz.training(model.history).figure
     return drawn
-
-
-def without_reference(found: WithoutReference) -> Figure:
-    """Draw mean, estimate and reference; certainty, width and coverage of the intervals."""
-    mean, ours = found.comparison.estimates
-    reference = found.comparison.reference
-    exposure = display_stops(reference)
-    estimates = found.estimates
-    with np.errstate(divide="ignore", invalid="ignore"):
-        width = np.abs(estimates.high - estimates.low).mean(axis=-1)
-        width = width / estimates.radiance.mean(axis=-1)
-    width[~np.isfinite(width)] = np.nan
-    height, size = estimates.certainty.shape
-    # A plot is among the maps, and wants some height.
-    figure = viz.map_grid(6, aspect=max(height / size, 0.8))
-    axes = figure.axes
-    titles = f"Mean of {found.comparison.n} samples", "Estimate", "Reference"
-    for ax, title, image in zip(axes, titles, (mean, ours, reference), strict=False):
-        viz.image_map(image, title=title, exposure=exposure, ax=ax)
-    viz.value_map(estimates.certainty, title="Certainty", limits=(0, 1), ax=axes[3])
-    viz.value_map(width, title="Width of the interval ÷ estimate", limits=(0, 3), ax=axes[4])
-    title = "Intervals that contain the reference"
-    viz.coverage(LEVELS, found.coverage, title=title, ax=axes[5])
-    return figure
 
 
 def save_comparison(

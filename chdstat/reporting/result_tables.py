@@ -17,7 +17,6 @@ from chdstat._core.display import between, number, percent, with_interval
 from chdstat.analysis import Overview, pooled_shares
 from chdstat.comparison import Comparison
 from chdstat.comparison.presentation import in_words
-from chdstat.comparison.side_by_side import LEVELS, WithoutReference
 from chdstat.estimators import MLP
 from chdstat.patterns import PATTERNS, Atlas
 from chdstat.rendering.recipes import remake_of
@@ -45,7 +44,6 @@ __all__ = [
     "region_table",
     "remake_note",
     "with_others",
-    "without_reference_content",
 ]
 
 _TINY = 1e-4
@@ -269,6 +267,7 @@ def estimator_table(comparison: Comparison) -> dict[str, Any]:
     trained = [m for m in comparison.models.values() if isinstance(m, MLP)]
     return {
         "rows": [in_words(row) for row in comparison.table()],
+        "notes": comparison.notes,
         "n": comparison.n,
         "batches": comparison.batches,
         "excluded": comparison.excluded,
@@ -276,19 +275,4 @@ def estimator_table(comparison: Comparison) -> dict[str, Any]:
         "iterations": int(trained[0].history.iteration[-1]) if trained else 0,
         "train_pixels": len(trained[0].train_pixels) if trained else 0,
         "fewer_pixels": bool(trained) and len(trained[0].train_pixels) < trained[0].config.pixels,
-    }
-
-
-def without_reference_content(found: WithoutReference) -> dict[str, Any]:
-    """Return the errors of the default estimate, and the coverage of its intervals."""
-    _, row = found.comparison.table()
-    shares = [percent(measured[LEVELS.index(0.9)]) for measured in found.coverage.values()]
-    return {
-        "n": found.comparison.n,
-        "mse_ratio": number(row["mse_ratio"]),
-        "relmse_ratio": number(row["relmse_ratio"]),
-        "improved": percent(row["improved"]),
-        "bias": percent(row["bias"], sign=True),
-        "at_90": shares[0],
-        "at_90_supervised": shares[1] if len(shares) > 1 else "",
     }

@@ -19,10 +19,14 @@ from chdstat._core.files import checked_target, scratch
 from chdstat._core.progress import track
 from chdstat.analysis import analyze, overview
 from chdstat.comparison import Comparison, ErrorCurve, compare, error_curve
-from chdstat.comparison.candidates import DEFAULT
-from chdstat.comparison.side_by_side import WithoutReference
+from chdstat.comparison.candidates import (
+    DEFAULT_ESTIMATORS,
+    Entry,
+    entry_of,
+    without_denoiser,
+)
 from chdstat.errors import InputError
-from chdstat.estimators import LearnedEstimator, lookup
+from chdstat.estimators import LearnedEstimator
 from chdstat.estimators.registry import Model
 from chdstat.estimators.training import check_iterations, first_samples
 from chdstat.estimators.validation import draw_pixels
@@ -72,7 +76,7 @@ def report(
     max_depth: int | None = None,
     recipe: str | Path | None = None,
     store: str | Path | None = None,
-    estimators: Sequence[str] = DEFAULT,
+    estimators: Sequence[str | Entry] | None = None,
     iterations: int | None = None,
     as_published: bool = False,
     backend: Backend = "auto",
@@ -97,7 +101,7 @@ def report(
         Where to keep the rendered samples, so that the next report resumes from them; None keeps
         them in memory.
     estimators
-        Names of the estimators to compare; those that learn are trained on these samples.
+        As for `chdstat.compare`; those that learn are trained on these samples.
     iterations
         Minibatches of each training; None takes as many as pay in a report.
     as_published
@@ -120,8 +124,8 @@ def report(
         As for `chdstat.render` and `chdstat.open`.
     """
     target = checked_target(path, ".pdf")
-    for name in estimators:
-        lookup(name)  # an unknown one is refused before the work
+    for name in estimators or ():
+        entry_of(name)  # an unknown one is refused before the work
     check_iterations(iterations)
     asked = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
     given = {name: value for name, value in asked.items() if value is not None}
@@ -174,7 +178,11 @@ def published_seconds(
 
 
 def _trainings(
-    samples: Samples, estimators: Sequence[str], iterations: int | None, *, as_published: bool
+    samples: Samples,
+    estimators: Sequence[str | Entry] | None,
+    iterations: int | None,
+    *,
+    as_published: bool,
 ) -> dict[str, Any]:
     """Return what has to be trained, by name, to be called in a process of its own."""
 
@@ -182,23 +190,29 @@ def _trainings(
         return iterations or (None if as_published else _ITERATIONS.get(name))
 
     calls = {}
-    for name in estimators:
-        entry = lookup(name)
-        if name in _ITERATIONS and isinstance(entry, LearnedEstimator):
-            calls[name] = delayed(_train)(samples, entry, number_of(name))
+    for name in DEFAULT_ESTIMATORS if estimators is None else estimators:
+        entry = without_denoiser(entry_of(name))
+        if entry.name in _ITERATIONS and isinstance(entry, LearnedEstimator):
+            calls[entry.name] = delayed(_train)(samples, entry, number_of(entry.name))
     return calls
 
 
-def _train(samples: Samples, entry: LearnedEstimator, iterations: int | None) -> Model:
-    """Train an estimator with a reference, on the pixels that a comparison draws."""
+def _train(samples: Samples, entry: LearnedEstimator, iterations: int | None) -> Model | None:
+    """Train an estimator on the pixels that a comparison draws.
+
+    Return None where the samples are too few: the comparison then says why.
+    """
     pixels = draw_pixels(samples.shape[:2], entry.pixels, seed=0)
-    return entry.train(samples, seed=0, pixels=pixels, iterations=iterations, progress=False)
+    try:
+        return entry.train(samples, seed=0, pixels=pixels, iterations=iterations, progress=False)
+    except InputError:
+        return None
 
 
 def _document(
     samples: Samples,
     regions: tuple[Region, ...],
-    estimators: Sequence[str],
+    estimators: Sequence[str | Entry] | None,
     trainings: Mapping[str, Any],
     progress: bool | None,
     checkpoint: Path | None,
@@ -207,23 +221,21 @@ def _document(
     with _in_background(trainings.values()) as results:
         dataset = analyze(samples, progress=progress, checkpoint=checkpoint)
         shapes = atlas(samples, progress=progress)
-        models, why_not = _trained(trainings, results, progress)
-    comparison, trial, curve = None, None, None
-    if not why_not:
-        try:
-            comparison = compare(
-                samples,
-                estimators,
-                n=_BATCH,
-                labels=dataset["label"],
-                model=models,
-                progress=progress,
-            )
-        except InputError as error:
-            why_not = str(error)
+        models = _trained(trainings, results, progress)
+    comparison, curve, why_not = None, None, ""
+    try:
+        comparison = compare(
+            samples,
+            estimators,
+            n=_BATCH,
+            labels=dataset["label"],
+            model=models,
+            progress=progress,
+        )
+    except InputError as error:
+        why_not = str(error)
     if comparison is not None:
         curve = _curve(samples, comparison, progress)
-        trial = WithoutReference.of(samples, comparison, progress=progress)
     data = SceneData(
         samples.name,
         samples,
@@ -238,7 +250,6 @@ def _document(
         atlas=shapes if len(shapes.share) else None,
         claims=claims,
         comparison=comparison,
-        without_reference=trial,
     )
     entries = content.scene_content(found) | {
         "regions_chosen": not regions,
@@ -262,18 +273,16 @@ def _in_background(calls: Iterable[Any]) -> Iterator[Iterator[Any]]:
 
 def _trained(
     names: Iterable[str], results: Iterator[Any], progress: bool | None
-) -> tuple[dict[str, Any], str]:
-    """Return the trained models by name; where the samples are too few for one, the reason."""
-    models = {}
-    names = list(names)
+) -> dict[str, Model]:
+    """Return the trained models by name."""
+    names, models = list(names), {}
     with track("training", len(names), unit="models", show=progress) as advance:
         for name in names:
-            try:
-                models[name] = next(results)
-            except InputError as error:
-                return {}, str(error)
+            model = next(results)
             advance(1)
-    return models, ""
+            if model is not None:
+                models[name] = model
+    return models
 
 
 def _curve(samples: Samples, comparison: Comparison, progress: bool | None) -> ErrorCurve | None:

@@ -13,14 +13,14 @@ import contextlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 from zarr.storage import MemoryStore
 
-from chdstat._core.files import Lock, checksum, locked
-from chdstat._core.places import exists, zarr_store
+from chdstat._core.files import Lock, checksum, locked, remove
+from chdstat._core.places import exists, is_remote, zarr_store
 from chdstat.errors import StoreError
 from chdstat.samples import layout
 from chdstat.samples.access import of_store, reopened
@@ -404,6 +404,16 @@ class Store:
         """Return the samples that every pixel has, with the parts of their light."""
         self.update(parts=parts or ())
         return of_store(self, parts)
+
+    def discard(self) -> None:
+        """Remove the store, if no samples were written to it."""
+        if self._stored().any():
+            return
+        if is_remote(self.path):
+            with layout.writing(self.path):
+                cast("Any", self.path).rmdir(recursive=True)
+        else:
+            remove(self.path)
 
     def extend(self, spp: int) -> None:
         """Make room for more samples per pixel; what is stored stays."""

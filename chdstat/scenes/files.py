@@ -22,7 +22,6 @@ import sys
 import sysconfig
 import types
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -32,7 +31,7 @@ import numpy as np
 from chdstat.errors import SceneError
 from chdstat.scenes.plugins import own_names
 
-__all__ = ["Description", "code_of", "described", "digest_of", "is_file", "plugins_made"]
+__all__ = ["code_of", "described", "digest_of", "is_file", "plugins_made"]
 
 _DEEPEST = 100
 """Elements within each other; real scenes have ten, and Mitsuba's parser overflows its stack."""
@@ -40,67 +39,52 @@ _MOST_INCLUDES = 15
 """Includes within each other, as in Mitsuba."""
 
 
-@dataclass
-class Description:
-    """What a scene names.
-
-    Parameters
-    ----------
-    folders
-        Where relative names are looked for, first match first.
-    files
-        Every file that is read, by the name that the scene has for it.
-    """
-
-    folders: list[Path] = field(default_factory=list)
-    files: dict[str, Path] = field(default_factory=dict)
-
-    def find(self, name: str) -> list[Path]:
-        """Return the files of a name, in the folders of the scene or else where Mitsuba looks."""
-        own = [folder / name for folder in self.folders if is_file(folder / name)]
-        found = own or [path for path in (_found_by_mitsuba(name),) if is_file(path)]
-        return [path.resolve() for path in found]
-
-    def add(self, name: str) -> None:
-        """Note the files that a name may stand for; other text stands for none."""
-        for path in self.find(name):
-            self.note(name, path)
-
-    def search(self, name: str, places: list[Path]) -> None:
-        """Look for relative names in another folder first, which is in one of some places."""
-        folders = [place / name for place in places]
-        self.folders[:0] = [next(filter(Path.is_dir, folders), folders[0])]
-
-    def note(self, name: str, path: Path) -> None:
-        """Note a file; another one of the same name is numbered."""
-        names = itertools.chain([name], (f"{name} ({i})" for i in itertools.count(2)))
-        next(n for n in names if self.files.setdefault(n, path) == path)
-
-
 def described(
     scene: str, source: Path | Mapping[str, Any], parameters: Mapping[str, str]
-) -> Description:
-    """Return what a scene names; `scene` is what errors call it.
+) -> dict[str, Path]:
+    """Return every file that a scene reads, by the name that it has for it.
+
+    `scene` is what errors call it; another file of the same name is numbered.
 
     Raises
     ------
     SceneError
         If a file of the description cannot be read, is no XML, or is nested without end.
     """
-    found = Description()
     if isinstance(source, Path):
-        reader = _Reader(scene, found, dict(parameters))
-        reader.read(source, source.name, 0)
-        names: Iterator[str] = iter(reader.names)
+        reader = _Reader(scene, dict(parameters))
+        folders = [source.parent]
+        reader.read(source, source.name, folders, 0)
+        files, names = reader.files, iter(reader.names)
     else:
+        files, folders, names = {}, [], _texts(source)
         for part in source.values():
             if isinstance(part, Mapping) and part.get("type") == "resources":
-                found.search(str(part.get("path", "")), [Path()])
-        names = _texts(source)
+                _search(folders, str(part.get("path", "")), Path())
     # Only now are all folders known: Mitsuba opens most files after it has read the description.
     for name in filter(None, names):
-        found.add(name)
-    return found
+        _note(files, name, _find(name, folders))
+    return files
+
+
+def _find(name: str, folders: list[Path]) -> Path | None:
+    """Return the file that Mitsuba takes for a name: of these folders, or where it looks itself."""
+    own = (folder / name for folder in folders)
+    places = itertools.chain(own, map(_found_by_mitsuba, [name]))
+    return next((place.resolve() for place in places if is_file(place)), None)
+
+
+def _search(folders: list[Path], name: str, beside: Path) -> None:
+    """Look for files in another folder first, which is in one of some places."""
+    places = [place / name for place in (beside, *folders, Path())]
+    folders.insert(0, next(filter(Path.is_dir, places), places[0]))
+
+
+def _note(files: dict[str, Path], name: str, path: Path | None) -> None:
+    """Note a file; another one of the same name is numbered."""
+    if path is not None:
+        names = itertools.chain([name], (f"{name} ({i})" for i in itertools.count(2)))
+        next(n for n in names if files.setdefault(n, path) == path)
 
 
 def digest_of(path: Path) -> str:
@@ -125,14 +109,20 @@ def _digest(path: Path, *_state: int) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def _texts(value: Any) -> Iterator[str]:
+def _texts(value: Any, key: str = "") -> Iterator[str]:
     """Yield the texts of a scene dict that may name a file."""
     if isinstance(value, str | Path):
-        yield str(value)
+        yield from _named(key, str(value))
     elif isinstance(value, Mapping):
-        for key, item in value.items():
-            if key not in ("type", "id"):
-                yield from _texts(item)
+        for name, item in value.items():
+            if name not in ("type", "id"):
+                yield from _texts(item, name)
+
+
+def _named(key: str, text: str) -> list[str]:
+    """Return the names of the files that the text of a property may stand for."""
+    tables = [f"data/ior/{text}.{part}.spd" for part in ("eta", "k")]  # of a metal
+    return [text, *tables] if key == "material" else [text]
 
 
 def is_file(path: Path) -> bool:
@@ -145,24 +135,25 @@ def is_file(path: Path) -> bool:
 
 def _found_by_mitsuba(name: str) -> Path:
     """Return where the user's own search path has a name: the current folder, or in Mitsuba's."""
-    mi = sys.modules.get("mitsuba")
-    known = mi is not None and mi.variant() is not None
-    return Path(str(mi.file_resolver().resolve(name)) if known else name)  # type: ignore[union-attr]
+    import mitsuba
+
+    mi: Any = mitsuba
+    return Path(str(mi.file_resolver().resolve(name)))
 
 
 class _Reader:
     """Reads one XML scene and its includes."""
 
-    def __init__(self, scene: str, found: Description, parameters: dict[str, str]) -> None:
-        self._scene, self._found, self._parameters = scene, found, parameters
+    def __init__(self, scene: str, parameters: dict[str, str]) -> None:
+        self._scene, self._parameters = scene, parameters
+        self.files: dict[str, Path] = {}
         self.names: list[str] = []
 
-    def read(self, path: Path, name: str, level: int) -> None:
-        """Read one file; `name` is what the scene calls it."""
+    def read(self, path: Path, name: str, folders: list[Path], level: int) -> None:
+        """Read one file, which the scene calls by a name, and add the folders that it names."""
         if level > _MOST_INCLUDES:
             raise self._unreadable(path, f"included more than {_MOST_INCLUDES} files deep")
-        self._found.note(name, path)
-        self._found.folders.append(path.parent)
+        _note(self.files, name, path)
         depth = 0
 
         def start(tag: str, attributes: dict[str, str]) -> None:
@@ -171,7 +162,14 @@ class _Reader:
             if depth > _DEEPEST:
                 line = parser.CurrentLineNumber
                 raise self._unreadable(path, f"nested over {_DEEPEST} elements deep, line {line}")
-            self._element(tag, {k: self._filled(v) for k, v in attributes.items()}, level)
+            filled = {k: self._filled(v) for k, v in attributes.items()}
+            if tag == "include":
+                # From here on Mitsuba looks beside this file first, and then as before.
+                within, included = [path.parent, *folders], filled.get("filename", "")
+                if (found := _find(included, within)) is not None:
+                    self.read(found, included, within, level + 1)
+            else:
+                self._element(tag, filled, path.parent, folders)
 
         def end(_: str) -> None:
             nonlocal depth
@@ -190,18 +188,19 @@ class _Reader:
     def _unreadable(self, path: Path, why: str | None) -> SceneError:
         return SceneError(f"cannot read the scene {self._scene!r}: {path} ({why})")
 
-    def _element(self, tag: str, attributes: Mapping[str, str], level: int) -> None:
-        value = attributes.get("value", "")
+    def _element(
+        self, tag: str, attributes: Mapping[str, str], beside: Path, folders: list[Path]
+    ) -> None:
+        value, filename = attributes.get("value", ""), attributes.get("filename", "")
         if tag == "default":
             self._parameters.setdefault(attributes.get("name", ""), value)
         elif tag == "path":
-            self._found.search(value, [*self._found.folders, Path()])
-        elif tag == "include":
-            name = attributes.get("filename", "")
-            for path in self._found.find(name):
-                self.read(path, name, level + 1)
+            _search(folders, value, beside)
+        elif tag == "spectrum" and filename:  # read at once
+            _note(self.files, filename, _find(filename, folders))
         else:
-            self.names.append(attributes.get("filename", value if tag == "string" else ""))
+            text = filename or (value if tag == "string" else "")
+            self.names += _named(attributes.get("name", ""), text)
 
     def _filled(self, text: str) -> str:
         """Put the values of parameters in place, the longest name first, as Mitsuba does."""

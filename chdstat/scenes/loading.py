@@ -10,6 +10,7 @@ With `chdstat.rendering` the only part of the library that imports Mitsuba.
 from __future__ import annotations
 
 import contextlib
+import itertools
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 __all__ = ["ParsedScene", "parse"]
 
+_MESHES = ("blender", "cube", "ellipsoidsmesh", "obj", "ply", "rectangle", "serialized")
+"""Plugins of which Mitsuba makes meshes."""
 _RESOLVING = threading.RLock()
 """Held while Mitsuba's resolver, which belongs to the process, is that of a scene."""
 
@@ -61,13 +64,6 @@ class ParsedScene:
         found = [i for _, i in self.references(index)]
         return [i for i in found if kind in (None, self.node(i).type.name)]
 
-    def children(self) -> list[int]:
-        """Return the nodes that the root holds, in Mitsuba's order."""
-        found = []
-        for index in self.held(0):
-            found += self.held(index) if self.plugin(index) == "merge" else [index]
-        return found
-
     def drop(self, parts: Iterable[int]) -> None:
         """Take some nodes away from those that hold them."""
         gone = set(parts)
@@ -93,15 +89,7 @@ class ParsedScene:
 
     def branch(self, root: int) -> ParsedScene:
         """Return a node and all that it holds, copied."""
-        order: dict[int, int] = {}
-
-        def visit(index: int) -> None:
-            if index not in order:
-                order[index] = len(order)
-                for held in self.held(index):
-                    visit(held)
-
-        visit(root)
+        order = self._reached(root, first=0)
         state = mi.parser.ParserState(self.state)
         state.nodes.clear()
         for index in order:
@@ -109,6 +97,33 @@ class ParsedScene:
         if state.node_paths:
             state.node_paths = [self.state.node_paths[index] for index in order]
         return ParsedScene(self.name, state, self.resolver)
+
+    def unshare(self, kind: str) -> None:
+        """Give each node of a kind such as ``"Emitter"`` copies of all that it holds."""
+        paths = list(self.state.node_paths)
+        for holder in range(len(self.state.nodes)):
+            if self.node(holder).type.name != kind:
+                continue
+            for key, index in self.references(holder):
+                order = self._reached(index, first=len(self.state.nodes))
+                for old in order:
+                    self.state.nodes.append(_moved(self.node(old), order.__getitem__))
+                paths += [paths[old] for old in order if paths]
+                self.node(holder).props[key] = mi.Properties.ResolvedReference(order[index])
+        self.state.node_paths = paths
+
+    def _reached(self, root: int, *, first: int) -> dict[int, int]:
+        """Return numbers from `first` on for a node and all that it holds, by their indices."""
+        order: dict[int, int] = {}
+
+        def visit(index: int) -> None:
+            if index not in order:
+                order[index] = first + len(order)
+                for held in self.held(index):
+                    visit(held)
+
+        visit(root)
+        return order
 
     def make(self, *, parallel: bool = False) -> Any:
         """Return the Mitsuba object of the root, its models and textures read.
@@ -162,8 +177,43 @@ def parse(scene: Scene) -> ParsedScene:
             state = mi.parser.parse_file(config, str(source), **dict(scene.parameters))
         mi.parser.transform_all(config, state)
     parsed = ParsedScene(scene.name, state, resolver)
+    parsed.unshare("Emitter")  # equal textures are one object, but lights are darkened one by one
+    _expand(parsed)
     _merge(parsed)
     return parsed
+
+
+def _expand(parsed: ParsedScene) -> None:
+    """Order the parts of a scene as Mitsuba's loader does, so that its sensors have their numbers.
+
+    It merges all of the scene: what merges hold follows after the rest, and meshes after that.
+    """
+    root, merges = parsed.node(0).props, _keyed(parsed, "merge")
+    for key in merges:
+        index = root[key].index()
+        merge = parsed.node(index).props
+        names = list(merge.keys())
+        if len(names) != 1:
+            del root[key]
+        places = {n: _unused(root, f"{key}_{n}") if len(names) > 1 else key for n in names}
+        for name, place in places.items():
+            root[place] = merge[name]
+        merges += [places[n] for n, i in parsed.references(index) if parsed.plugin(i) == "merge"]
+    for key in _keyed(parsed, *_MESHES):
+        if parsed.held(root[key].index(), "Sensor"):
+            part = root[key]
+            del root[key]
+            root[key] = part
+
+
+def _keyed(parsed: ParsedScene, *plugins: str) -> list[str]:
+    """Return the names of those parts of a scene that are made by some plugins."""
+    return [key for key, index in parsed.references(0) if parsed.plugin(index) in plugins]
+
+
+def _unused(properties: Any, name: str) -> str:
+    """Return a name that no property has."""
+    return next(n for i in itertools.count() if (n := f"{name}_{i}") not in properties)
 
 
 def _merge(parsed: ParsedScene) -> None:
@@ -182,17 +232,18 @@ def _merge(parsed: ParsedScene) -> None:
             group = (parsed.plugin(index), flat, *sorted(held))
             groups.setdefault(group, {})[key] = index
     root = parsed.node(0).props
-    for number, meshes in enumerate(g for g in groups.values() if len(g) > 1):
+    for meshes in (group for group in groups.values() if len(group) > 1):
         merged = mi.parser.SceneNode()
         merged.type = mi.ObjectType.Shape
         merged.props.set_plugin_name("merge")
         for key, index in meshes.items():
             merged.props[key] = mi.Properties.ResolvedReference(index)
             del root[key]
-        root[f"_merged_{number}"] = mi.Properties.ResolvedReference(len(parsed.state.nodes))
+        name = _unused(root, "_merged")
+        root[name] = mi.Properties.ResolvedReference(len(parsed.state.nodes))
         parsed.state.nodes.append(merged)
         if parsed.state.node_paths:
-            parsed.state.node_paths = [*parsed.state.node_paths, f"merged {number}"]
+            parsed.state.node_paths = [*parsed.state.node_paths, name]
 
 
 def _config() -> Any:
@@ -235,6 +286,8 @@ def _to_mitsuba(value: Any, *, key: str = "") -> Any:
         return {name: _to_mitsuba(item, key=name) for name, item in value.items()}
     if isinstance(value, np.ndarray) and value.shape == (4, 4):
         return mi.ScalarTransform4f(value)
+    if isinstance(value, np.ndarray) and value.shape == (3, 3):
+        return mi.ScalarTransform3f(value)
     if isinstance(value, np.ndarray):
         return value.tolist()
     return value

@@ -26,7 +26,7 @@ import numpy.typing as npt
 
 from chdstat._core.display import Card, Shown
 from chdstat.errors import InputError, SceneError
-from chdstat.scenes.files import Description, code_of, described, digest_of
+from chdstat.scenes.files import code_of, described, digest_of
 
 __all__ = [
     "Axis",
@@ -54,9 +54,10 @@ class Scene(Shown):
         A short name: of a built-in scene, or the stem of the file.
     source
         A Mitsuba XML file, or a scene dict in Mitsuba's form. In a dict, values are plain:
-        matrices are (4, 4) arrays, ``{"type": "mesh", "vertices", "faces", "uv", "bsdf"}`` is a
-        triangle mesh, and ``{"type": "bitmap", "data": array}`` an image texture (see
-        `chdstat.scenes.loading`). Or a scene that Mitsuba has built.
+        matrices are (4, 4) or (3, 3) arrays,
+        ``{"type": "mesh", "vertices", "faces", "uv", "bsdf"}`` is a triangle mesh, and
+        ``{"type": "bitmap", "data": array}`` an image texture (see `chdstat.scenes.loading`). Or a
+        scene that Mitsuba has built.
     parameters
         Values for the ``$name`` parameters of an XML file.
     """
@@ -106,12 +107,12 @@ class Scene(Shown):
         SceneError
             If a file cannot be read, or the description is no XML or nested too deep.
         """
-        return {name: digest_of(path) for name, path in self.described().files.items()}
+        return {name: digest_of(path) for name, path in self.described().items()}
 
-    def described(self) -> Description:
-        """Return the files that the scene reads, and the folders where they are looked for."""
+    def described(self) -> dict[str, Path]:
+        """Return the files that the scene reads, by their names there."""
         if isinstance(self.source, LiveScene):
-            return Description()
+            return {}
         with _bounded(self.name):
             return described(self.name, self.source, self.parameters)
 
@@ -303,21 +304,21 @@ class LiveScene:
         import mitsuba as mi
 
         found = []
-        for part in (*self._objects(), *self.value.sensors(), self.value.integrator()):
-            if part is not None:
-                held = [(_ADDRESS.sub("object", name), value) for name, value in mi.traverse(part)]
-                found.append([_ADDRESS.sub("object", str(part)), sorted(held, key=itemgetter(0))])
-        return found
+        for part in self._objects():
+            held = [(_ADDRESS.sub("object", name), value) for name, value in mi.traverse(part)]
+            found.append([_ADDRESS.sub("object", str(part)), sorted(held, key=itemgetter(0))])
+        return [*found, *map(_wavelengths, self.value.sensors())]
 
     @property
     def code(self) -> dict[str, str]:
         """Digests of the classes of its objects that are written in Python, by name."""
-        unique = {id(part): part for part in self._objects() if part is not None}.values()
-        return code_of([p for p in unique if not type(p).__module__.startswith("mitsuba")])
+        return code_of([p for p in self._objects() if not type(p).__module__.startswith("mitsuba")])
 
     def _objects(self) -> list[Any]:
-        shapes = self.value.shapes()
-        return [*shapes, *(shape.bsdf() for shape in shapes), *self.value.emitters()]
+        """Return all that the scene holds and that Mitsuba leads to, each object once."""
+        import mitsuba as mi
+
+        return [part for part in mi.traverse(self.value).hierarchy if part is not self.value]
 
     def sensors(self) -> dict[str, Any]:
         """Return a scene dict of its sensors and films, which are made anew for each tile.
@@ -328,11 +329,34 @@ class LiveScene:
         return {"type": "scene", **sensors}
 
     def is_described(self, sensor: int) -> bool:
-        """Return whether another sensor like the one of a number can be made."""
-        return self.value.sensors()[sensor].class_name() in _SENSORS
+        """Return whether another sensor like the one of a number can be made.
+
+        The bands of a film are left out, but a response function of the sensor's own cannot be.
+        """
+        import mitsuba as mi
+
+        built = self.value.sensors()[sensor]
+        plain = mi.load_dict({"type": "perspective"})
+        has_bands = built.film().class_name() == "SpecFilm"
+        responds = not has_bands and _wavelengths(built) != _wavelengths(plain)
+        return built.class_name() in _SENSORS and not responds
 
     def __reduce__(self) -> NoReturn:
         raise InputError(_ELSEWHERE)
+
+
+def _wavelengths(sensor: Any) -> list[list[float]]:
+    """Return some wavelengths that a sensor draws and their weights.
+
+    They tell its response function, of which Mitsuba says nothing.
+    """
+    import mitsuba as mi
+
+    if not mi.is_spectral:
+        return []
+    nowhere = mi.SurfaceInteraction3f()
+    drawn = [sensor.sample_wavelengths(nowhere, u) for u in np.linspace(0.05, 0.95, 10).tolist()]
+    return [np.ravel(np.array(values)).tolist() for pair in drawn for values in pair]
 
 
 def _sensor(sensor: Any) -> dict[str, Any]:

@@ -188,7 +188,7 @@ def asked_for(
 def _sensors(parsed: ParsedScene) -> list[int]:
     """Return the sensors of a scene, those of shapes among them, in Mitsuba's order."""
     found = []
-    for index in parsed.children():
+    for index in parsed.held(0):
         kind = parsed.node(index).type.name
         if kind == "Sensor" and parsed.plugin(index) == "irradiancemeter":
             message = (
@@ -207,7 +207,7 @@ def _integrators(parsed: ParsedScene) -> list[int]:
     """Return the integrators of a scene, also those that Mitsuba has in other variants only."""
     return [
         index
-        for index in parsed.children()
+        for index in parsed.held(0)
         if parsed.node(index).type.name == "Integrator" or _in_python(parsed.plugin(index))
     ]
 

@@ -21,8 +21,8 @@ from chdstat._core.display import Card, Shown, duration
 from chdstat._core.files import checked_target, writing
 from chdstat.analysis import Overview, overview
 from chdstat.comparison import Comparison
+from chdstat.comparison.candidates import Entry, entry_of
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators import lookup
 from chdstat.patterns import Atlas, atlas
 from chdstat.rendering import refuse_render
 from chdstat.rendering.backend import Backend
@@ -233,7 +233,7 @@ def study(
     size: tuple[int, int] | None = None,
     seed: int | None = None,
     max_depth: int | None = None,
-    estimators: Sequence[str] = ("mean", "elek2019"),
+    estimators: Sequence[str | Entry] | None = None,
     sampler: SamplerName = "independent",
     integrators: bool = False,
     backend: Backend = "auto",
@@ -262,9 +262,9 @@ def study(
         As for `chdstat.render`; None takes the recipe's, or 1024 spp, 128 pixels along the longer
         edge, and seed 1. Stores and samples are taken as they are.
     estimators
-        Names of the estimators to compare; those that learn are trained on each scene. The claim on
-        learning is about "elek2019"; other learned estimators are tested separately.
-        "progressive" trains for about a minute on each scene.
+        As for `chdstat.compare`; those that learn are trained on each scene. The claims on learning
+        are about "elek2019", which is among the default ones; other learned estimators are tested
+        separately. "progressive" trains for about a minute on each scene.
     sampler
         A sampler that spreads samples over pixels, as for `chdstat.render`: each scene is rendered
         once more with it, 256 or 400 samples, for the claim on correlated samples. Of
@@ -304,8 +304,8 @@ def study(
     ('nulls', 27)
     """
     options = {"spp": spp, "size": size, "seed": seed, "max_depth": max_depth}
-    for name in estimators:
-        lookup(name)  # an unknown one is refused before the work
+    for name in estimators or ():
+        entry_of(name)  # an unknown one is refused before the work
     settings = {name: value for name, value in options.items() if value is not None}
     chosen = scenes_of(scenes, settings)
     if all(isinstance(scene.source, Samples) for scene in chosen):
@@ -333,7 +333,9 @@ def study(
     return Study(tuple(studied), across, {**versions, "seconds": seconds})
 
 
-def _scene(scene: StudyScene, stores: Stores, estimators: Sequence[str]) -> SceneStudy:
+def _scene(
+    scene: StudyScene, stores: Stores, estimators: Sequence[str | Entry] | None
+) -> SceneStudy:
     """Study one scene."""
     seconds: dict[str, float] = {}
 
@@ -359,6 +361,7 @@ def _scene(scene: StudyScene, stores: Stores, estimators: Sequence[str]) -> Scen
     samples, shorter = data.samples, data.shorter
     dataset = timed("analysis", lambda: stores.analysis(samples))
     comparison = timed("estimators", compared)
+    names = () if comparison is None else comparison.estimators
     data = replace(
         data,
         regions=data.regions or choose_regions(dataset),
@@ -368,7 +371,7 @@ def _scene(scene: StudyScene, stores: Stores, estimators: Sequence[str]) -> Scen
         ),
         comparison=comparison,
     )
-    findings = timed("findings", lambda: _findings(data, stores, inputs=tuple(estimators)))
+    findings = timed("findings", lambda: _findings(data, stores, inputs=names))
     repeated = timed("another seed", lambda: _repeated(data, again, stores))
     shapes = timed("atlas", lambda: stores.cache(samples).record("atlas", Atlas, atlas_of_samples))
     return SceneStudy(

@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Any
 from chdstat._core.cache import Cache, kept_until_written
 from chdstat._core.files import release, room
 from chdstat.analysis import analyze, save
-from chdstat.comparison import Comparison, compare
+from chdstat.comparison import DEFAULT_ESTIMATORS, Comparison, compare
+from chdstat.comparison.candidates import Entry, entry_of, without_denoiser
 from chdstat.errors import InputError, StoreError
-from chdstat.estimators import LearnedEstimator, lookup
+from chdstat.estimators import LearnedEstimator
 from chdstat.estimators.registry import Model
 from chdstat.estimators.training import TrainedModel, load_model
 from chdstat.rendering import recipes
@@ -300,7 +301,7 @@ class Stores:
         return dataset
 
     def comparison(
-        self, samples: Samples, estimators: Sequence[str], labels: xr.DataArray
+        self, samples: Samples, estimators: Sequence[str | Entry] | None, labels: xr.DataArray
     ) -> Comparison:
         """Return what `chdstat.compare` does; what was trained on these samples serves again.
 
@@ -309,8 +310,10 @@ class Stores:
         InputError
             If the samples cannot judge the estimators.
         """
-        cache = self.cache(samples)
-        there = {name: cache.read(f"{name}.safetensors", load_model) for name in estimators}
+        cache, named = self.cache(samples), DEFAULT_ESTIMATORS if estimators is None else estimators
+        entries = [without_denoiser(entry_of(name)) for name in named]
+        learned = [e.name for e in entries if isinstance(e, LearnedEstimator)]
+        there = {name: cache.read(f"{name}.safetensors", load_model) for name in learned}
         trained = {name: model for name, model in there.items() if model is not None}
         models: dict[str, Model] = {**trained}
 
@@ -329,8 +332,8 @@ class Stores:
                     cache.write(f"{name}.safetensors", model.save)
             return replace(comparison, models={})  # a record holds no network
 
-        learned = {name for name in estimators if isinstance(lookup(name), LearnedEstimator)}
-        inputs, again = tuple(estimators), not learned <= trained.keys()
+        inputs = tuple(entry_of(name).name for name in named)
+        again = not set(learned) <= trained.keys()
         comparison = cache.record("comparison", Comparison, compared, inputs=inputs, again=again)
         return replace(comparison, models=models)
 

@@ -68,6 +68,7 @@ _FEW = 3.0
 """Logarithm of the ratio of two numbers between which there is room for several ticks a decade."""
 _LEVEL = 6
 """Estimators whose names have room beside each other."""
+_STARRED = "* uses neighbouring pixels"
 
 
 NAMES: Mapping[str, str] = ChainMap(
@@ -136,7 +137,7 @@ def pattern_breakdown(found: Breakdown, *, ax: Axes | None = None) -> Axes:
 
 
 def _label_table(ax: Axes, found: Breakdown, share: Array) -> None:
-    """Name rows and columns; a line separates the estimators that use neighbours."""
+    """Name rows and columns; a star marks the estimators that use neighbours."""
     rows = [
         f"{label}, {per_cent(part)}" if part >= 0.005 else f"{label}, {count} px"
         for label, part, count in zip(
@@ -144,7 +145,7 @@ def _label_table(ax: Axes, found: Breakdown, share: Array) -> None:
         )
     ]
     ax.set_yticks(np.arange(len(rows)), rows)
-    columns = [called(name) for name in found.estimators]
+    columns = _marked(found)
     ax.set_xticks(np.arange(len(columns)), columns)
     if len(columns) > _LEVEL:
         ax.tick_params(axis="x", rotation=40)
@@ -153,12 +154,18 @@ def _label_table(ax: Axes, found: Breakdown, share: Array) -> None:
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
     if found.uses_neighbours.any():
-        ax.axvline(int(found.uses_neighbours.argmax()) - 0.5, color="#111111", linewidth=1)
+        ax.set_xlabel(_STARRED)
+
+
+def _marked(found: Breakdown | Comparison) -> list[str]:
+    """Return what to call the estimators, with a star behind those that use neighbours."""
+    around = found.uses_neighbours
+    return [called(n) + " *" * bool(k) for n, k in zip(found.estimators, around, strict=True)]
 
 
 @style()
 def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figure:
-    """Draw all measures of all estimators, those that use neighbours separately, below a line.
+    """Draw all measures of all estimators; a star marks those that use neighbours.
 
     Ratios are those to the sample mean, on a logarithmic scale; intervals are over blocks.
 
@@ -169,8 +176,8 @@ def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figur
     fig
         Where to draw; None makes a figure.
     """
-    rows = np.arange(len(found.estimators)) + 0.6 * found.uses_neighbours
-    figure = page(fig, 0.75 + 0.165 * (rows.max() + 1))
+    rows = np.arange(len(found.estimators))
+    figure = page(fig, 0.75 + 0.165 * len(rows))
     axes = grid(figure, len(_TITLES), len(_TITLES), sharey=True)
     for ax, (measure, title) in zip(axes, _TITLES.items(), strict=True):
         ax.set_title(title)
@@ -181,13 +188,10 @@ def estimator_measures(found: Comparison, *, fig: Figure | None = None) -> Figur
             _draw_shares(ax, rows, found)
         else:
             _draw_intervals(ax, rows, found.measures[measure][:, -1], measure)
-        if found.uses_neighbours.any():
-            line = rows[found.uses_neighbours].min() - 0.8
-            ax.axhline(line, color=_GREY, linewidth=0.6)
-    axes[0].set_yticks(rows, list(map(called, found.estimators)))
-    axes[0].set_ylim(rows.max() + 0.6, -0.6)
+    axes[0].set_yticks(rows, _marked(found))
+    axes[0].set_ylim(len(rows) - 0.4, -0.6)
     if found.uses_neighbours.any():
-        figure.supxlabel("below the line: those that use neighbouring pixels")
+        figure.supxlabel(_STARRED)
     return figure
 
 
@@ -263,7 +267,7 @@ def pixel_estimates(found: PixelEstimates, *, ax: Axes | None = None) -> Axes:
     ax.set(xlim=(0.3, len(mean) + 0.7), xticks=[])
     ax.set_xlabel(f"{len(mean)} random pixels, from dark to bright")
     ax.set_ylabel(f"{'luminance' if colored else verbatim(found.channels[0])}, {UNIT}")
-    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(6, 2 + len(drawn)))
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(4, 2 + len(drawn)))
     return ax
 
 

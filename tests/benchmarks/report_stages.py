@@ -8,7 +8,6 @@ import json
 import sys
 import time
 
-from chdstat.comparison.side_by_side import SelfTraining
 from chdstat.reporting import content, figures, scene_report
 
 STAGES = {
@@ -18,7 +17,6 @@ STAGES = {
     "trainings, after these": (scene_report, "_trained"),
     "comparison": (scene_report, "compare"),
     "errors against N": (scene_report, "_curve"),
-    "judging without a reference": (SelfTraining, "of"),
     "text": (content, "scene_content"),
     "figures": (figures, "report_figures"),
     "typesetting": (scene_report, "typeset"),

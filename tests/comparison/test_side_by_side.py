@@ -1,6 +1,5 @@
 """Comparison: same batches, held-out references and pixels, and what happens at the edges."""
 
-import inspect
 import json
 import re
 import tracemalloc
@@ -314,18 +313,13 @@ def test_an_estimator_that_fails_has_no_measure_and_spoils_no_other():
 # --- who takes part -----------------------------------------------------------------------------
 
 
-def test_by_default_the_published_network_and_ours_take_part():
-    for function in (chd.compare, chd.comparison.error_curve):
-        default = inspect.signature(function).parameters["estimators"].default
-        assert default == (*THREE, "progressive")
-
-
-def test_those_that_use_neighbours_come_last_and_are_marked():
+def test_rows_are_in_the_order_asked_for_and_those_that_use_neighbours_are_marked():
     found = chd.compare(image(), ["zirr2018", "mean", "zirr2018_pixel"])
-    assert found.estimators == ("mean", "zirr2018_pixel", "zirr2018")
-    assert found.uses_neighbours.tolist() == [False, False, True]
-    assert [row["uses_neighbours"] for row in found.table()] == [False, False, True]
-    assert found.to_dataset()["uses_neighbours"].values.tolist() == [False, False, True]
+    assert found.estimators == ("zirr2018", "mean", "zirr2018_pixel")
+    assert found.uses_neighbours.tolist() == [True, False, False]
+    assert [row["uses_neighbours"] for row in found.table()] == [True, False, False]
+    assert found.to_dataset()["uses_neighbours"].values.tolist() == [True, False, False]
+    assert found.notes == {"use neighbours": "Zirr et al. 2018"}
 
 
 # --- how sure it is -----------------------------------------------------------------------------
@@ -617,8 +611,21 @@ def test_latex_has_a_line_for_each_estimator_and_escapes_what_it_must(found):
 
 
 def test_what_it_shows_are_the_same_words_as_the_latex(found):
-    rows = [line.split("  ") for line in repr(found).splitlines()[4:]]
+    rows = [line.split("  ") for line in repr(found).splitlines()[2:]]
     shown = [[cell.strip() for cell in row if cell.strip()] for row in rows]
     latex = [line.removesuffix(r" \\").split(" & ") for line in found.to_latex().splitlines()[2:-2]]
     assert [row[0] for row in shown] == [latex[0][0], *(row[0] for row in latex[2:])]
     assert shown[2][1] == latex[3][1]
+
+
+def test_an_error_of_the_mean_that_is_rounding_divides_nothing():
+    """Of equal samples, the mean is exact but for rounding: nothing is better or worse."""
+    x = image(height=6, width=6).read().copy()
+    x[:3] = np.random.default_rng(0).uniform(0.1, 0.9, size=(3, 6, 3, 1))
+    labels = np.where(np.arange(6) < 3, Label.CONSTANT, Label.LONG_TAIL)[:, None] + np.zeros(6, int)
+    brighter = Estimator("brighter", lambda x: 1.001 * x.mean(axis=-1), source="this test")
+    found = chd.compare(chd.Samples.from_array(x), [brighter], labels=labels).breakdown
+    rows = {row["label"]: row for row in found.table()}
+    assert 0 < rows["constant"]["relmse"] < 1e-5
+    assert np.isnan([rows["constant"][name] for name in ("mse_ratio", "relmse_ratio")]).all()
+    assert rows["long_tail"]["mse_ratio"] == pytest.approx(1, abs=0.1)

@@ -64,7 +64,7 @@ def test_a_name_is_given_once(brightest):
 
 
 def test_its_row_says_what_it_is_called_and_where_it_stands():
-    @estimators.register("darkest", source="this test", label="the darkest", place=1, default=True)
+    @estimators.register("darkest", source="this test", label="the darkest", place=1)
     def function(x):
         return x.min(axis=-1)
 

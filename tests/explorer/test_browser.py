@@ -13,9 +13,11 @@ import pytest
 
 import chdstat as chd
 from chdstat.analysis import save
+from chdstat.comparison import DEFAULT_ESTIMATORS
 from chdstat.explorer import explore
 from chdstat.explorer.maps import IMAGES
 from chdstat.samples.store import Store
+from chdstat.viz.estimators import called
 
 SIZE = 32
 
@@ -184,14 +186,18 @@ def test_every_heading_says_what_is_shown(person, store_path):
         one.page.keyboard.press("Escape")
 
 
-def test_the_best_estimators_are_shown_first(person, store_path):
+def test_the_default_estimators_are_shown_first_and_then_the_best(person, store_path):
     one = person(store_path).open("?p=20,10&n=8")
     one.page.get_by_role("button", name="Show all").click()
     rows = one.page.locator("#estimates tr:visible").all_inner_texts()[1:]
     assert len(rows) > 7
-    ratios = [float(row.split("\t")[1]) for row in rows if "—" not in row.split("\t")[1]]
-    assert ratios[0] == 1
-    assert ratios[1:] == sorted(ratios[1:])
+    default = {called(name).removesuffix(" features") for name in DEFAULT_ESTIMATORS}
+    cells = [row.split("\t") for row in rows]
+    first = [row[0].removesuffix(" features") in default for row in cells]
+    assert first == sorted(first, reverse=True)
+    others = cells[sum(first) :]
+    ratios = [float(row[1]) for row in others if "—" not in row[1]]
+    assert ratios == sorted(ratios)
 
 
 def test_selections_by_mouse_and_keys(person, store_path):

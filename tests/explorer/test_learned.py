@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import chdstat as chd
-from chdstat.errors import InputError, StoreError
+from chdstat.errors import StoreError
 from chdstat.explorer import explore
 from chdstat.explorer.estimators import batches_of, learners
 from chdstat.explorer.sources import StoreSource
@@ -70,8 +70,3 @@ def test_a_file_that_is_no_model_is_refused(samples, tmp_path):
     path.write_bytes(b"nothing")
     with pytest.raises(StoreError):
         explore(samples, models=[path])
-
-
-def test_one_that_looks_at_direct_light_is_refused():
-    with pytest.raises(InputError, match="without that input"):
-        learners([chd.estimators.Progressive(inputs=["direct"])])

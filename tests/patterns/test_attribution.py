@@ -8,6 +8,7 @@ from chdstat.errors import InputError, Reason
 from chdstat.patterns.attribution import attribute
 from chdstat.reporting.content import analysis_content
 from chdstat.samples import Samples
+from chdstat.scenes.scene import look_at, rotate, translate
 
 RNG = np.random.default_rng(2)
 
@@ -128,6 +129,29 @@ def test_lights_alone_add_up_to_the_samples(scene, backend, request):
     found = attribute(samples, by="light")
     assert (np.abs(found["mean_share"][..., -1].fillna(0)) < 1e-3).all()
     assert np.array_equal(chd.render(scene, **settings).read(), samples.read())
+
+
+@pytest.mark.parametrize("backend", ["scalar", "llvm"])
+def test_lights_that_share_a_texture_with_others_and_with_walls_add_up(backend, request):
+    if backend == "llvm":
+        request.getfixturevalue("llvm")
+    grey = {"type": "rgb", "value": 0.6}
+    pattern = {"type": "checkerboard", "color0": grey, "color1": grey}
+    lamp = {"type": "rectangle", "emitter": {"type": "area", "radiance": pattern}}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 4},
+        "sensor": {"type": "perspective", "to_world": look_at([0, -4, 1], [0, 0, 0.3])},
+        "floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": pattern}},
+    }
+    for i in range(3):
+        scene[f"lamp-{i}"] = {**lamp, "to_world": translate(i - 1, 0, 2) @ rotate("x", 180)}
+    names = ["lamp-0", "lamp-1", "lamp-2"]
+    settings = {"size": (6, 6), "spp": 32, "backend": backend, "progress": False}
+    samples = chd.render(scene, **settings, by_light=names)
+    alone = [samples.lights[name].read() for name in names]
+    assert min(part.max() for part in alone) > 0.1
+    assert np.allclose(sum(alone), samples.read(), rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ import pytest
 import zarr
 
 import chdstat as chd
+from chdstat._core.places import place_of
 from chdstat.errors import InputError, RenderError, SceneError, StoreError
 from chdstat.rendering import render_batches, render_pixels, writers
 from chdstat.rendering.backend import activate, probe
@@ -497,6 +498,38 @@ def test_an_error_while_rendering_is_raised_and_the_rest_is_kept(tmp_path, monke
         with pytest.raises(RuntimeError, match="lost"):
             render(spp=256, out=path)
     assert np.array_equal(render(spp=256, out=path).read(), render(spp=256).read())
+
+
+@pytest.mark.parametrize("where", ["{}/s.zarr", "memory://unborn/s.zarr"])
+def test_nothing_is_left_where_nothing_could_be_drawn(tmp_path, monkeypatch, where):
+    out, draw, failed = place_of(where.format(tmp_path)), Renderer.chunk, ["whole"]
+
+    def failing(renderer: Renderer, chunk: Any, **options: Any) -> Any:
+        if ("direct" if renderer.integrator["max_depth"] == 2 else "whole") in failed:
+            message = "lost"
+            raise RuntimeError(message)
+        return draw(renderer, chunk, **options)
+
+    monkeypatch.setattr(Renderer, "chunk", failing)
+    with pytest.raises(RuntimeError, match="lost"):
+        render(spp=2, out=out, direct=True)
+    assert not out.exists()
+    failed[:] = ["direct"]
+    with pytest.raises(RuntimeError, match="lost"):
+        render(spp=2, out=out, direct=True)
+    assert not (out / layout.part_folder(2)).exists()
+    failed[:] = ["whole"]
+    with pytest.raises(RuntimeError, match="lost"):
+        render(spp=4, out=out)
+    assert chd.open(out).spp == 2
+
+
+def test_a_light_that_cannot_be_switched_off_is_refused_before_work(tmp_path):
+    glow = {"type": "constant", "radiance": {"type": "blackbody", "temperature": 5000.0}}
+    scene = constant(1.0) | {"sky": glow, "lamp": {"type": "point", "intensity": 1.0}}
+    with pytest.raises(RenderError, match="light 'sky' .* cannot be switched off"):
+        render(scene, color="spectral", by_light=["lamp"], out=tmp_path / "s.zarr")
+    assert list(tmp_path.iterdir()) == []
 
 
 # --- Dask ---------------------------------------------------------------------------------------

@@ -92,6 +92,15 @@ def test_a_medium_ends_rays_where_it_scatters(backend):
     assert np.linalg.norm(found["normal"].mean(axis=(0, 1))) == pytest.approx(through, abs=0.0125)
 
 
+def test_what_an_instance_is_made_of_is_passed_like_any_material(backend):
+    copy = {"type": "instance", "shapes": {"type": "ref", "id": "group"}}
+    for opacity in (0.0, 1.0):
+        inner = {"type": "diffuse", "reflectance": 0.75}
+        group = {"type": "shapegroup", "sheet": sheet(type="mask", opacity=opacity, inner=inner)}
+        found = features(backend, group=group, copy=copy)
+        assert is_floor(found) if opacity == 0 else found["albedo"] == pytest.approx(0.75)
+
+
 def test_thin_glass_shows_what_is_behind_it(backend):
     found = features(backend, sheet=sheet(type="thindielectric"))
     assert 3.0 < np.median(found["depth"]) < 5.1

@@ -53,6 +53,39 @@ def test_what_is_no_integrator_is_refused(integrator, error, told):
         render(integrator=integrator)
 
 
+def test_settings_of_any_kind_are_stored(tmp_path):
+    with activate(probe("scalar")) as mi:
+
+        class Lit(mi.SamplingIntegrator):
+            def __init__(self, props):
+                super().__init__(props)
+                self.tint = props["tint"]
+                for name in ("direction", "to_world", "limit", "texture"):
+                    props[name]
+
+            def sample(self, scene, sampler, ray, medium=None, active=True):
+                return mi.Color3f(self.tint), True, []
+
+        mi.register_integrator("lit", Lit)
+        lit = {
+            "type": "lit",
+            "tint": mi.ScalarColor3f(0.5, 0.25, 1.0),
+            "direction": [0, 0, 1],
+            "to_world": 2 * np.eye(4),
+            "limit": np.inf,
+            "texture": {"type": "checkerboard"},
+        }
+        scene = {**chd.load_scene("cornell-box").source, "integrator": lit}
+        for out in (tmp_path / "a.zarr", None):
+            samples = chd.render(scene, **VIEW, out=out)
+    settings = chd.open(tmp_path / "a.zarr").attrs["integrator"]
+    assert samples.attrs["integrator"] == settings
+    assert settings["tint"] == [0.5, 0.25, 1.0]
+    assert settings["direction"] == [0, 0, 1]
+    assert np.array_equal(settings["to_world"], 2 * np.eye(4))
+    assert settings["limit"] == "inf"
+
+
 def test_a_store_goes_on_with_its_own_integrator_only(tmp_path):
     out = tmp_path / "a.zarr"
     render(out=out, integrator="direct")

@@ -1,5 +1,7 @@
 """Scenes that Mitsuba has built: rendered as they are, known again, and what they cannot do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -102,6 +104,19 @@ def test_its_hash_does_not_depend_on_where_or_in_which_order_objects_are_built(m
     assert chd.load_scene(mi.load_dict(glass)).hash != chd.load_scene(built[0]).hash
 
 
+def test_what_instances_are_made_of_belongs_to_the_hash(mi):
+    def hashed(radius, grey):
+        ball = {"type": "sphere", "radius": radius}
+        ball["bsdf"] = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": grey}}
+        group = {"type": "shapegroup", "ball": ball, "cube": {"type": "cube"}}
+        copy = {"type": "instance", "shapes": {"type": "ref", "id": "group"}}
+        built = mi.load_dict({**BALL, "group": group, "copy": copy})
+        return chd.load_scene(built).hash
+
+    assert len({hashed(1.0, 0.5) for _ in range(10)}) == 1
+    assert len({hashed(1.0, 0.5), hashed(2.0, 0.5), hashed(1.0, 0.2)}) == 3
+
+
 def test_a_sensor_that_cannot_be_described_is_used_as_it_is(mi):
     down = mi.ScalarTransform4f(LOOKING_DOWN)
     sky = {"type": "scene", "sky": {"type": "constant", "radiance": 0.5}, "floor": FLOOR}
@@ -117,6 +132,31 @@ def test_a_sensor_that_cannot_be_described_is_used_as_it_is(mi):
     mean = both.read().mean(axis=(0, 2, 3))
     assert mean[:35].mean() == pytest.approx(mean[35:].mean(), abs=0.05)
     assert both.features["depth"] == pytest.approx(1.99, abs=1e-3)  # from the near clip
+
+
+def test_the_spectral_response_of_a_sensor_is_kept_and_belongs_to_the_hash():
+    with activate(replace(probe("scalar"), color="spectral")) as mi:
+
+        def built(response):
+            sensor = {"type": "perspective", "film": METER["film"], **response}
+            parts = {"sensor": sensor, "sky": {"type": "constant"}, "integrator": PATH}
+            return mi.load_dict({"type": "scene", **parts})
+
+        red = {"type": "regular", "wavelength_min": 600.0, "wavelength_max": 700.0}
+        scenes = [
+            built({"srf": {**red, "values": v}} if v else {}) for v in ("0, 1, 0", "1, 1", "")
+        ]
+        narrow, _, plain = scenes
+        assert len({chd.load_scene(scene).hash for scene in scenes}) == 3
+        view = {"spp": 64, "color": "spectral", "progress": False}
+        means = [chd.render(scene, **view).read().mean(axis=(0, 1, 3)) for scene in scenes]
+        expected = [np.array(mi.render(scene, spp=4096)).ravel() for scene in scenes]
+        for mean, exact in zip(means, expected, strict=True):
+            np.testing.assert_allclose(mean, exact, rtol=0.2, atol=0.05 * exact.max())
+        assert np.ptp(means[2]) < np.ptp(means[0])
+        with pytest.raises(RenderError, match="shows 1 x 1 pixels only"):
+            chd.render(narrow, **view, size=(4, 4))
+        assert chd.render(plain, **view, size=(4, 4)).shape[:2] == (4, 4)
 
 
 def test_what_it_cannot_do_is_told(mi):

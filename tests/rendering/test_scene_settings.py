@@ -292,3 +292,31 @@ def test_differentiable_integrators_render_with_llvm_and_are_refused_with_scalar
     assert samples.read().mean() == pytest.approx(0.5, abs=0.02)
     with pytest.raises(RenderError, match="'prb' is there with Mitsuba's llvm and cuda backends"):
         render(scene)
+
+
+def test_sensors_have_the_numbers_of_mitsuba():
+    """Mitsuba's loader puts meshes and what merges hold behind all others."""
+
+    def film(width: int) -> dict[str, Any]:
+        return {"film": {**PLAIN_FILM, "width": width, "height": 1}}
+
+    def meter(width: int, kind: str) -> dict[str, Any]:
+        return {"type": kind, "sensor": {"type": "irradiancemeter", **film(width)}}
+
+    inner = {"type": "merge", "a": meter(5, "sphere"), "b": meter(6, "sphere")}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path"},
+        "_merged_0": meter(7, "cube"),
+        "several": {"type": "merge", "ball": meter(4, "sphere"), "inner": inner},
+        "one": {"type": "merge", "ball": meter(1, "sphere")},
+        "ball": meter(2, "sphere"),
+        "last": {"type": "orthographic", **film(3)},
+        "a": {"type": "cube", "bsdf": {"type": "null"}},
+        "b": {"type": "cube", "bsdf": {"type": "null"}},
+    }
+    with activate(probe("scalar")) as mi:
+        sensors = mi.load_dict(scene).sensors()
+    assert [sensor.film().size()[0] for sensor in sensors] == [1, 2, 3, 4, 5, 6, 7]
+    for number, width in enumerate(range(1, 8)):
+        assert render(scene, sensor=number, spp=1).shape[:2] == (1, width)

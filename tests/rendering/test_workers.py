@@ -15,9 +15,9 @@ import pytest
 
 import chdstat as chd
 from chdstat._core import executor
-from chdstat.errors import ClusterError, RenderError
+from chdstat.errors import ClusterError, InputError, RenderError
 from chdstat.rendering import workers
-from chdstat.rendering.backend import probe
+from chdstat.rendering.backend import activate, probe
 from chdstat.rendering.job import Job
 from chdstat.rendering.renderer import Renderer
 from chdstat.samples.layout import chunk_grid
@@ -52,6 +52,24 @@ def scheduler(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
         child.kill()
         child.wait()
         child.stdout.close()
+
+
+def test_scenes_in_values_of_mitsuba_are_refused_on_a_cluster():
+    from distributed import Client, LocalCluster
+
+    local = {"n_workers": 1, "threads_per_worker": 1, "processes": False}
+    with (
+        activate(probe("scalar")) as mi,
+        LocalCluster(dashboard_address=":0", **local) as cluster,
+        Client(cluster) as client,
+    ):
+        scene = mi.cornell_box()  # its transforms are Mitsuba's
+        with pytest.raises(InputError, match=r"cannot be sent to .*Transform.* \(4, 4\) array"):
+            chd.render(scene, spp=2, client=client, **SETTINGS)
+        image = {"type": "bitmap", "bitmap": mi.Bitmap(np.ones((2, 2, 3), np.float32))}
+        floor = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": image}}
+        with pytest.raises(InputError, match=r"cannot be sent to .*Bitmap.* array"):
+            chd.render({"type": "scene", "floor": floor}, spp=2, client=client, **SETTINGS)
 
 
 def test_a_scheduler_without_workers_is_told(monkeypatch):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pickle
+import subprocess
+import sys
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -101,6 +103,53 @@ def test_an_include_and_a_spectrum_are_files_of_the_scene_wherever_one_stands(
     part.write_text("<scene version='3.0.0'><shape type='cube'/></scene>")
     hashes.add(loaded.hash)
     assert len(hashes) == 3
+
+
+def test_an_include_is_the_one_file_that_mitsuba_takes(tmp_path):
+    """That beside the file that includes it; folders that it adds are forgotten behind it."""
+    write(tmp_path / "rooms/tex.exr", 1.0)
+    write(tmp_path / "parts/skies/tex.exr", 2.0)
+    source = scene(tmp_path, "<include filename='../parts/a.xml'/>" + ENVMAP.format("tex.exr"))
+    part = "<scene version='3.0.0'>{}</scene>"
+    include = "<path value='skies'/><include filename='b.xml'/>"
+    (tmp_path / "parts/a.xml").write_text(part.format(include))
+    (tmp_path / "parts/b.xml").write_text(part.format("<shape type='disk'/>"))
+    (tmp_path / "rooms/b.xml").write_text("this is no XML, and nobody reads it")
+    assert load_scene(source).described() == {
+        "scene.xml": source,
+        "../parts/a.xml": tmp_path / "parts/a.xml",
+        "b.xml": tmp_path / "parts/b.xml",
+        "tex.exr": tmp_path / "rooms/tex.exr",
+    }
+    assert chd.render(source, spp=1, **SETTINGS).read().max() == 1
+    (tmp_path / "parts/b.xml").unlink()
+    with pytest.raises(SceneError, match=r"rooms/b\.xml \(no well-formed XML"):
+        _ = load_scene(source).hash
+
+
+def test_the_tables_of_a_metal_are_files_of_the_scene(tmp_path):
+    body = (
+        "<shape type='sphere'><bsdf type='conductor'><string name='material' value='{}'/>"
+        "</bsdf></shape><emitter type='constant'/>"
+    )
+    own = load_scene(scene(tmp_path, body.format("mine")))
+    hashes = []
+    for index in (0.5, 1.5):
+        for part in ("eta", "k"):
+            table = tmp_path / f"rooms/data/ior/mine.{part}.spd"
+            table.parent.mkdir(parents=True, exist_ok=True)
+            table.write_text(f"400 {index}\n700 {index}\n")
+        tables = {"data/ior/mine.eta.spd", "data/ior/mine.k.spd"}
+        assert set(own.files()) == {"scene.xml"} | tables
+        hashes.append(own.hash)
+        chd.render(own, spp=1, **SETTINGS)
+    assert hashes[0] != hashes[1]
+    # Those of Mitsuba, also where it is not loaded yet.
+    gold = load_scene({"type": "scene", "ball": {"bsdf": {"type": "conductor", "material": "Au"}}})
+    assert len(gold.files()) == 2
+    code = f"import chdstat; print(chdstat.load_scene({dict(gold.source)}).hash)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == gold.hash
 
 
 def test_what_lies_beside_a_scene_and_is_not_named_is_never_touched(tmp_path, monkeypatch):
@@ -292,7 +341,7 @@ def test_scenes_of_compiled_plugins_have_no_code():
 @pytest.mark.parametrize(("folder", "least"), [("bathroom", 800), ("white-room", 150)])
 def test_real_scenes_name_all_their_files(scenes_folder, folder, least):
     source = load_scene(scenes_folder / folder / "scene.xml")
-    named = source.described().files
+    named = source.described()
     assert len(named) > least
     text = (scenes_folder / folder / "scene.xml").read_text()
     beside = [

@@ -436,7 +436,6 @@ for _name, _which, _loss_weight, _given in _ROWS:
             about=f"Network that weighs any number of samples by their luminance{_which}.",
             label=f"progressive{_which}",
             place=9,
-            default=_name == "progressive",
             options={"loss_weight": _loss_weight},
             uses_features=_given,
             joint_channels=True,
@@ -472,7 +471,8 @@ def _mixed(found: Estimates, rows: Array, weights: Floats) -> Estimates:
             low = np.fmin(below, below + share * (low - below))
             high = np.fmax(above, above + share * (high - above))
         mixed = radiance, weight[:, 0] * found.certainty, low, high
-        return Estimates(*(a.astype(np.float32) for a in mixed), found.level)
+        radiance, certainty, low, high = (a.astype(np.float32) for a in mixed)
+    return Estimates(radiance, certainty, low, high, found.level)
 
 
 def _student(rows: Array, mean: Floats, level: float) -> tuple[Floats, Floats, Array]:

@@ -19,14 +19,13 @@ import numpy.typing as npt
 from scipy import stats
 
 from chdstat._core.arrays import generator, is_bad
-from chdstat._core.image_scales import mean_radiance
 from chdstat._core.positive import Floats
 from chdstat._core.resampling import Interval
 from chdstat.comparison import Comparison
-from chdstat.comparison.candidates import options_of
+from chdstat.comparison.candidates import entry_of, estimate_by
 from chdstat.comparison.metrics import relative_squared_error
 from chdstat.errors import ChdstatError
-from chdstat.estimators import Progressive, lookup, names
+from chdstat.estimators import names
 from chdstat.io.denoiser import denoise
 from chdstat.samples import Samples
 from chdstat.studies.outcomes import ClaimTest, Outcome, PlotData, level_of, required
@@ -272,15 +271,15 @@ def _function(
     comparison: Comparison, name: str, features: dict[str, npt.NDArray[np.float32]]
 ) -> Estimate:
     """Return an estimator as a function of samples (y, x, channel, sample)."""
-    entry = lookup(name) if name in names() else None
-    model = comparison.models.get(name)
-    function: Any = entry if model is None else model.predict
-    options = {} if entry is None else options_of(entry, features)
+    model: Any = comparison.models.get(name)
 
     def estimate(x: Array) -> Floats:
-        # With its unit given, the network itself estimates, not its mixture with the mean.
-        more = {"unit": mean_radiance(x)} if isinstance(model, Progressive) else {}
-        return np.asarray(function(x, **options, **more), dtype=np.float64)
+        # A model under a name of one's own is asked as it is.
+        if name not in names():
+            return np.asarray(model.predict(x), dtype=np.float64)
+        # The network itself is asked, as at home.
+        found = estimate_by(entry_of(name), x, features=features, model=model, at_home=True)
+        return np.asarray(found, dtype=np.float64)
 
     return estimate
 

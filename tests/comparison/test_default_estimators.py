@@ -1,0 +1,162 @@
+"""Default estimators: one list, wherever estimators are judged, and the default estimate first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import chdstat as chd
+from chdstat.comparison import DEFAULT_ESTIMATORS
+from chdstat.comparison.candidates import DEFAULT_ESTIMATE, choose, entry_of
+from chdstat.errors import InputError
+from chdstat.estimators import lookup, registry
+from chdstat.explorer.estimators import batches_of, learners, scored, scored_around
+from chdstat.explorer.sources import StoreSource
+from chdstat.explorer.tables import estimates_table
+from chdstat.reporting import scene_report
+from chdstat.viz.estimators import called
+
+N = 32
+
+
+@pytest.fixture(autouse=True)
+def quick_training(monkeypatch):
+    """Train the network of the paper for a moment."""
+    entry = lookup("elek2019")
+
+    def train(samples, *, iterations=None, **options):
+        return entry.train(samples, iterations=5, **options)
+
+    monkeypatch.setitem(registry.ENTRIES, "elek2019", replace(entry, train=train))
+
+
+def by_compare(samples, monkeypatch, tmp_path):
+    return chd.compare(samples, progress=False).estimators
+
+
+def by_curve(samples, monkeypatch, tmp_path):
+    return chd.comparison.error_curve(samples, sizes=[N], progress=False).estimators
+
+
+def by_bench(samples, monkeypatch, tmp_path):
+    truth = samples.read().mean(axis=-1)
+    scenes, references = {"box": samples}, {"box": truth}
+    found = chd.bench(scenes, spp=[N], references=references, progress=False)
+    assert found.baseline == "mean"
+    assert found.left_out == {"elek2019": "trains on each scene, against a reference"}
+    return (*found.estimators, *found.left_out)
+
+
+def by_report(samples, monkeypatch, tmp_path):
+    documents = []
+    monkeypatch.setattr(scene_report, "typeset", lambda document, *_: documents.append(document))
+    chd.report(samples, tmp_path / "box.pdf", progress=False)
+    return [row["name"] for row in documents[0].content["estimators"]["rows"]]
+
+
+def by_study(samples, monkeypatch, tmp_path):
+    (scene,) = chd.study(samples, progress=False).scenes
+    return scene.data.comparison.estimators
+
+
+def by_explorer(samples, monkeypatch, tmp_path):
+    place = 8, 8
+    batches, source = batches_of(samples[place], N), StoreSource(samples)
+    (learner,) = learners([lookup("elek2019").train(samples, progress=False)])
+    found = [learner.score(batches, source, place, None), *scored(batches)]
+    found += scored_around(batches, source, place)
+    rows = estimates_table(found, samples.channels, N, "")["rows"]
+    return [row[0] for row in rows][: len(DEFAULT_ESTIMATORS)]
+
+
+@pytest.mark.parametrize(
+    "shown", [by_compare, by_curve, by_bench, by_report, by_study, by_explorer]
+)
+def test_one_list_is_judged_everywhere_with_the_default_estimate_first(
+    shown, cornell, monkeypatch, tmp_path
+):
+    found = [called(name) for name in shown(cornell, monkeypatch, tmp_path)]
+    assert found == [called(name) for name in DEFAULT_ESTIMATORS]
+    assert DEFAULT_ESTIMATORS[:2] == (DEFAULT_ESTIMATE, "mean")
+
+
+def test_the_default_estimate_is_given_the_image_of_each_batch_with_its_features(cornell):
+    found = chd.compare(cornell, ["mean", "combination"], max_batches=1, progress=False)
+    x = cornell.read(ss=slice(N))
+    direct = chd.estimators.combination(x, features=cornell.features)
+    np.testing.assert_array_equal(found.estimates[1], direct)
+    y = cornell.read(ss=slice(N, None)).mean(axis=-1, dtype=np.float64)
+    mse = chd.comparison.metrics.mse(direct, y)
+    assert found.measures["mse"].value[1, :3] == pytest.approx(mse, rel=1e-5)
+    assert found.measures["bias"].value[1, :3] == pytest.approx(
+        chd.comparison.metrics.bias(direct, y), abs=1e-6
+    )
+    # Its errors are over those of the mean of the same batches, in the same pixels.
+    mean = chd.comparison.metrics.mse(x.mean(axis=-1), y)
+    assert found.measures["mse_ratio"].value[1, :3] == pytest.approx(mse / mean, rel=1e-4)
+
+
+def test_a_benchmark_gives_it_the_same(cornell):
+    truth = np.ones(cornell.shape[:3])
+    options = {"spp": [N], "references": {"box": truth}, "progress": False}
+    case = chd.bench({"box": cornell}, **options).cases[0]
+    x = cornell.read(ss=slice(N))
+    direct = chd.estimators.combination(x, features=cornell.features)
+    np.testing.assert_array_equal(case.images["combination"], direct)
+
+
+def test_the_table_says_what_the_default_estimate_is(cornell):
+    found = chd.compare(cornell, ["combination", "mean"], max_batches=1, progress=False)
+    about = lookup(DEFAULT_ESTIMATE).about
+    assert found.notes["default estimate"].lower() == f"combination: {about}".lower()
+    assert found.notes["use neighbours"] == "combination"
+    assert about[1:].split()[2] in repr(found)
+
+
+def test_what_does_not_apply_is_left_out_with_the_reason():
+    rng = np.random.default_rng(0)
+    two = chd.Samples.from_array(rng.exponential(size=(6, 6, 2, 40)))
+    found = chd.compare(two, n=8, progress=False)
+    assert found.estimators == ("mean",)
+    assert list(found.provenance["left_out"]) == [
+        "combination",
+        "mean + OIDN",
+        "median_of_means",
+        "elek2019",
+    ]
+    assert "exactly 32 samples, got n=8" in found.notes["left out"]
+    assert "median of means takes at least 11 samples" in found.notes["left out"]
+    # Whoever names them is told so.
+    with pytest.raises(InputError, match="channels"):
+        chd.compare(two, ["combination"], n=8)
+
+
+def test_an_image_without_features_has_the_denoised_mean_without_them():
+    samples = chd.Samples.from_array(np.ones((8, 8, 3, 64)))
+    assert "mean + OIDN" in choose(None, [N], samples=samples).entries
+
+
+def test_a_network_that_cannot_be_trained_spoils_no_default_comparison(monkeypatch, cornell):
+    def refuse(samples, **options):
+        raise InputError("the image is too small")
+
+    monkeypatch.setitem(registry.ENTRIES, "elek2019", replace(lookup("elek2019"), train=refuse))
+    found = chd.compare(cornell, max_batches=1, progress=False)
+    assert found.estimators == DEFAULT_ESTIMATORS[:-1]
+    assert found.provenance["left_out"] == {"elek2019": "the image is too small"}
+    with pytest.raises(InputError, match="too small"):
+        chd.compare(cornell, ["elek2019"], progress=False)
+
+
+@pytest.mark.parametrize("name", ["mean + OIDN", "median + OIDN features"])
+def test_a_name_may_ask_for_a_denoiser(name):
+    assert entry_of(name).name == name
+
+
+def test_unknown_names_and_other_things_are_refused():
+    with pytest.raises(InputError, match="no estimator is called 'men'"):
+        entry_of("men + OIDN")
+    with pytest.raises(InputError, match="expected names"):
+        entry_of(np.mean)
