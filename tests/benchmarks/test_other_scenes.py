@@ -1,8 +1,8 @@
 """What networks are worth on their scene and on others: errors, bias and coverage.
 
 Run with ``pytest tests/benchmarks/test_other_scenes.py --benchmark-only -s``. Errors are in
-units of the mean's; +- is their standard error over pixels. Bias is that of the whole image less the mean's own,
-which is noise.
+units of the mean's; +- is their standard error over pixels. Bias is that of the whole image less the
+mean's own, which is noise.
 """
 
 import numpy as np
