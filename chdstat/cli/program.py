@@ -17,7 +17,13 @@ import typer
 
 from chdstat import __version__
 from chdstat._core.places import is_path, place_of
-from chdstat.errors import ChdstatError, InputError, InputWarning, LeftOutWarning
+from chdstat.errors import (
+    ChdstatError,
+    InputError,
+    InputWarning,
+    LeftOutWarning,
+    OtherSceneWarning,
+)
 
 if TYPE_CHECKING:
     from chdstat.patterns import Thresholds
@@ -416,7 +422,7 @@ def _shown_once() -> Callable[..., None]:
         line: str | None = None,
     ) -> None:
         text = warnings.formatwarning(message, category, filename, lineno, line).rstrip()
-        if issubclass(category, LeftOutWarning | InputWarning):
+        if issubclass(category, LeftOutWarning | InputWarning | OtherSceneWarning):
             text = f"chdstat: {message}"
         if text not in shown:
             typer.echo(text, file=file, err=True)

@@ -452,7 +452,7 @@ def train_model(
     >>> rng = np.random.default_rng(0)
     >>> image = chd.Samples.from_array(rng.exponential(size=(16, 16, 3, 16)))
     >>> train_model(image, iterations=5, progress=False)
-    <Progressive scene 'array'>
+    <Progressive scene 'samples'>
     """
     entry = check_choice(name, with_features=with_features)
     used = first_samples(samples, spp)

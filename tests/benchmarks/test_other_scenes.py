@@ -104,6 +104,7 @@ def test_with_a_reference(as_benchmark):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::chdstat.errors.OtherSceneWarning")
 def test_of_another_scene(as_benchmark):
     """Each network on all other images, at both ends of the loss weight and between them."""
     known = worlds()
