@@ -1,8 +1,8 @@
 """What networks are worth on their scene and on others: errors, bias and coverage.
 
 Run with ``pytest tests/benchmarks/test_other_scenes.py --benchmark-only -s``. Errors are in
-units of the mean's; +- is their standard error over pixels. Bias is that of the whole image less the
-mean's own, which is noise.
+units of the mean's; +- is their standard error over pixels. Bias is that of the whole image less
+the mean's own, which is noise.
 """
 
 import numpy as np
@@ -109,6 +109,7 @@ def test_of_another_scene(as_benchmark):
     """Each network on all other images, at both ends of the loss weight and between them."""
     known = worlds()
     moved = asked = 0
+    worse = []
     print(f"\n{'':64}{'N':>5}{'MSE':>8}{'relMSE':>16}")
     for name, (samples, _) in known.items():
         model = Progressive().train(samples, iterations=600, progress=False)
@@ -123,5 +124,7 @@ def test_of_another_scene(as_benchmark):
                 if pairs[0][1] > 1e-6:
                     moved += 1
                     print(row(f"{name} on {other}", n, pairs))
-                assert_no_worse(pairs)
+                if any(error > 1.02 + 2 * noise for error, noise in pairs):
+                    worse.append(row(f"{name} on {other}", n, pairs))
     print(f"the others of {asked} keep the mean: {asked - moved}")
+    assert not worse, "\n".join(worse)

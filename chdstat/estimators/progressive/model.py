@@ -336,9 +336,9 @@ class Progressive(TrainedModel[learning.Learned]):
 
         Estimates from one half of the samples are compared with the mean of the other half, under
         squared errors and under relative ones, whose denominator is the darker of mean and
-        estimate; the smaller weight counts. With half of the samples the variance of the mean is
-        2 v in place of v, and beside an estimate of bias b the weight a = 2 v / (2 v + b^2); with
-        all of them it is v / (v + b^2) = a / (2 - a).
+        estimate of either half; the smallest weight counts. With half of the samples the variance
+        of the mean is 2 v in place of v, and beside an estimate of bias b the weight
+        a = 2 v / (2 v + b^2); with all of them it is v / (v + b^2) = a / (2 - a).
         """
         if rows.shape[-1] < _FEWEST or len(rows) < 2:
             return np.zeros(_THIRDS)
@@ -359,8 +359,11 @@ class Progressive(TrainedModel[learning.Learned]):
             moved.append((*(np.where(usable, a, 0) for a in (move, wanted)), squared, third))
         moves, wanted, squared, thirds = map(np.concatenate, zip(*moved, strict=True))
         pixels = np.tile(np.arange(len(rows)), 2)
+        # What is dark by chance in one half weighs more there, where a move up pays, and in the
+        # other, where a move down does: the truth lies between.
+        weights = (1.0, 1 / squared, 1 / np.roll(squared, len(rows), axis=0))
         shares = [
-            [errors.share_of(pixels, moves * (thirds == k), wanted, w) for w in (1.0, 1 / squared)]
+            [errors.share_of(pixels, moves * (thirds == k), wanted, w) for w in weights]
             for k in range(_THIRDS)
         ]
         halved = np.min(shares, axis=1)
